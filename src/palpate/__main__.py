@@ -6,9 +6,14 @@ from importlib import import_module
 
 
 def main() -> int:
-    """Run the command line of the process; gives its exit code.
+    """Run the command line with the arguments of the process.
 
-    Until the command line can say so in a line, a signal ends the process without a word.
+    Until the command line has installed its own handler, an interrupt ends the process silently,
+    without Python's traceback.
+
+    Returns
+    -------
+    int                             exit code
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""What `import palpate` offers beside the rooms: a fit in one call, and what follows from it."""
+"""What `import palpate` offers besides the rooms: a fit in one call, and methods of its result."""
 
 import html
 import os
@@ -57,13 +57,13 @@ _PICTURES = ("likelihood", "probings", "predictions", "errors", "budget")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """What a fit found, and what can be done with it.
+    """Result of a fit, with methods that plot, save, export and query it.
 
     Attributes
     ----------
-    session : Session               that was fitted, with the displacements that were used
+    session : Session               session that was fitted, with the displacements used
     fitted : FitResult              all numbers: estimate, likelihood, predictions
-    cache : Path or None            folder that keeps the surface integrals
+    cache : Path or None            folder in which surface integrals are cached
     """
 
     session: Session
@@ -77,21 +77,21 @@ class Result:
 
     @property
     def young_modulus(self) -> Constant:
-        """In pascals."""
+        """Young's modulus E [Pa]."""
         return self.estimate.young_modulus
 
     @property
     def shear_modulus(self) -> Constant:
-        """In pascals."""
+        """Shear modulus G [Pa]."""
         return self.estimate.shear_modulus
 
     @property
     def poisson_ratio(self) -> Constant:
-        """A number."""
+        """Poisson's ratio nu [-]."""
         return self.estimate.poisson_ratio
 
     def plot(self, what: str = "likelihood") -> Figure:
-        """A picture, which a notebook shows.
+        """A figure of the result, which a notebook displays.
 
         Parameters
         ----------
@@ -100,11 +100,11 @@ class Result:
 
         Returns
         -------
-        Figure                      of matplotlib; `savefig` writes it to a file
+        Figure                      matplotlib figure; `savefig` writes it to a file
 
         Raises
         ------
-        InputError                  there is no such picture
+        InputError                  no such picture, or this result holds nothing to draw in it
         """
         drawn: Figure | None = None
         if what == "likelihood":
@@ -139,13 +139,13 @@ class Result:
         *,
         radius: Quantity | None = None,
     ) -> PokedState:
-        """Press a tool on the fitted object: how far it gives way.
+        """Response of the fitted object to a further push, at the estimated constants.
 
         Parameters
         ----------
-        at : three numbers or texts     centre of the contact, metres or as ("12 mm", "0 mm", ...)
-        force : three numbers or texts  of the tool on the object, newtons or with a unit
-        radius : number or text         of the contact; None: that of the session's first probing
+        at : three numbers or texts     contact centre, in metres or as ("12 mm", "0 mm", ...)
+        force : three numbers or texts  force of the tool on the object, in newtons or with a unit
+        radius : number or text         contact radius; None: that of the session's first probing
 
         Returns
         -------
@@ -170,16 +170,18 @@ class Result:
 
         Parameters
         ----------
-        folder : path               appears whole or not at all
-        force : bool                write although something else is there, kept as NAME.old
+        folder : path               result folder; written completely or not at all
+        force : bool                write even if something else lies there, which is then kept
+                                    as NAME.old
 
         Returns
         -------
-        Path                        of the folder
+        Path                        the folder
 
         Raises
         ------
-        InputError                  the folder is something else, or cannot be written
+        InputError                  something else lies there and `force` is False, or the folder
+                                    cannot be written
         """
         with result_folder(folder, kind="fit", force=force) as new:
             record_inputs(new, session_files(self.session.path))
@@ -194,19 +196,21 @@ class Result:
 
         Parameters
         ----------
-        folder : path               appears whole or not at all
-        to : str                    "mujoco", "calculix", "obj", ...: what `palpate export` knows
-        probe : str or None         probing that is written along; None: the first
-        force : bool                write although something else is there, kept as NAME.old
+        folder : path               result folder; written completely or not at all
+        to : str                    "mujoco", "calculix", "obj", ...: a format of `palpate export`
+        probe : str or None         name of the probing exported as the load case; None: the first
+                                    that was held out from the estimate, else the first
+        force : bool                write even if something else lies there, which is then kept
+                                    as NAME.old
 
         Returns
         -------
-        Path                        of the folder
+        Path                        the folder
 
         Raises
         ------
-        InputError                  an unknown simulator, or one that does not take the constants;
-                                    the folder is something else, or cannot be written
+        InputError                  an unknown format, or one that does not accept these constants;
+                                    something else lies there, or the folder cannot be written
         """
         if to not in FORMATS:
             raise InputError(f"there is no simulator {to!r}; there are: {', '.join(FORMATS)}")
@@ -217,15 +221,15 @@ class Result:
         return Path(folder)
 
     def report(self, file: Path | str) -> Path:
-        """Write the report: one HTML file that needs nothing else.
+        """Write the report: one self-contained HTML file.
 
         Parameters
         ----------
-        file : path                 a file of that name is replaced
+        file : path                 an existing file of that name is replaced
 
         Returns
         -------
-        Path                        of the file
+        Path                        the file
 
         Raises
         ------
@@ -268,14 +272,14 @@ def fit(
 
     Parameters
     ----------
-    session : Session or path       a folder is read first
-    probe : sequence of str         use these probings only; of a folder
+    session : Session or path       a path names a session folder, which is read first
+    probe : sequence of str         names of the probings to use; only with a folder. None: all
     method : str                    "reduced", or "nelder-mead" on the full model
-    poisson_range : (float, float)  Poisson's ratios that are possible
-    finite_strain : bool            correct what the linear model leaves out of an object that was
-                                    pressed far
-    cache : path or None            folder that keeps the surface integrals for the next time
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    poisson_range : (float, float)  range in which Poisson's ratio is searched
+    finite_strain : bool            correct for the geometric and material nonlinearity that the
+                                    linear model leaves out at large displacement
+    cache : path or None            folder in which surface integrals are cached for later runs
+    progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
     -------
@@ -283,7 +287,7 @@ def fit(
 
     Raises
     ------
-    InputError                      bad input, as `palpate fit` says it
+    InputError                      invalid input; same messages as `palpate fit`
     """
     if isinstance(session, (str, os.PathLike)):
         session = read_session(session, probes=None if probe is None else list(probe))

@@ -1,5 +1,5 @@
-"""Copies of arrays: checked and read-only for frozen dataclasses; with some rows replaced. And the
-lengths of many vectors."""
+"""Array helpers: validated read-only copies for frozen dataclasses, replacing rows, vector lengths,
+medians that ignore missing values."""
 
 from collections.abc import Sequence
 
@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike
 
 from palpate.errors import InputError
 
-# Nothing that is measured comes near this in SI units; its fourth power is still a number.
+# Far above any measured quantity in SI units; its fourth power does not overflow a float.
 LARGEST_NUMBER = 1e30
 
 
 def known_median(values: Float[np.ndarray, " k"]) -> float:
-    """Median of what is finite; NaN of nothing.
+    """Median of the finite entries; NaN if there are none.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def known_median(values: Float[np.ndarray, " k"]) -> float:
 
 
 def lengths(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
-    """Lengths of vectors; numpy's own norm along so short an axis takes ten times as long.
+    """Euclidean lengths of vectors; ten times faster than numpy's norm along so short an axis.
 
     Parameters
     ----------
@@ -51,19 +51,24 @@ def fixed_array(
     integer: bool = False,
     nan_allowed: bool = False,
 ) -> np.ndarray:
-    """Read-only float64 (or int64) copy of a value whose shape and finiteness were checked.
+    """Read-only float64 (or int64) copy of a value, after checking its shape and finiteness.
 
     Parameters
     ----------
     value : array-like
-    name : str                      what the value is, for the message
+    name : str                      name of the value, for the error message
     shape : sizes, None = any       e.g. (None, 3) for points
-    integer : bool                  int64 instead of float64; fractions are refused
+    integer : bool                  int64 instead of float64; fractional values are refused
     nan_allowed : bool              NaN stands for "not measured"; infinity is never allowed
+
+    Returns
+    -------
+    array of that shape             not writeable
 
     Raises
     ------
-    InputError                      wrong shape, not numeric, not finite, fractional index
+    InputError                      wrong shape, not numeric, not finite or beyond
+                                    `LARGEST_NUMBER`, fractional where integers are required
     """
     wanted = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
     try:
@@ -98,17 +103,17 @@ def with_rows(
     rows: Int[np.ndarray, " k"],
     values: Shaped[np.ndarray, "k ..."],
 ) -> Shaped[np.ndarray, "n ..."]:
-    """A copy of an array with some of its rows replaced.
+    """Copy of an array with some of its rows replaced.
 
     Parameters
     ----------
     array : (n, ...)
-    rows : (k,) int
-    values : (k, ...)
+    rows : (k,) int                 row indices
+    values : (k, ...)               their new values
 
     Returns
     -------
-    (n, ...)                        as `array`, but for row rows[i], which is values[i]
+    (n, ...)                        equal to `array` except that row rows[i] is values[i]
     """
     result = array.copy()
     result[rows] = values

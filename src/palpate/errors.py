@@ -2,16 +2,16 @@
 
 from datetime import date, time
 
-# A value is quoted up to here, and a whole message is no longer than a terminal shows.
+# Longest quoted value, and longest message, in characters: no more than a terminal shows.
 _MOST_QUOTED, _MOST_SAID = 80, 1200
 
 
 def quoted(value: object) -> str:
-    """A value as messages quote it: as Python writes it, without the middle where it is long.
+    """A value as error messages quote it: its `repr`, with the middle elided if it is long.
 
     Parameters
     ----------
-    value : anything                that a user wrote
+    value : anything                as given by the user; dates and times are shown in ISO format
     """
     try:
         if isinstance(value, date | time):
@@ -26,16 +26,16 @@ def _cut(text: str, most: int) -> str:
 
 
 class PalpateError(Exception):
-    """Anything that Palpate raises on purpose; its text says what to do."""
+    """Base class of all errors that Palpate raises deliberately; the text says what to do."""
 
     def __str__(self) -> str:
-        # A name in a file may hold what ends a line, or what a terminal obeys.
+        # A name from a file may contain line breaks or terminal control characters: escape them.
         text = _cut(super().__str__(), _MOST_SAID)
         return "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
 
 
 class InputError(PalpateError, ValueError):
-    """A value given by the caller is out of its range or of the wrong shape."""
+    """A value given by the caller is out of range or has the wrong shape."""
 
 
 class MeshError(InputError):
@@ -43,7 +43,7 @@ class MeshError(InputError):
 
 
 class RecordError(InputError):
-    """A file (session, displacement, estimate) that cannot be read as what it claims to be."""
+    """A file (session, displacement, estimate, ...) that cannot be read or written as intended."""
 
 
 class InUseError(InputError):
@@ -51,11 +51,12 @@ class InUseError(InputError):
 
 
 class CalibrationError(InputError):
-    """Camera parameters that are contradictory or do not fit their images."""
+    """Camera parameters that are inconsistent or do not fit their images."""
 
 
 class SingularSystemError(PalpateError):
-    """The linear system of the model has no unique solution, e.g. too small a support."""
+    """The linear system of the model has no unique solution, e.g. because the support is too small
+    to prevent rigid motion."""
 
 
 class NotConvergedError(PalpateError):

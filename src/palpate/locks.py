@@ -1,4 +1,4 @@
-"""Who is writing a file or folder: lock files, which end with their process."""
+"""Lock files: which process is writing a file or folder. A lock ends with its process."""
 
 import os
 import socket
@@ -12,27 +12,27 @@ try:
 except ImportError:  # not on Windows: two commands at once are then not noticed
     fcntl = None  # type: ignore[assignment]
 
-# How the text of a lock begins, and that it is no link to what is another's.
+# First word of a lock file's text, and the flag that refuses symbolic links to other files.
 _HOLDER, _NO_LINK = "process ", getattr(os, "O_NOFOLLOW", 0)
 
 
 def take_lock(path: Path, final: Path) -> int:
-    """A lock file, open, locked, and with this process in it.
+    """Create or open a lock file, lock it, and write this process and host into it.
 
     Parameters
     ----------
-    path : Path                     of the lock file
-    final : Path                    what is going to be written, for messages
+    path : Path                     the lock file
+    final : Path                    file or folder that is to be written, for messages
 
     Returns
     -------
-    int                             handle of the open file
+    int                             descriptor of the open lock file
 
     Raises
     ------
-    InUseError                      another process holds it
-    RecordError                     something else lies there; it stays as it is
-    OSError                         the disk does not allow it; nothing is left
+    InUseError                      another process holds the lock
+    RecordError                     a file that is not one of our locks lies there; it is left alone
+    OSError                         the lock file cannot be created or written; none is left behind
     """
     handle = _opened_lock(path, final)
     try:
@@ -49,8 +49,8 @@ def release_lock(path: Path, handle: int) -> None:
 
     Parameters
     ----------
-    path : Path
-    handle : int                    of `take_lock`
+    path : Path                     the lock file
+    handle : int                    descriptor, from `take_lock`
     """
     with suppress(OSError):
         path.unlink()
@@ -58,7 +58,7 @@ def release_lock(path: Path, handle: int) -> None:
 
 
 def _opened_lock(path: Path, final: Path) -> int:
-    """An open lock file that is locked and has its name still."""
+    """Open and lock a lock file, and make sure that it is still the one under that name."""
     while True:
         handle, holder = _lock_file(path)
         try:
@@ -75,12 +75,12 @@ def _opened_lock(path: Path, final: Path) -> int:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.stat(path), os.fstat(handle)):
                 return handle
-        # The one before has ended and taken the file with it in between.
+        # Its previous holder has ended and removed the file in the meantime: try again.
         os.close(handle)
 
 
 def _lock_file(path: Path) -> tuple[int, str]:
-    """A lock file, opened or made, and the process that it names; what is another's stays so."""
+    """Open or create a lock file; also gives the process named in it. Refuses any other file."""
     if not os.path.lexists(path) or (path.is_file() and not path.is_symlink()):
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
         holder = os.pread(handle, 200, 0).decode(errors="replace")

@@ -1,4 +1,4 @@
-"""One door for modules that are optional, or too slow to load before they are needed."""
+"""Deferred import of modules that are optional, or too slow to load before they are needed."""
 
 from importlib import import_module
 from types import ModuleType
@@ -13,7 +13,11 @@ def late_import(module: str, *, extra: str | None, purpose: str) -> ModuleType:
     ----------
     module : str                    dotted name
     extra : str or None             extra of Palpate that installs it; None: a core dependency
-    purpose : str                   what it is needed for, for the message
+    purpose : str                   what it is needed for, for the error message
+
+    Returns
+    -------
+    module
 
     Raises
     ------

@@ -1,22 +1,26 @@
-"""How long work tells what it is doing and how far it is."""
+"""Progress callbacks of long computations: the current step, and the fraction completed."""
 
 from collections.abc import Callable
 
-# What is being done, and which fraction of the work is behind it, 0 to 1.
+# Called with the current step (text) and the fraction of the work that is done, 0 to 1.
 Progress = Callable[[str, float], None]
 
 
 def silent(_text: str, _fraction: float) -> None:
-    """Progress of a caller who does not want to know."""
+    """Progress callback that ignores its arguments."""
 
 
 def part_of(say: Progress, begin: float, end: float, *, prefix: str = "") -> Progress:
-    """Progress of a part of the work as progress of the whole.
+    """Progress callback for one part of the work, mapped to progress of the whole.
 
     Parameters
     ----------
-    say : callable                  of the whole
-    begin, end : float              fractions of the whole where the part begins and ends
-    prefix : str                    put before what the part is doing
+    say : callable                  progress callback of the whole
+    begin, end : float              fractions of the whole at which the part begins and ends, 0 to 1
+    prefix : str                    put before the texts of the part
+
+    Returns
+    -------
+    callable                        progress callback of the part
     """
     return lambda text, fraction: say(prefix + text, begin + (end - begin) * fraction)

@@ -1,4 +1,4 @@
-"""Array type aliases with shapes, checked while the tests run and free of cost otherwise.
+"""Array type aliases with shapes, checked while the tests run, without run-time cost otherwise.
 
 The last axis is the component, leading axes are the batch. A letter binds to one size within
 one call or one dataclass: `n` points, `v` vertices, `m` triangles, `k` records or indices.

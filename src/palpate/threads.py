@@ -1,4 +1,4 @@
-"""Loops over things that do not depend on each other, in several threads at once."""
+"""Loops over independent items, run in several threads at once."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -6,26 +6,26 @@ from typing import Any
 
 import numba
 
-# Ranges for each thread: things that take longer than others delay the end by one range at most.
+# Ranges per thread: items that take longer than others delay the end by one range at most.
 _RANGES = 4
 
 
 def in_threads(kernel: Callable[..., None], count: int, *arguments: Any, fewest: int = 1) -> None:
-    """Call `kernel(start, stop, *arguments)` for ranges that together are 0 to `count`.
+    """Call `kernel(start, stop, *arguments)` for ranges that together cover 0 to `count`.
 
-    As many threads as `numba.get_num_threads()` says. The kernel is compiled with `nogil=True`
-    and writes only what belongs to the things of its range, so the result does not depend on the
-    number of threads. A parallel loop of numba would do the same, but takes up to three times as
-    long to compile: it optimises its body again for every layer around it.
+    Uses `numba.get_num_threads()` threads. The kernel must be compiled with `nogil=True` and write
+    only the entries of its own range; the result then does not depend on the number of threads. A
+    numba parallel loop would do the same, but takes up to three times as long to compile, because
+    its body is optimised again for every enclosing loop.
 
     Parameters
     ----------
     kernel : callable
-    count : int
-    *arguments              what the kernel takes after its range
-    fewest : int            things that are worth a range of their own
+    count : int             number of items
+    *arguments              further arguments of the kernel, after its range
+    fewest : int            least number of items for which a range of its own pays
     """
-    # Compiles the kernel, where that is still to be done, before several threads ask for it.
+    # Compile the kernel, if necessary, before several threads call it at once.
     kernel(0, 0, *arguments)
     threads = numba.get_num_threads()
     ranges = min(_RANGES * threads, count // fewest)

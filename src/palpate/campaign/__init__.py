@@ -1,8 +1,8 @@
 """Many sessions at once, on the cores of one machine or on many machines.
 
-Purpose    : fit every session of a list, go on after whatever stops it, and see all at a glance.
-Takes      : a list of sessions, or a folder with sessions below it; workers.
-Gives      : a folder with a table in SQLite and CSV and every result; a picture over all.
+Purpose    : fit every session of a list, resume after any interruption, and summarise the results.
+Takes      : a list of sessions, or a folder tree with sessions; workers.
+Gives      : a folder with a table in SQLite and CSV and every result; a summary figure.
 Depends on : `pipeline`, `estimation`, `bem`, `figures`, `records`.
 Read first : `campaign.py`, then `work.py`, then `engine.py`.
 """

@@ -1,7 +1,7 @@
-"""Workers that do a campaign's work: a cluster of this machine's cores, or one that is running.
+"""Workers of a campaign: a local cluster on this machine's cores, or a running Dask cluster.
 
-Dask distributed starts, feeds and watches them; work that a dying worker had begun is given to
-another one.
+Dask distributed starts, feeds and monitors them; the work of a worker that dies is given to another
+one.
 """
 
 import os
@@ -20,20 +20,22 @@ from palpate.campaign.work import Outcome, Work, do_work
 from palpate.errors import InputError
 from palpate.optional_imports import late_import
 
-# Time for a scheduler to answer, and for a first worker to come [s].
+# Timeouts for a scheduler to answer, and for the first worker to appear [s].
 _ANSWER, _WORKER = 10, 60
-# What each worker has in hand, so that none waits for the next piece.
+# Pieces of work queued per worker thread, so that none is idle.
 _IN_HAND = 2
-# A piece of work that ended so many workers, each several times, is what ends them.
+# Number of times that Dask may give up on a piece of work, after several workers died, before it
+# counts as failed.
 _MOST_DEATHS = 3
+# Fraction of the memory that is divided among the workers.
 _USABLE_SHARE = 0.9
-# One thread for whatever a worker calls, before it loads it.
+# Environment of the workers, set before libraries are loaded: one thread each.
 _ONE_THREAD = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
 }
 _SETTINGS = {
     "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
-    # Pictures travel with the work; there is no graph that one would keep small.
+    # Pictures are sent with the work, so large messages are expected.
     "distributed.admin.large-graph-warning-threshold": "4 GiB",
     "distributed.comm.timeouts.connect": f"{_ANSWER}s",
 }
@@ -42,7 +44,7 @@ _SAME = ("python", "dask", "distributed")
 
 @dataclass(slots=True, eq=False)
 class Engine:
-    """Workers at hand.
+    """Connection to the workers.
 
     Attributes
     ----------
@@ -58,7 +60,7 @@ class Engine:
 
     @property
     def has_room(self) -> bool:
-        """Whether more work would not wait for long; what waits takes memory."""
+        """Whether more work may be submitted; work that waits takes memory."""
         return len(self._begun) < max(_IN_HAND, _IN_HAND * self.threads)
 
     @property
@@ -68,14 +70,14 @@ class Engine:
 
     @property
     def threads(self) -> int:
-        """Pieces of work that can be done at a time."""
+        """Number of pieces of work that can run at the same time."""
         try:
             return sum(self.client.nthreads().values())
         except OSError as error:
             raise self._gone() from error
 
     def begin(self, work: Work) -> None:
-        """Have a piece of work done.
+        """Submit a piece of work.
 
         Parameters
         ----------
@@ -83,24 +85,24 @@ class Engine:
 
         Raises
         ------
-        InputError                  the scheduler has gone
+        InputError                  the scheduler is gone
         """
         if self.client.status not in ("running", "connecting"):
             raise self._gone()
-        # A key of its own: another client that has the same work done must not be mixed up with us.
+        # Not pure: identical work of another client must get a key of its own.
         future = self.client.submit(_on_worker, work, pure=False)
         self._begun[future] = work
 
     def ended(self) -> list[tuple[Work, Outcome]]:
-        """Wait until a piece of work has ended.
+        """Wait until at least one piece of work has ended.
 
         Returns
         -------
-        list of pairs               all that have ended, in no order
+        list of (Work, Outcome)     all that have ended, in any order
 
         Raises
         ------
-        InputError                  the scheduler has gone, or a worker lacks Palpate
+        InputError                  the scheduler is gone, or a worker lacks Palpate
         """
         try:
             with self.client.as_current():
@@ -118,7 +120,7 @@ class Engine:
         return ended
 
     def _outcome(self, future: Any, work: Work) -> Outcome | None:
-        """What came of a piece of work; None where it is to be tried again."""
+        """Outcome of a piece of work; None if it is to be tried again."""
         if future.status == "finished":
             found: Outcome = future.result()
             return found
@@ -147,7 +149,7 @@ class Engine:
 
 
 def _on_worker(work: Work) -> Outcome:
-    """Do a piece of work in a worker's own folder, within its share of memory."""
+    """Do a piece of work in the worker's own folder, within its share of the memory."""
     distributed = late_import("distributed", extra="batch", purpose="a campaign's worker")
     worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit
@@ -157,18 +159,22 @@ def _on_worker(work: Work) -> Outcome:
 
 @contextmanager
 def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engine]:
-    """Workers for as long as the block lasts.
+    """Connect to workers for the duration of the block.
 
     Parameters
     ----------
-    scheduler : str or None         address of one that runs, `tcp://HOST:PORT`; None: a cluster of
-                                    this machine's cores is started, and ended with the block
-    workers : int or None           of the started cluster; None: one for every core
+    scheduler : str or None         address of a running scheduler, `tcp://HOST:PORT`; None: start a
+                                    cluster on this machine, which ends with the block
+    workers : int or None           number of workers of that cluster; None: one per core
+
+    Yields
+    ------
+    Engine
 
     Raises
     ------
-    InputError                      Dask is not installed; no scheduler at that address, or another
-                                    version; no worker, or one without Palpate
+    InputError                      Dask is not installed; no scheduler at that address; no worker;
+                                    scheduler or worker with other versions, or without Palpate
     """
     library = late_import("distributed", extra="batch", purpose="a campaign")
     with ExitStack() as stack:
@@ -191,8 +197,8 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
 
 @contextmanager
 def _own_environment() -> Iterator[None]:
-    """Dask puts what its workers are to find into our environment, and leaves it there: numba would
-    compile nothing more once the number of its threads had changed."""
+    """Restore the environment variables after the block. Dask sets those of its workers in our own
+    process too, and numba refuses to compile once its number of threads has changed."""
     before = dict(os.environ)
     try:
         yield
@@ -202,7 +208,7 @@ def _own_environment() -> Iterator[None]:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -210,7 +216,7 @@ def cores() -> int:
 
 @contextmanager
 def _local(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
-    """A client of a cluster of processes, each with one thread and an equal share of memory."""
+    """A client of a local cluster of processes, each with one thread and an equal memory share."""
     share = int(_USABLE_SHARE * library.system.MEMORY_LIMIT / workers)
     with (
         library.LocalCluster(
@@ -224,10 +230,10 @@ def _local(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
 
 @contextmanager
 def _connected(library: ModuleType, address: str) -> Iterator[Any]:
-    """A client of a scheduler that runs somewhere."""
+    """A client of a running scheduler."""
     try:
-        # First, for a client refuses what is no address when it is half made. It would end in
-        # whichever thread collects garbage, and wait there for a lock that all clients share.
+        # Check the address first: a client refuses it only when it is half constructed, and would
+        # then be finalised by the garbage collector, where it may deadlock on Dask's global lock.
         library.comm.get_address_host_port(address)
         client = library.Client(address, timeout=_ANSWER, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -241,7 +247,7 @@ def _connected(library: ModuleType, address: str) -> Iterator[Any]:
 
 
 def _check_workers(client: Any, address: str) -> None:
-    """Refuse workers that would not give what this machine would give."""
+    """Refuse schedulers and workers whose versions differ from this machine's."""
     try:
         client.wait_for_workers(1, timeout=_WORKER)
     except TimeoutError as error:
@@ -270,7 +276,7 @@ def _check_workers(client: Any, address: str) -> None:
 
 
 def _minor(name: str, version: str | None) -> str:
-    """A version as far as it matters: of Python without its last number."""
+    """The part of a version that must agree: Python's without the last number, else all of it."""
     return ".".join((version or "").split(".")[:2]) if name == "python" else version or ""
 
 

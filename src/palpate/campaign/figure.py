@@ -1,4 +1,4 @@
-"""A picture over a whole campaign: both constants of every session with their intervals."""
+"""Summary figure of a campaign: both constants of every session with their intervals."""
 
 from collections.abc import Sequence
 
@@ -11,26 +11,26 @@ from palpate.campaign.rows import FAILED, Row, groups_of, outliers
 from palpate.figures import BLUE, GREY, INK, ORANGE, open_frame, styled
 from palpate.records import modulus_unit
 
-# More names than these would be a grey bar [sessions, outliers].
+# Largest numbers of sessions and of outliers whose names are shown.
 _MOST_NAMES, _MOST_OUTLIERS = 30, 12
-# Moduli so different are drawn by their ratios.
+# Ratio of the largest to the smallest value beyond which the scale is logarithmic.
 _MANY_TIMES = 4.0
 
 
 @styled
 def campaign_figure(rows: Sequence[Row], title: str) -> Figure:
-    """Young's modulus and Poisson's ratio of all sessions, group beside group.
+    """Young's modulus and Poisson's ratio of all sessions, group by group.
 
     Parameters
     ----------
     rows : sequence of Row
-    title : str                     shown as it is
+    title : str                     plain text, without markup
 
     Returns
     -------
-    Figure                          two panels, one above the other; outliers in another colour and
-                                    named, the median of each group as a line, a cross where a
-                                    session failed
+    Figure                          two panels, one above the other; outliers in another colour with
+                                    their names, the median of each group as a line, a cross for
+                                    each session that failed
     """
     ordered = [row for group in groups_of(rows) for row in rows if row.group == group]
     known = [row.young_modulus for row in rows if row.young_modulus is not None]
@@ -54,7 +54,7 @@ def campaign_figure(rows: Sequence[Row], title: str) -> Figure:
 
 
 def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, far: set[str]) -> None:
-    """One constant of all sessions; a gap where it is not known."""
+    """Draw one constant of all sessions, with a gap where it is unknown."""
     for colour, wanted in ((BLUE, False), (ORANGE, True)):
         chosen = [
             (k, row)
@@ -95,7 +95,7 @@ def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, far: set[st
 
 
 def _set_scale(axes: Axes, values: Sequence[float]) -> None:
-    """Numbers at the side; ratios where the values differ by much."""
+    """Set the scale of the ordinate, logarithmic if the values differ by a large factor."""
     if values and 0.0 < _MANY_TIMES * min(values) < max(values):
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -106,7 +106,7 @@ def _set_scale(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _spans(rows: Sequence[Row]) -> list[tuple[int, int, list[Row]]]:
-    """Where each group begins and ends, and its rows."""
+    """First index, one past the last index, and the rows of each group."""
     spans, begin = [], 0
     for group in groups_of(rows):
         members = [row for row in rows if row.group == group]
@@ -116,7 +116,7 @@ def _spans(rows: Sequence[Row]) -> list[tuple[int, int, list[Row]]]:
 
 
 def _mark_groups(upper: Axes, lower: Axes, rows: Sequence[Row]) -> None:
-    """Names of the groups above, of the sessions below, lines between the groups."""
+    """Draw group names at the top, session names at the bottom, and lines between groups."""
     for begin, end, members in _spans(rows):
         upper.annotate(
             members[0].group, (0.5 * (begin + end - 1), 1.0), (0, 3),

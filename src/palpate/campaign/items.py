@@ -1,4 +1,4 @@
-"""The sessions of a campaign, from a list or from a folder with sessions somewhere below it."""
+"""The sessions of a campaign, from a list or from a folder tree."""
 
 import os
 from collections.abc import Iterator
@@ -17,8 +17,8 @@ class CampaignItem:
 
     Attributes
     ----------
-    name : str                      its path as the list writes it, or from the folder
-    group : str                     what it is compared within; empty: with all
+    name : str                      its path as written in the list, or relative to the folder
+    group : str                     group in which outliers are sought; empty: no group
     path : Path                     folder of the session, or a session file
     """
 
@@ -28,11 +28,11 @@ class CampaignItem:
 
 
 def read_items(place: Path) -> tuple[CampaignItem, ...]:
-    """The sessions that a list names, or that lie in a folder.
+    """The sessions named in a list, or found in a folder tree.
 
-    A line of a list is a path, from the list's folder, and a group behind a comma where there are
-    any; what stands behind `#` is a comment. In a folder the group is the first folder of two or
-    more on the way down to the session.
+    A line of a list is a path, relative to the list's folder, optionally followed by a comma and a
+    group; `#` starts a comment. In a folder tree the group is the topmost folder above the session,
+    if the session lies two or more levels deep.
 
     Parameters
     ----------
@@ -40,11 +40,12 @@ def read_items(place: Path) -> tuple[CampaignItem, ...]:
 
     Returns
     -------
-    tuple of CampaignItem           in the list's order; in a folder in that of their names
+    tuple of CampaignItem           in the order of the list; in a folder sorted by path
 
     Raises
     ------
-    RecordError                     not there, nothing in it, a session twice, what is no path
+    RecordError                     missing, without sessions, an invalid path
+    InputError                      a session that occurs twice in the list
     """
     found = tuple(_in_folder(place) if place.is_dir() else _in_list(place))
     if not found:
@@ -70,7 +71,7 @@ def _in_list(file: Path) -> Iterator[CampaignItem]:
             continue
         path = file.parent / name
         try:
-            # However it is spelled, and whether its folder is named or the file in it.
+            # The same for all spellings of the path, and for the folder and the file in it.
             real = os.path.realpath(path / _SESSION_FILE if path.is_dir() else path)
         except (OSError, ValueError) as error:
             raise RecordError(f"{file}, line {number}: {quoted(name)} cannot be a file") from error

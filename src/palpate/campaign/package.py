@@ -1,4 +1,4 @@
-"""A session's files as one package that travels to where it is worked on, and is checked there."""
+"""A session's files as one package that is sent to a worker and verified there."""
 
 import hashlib
 import os
@@ -13,11 +13,11 @@ from palpate.records import disk_errors, session_files
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Package:
-    """Files with their sums.
+    """Files with their checksums.
 
     Attributes
     ----------
-    files : mapping of str to bytes     by their paths, with `/`, from one folder
+    files : mapping of str to bytes     content by path, with `/`, relative to one folder
     sums : mapping of str to str        SHA-256 of each, 64 hexadecimal digits
     """
 
@@ -27,13 +27,13 @@ class Package:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedSession:
-    """A session's files, and what they are called where they come from.
+    """A session's files, with their original location.
 
     Attributes
     ----------
     package : Package
-    session : str                   the session file in the package
-    root : str                      the folder that the package's paths start from
+    session : str                   path of the session file in the package
+    root : str                      original folder that the package's paths are relative to
     """
 
     package: Package
@@ -42,11 +42,15 @@ class PackedSession:
 
 
 def packed(files: Mapping[str, bytes]) -> Package:
-    """Files with their sums.
+    """Make a package of files, with their checksums.
 
     Parameters
     ----------
-    files : mapping of str to bytes
+    files : mapping of str to bytes     content by path
+
+    Returns
+    -------
+    Package                         sorted by path
     """
     ordered = dict(sorted(files.items()))
     sums = {name: hashlib.sha256(content).hexdigest() for name, content in ordered.items()}
@@ -54,7 +58,7 @@ def packed(files: Mapping[str, bytes]) -> Package:
 
 
 def pack_session(path: Path) -> PackedSession:
-    """All files of a session, read into memory.
+    """Read all files of a session into a package.
 
     Parameters
     ----------
@@ -62,8 +66,8 @@ def pack_session(path: Path) -> PackedSession:
 
     Returns
     -------
-    PackedSession                   with the name of the session's folder in every path: it may
-                                    stand for the session's own name
+    PackedSession                   paths include the name of the session's folder, which is the
+                                    default name of the session
 
     Raises
     ------
@@ -82,12 +86,12 @@ def unpack(package: Package, folder: Path) -> None:
     Parameters
     ----------
     package : Package
-    folder : Path                   that the paths start from; exists
+    folder : Path                   an existing folder, to which the paths are relative
 
     Raises
     ------
-    RecordError                     a file has arrived damaged, leads out of the folder, or cannot
-                                    be written
+    RecordError                     a file that was damaged in transit, whose path leads out of the
+                                    folder, or that cannot be written
     """
     check_package(package)
     for name, content in package.files.items():
@@ -100,7 +104,7 @@ def unpack(package: Package, folder: Path) -> None:
 
 
 def check_package(package: Package) -> None:
-    """Refuse a package whose files are not those that were sent.
+    """Refuse a package whose files do not match their checksums.
 
     Parameters
     ----------
@@ -108,7 +112,7 @@ def check_package(package: Package) -> None:
 
     Raises
     ------
-    RecordError                     a file was damaged on its way
+    RecordError                     a file was damaged in transit
     """
     if packed(package.files).sums != package.sums:
         raise RecordError(

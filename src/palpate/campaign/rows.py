@@ -1,4 +1,4 @@
-"""A campaign's table: a row for every session, and the rows that stand out of their group."""
+"""A campaign's table: a row for every session, and the outliers of each group."""
 
 import math
 from collections.abc import Sequence
@@ -11,34 +11,34 @@ from jaxtyping import Float
 from palpate.records import CONSTANT_NAMES, Estimate
 
 WAITING, DONE, FAILED = "waiting", "done", "failed"
-# Iglewicz and Hoaglin (1993), How to detect and handle outliers, section 3.3: a modified z-score
-# beyond this, the median's absolute deviation standing for the spread.
+# Bound on the modified z-score, which uses the median absolute deviation: Iglewicz and Hoaglin
+# (1993), How to detect and handle outliers, section 3.3.
 _FAR = 3.5
-# A median's absolute deviation times this is a normal distribution's standard deviation.
+# Standard deviation of a normal distribution over its median absolute deviation.
 _NORMAL = 1.4826
-# In a small group the median's deviation is a guess, and 3.5 of it are nothing rare: of 12 normal
-# values one in 80 lies beyond. With the second number over the group's size it is one in 370, of 5
-# values one in 90 (simulated).
+# In small groups the median absolute deviation is inaccurate, and z-scores above 3.5 are not rare:
+# one in 80 of 12 normal values. With the bound raised by a factor of 1 + this over the group's size
+# it is one in 370, and one in 90 for groups of 5 (simulated).
 _SMALL_GROUP = 5.0
 _FEWEST = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What is known of one session; None where that is nothing.
+    """One session's row of the table; None means unknown.
 
     Attributes
     ----------
     session, group : str            as in `CampaignItem`
     state : "waiting", "done" or "failed"
     status : str or None            of the estimate, as in estimate.json
-    shear_modulus, young_modulus : float or None [Pa]       None where the data do not determine it
-    shear_modulus_low, shear_modulus_high, ... : float or None      95 % interval
+    shear_modulus, young_modulus : float or None [Pa]       None if the data do not determine it
+    shear_modulus_low, shear_modulus_high, ... : float or None      ends of the 95 % interval
     poisson_ratio : float or None
     message : str                   why it failed, or the notes of the estimate
-    seconds : float or None         that the work took
-    address : str                   digest of files, options and version; names the result
-    finished : str                  when, UTC
+    seconds : float or None [s]     duration of the work
+    address : str                   digest of files, options and version, which names the result
+    finished : str                  time of completion, UTC, ISO format
     """
 
     session: str
@@ -64,7 +64,7 @@ COLUMNS = tuple(field.name for field in fields(Row))
 
 
 def constants_of(estimate: Estimate) -> dict[str, float | None]:
-    """The constants of an estimate as a row has them.
+    """The constants of an estimate as fields of a row.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def constants_of(estimate: Estimate) -> dict[str, float | None]:
 
     Returns
     -------
-    dict                            value, `_low` and `_high` of every constant
+    dict                            value, `_low` and `_high` of every constant; None if unknown
     """
     found: dict[str, float | None] = {}
     for name in CONSTANT_NAMES:
@@ -84,8 +84,8 @@ def constants_of(estimate: Estimate) -> dict[str, float | None]:
 
 
 def outliers(rows: Sequence[Row]) -> dict[str, tuple[str, ...]]:
-    """Sessions with a constant that lies far out of its group, measured by the group's scatter and
-    by the constant's own interval together.
+    """Sessions with a constant that is an outlier of its group, relative to the group's scatter
+    combined with the constant's own interval.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def outliers(rows: Sequence[Row]) -> dict[str, tuple[str, ...]]:
 
     Returns
     -------
-    dict of str to tuple of str     session -> the constants, `young_modulus` or `poisson_ratio`;
-                                    none in groups with fewer than five sessions
+    dict of str to tuple of str     session -> its outlying constants, `young_modulus` or
+                                    `poisson_ratio`; groups of fewer than five have no outliers
 
     Source
     ------
@@ -112,11 +112,15 @@ def outliers(rows: Sequence[Row]) -> dict[str, tuple[str, ...]]:
 
 
 def groups_of(rows: Sequence[Row]) -> tuple[str, ...]:
-    """Groups in the order of their first sessions.
+    """Names of the groups, in the order of their first sessions.
 
     Parameters
     ----------
     rows : sequence of Row
+
+    Returns
+    -------
+    tuple of str
     """
     return tuple(dict.fromkeys(row.group for row in rows))
 
@@ -126,7 +130,7 @@ def _is_whole(row: Row, name: str) -> bool:
 
 
 def _far(rows: Sequence[Row], name: str) -> list[bool]:
-    """Whether each of some values lies far out; moduli by their ratios."""
+    """Whether each value of a constant is an outlier; moduli are compared by their logarithms."""
     value, low, high = (
         np.array([getattr(row, f"{name}{end}") for row in rows]) for end in ("", "_low", "_high")
     )
@@ -134,7 +138,8 @@ def _far(rows: Sequence[Row], name: str) -> list[bool]:
         value, low, high = np.log(value), np.log(low), np.log(high)
     off = value - np.median(value)
     spread = _NORMAL * np.median(np.abs(off))
-    # An interval of 95 % is about four standard deviations wide; of a skew one the nearer side.
+    # Half of a 95 % interval is 1.96 standard deviations; of a skewed one take the side that faces
+    # the median.
     own: Float[np.ndarray, " n"] = np.where(off > 0, value - low, high - value) / 1.96
     bound = _FAR * (1.0 + _SMALL_GROUP / len(rows))
     return (np.abs(off) > bound * np.hypot(spread, own)).tolist()

@@ -1,4 +1,4 @@
-"""A campaign's table as a file: CSV, or Parquet."""
+"""A campaign's table as a CSV or Parquet file."""
 
 import csv
 import io
@@ -15,16 +15,16 @@ _OUTLIER = "outlier"
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Write a table, with the constants that make a session an outlier in its last column.
+    """Write a table, whose last column names the constants that make a session an outlier.
 
     Parameters
     ----------
-    path : Path                     ending .csv or .parquet; a file of that name is replaced
+    path : Path                     with suffix .csv or .parquet; an existing file is replaced
     rows : sequence of Row
 
     Raises
     ------
-    InputError                      another ending; Parquet's package is not installed
+    InputError                      another suffix; the package for Parquet is not installed
     RecordError                     the file cannot be written
     """
     if path.suffix == ".csv":
@@ -36,11 +36,15 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 def table_text(rows: Sequence[Row]) -> str:
-    """A table as CSV; empty cells where nothing is known.
+    """A table as CSV text; unknown values are empty.
 
     Parameters
     ----------
     rows : sequence of Row
+
+    Returns
+    -------
+    str
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -1,7 +1,6 @@
 """One piece of a campaign's work: the motion in a session's pictures, or the fit of a session.
 
-What it gives depends on what it is given and on nothing else: neither on the machine, nor on the
-folder that it is done in, nor on when.
+The result depends only on the input: not on the machine, the working folder or the time.
 """
 
 import shutil
@@ -39,19 +38,19 @@ from palpate.records import (
 )
 
 ESTIMATE_FILE = "estimate.json"
-# Integrals of bodies that a worker keeps [bytes]; the ones used longest ago go first.
+# Size of a worker's cache of surface integrals [bytes]; the oldest are removed first.
 _MOST_KEPT = 4 * 2**30
 
 
 @dataclass(frozen=True, slots=True)
 class FitOptions:
-    """How the sessions of a campaign are fitted.
+    """Options of the fits in a campaign.
 
     Attributes
     ----------
-    poisson_range : (float, float)      Poisson's ratios that are possible
-    surface : "smooth" or "flat"        what the meshes mean
-    strain : "small" or "finite"        as in `fit_session`
+    poisson_range : (float, float)      range in which Poisson's ratio is searched
+    surface : "smooth" or "flat"        interpretation of the meshes: smooth or faceted surface
+    strain : "small" or "finite"        finite: `finite_strain` of `fit_session`
     """
 
     poisson_range: tuple[float, float] = (0.0, 0.4999)
@@ -61,15 +60,15 @@ class FitOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
-    """A piece of work with all that it needs.
+    """A piece of work with all its input.
 
     Attributes
     ----------
     kind : "motion" or "fit"
     session : PackedSession
     options : FitOptions
-    motion : bytes or None          what the work "motion" gave for the same session
-    shared_body : bool              others have the same mesh: its integrals are worth keeping
+    motion : bytes or None          result of the work "motion" for the same session
+    shared_body : bool              other sessions have the same mesh, so its integrals are cached
     """
 
     kind: Literal["motion", "fit"]
@@ -80,7 +79,7 @@ class Work:
 
     @property
     def address(self) -> str:
-        """Digest of all that the outcome depends on: files, options, version; 64 digits."""
+        """Digest of everything that determines the outcome: files, options, version; 64 digits."""
         sums = dict(self.session.package.sums)
         options = self.options if self.kind == "fit" else None
         return content_digest((self.kind, self.session.session, sums, options))
@@ -88,13 +87,13 @@ class Work:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What came of a piece of work.
+    """Outcome of a piece of work.
 
     Attributes
     ----------
-    package : Package               files of the result; none where it failed
-    failure : str                   why there is none; empty: there is
-    seconds : float                 that the work took
+    package : Package               files of the result; empty if it failed
+    failure : str                   message of the failure; empty on success
+    seconds : float [s]             duration of the work
     """
 
     package: Package
@@ -108,12 +107,12 @@ def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome
     Parameters
     ----------
     work : Work
-    folder : Path                   to work in; what is kept there is worth something to later work
-    memory : float or None [byte]   that the work may take; None: all of the machine's
+    folder : Path                   working folder, which also holds the cache for later work
+    memory : float or None [byte]   memory limit; None: all of the machine's
 
     Returns
     -------
-    Outcome                         bad input is a failure with its message, not an error
+    Outcome                         invalid input is reported as a failure, not raised
     """
     start = time.perf_counter()
     package, failure = packed({}), ""
@@ -130,7 +129,7 @@ def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome
 
 @contextmanager
 def _own_folder(folder: Path) -> Iterator[Path]:
-    """A folder for one piece of work, gone with it."""
+    """A temporary folder for one piece of work."""
     folder.mkdir(parents=True, exist_ok=True)
     own = Path(tempfile.mkdtemp(prefix="work-", dir=folder))
     (own / "given").mkdir()
@@ -142,7 +141,7 @@ def _own_folder(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """As many workers as cores, each with one thread, lose less than one with all of them."""
+    """Limit numba to one thread: one worker per core is more efficient than many threads in one."""
     before = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
@@ -152,7 +151,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _files(work: Work, own: Path, bodies: Path, memory: float | None) -> Package:
-    """The files that a piece of work gives."""
+    """Do the work; gives the files of the result."""
     allow = partial(check_memory, available=memory)
     given = read_session(own / "given" / work.session.session, allow=allow)
     require_probings(given)
@@ -174,7 +173,7 @@ def _files(work: Work, own: Path, bodies: Path, memory: float | None) -> Package
 
 
 def _with_motion(work: Work, given: Session, own: Path) -> Session:
-    """The session with what was measured in its pictures."""
+    """The session with the displacements measured in its pictures."""
     if work.motion is not None:
         with result_folder(own / "motion", kind="fit") as kept:
             (kept / MOTION_FILE).write_bytes(work.motion)
@@ -185,7 +184,7 @@ def _with_motion(work: Work, given: Session, own: Path) -> Session:
 
 
 def _fit(work: Work, session: Session, result: Path, own: Path, bodies: Path | None) -> None:
-    """Fit a session and write what another machine would write, to the last bit."""
+    """Fit a session and write the result, identical on every machine."""
     options = work.options
     found = fit_session(
         session,
@@ -195,16 +194,16 @@ def _fit(work: Work, session: Session, result: Path, own: Path, bodies: Path | N
         finite_strain=options.strain == "finite",
     )
     notes = tuple(_as_at_home(note, work, own) for note in found.estimate.notes)
-    # How long it took is no part of the result; the table has it.
+    # Durations are not part of the result; they are in the table.
     write_estimate(result / ESTIMATE_FILE, replace(found.estimate, notes=notes, seconds={}))
-    # Holds the residuals too: few files are kept sooner than many.
+    # This file also holds the residuals: fewer files are stored faster.
     write_fitted_surface(result, session, found)
     if bodies is not None:
         _bound(sorted(bodies.glob("*.npz"), key=lambda file: file.stat().st_mtime))
 
 
 def _bound(oldest_first: Sequence[Path]) -> None:
-    """Remove files that there is no room for."""
+    """Remove the oldest files beyond the size of the cache."""
     sizes = [file.stat().st_size for file in oldest_first]
     for k, file in enumerate(oldest_first):
         if sum(sizes[k:]) > _MOST_KEPT:
@@ -216,5 +215,5 @@ def _with_notes_at_home(session: Session, work: Work, own: Path) -> Session:
 
 
 def _as_at_home(text: str, work: Work, own: Path) -> str:
-    """A text that names files as they are called where the session comes from."""
+    """A text in which file names refer to the session's original location."""
     return text.replace(str(own / "given"), work.session.root)

@@ -1,6 +1,6 @@
-"""Pictures: of an estimate, of a probing's displacement, of measured motions, of surfaces.
+"""Figures: of estimates, displacements, measured motions, calibrations and surfaces.
 
-Purpose    : draw results with matplotlib, all in one style; only what a picture needs is computed.
+Purpose    : draw results with matplotlib in one style; compute only what a figure needs.
 Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`, `Recorded`.
 Gives      : matplotlib figures, PNG files, pixels.
 Depends on : `pipeline`, `calibration`, `scanning`, `recording`, `vision`, `estimation`, `records`,

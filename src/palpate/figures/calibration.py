@@ -1,4 +1,4 @@
-"""Pictures of a calibration: residuals and coverage of every camera, the rig; boards to print."""
+"""Figures of a calibration: residuals and coverage of every camera, the rig; boards to print."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,25 +28,25 @@ from palpate.shapes import Vector3
 from palpate.vision import project
 
 _INCH = 0.0254
-# Of a printed page that is kept as PNG.
+# Resolution of a page for printing, as PNG.
 _DOTS_PER_INCH = 600.0
 _WIDTH = 3.2  # of one camera's panel [inches]
-# Picture around an object, of its size.
+# Margin of the picture around an object, as a fraction of its size.
 _AROUND = 0.3
-# Arrows of residuals: the noise is drawn as long as this share of the picture's width.
+# Scale of the residuals' arrows: one standard deviation has this fraction of the picture's width.
 _ARROW = 0.02
 _MAX_ARROWS = 3000
-# Bars of the views below: how high [inches], and how many have room for their name.
+# Height of the bar chart of the views [inches], and number of names that it has room for.
 _VIEWS_HEIGHT, _MOST_NAMED = 0.75, 13
-# A camera's frame has y down and z forward; a drawing in space has its third axis up.
+# From a camera's frame (y down, z forward) to that of a 3-D plot, whose third axis is up.
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-# Sampling of a printed board: a module of a marker is a whole number of pixels.
+# Resolution of a printed board, such that a module of a marker is a whole number of pixels.
 _PIXELS_PER_SQUARE = 240
 
 
 @styled
 def residual_figure(calibration: Calibration) -> Figure:
-    """What the adjustment leaves at every corner, in every region and in every view of a camera.
+    """Residuals of the bundle adjustment at every corner, by region and by view of each camera.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def residual_figure(calibration: Calibration) -> Figure:
 
     Returns
     -------
-    Figure                          a column of two panels for each camera
+    Figure                          for each camera a column of two panels
     """
     cameras = calibration.cameras
     ratio = max(rows / columns for columns, rows in calibration.found.sizes)
@@ -76,7 +76,7 @@ def residual_figure(calibration: Calibration) -> Figure:
 
 
 def _draw_corners(axes: Axes, calibration: Calibration, c: int, quality: CameraQuality) -> None:
-    """A camera's picture with an arrow at each corner, and the errors of its nine regions."""
+    """Draw a camera's residuals as arrows, and the rms of each of its nine regions."""
     corners = calibration.corners
     columns, rows = calibration.found.sizes[c]
     for good, colour in ((True, BLUE), (False, ORANGE)):
@@ -105,7 +105,7 @@ def _draw_corners(axes: Axes, calibration: Calibration, c: int, quality: CameraQ
 def _draw_views(
     axes: Axes, pictures: Sequence[PictureError], highest: float, *, first: bool
 ) -> None:
-    """A bar for every view of a camera; as many are named as there is room for."""
+    """Draw the rms of every view of a camera as a bar, with as many names as there is room for."""
     place = np.arange(len(pictures))
     axes.bar(place, [one.rms for one in pictures], color=BLUE, width=0.7)
     axes.set(xlim=(-0.7, len(pictures) - 0.3), ylim=(0.0, 1.1 * highest))
@@ -120,7 +120,7 @@ def _draw_views(
 
 @styled
 def rig_figure(calibration: Calibration) -> Figure:
-    """Cameras and boards in space: in perspective, and from above.
+    """Cameras and boards in 3-D: in perspective, and from above.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def rig_figure(calibration: Calibration) -> Figure:
 
 
 def _set_space(axes: Any) -> None:
-    """A view in perspective from behind the cameras, all lengths alike; of axes in 3-D."""
+    """Set 3-D axes to a perspective view from behind the cameras, with equal scales."""
     axes.set_proj_type("persp", focal_length=0.6)
     axes.view_init(elev=24.0, azim=-35.0)
     axes.set_aspect("equal")
@@ -171,13 +171,13 @@ def _set_space(axes: Any) -> None:
 
 @styled
 def object_figure(rig: Rig, mesh: TriangleMesh, grey: Sequence[Float[np.ndarray, "_ _"]]) -> Figure:
-    """Outlines and creases of a mesh over the pictures of the object, a panel for each camera.
+    """Silhouette and creases of a mesh over the pictures of the object, one panel per camera.
 
     Parameters
     ----------
-    rig : Rig                       object frame
+    rig : Rig                       in the object frame
     mesh : TriangleMesh
-    grey : sequence of c (rows, columns) float [grey levels]
+    grey : sequence of c (rows, columns) float [grey levels]    one picture for each camera
 
     Returns
     -------
@@ -199,7 +199,7 @@ def object_figure(rig: Rig, mesh: TriangleMesh, grey: Sequence[Float[np.ndarray,
 
 
 def _drawn_edges(mesh: TriangleMesh, eye: Vector3) -> Int[np.ndarray, "k 2"]:
-    """Edges between a triangle that turns to an eye and one that does not, or at a crease."""
+    """Visible edges to draw: silhouette edges, between a front and a back face, and creases."""
     toward = np.einsum(
         "ma,ma->m", unit_normals(mesh), eye - mesh.vertices[mesh.triangles].mean(axis=1)
     )
@@ -217,7 +217,7 @@ def _drawn_edges(mesh: TriangleMesh, eye: Vector3) -> Int[np.ndarray, "k 2"]:
 
 
 def _board_lines(calibration: Calibration) -> list[Float[np.ndarray, "5 3"]]:
-    """Rim of every board [m]."""
+    """Outline of every board, in the frame of the first camera [m]."""
     corners, lines = calibration.corners, []
     for v, pose in enumerate(calibration.adjusted.bundle.view):
         low, high = (end(corners.point[corners.view == v], axis=0) for end in (np.min, np.max))
@@ -228,7 +228,7 @@ def _board_lines(calibration: Calibration) -> list[Float[np.ndarray, "5 3"]]:
 
 
 def _camera_lines(camera: Camera, size: float) -> list[Float[np.ndarray, "k 3"]]:
-    """Rays of the corners of a picture, `size` [mm] deep, and its rim."""
+    """Lines of a camera's viewing pyramid, `size` deep [mm]."""
     centre, k = 1e3 * camera_centre(camera), camera.matrix
     half = np.array([k[0, 2] / k[0, 0], k[1, 2] / k[1, 1], 1.0])
     sides = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]]) * half
@@ -238,7 +238,7 @@ def _camera_lines(camera: Camera, size: float) -> list[Float[np.ndarray, "k 3"]]
 
 @styled
 def board_figure(board: Charuco) -> Figure:
-    """A board in true size with a ruler below, for a printer that does not scale.
+    """A board in true size with a ruler below, to be printed without scaling.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def board_figure(board: Charuco) -> Figure:
 
     Returns
     -------
-    Figure                          its size in inches is that of the paper needed
+    Figure                          of the size of the paper needed
     """
     width, height = board.columns * board.square / _INCH, board.rows * board.square / _INCH
     margin, foot = 0.4, 0.85
@@ -278,12 +278,12 @@ def board_figure(board: Charuco) -> Figure:
 
 @styled
 def save_page(figure: Figure, path: Path, *, kind: str) -> None:
-    """Write a figure in its true size.
+    """Write a figure in true size, a bitmap at 600 dpi.
 
     Parameters
     ----------
     figure : Figure
-    path : Path
+    path : Path                     an existing file is replaced
     kind : str                      "pdf" or "png"
 
     Raises

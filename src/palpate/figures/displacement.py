@@ -1,4 +1,4 @@
-"""Measured against predicted displacement of one probing, on the object's surface."""
+"""Figure of the measured and predicted displacement of one probing on the object's surface."""
 
 from dataclasses import dataclass
 from typing import Any, cast
@@ -33,25 +33,25 @@ OUTLIER_WEIGHT = 0.1  # robust weight below which a point counts as an outlier
 ARROWS_ACROSS = 12  # more would hide the points
 LONGEST_ARROW = 0.13  # of the object's size in the picture
 CLAY = LinearSegmentedColormap.from_list("clay", ["#b9bcc2", "#fafafa"])
-# Light and dark tell lengths apart, and no colour of theirs is that of the body.
+# Colour maps with monotonic lightness, and without the grey of the body.
 LENGTHS, RESIDUALS = "viridis", "YlOrRd"
-MOST_SIGMAS = 4.0  # residuals from here on look alike
-HELD = "#7d8796"  # what a support holds
+MOST_SIGMAS = 4.0  # end of the colour scale of residuals
+HELD = "#7d8796"  # colour of supports
 MIN_FACING = 0.25  # cosine between normal and view below which a point is hard to see
-ELEVATIONS = (15.0, 30.0, 45.0, 65.0)  # degrees above the horizon that a view is chosen from
+ELEVATIONS = (15.0, 30.0, 45.0, 65.0)  # candidate views, degrees above the horizon
 AZIMUTHS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceView:
-    """What is seen of a surface: its front triangles from the farthest to the nearest.
+    """A view of a surface: its front-facing triangles, from the farthest to the nearest.
 
     Attributes
     ----------
     R_view_object : (3, 3) float      rows: right, up, toward the viewer
     polygons : (m, 3, 2) float [m]    corners in the picture plane
     brightness : (m,) float           0 dark to 1 bright
-    triangle : (m,) int               which of the surface's triangles they are
+    triangle : (m,) int               indices of these triangles in the surface
     """
 
     R_view_object: Matrix3
@@ -62,7 +62,7 @@ class SurfaceView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """What all three panels share, in the viewer's frame and millimetres."""
+    """Content common to all three panels, in the viewer's frame and millimetres."""
 
     view: SurfaceView
     place: Points
@@ -77,7 +77,7 @@ class _Scene:
 
     @property
     def used(self) -> Flags:
-        """Points that are coloured on either side; outliers too where there is nothing else."""
+        """Points that are coloured: all but outliers, unless all points are outliers."""
         return self.outlier if self.outlier.all() else ~self.outlier
 
 
@@ -85,10 +85,10 @@ class _Scene:
 def displacement_figure(
     mesh: TriangleMesh, probing: Probing, fit: ProbeFit, *, held: Indices | None = None
 ) -> Figure | None:
-    """Three views of the surface: measured, predicted, and their difference in sigmas.
+    """Three views of the surface: measured and predicted displacement, and normalised residual.
 
-    Points carry the length of their displacement as colour, the same scale for the first two;
-    arrows are drawn at some of them. Points on the far side are left out.
+    Colour is the length of the displacement, on the same scale in the first two panels; some points
+    have arrows. Points on the far side are left out.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def displacement_figure(
 
     Returns
     -------
-    Figure, or None where nothing was measured
+    Figure or None                  None if nothing was measured
     """
     field = probing.displacement
     if field is None or not observed_rows(field).any():
@@ -119,7 +119,7 @@ def displacement_figure(
 
 
 def _sigmas(difference: Points, sigma: Points | None) -> PointScalars | None:
-    """Length of every difference in standard deviations, 1 on average where all is right."""
+    """Rms over the components of residual over sigma, about 1 if model and sigmas are right."""
     return None if sigma is None else np.sqrt(np.mean((difference / sigma) ** 2, axis=1))
 
 
@@ -131,7 +131,7 @@ def _scene(
     outlier: Flags,
     held: Indices,
 ) -> _Scene:
-    """Surface, points and force as the viewer has them."""
+    """Surface, points and force in the viewer's frame."""
     touched = closest_points(mesh, probing.contact.point[None]).triangle[0]
     view = make_view(mesh, best_direction(normals, unit_normals(mesh)[touched]))
     return _Scene(
@@ -189,13 +189,13 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points], sigmas: PointScalars
 
 
 def _bounded(vectors: Points2, longest: float) -> Points2:
-    """Arrows, the longest of them cut: they would leave the picture."""
+    """Arrows limited in length, so that they do not leave the picture."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300)))
 
 
 def _left_out(scene: _Scene) -> str:
-    """What the picture does not colour, in words."""
+    """Note on the parts of the picture without colour."""
     notes = ["dark: held"] if scene.held.any() else []
     if scene.outlier.any() and not scene.outlier.all():
         count = int(scene.outlier.sum())
@@ -209,8 +209,8 @@ def _left_out(scene: _Scene) -> str:
 def _extent(
     scene: _Scene, ends: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Lower left and upper right of the picture [mm], with room for the force's arrow and those of
-    the points, which end at `ends`."""
+    """Lower left and upper right corner of the picture [mm], with room for the arrow of the force
+    and those of the points, which end at `ends`."""
     corners = 1e3 * scene.view.polygons.reshape(-1, 2)
     everything = np.concatenate([corners, _arrow_tail(scene)[None], ends])
     margin = 0.03 * scene.size
@@ -218,7 +218,7 @@ def _extent(
 
 
 def _arrow_tail(scene: _Scene) -> Float[np.ndarray, "2"]:
-    """Where the arrow of the force begins [mm]."""
+    """Start of the force's arrow [mm]."""
     return (scene.contact - 0.2 * scene.size * scene.push)[:2]
 
 
@@ -234,12 +234,12 @@ def _surface(axes: Axes, scene: _Scene) -> None:
             edgecolors=colours,
             linewidths=0.3,
         ),
-        autolim=False,  # the limits are set: looking at each corner takes time
+        autolim=False,  # the limits are set already, and finding them takes time
     )
 
 
 def _points(axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: float) -> None:
-    """Observed points on the near side, coloured by length; outliers as crosses."""
+    """Draw the observed points on the near side, coloured by length, and outliers as crosses."""
     used = scene.front & scene.used
     place = scene.place[used]
     axes.scatter(
@@ -253,7 +253,7 @@ def _points(axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: flo
 
 
 def _contact(axes: Axes, scene: _Scene) -> None:
-    """The contact point and the direction of the force on it."""
+    """Draw the contact point and the force on it."""
     tip, tail = scene.contact[:2], _arrow_tail(scene)
     axes.annotate(
         "", xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), zorder=5,
@@ -270,7 +270,7 @@ def _contact(axes: Axes, scene: _Scene) -> None:
 
 
 def _scale_bar(axes: Axes) -> None:
-    """A bar of a round length in the lower left corner."""
+    """Draw a scale bar of a round length in the lower left corner."""
     (left, right), bottom = axes.get_xlim(), axes.get_ylim()[0]
     target, start = 0.22 * (right - left), left + 0.03 * (right - left)
     power = 10.0 ** np.floor(np.log10(target))
@@ -283,7 +283,7 @@ def _scale_bar(axes: Axes) -> None:
 
 
 def best_direction(normals: Points, contact_normal: Vector3) -> Vector3:
-    """Direction toward the viewer from which most points, and the contact, are seen.
+    """Direction toward the viewer from which most points, and the contact, are visible.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def best_direction(normals: Points, contact_normal: Vector3) -> Vector3:
 
     Returns
     -------
-    (3,) float, unit; z is taken as up
+    (3,) float                  unit vector, z up
     """
     azimuth = np.radians(np.arange(AZIMUTHS) * 360.0 / AZIMUTHS - 60.0)
     elevation = np.radians(ELEVATIONS)
@@ -300,14 +300,14 @@ def best_direction(normals: Points, contact_normal: Vector3) -> Vector3:
     views = np.stack([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), np.sin(theta)], 1)
     facing = normals @ views.T
     score = (facing > MIN_FACING).mean(axis=0)
-    # Half from the side is better than straight at the points: the shape is seen too.
+    # An oblique view is better than a frontal one, as it shows the shape too.
     score -= 0.1 * np.abs(facing.mean(axis=0) - 0.6)
     score += 0.3 * np.clip(contact_normal @ views.T, -0.5, 0.5)
     return views[int(np.argmax(score))]
 
 
 def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
-    """The surface seen from far away along a direction.
+    """Orthographic view of a surface along a direction.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
 
 
 def projected(view: SurfaceView, points: Shaped[np.ndarray, "*n 3"]) -> Shaped[np.ndarray, "*n 3"]:
-    """Points or vectors in the viewer's frame: right, up, toward the viewer [m].
+    """Points or vectors in the viewer's frame: right, up, toward the viewer.
 
     Parameters
     ----------

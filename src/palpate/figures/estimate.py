@@ -1,4 +1,4 @@
-"""Pictures of an estimate: likelihood, each probing alone, measured against predicted."""
+"""Figures of an estimate: likelihood, single probings, measured against predicted."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,9 +31,9 @@ from palpate.figures.style import (
 )
 from palpate.records import Constant, Estimate, Session, file_stems, modulus_unit
 
-# Per cent: deviance, chi squared with two degrees of freedom.
+# Deviance at the edge of the 50 and 95 % regions: chi squared with two degrees of freedom.
 REGIONS = {50: 1.3863, 95: 5.9915}
-MAX_DEVIANCE = 16.0  # up to which the likelihood is shown
+MAX_DEVIANCE = 16.0  # the likelihood is shown up to this deviance
 _SYMBOLS = {
     "poisson_ratio": r"Poisson's ratio $\nu$",
     "shear_modulus": "shear modulus $G$",
@@ -42,17 +42,17 @@ _SYMBOLS = {
 
 
 def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]:
-    """Write all pictures of an estimate as PNG files, those of lines and letters as SVG too.
+    """Write all figures of an estimate as PNG files, line drawings as SVG too.
 
-    `likelihood.png` shows which pairs of Poisson's ratio and shear modulus the data allow,
-    `probings.png` what each probing alone says, `predictions.png` how well the others predict it,
-    `errors.png` what was found of the errors that points share, `budget.png` what the uncertainty
-    comes from, `displacement/NAME.png` measured against predicted displacement of each probing on
-    the object's surface.
+    `likelihood.png` shows the regions of Poisson's ratio and shear modulus, `probings.png` the
+    constants of each probing alone, `predictions.png` the predictions of each probing from the
+    others, `errors.png` the estimated systematic errors, `budget.png` the uncertainty budget,
+    `displacement/NAME.png` the measured and predicted displacement of each probing on the object's
+    surface.
 
     Parameters
     ----------
-    folder : Path           exists; pictures of the same names are replaced
+    folder : Path           an existing folder; existing pictures are replaced
     session : Session
     result : FitResult      of that session
 
@@ -89,7 +89,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
 
 @styled
 def likelihood_figure(result: FitResult) -> Figure:
-    """Regions of 50 and 95 per cent over Poisson's ratio and shear modulus.
+    """Joint 50 and 95 % regions of Poisson's ratio and shear modulus.
 
     Parameters
     ----------
@@ -125,7 +125,8 @@ def likelihood_figure(result: FitResult) -> Figure:
 def _told_lines(
     axes: Axes, estimate: Estimate, nu: Float[np.ndarray, " a"], factor: float
 ) -> dict[str, Artist]:
-    """What the table says of each constant alone, beside the region of both; by their labels."""
+    """Draw the marginal intervals of each constant next to the joint region; gives the artists by
+    their labels."""
     found: dict[str, Artist] = {}
     ratio, shear, young = (
         getattr(estimate, name) for name in ("poisson_ratio", "shear_modulus", "young_modulus")
@@ -134,7 +135,7 @@ def _told_lines(
     place = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
     low, high = np.clip(ratio.ci95, *axes.get_xlim())
     soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
-    # What is not determined is drawn as what it is: the possible range.
+    # The interval of a constant that is not determined is its possible range.
     lines = [
         axes.plot([low, high], [place[1]] * 2, **_told(known[0]))[0],
         axes.plot([place[0]] * 2, [soft, stiff], **_told(known[1]))[0],
@@ -160,7 +161,7 @@ def _told_lines(
 
 
 def _told(known: bool) -> dict[str, Any]:
-    """How the interval of one constant is drawn."""
+    """Line style of the interval of one constant."""
     ends = {"marker": "|", "markersize": 6.0, "zorder": 4, "clip_on": False}
     return ends | {"color": ORANGE if known else GREY, "linewidth": 2.0 if known else 1.2}
 
@@ -168,7 +169,7 @@ def _told(known: bool) -> dict[str, Any]:
 def refined_likelihood(
     likelihood: LikelihoodMap,
 ) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"], Float[np.ndarray, "b a"]]:
-    """The part of a likelihood that is drawn, on a finer grid: a coarse one makes regions angular.
+    """The relevant part of a likelihood map, interpolated to a finer grid for smooth contours.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def refined_likelihood(
     -------
     (a,) float                      Poisson's ratios
     (b,) float [Pa]                 shear moduli
-    (b, a) float                    deviance; a spline may dip below zero
+    (b, a) float                    deviance; spline interpolation may undershoot zero
     """
     nu, shear, deviance = likelihood.poisson_ratio, likelihood.shear_modulus, likelihood.deviance.T
     near = deviance < MAX_DEVIANCE
@@ -197,18 +198,18 @@ def refined_likelihood(
 
 @styled
 def probings_figure(estimate: Estimate, *, truth: Mapping[str, float] | None = None) -> Figure:
-    """Constants of each probing alone with 95 per cent intervals; the joint ones as a band.
+    """Constants of each probing alone with 95 % intervals, and the joint interval as a band.
 
-    A constant that is not determined has no value: its intervals are drawn without dots.
+    Intervals of a constant that is not determined are drawn without a dot.
 
     Parameters
     ----------
     estimate : Estimate             with probings
-    truth : mapping or None         constant's name -> its true value [Pa; -], a line of its own
+    truth : mapping or None         constant's name -> true value [Pa; -], drawn as a line
 
     Returns
     -------
-    Figure                          7 inches wide, as high as its probings need
+    Figure                          7 inches wide; the height depends on the number of probings
     """
     count = len(estimate.probes)
     height = 1.25 + 0.2 * max(count, 3)
@@ -255,7 +256,7 @@ def _dots(
     known: bool,
     true: float | None,
 ) -> None:
-    """One panel of the dot plot; an interval that leaves the panel ends in an arrow head."""
+    """Draw one panel of the dot plot; intervals that leave the panel end in arrow heads."""
     singles = [single for single, _ in told]
     low, high = joint.ci95
     if known:
@@ -290,7 +291,7 @@ def _dots(
 def _panel_limits(
     values: Float[np.ndarray, " k"], ends: Float[np.ndarray, "n 2"]
 ) -> tuple[float, float]:
-    """Limits that show all values, and intervals that are not hopelessly wide."""
+    """Limits of a panel that show all values, and the intervals unless they are very wide."""
     values = values[np.isfinite(values)]
     low, high = values.min(), values.max()
     width = max(high - low, 1e-3 * max(abs(high), 1e-12))

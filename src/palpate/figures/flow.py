@@ -1,8 +1,8 @@
-"""Pictures of one measured motion as the reference camera sees it.
+"""Figures of one measured motion, as seen by the reference camera.
 
-`flow_figure` is the paper's figure 3 (optical flow, range flow, displacement of the vertices, each
-shaded on the picture); `quality_figure` shows where points were rejected, why, and how sure the
-others are.
+`flow_figure` is like the paper's figure 3: optical flow, range flow and displacement of the
+vertices, in colour on the picture. `quality_figure` shows the rejected points with their causes,
+and the standard deviations of the others.
 """
 
 from pathlib import Path
@@ -46,9 +46,9 @@ from palpate.vision import (
     project,
 )
 
-USUAL_ARROW = 0.12  # of a panel's longer side: an arrow that one in twenty exceeds
-LONGEST_ARROW = 0.2  # of it, but for one in two hundred
-SHORTEST_ARROW = 0.012  # of it: a shorter one would be a blot
+USUAL_ARROW = 0.12  # 95 % quantile of the arrows' length, as a fraction of a panel's longer side
+LONGEST_ARROW = 0.2  # 99.5 % quantile of the same
+SHORTEST_ARROW = 0.012  # the same: shorter arrows are left out, as they would be mere dots
 ARROWS_ACROSS = 11  # more would hide the colours
 CAUSE_COLOURS = {
     int(Outcome.HIDDEN): "#0072B2",
@@ -59,9 +59,9 @@ CAUSE_COLOURS = {
     int(Outcome.REPROJECTION): "#CC79A7",
     int(Outcome.NEIGHBOURS): "#F0E442",
 }
-# None of them is grey anywhere: grey is what has no value.
+# Colour maps without grey, which means "no value".
 _OPTICAL, _LENGTH, _SIGMA = "plasma", "viridis", "magma"
-_NO_LIMIT = 1e30  # end of a scale that has nothing on it
+_NO_LIMIT = 1e30  # end of a scale without values
 
 
 def write_flow_pictures(
@@ -71,14 +71,14 @@ def write_flow_pictures(
 
     Parameters
     ----------
-    folder : Path                   exists
-    stem : str                      file name without ending
-    motion : MeasuredMotion         with a flow, else nothing is drawn
+    folder : Path                   an existing folder
+    stem : str                      file name without suffix
+    motion : MeasuredMotion         without a flow nothing is drawn
     view : FlowView
 
     Returns
     -------
-    dict of str to str              names of the files: "picture" and "quality"
+    dict of str to str              "picture" and "quality" -> file name; empty without a flow
 
     Raises
     ------
@@ -102,12 +102,12 @@ def flow_figure(
 ) -> Figure:
     """Optical flow, range flow and displacement of the vertices, side by side.
 
-    Colour is the length of a motion; where nothing was measured the picture stays grey. Arrows are
-    drawn at some points, longer than they are, by a factor that is given.
+    Colour is the length of a motion; the picture stays grey where nothing was measured. Arrows at
+    some points are magnified by a factor that is stated in the figure.
 
     Parameters
     ----------
-    name : str
+    name : str                      of the motion, for the heading
     flow : RangeFlow
     vertices : VertexDisplacement or None
     view : FlowView
@@ -150,11 +150,11 @@ def flow_figure(
 
 @styled
 def quality_figure(name: str, flow: RangeFlow, view: FlowView) -> Figure:
-    """Why points were rejected, and the standard deviation of the others across the view and along.
+    """Causes of rejected points; standard deviations of the others across the view and in depth.
 
     Parameters
     ----------
-    name : str
+    name : str                      of the motion, for the heading
     flow : RangeFlow
     view : FlowView
 
@@ -185,18 +185,18 @@ def quality_figure(name: str, flow: RangeFlow, view: FlowView) -> Figure:
 
 
 def _quantile(values: PointScalars, share: float) -> float:
-    """Quantile of what is known, above zero; `_NO_LIMIT` where nothing is."""
+    """Quantile of the finite values, positive; `_NO_LIMIT` if there are none."""
     known = values[np.isfinite(values)]
     return max(float(np.quantile(known, share)), 1e-12) if len(known) else _NO_LIMIT
 
 
 def _root(top: float) -> Normalize:
-    """A scale from zero that leaves room for small motions: they fall off fast from a contact."""
+    """A square-root scale from zero, which resolves the small motions away from a contact."""
     return PowerNorm(0.5, vmin=0.0, vmax=top)
 
 
 def _stretch(length: PointScalars) -> float:
-    """Length of an arrow in panels, a unit of a motion."""
+    """Length of an arrow, in panel sides, per unit of motion."""
     usual, most = _quantile(length, 0.95), _quantile(length, 0.995)
     return min(USUAL_ARROW / usual, LONGEST_ARROW / most)
 
@@ -211,7 +211,7 @@ def _rejected(flow: RangeFlow) -> str:
 
 
 def _size_there(view: FlowView) -> float:
-    """Longer side of the shown part of the picture at the distance of the object [m]."""
+    """Size of the shown part of the picture's longer side, at the distance of the object [m]."""
     depth = view.camera.T_camera_object[2, :3] @ view.mesh.vertices.mean(axis=0)
     depth += view.camera.T_camera_object[2, 3]
     side = float((view.high - view.low).max())
@@ -219,7 +219,7 @@ def _size_there(view: FlowView) -> float:
 
 
 def _arrows_in_space(axes: Axes, view: FlowView, point: Points, vector: Points) -> None:
-    """Arrows in space, as the camera would see them."""
+    """Draw vectors in space as arrows in the camera's projection."""
     place = project(view.camera, point)
     _arrows(axes, view, place, project(view.camera, point + vector) - place)
 
@@ -227,14 +227,14 @@ def _arrows_in_space(axes: Axes, view: FlowView, point: Points, vector: Points) 
 def _arrows(
     axes: Axes, view: FlowView, place: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
 ) -> None:
-    """Light arrows with a dark rim: seen on every colour."""
+    """Draw white arrows with a dark rim, visible on every colour."""
     side = float((view.high - view.low).max())
     pitch, shortest = side / ARROWS_ACROSS, SHORTEST_ARROW * side
     add_arrows(axes, place, vector, pitch=pitch, shortest=shortest, colour="white")
 
 
 def _bar(figure: Figure, panels: list[Axes], cmap: str, norm: Normalize, label: str) -> None:
-    """A colour bar under some panels, or a word where there is nothing on its scale."""
+    """Draw a colour bar under some panels, or a note if nothing was measured."""
     if norm.vmax is None or norm.vmax >= _NO_LIMIT:
         middle, _ = place_below(figure, panels)
         figure.text(middle, 0.55 / figure.get_figheight(), "nothing was measured", ha="center")
@@ -243,7 +243,7 @@ def _bar(figure: Figure, panels: list[Axes], cmap: str, norm: Normalize, label: 
 
 
 def _legend(figure: Figure, axes: Axes, flow: RangeFlow) -> None:
-    """The colours of the causes that occur, with their counts."""
+    """Draw the legend of the causes that occur, with their counts."""
     counts = cause_counts(flow)
     handles = [
         Patch(facecolor=colour, label=f"{Outcome(cause).name.lower()} {counts[name]}")

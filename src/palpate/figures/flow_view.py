@@ -1,4 +1,4 @@
-"""What the reference camera sees of the object: its picture, and values drawn on it."""
+"""The reference camera's view of the object, and values drawn on its picture."""
 
 from dataclasses import dataclass
 from typing import Any, cast
@@ -22,10 +22,10 @@ from palpate.vision import (
     project,
 )
 
-MARGIN = 0.05  # of the object's size in the picture
+MARGIN = 0.05  # around the object, as a fraction of its size in the picture
 MAX_PIXELS = 700  # along a side of a panel; a page shows no more
-GREYS = (-0.16, 1.14)  # levels of black and white: the picture is a little paler than it was
-OPACITY = 0.85  # of colours: the texture shows faintly through them
+GREYS = (-0.16, 1.14)  # levels of black and white, for a slightly paler picture
+OPACITY = 0.85  # of colours, so that the texture shows through faintly
 CLAY = LinearSegmentedColormap.from_list("clay", ["#6f7379", "#d4d7db"])
 
 Image = Float[np.ndarray, "rows columns"]
@@ -41,8 +41,8 @@ class FlowView:
     mesh : TriangleMesh
     low, high : (2,) int [px]       first and last + 1 column and row
     stride : int [px]               spacing of the pixels that are shown
-    grey : (rows, columns) float    of these pixels, 0 black to 1 white
-    triangles : (k,) int            that are seen, from the farthest to the nearest
+    grey : (rows, columns) float    grey level of these pixels, 0 black to 1 white
+    triangles : (k,) int            visible triangles, from the farthest to the nearest
     """
 
     camera: Camera
@@ -57,13 +57,13 @@ class FlowView:
 def make_flow_view(
     picture: Image, camera: Camera, surface: SurfaceMap, mesh: TriangleMesh
 ) -> FlowView:
-    """Cut the object out of a picture; all of it is kept where the object is not in view.
+    """Crop a picture to the object; the whole picture is kept if the object is not in view.
 
     Parameters
     ----------
     picture : (rows, columns) float [grey levels]   first instant, reference camera
     camera : Camera                 the reference camera
-    surface : SurfaceMap            of that camera
+    surface : SurfaceMap            surface as seen by that camera
     mesh : TriangleMesh
 
     Returns
@@ -90,7 +90,7 @@ def make_flow_view(
 
 
 def seen_corners(view: FlowView) -> Indices:
-    """Vertices of the triangles that are seen, (k,) int.
+    """Vertices of the visible triangles.
 
     Parameters
     ----------
@@ -98,13 +98,13 @@ def seen_corners(view: FlowView) -> Indices:
 
     Returns
     -------
-    (k,) int                        rows of the mesh's vertices, ascending
+    (k,) int                        indices of the mesh's vertices, ascending
     """
     return np.unique(view.mesh.triangles[view.triangles])
 
 
 def draw_picture(axes: Axes, view: FlowView) -> None:
-    """Draw the grey picture and set the limits of a panel, in pixels of the whole picture.
+    """Draw the grey picture and set the limits of a panel, in pixels of the uncropped picture.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ def draw_points(
     ----------
     axes : Axes
     flow : RangeFlow                n points
-    values : (n,) float             NaN: the picture stays as it is
-    cmap, norm                      from values to colours
+    values : (n,) float             NaN: not drawn
+    cmap, norm                      colour map and scale
     """
     if len(flow.pixel) == 0:
         return
@@ -149,16 +149,16 @@ def draw_points(
 def draw_vertices(
     axes: Axes, vertices: VertexDisplacement | None, view: FlowView, cmap: str, norm: Normalize
 ) -> None:
-    """Draw the mesh as the camera sees it: grey, and coloured by length where it was measured.
+    """Draw the mesh as seen by the camera: grey, and coloured by displacement where measured.
 
-    Vertices that were measured are dots, too: a triangle is coloured where all three of its are.
+    Triangles with three measured vertices are coloured; measured vertices are also drawn as dots.
 
     Parameters
     ----------
     axes : Axes
     vertices : VertexDisplacement or None
     view : FlowView
-    cmap, norm                      from lengths to colours
+    cmap, norm                      colour map and scale of the lengths
     """
     rows, mesh = seen_corners(view), view.mesh
     place, corners = project(view.camera, mesh.vertices[rows]), mesh.triangles[view.triangles]

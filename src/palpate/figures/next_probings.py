@@ -1,4 +1,4 @@
-"""A picture of where to push next."""
+"""Figure of the best places for further probings."""
 
 from typing import Any, cast
 
@@ -20,17 +20,17 @@ from palpate.figures.style import (
 )
 from palpate.pipeline import NextProbings
 
-# Seen from three sides, all from a little above.
+# Viewing directions, all from slightly above.
 _SIDES = ((0.45, -0.75, 0.48), (0.5, 0.75, 0.43), (-0.85, -0.1, 0.52))
 _TITLES = ("from the front", "from behind", "from the left")
-# Of the object's size: what lies less far behind the nearest side is on it.
+# Least cosine between outward direction and view of a place that is drawn.
 _FRONT = 0.15
 _MAP = "viridis"
 
 
 @styled
 def next_probings_figure(name: str, found: NextProbings) -> Figure:
-    """Three views of the object with the places that were compared, the best ones numbered.
+    """Three views of the object with the candidate places; the best ones are numbered.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def next_probings_figure(name: str, found: NextProbings) -> Figure:
 
 
 def _gain(found: NextProbings) -> np.ndarray:
-    """By how much each place alone narrows the interval of nu [%]."""
+    """Relative reduction of the interval of nu by a push at each place alone [%]."""
     now = found.now["poisson_ratio"]
     after = np.array([one["poisson_ratio"] for one in found.alone])
     if not np.isfinite(now):
@@ -84,10 +84,10 @@ def _draw(axes: Axes, view: SurfaceView, found: NextProbings) -> None:
 def _mark(
     axes: Axes, view: SurfaceView, found: NextProbings, gain: np.ndarray, norm: Normalize
 ) -> None:
-    """Places on the near side, and what is measured there."""
+    """Draw candidate, chosen and existing contact points on the near side."""
     turn = view.R_view_object
-    # A place whose outward normal looks to the viewer is on the near side of a body that is
-    # nowhere hollow, and of most others.
+    # A place whose outward normal faces the viewer is on the near side of a convex body, and of
+    # most others.
     front = -found.inward @ turn[2] > _FRONT
     place = 1e3 * (found.point @ turn.T)
     axes.scatter(

@@ -1,4 +1,4 @@
-"""What a recording shows over time: force, motion, and what was chosen."""
+"""Figure of a recording over time: force, motion, plateaus and moments at rest."""
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -19,7 +19,7 @@ from palpate.figures.style import (
 )
 from palpate.recording import Recorded
 
-# More points than a line 8 inches wide shows at 150 dpi.
+# Largest number of points of a line: more than 8 inches show at 150 dpi.
 _POINTS = 4000
 
 
@@ -68,7 +68,7 @@ def recording_figure(found: Recorded, name: str) -> Figure:
 
 
 def _keys(found: Recorded) -> list[Artist]:
-    """What the colours mean."""
+    """Legend of the colours."""
     keys: list[Artist] = [
         Patch(color=MIDDLE_BLUE, alpha=0.7, label="picture at rest"),
         Patch(color=PALE_BLUE, label="plateau: nothing moves"),
@@ -80,7 +80,7 @@ def _keys(found: Recorded) -> list[Artist]:
 
 
 def _draw_force(axes: Axes, found: Recorded) -> None:
-    """Size of the force less weight and drift; each press with its reading."""
+    """Draw the magnitude of the force without weight and drift, and the reading of each press."""
     even = found.even
     size = np.linalg.norm(even.force - found.zero.at(even.time), axis=1)
     every = max(1, len(size) // _POINTS)
@@ -98,7 +98,7 @@ def _draw_force(axes: Axes, found: Recorded) -> None:
 
 
 def _draw_moments(axes: Axes, found: Recorded) -> None:
-    """Plateaus and moments at rest as bands; touches that are left out in grey."""
+    """Draw plateaus and moments at rest as bands, and touches that are left out in grey."""
     kept = {press.number for press in found.presses}
     for number, touch in enumerate(found.touches, start=1):
         if number not in kept:

@@ -1,4 +1,4 @@
-"""How every picture looks: colours, letters, panels; a figure as a file and as pixels."""
+"""Common style of all figures: colours, fonts, panels; figures as files and as pixels."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,10 +17,10 @@ from matplotlib.ticker import MaxNLocator
 
 Picture = UInt8[np.ndarray, "_ _ 4"]
 
-# Okabe and Ito's palette: distinguishable to colour-blind readers, and in grey.
+# Okabe and Ito's palette: distinguishable for colour-blind readers, and in greyscale.
 BLUE, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#8a8f98", "#1c1f24"
 PALE_BLUE, MIDDLE_BLUE = "#c9e2f2", "#5aa6d6"
-# Where the light comes from in the viewer's frame: right, up, toward the viewer.
+# Direction to the light in the viewer's frame: right, up, toward the viewer.
 LIGHT = (-0.45, 0.55, 0.70)
 STYLE: dict[Any, Any] = {
     "font.size": 8.0,
@@ -37,29 +37,29 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 7.5,
     "savefig.dpi": 150.0,
-    # The same figure is the same file.
+    # Reproducible SVG files.
     "svg.hashsalt": "palpate",
 }
 # A decorator for functions that draw: it sets the style while they run.
 styled = mpl.rc_context(STYLE)
 _PANEL = 2.7  # width of one of three panels [inches]
-# The default level of PNG compression, 6, takes as long as drawing.
+# PNG compression at the default level, 6, takes as long as drawing.
 _PNG = {"compress_level": 2}
 
 
 @styled
 def save_figure(figure: Figure, path: Path, *, kind: str | None = None) -> Path:
-    """Write a figure, as a PNG at 150 dpi where the path names no other kind of picture.
+    """Write a figure to a file, bitmaps at 150 dpi.
 
     Parameters
     ----------
     figure : Figure
-    path : Path                     its folder exists; a file of that name is replaced
-    kind : str or None              "png", "svg" or "pdf"; None: as the name ends
+    path : Path                     in an existing folder; an existing file is replaced
+    kind : str or None              "png", "svg" or "pdf"; None: by the suffix
 
     Returns
     -------
-    Path                            the same
+    Path                            `path`
 
     Raises
     ------
@@ -71,16 +71,16 @@ def save_figure(figure: Figure, path: Path, *, kind: str | None = None) -> Path:
 
 @styled
 def save_drawing(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure of lines and letters as PNG, and as SVG beside it.
+    """Write a line drawing as PNG, and as SVG with the same stem.
 
     Parameters
     ----------
     figure : Figure
-    path : Path                     of the PNG; its folder exists, files of that name are replaced
+    path : Path                     of the PNG, in an existing folder; existing files are replaced
 
     Returns
     -------
-    list of two Path
+    list of two Path                PNG, SVG
 
     Raises
     ------
@@ -93,7 +93,7 @@ def save_drawing(figure: Figure, path: Path) -> list[Path]:
 
 @styled
 def figure_pixels(figure: Figure) -> Picture:
-    """Pixels of a figure at the resolution of saved ones.
+    """Pixels of a figure, at the resolution of saved figures.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def save_pixels(picture: Picture, path: Path) -> None:
     Parameters
     ----------
     picture : (rows, columns, 4) uint8
-    path : Path                     its folder exists
+    path : Path                     in an existing folder
 
     Raises
     ------
@@ -125,17 +125,17 @@ def save_pixels(picture: Picture, path: Path) -> None:
 
 
 def three_panels(size: Shaped[np.ndarray, "2"]) -> tuple[Figure, list[Axes]]:
-    """A figure with three panels side by side, room above them and below.
+    """A figure with three panels side by side, with margins above and below.
 
     Parameters
     ----------
-    size : (2,) float or int        width and height of what a panel shows, any unit: the panels
-                                    get its proportions unless they would be too flat or too tall
+    size : (2,) float or int        width and height of a panel's content, in any unit: gives the
+                                    panels' aspect ratio, within limits
 
     Returns
     -------
     Figure                          8.4 inches wide
-    list of three Axes              from the left, without ticks
+    list of three Axes              from left to right, without ticks
     """
     panel_height = min(max(_PANEL * float(size[1] / size[0]), 0.6), 3.6)
     total = panel_height + 1.23
@@ -155,9 +155,9 @@ def title_panel(axes: Axes, title: str) -> None:
     Parameters
     ----------
     axes : Axes
-    title : str                     shown as it is, dollars too
+    title : str                     plain text; dollar signs are not mathematics
     """
-    # A title proper would look for room above ticks that are not there: it takes 30 ms.
+    # Axes.set_title would search for space above the ticks, which takes 30 ms.
     axes.annotate(
         title, (0.5, 1.0), (0.0, 5.0), xycoords="axes fraction", textcoords="offset points",
         ha="center", fontsize=8.5, annotation_clip=False, parse_math=False,
@@ -165,16 +165,16 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def place_below(figure: Figure, panels: Sequence[Axes]) -> tuple[float, float]:
-    """Middle of some panels and width of one, as fractions of the figure's width.
+    """Horizontal centre of some panels and width of one, as fractions of the figure's width.
 
     Parameters
     ----------
     figure : Figure
-    panels : sequence of Axes       neighbours
+    panels : sequence of Axes       adjacent panels
 
     Returns
     -------
-    tuple of two float              both from 0 to 1
+    tuple of two float              0 to 1
     """
     cells = [axes.get_position(original=True) for axes in panels]
     return 0.5 * (cells[0].x0 + cells[-1].x1), cells[0].width
@@ -183,12 +183,12 @@ def place_below(figure: Figure, panels: Sequence[Axes]) -> tuple[float, float]:
 def add_colour_bar(
     figure: Figure, panels: Sequence[Axes], cmap: str, norm: Normalize, label: str
 ) -> None:
-    """Draw a horizontal colour bar, open at its upper end, under the middle of some panels.
+    """Draw a horizontal colour bar, open at its upper end, centred below some panels.
 
     Parameters
     ----------
     figure : Figure                 of `three_panels`
-    panels : sequence of Axes       neighbours
+    panels : sequence of Axes       adjacent panels
     cmap : str                      a colour map of matplotlib
     norm : Normalize                scale of the values
     label : str                     below the bar
@@ -211,10 +211,10 @@ def add_texts(figure: Figure, heading: str, left: str, right: str) -> None:
     Parameters
     ----------
     figure : Figure
-    heading, left, right : str      shown as they are, dollars too
+    heading, left, right : str      plain text; dollar signs are not mathematics
     """
     total = figure.get_figheight()
-    # Names may hold dollar signs: they are no mathematics.
+    # Names may contain dollar signs.
     figure.text(
         0.5, 1 - 0.07 / total, heading, ha="center", va="top", fontsize=9, weight="bold",
         parse_math=False,
@@ -232,16 +232,16 @@ def add_arrows(
     shortest: float = 0.0,
     colour: str = INK,
 ) -> None:
-    """Draw arrows at an even choice of points.
+    """Draw arrows at an evenly spaced subset of points.
 
     Parameters
     ----------
     axes : Axes
     place, vector : (n, 2) float    in the units of the axes; rows with NaN have no arrow
-    pitch : float                   of square cells, the same unit: of the points in a cell the
-                                    nearest to its centre has an arrow
-    shortest : float                shorter ones would be blots and are left out before the choice
-    colour : str                    with a rim, dark or bright, that any ground shows
+    pitch : float                   side of square cells, same unit: in each cell the point nearest
+                                    to its centre has an arrow
+    shortest : float                shorter arrows are left out beforehand
+    colour : str                    of the arrows; they get a contrasting rim
     """
     known = np.flatnonzero(
         (np.linalg.norm(vector, axis=1) > shortest) & np.isfinite(place).all(axis=1)
@@ -260,7 +260,7 @@ def add_arrows(
 
 
 def open_frame(axes: Axes) -> None:
-    """Leave out the upper and right line of the frame.
+    """Remove the upper and right line of the frame.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def open_frame(axes: Axes) -> None:
 
 
 def magnification_text(factor: float) -> str:
-    """A factor of arrows to two digits, never with an exponent: `3.2 times`.
+    """Magnification of arrows as text, to two digits or whole numbers: `3.2 times`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Pictures of surfaces that were mended or scanned: before, after, and how well they are known."""
+"""Figures of repaired and scanned surfaces: before, after, and their accuracy."""
 
 from typing import Any, cast
 
@@ -27,20 +27,20 @@ from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas, un
 from palpate.scanning import PreparedSurface, ScannedSurface, distances
 from palpate.shapes import Points, TriangleScalars, Vector3
 
-# From above the front, a little from the right.
+# Default view: from the front, slightly from above and from the right.
 _DIRECTION = np.array([0.45, -0.75, 0.48]) / np.linalg.norm([0.45, -0.75, 0.48])
-# More lines than these and the triangles are not seen for their edges.
+# Largest number of triangles drawn with edges; more edges would hide the triangles.
 _MOST_LINED = 20_000
-# More points than these hide each other.
+# Largest number of points; more would hide each other.
 _MOST_POINTS = 40_000
 _PALE_GREY = "#d9dce1"
-# Below, distances are all one colour [mm].
+# Least end of the colour scale [mm].
 _SMALLEST = 0.01
 
 
 @styled
 def surface_figure(name: str, surface: PreparedSurface) -> Figure:
-    """Three views: the surface as it came, as it is now, and how far one is from the other.
+    """Three views: the given surface, the repaired mesh, and the distance between them.
 
     Parameters
     ----------
@@ -84,7 +84,8 @@ def surface_figure(name: str, surface: PreparedSurface) -> Figure:
 
 @styled
 def scan_figure(name: str, surface: ScannedSurface) -> Figure:
-    """Three views: the points, a colour a view; the mesh, guessed triangles orange; its sigma.
+    """Three views: the points, coloured by view; the mesh, with unmeasured triangles in orange; its
+    standard deviation.
 
     Parameters
     ----------
@@ -128,7 +129,8 @@ def _counted(count: int, what: str) -> str:
 
 
 def _scan_direction(surface: ScannedSurface) -> Vector3:
-    """From the viewpoints' side, a little above, so that what was seen is shown."""
+    """Viewing direction: for a single scan from the side of its viewpoint, slightly above; else the
+    default."""
     middle = surface.mesh.vertices.mean(axis=0)
     toward = np.mean([view.eye for view in surface.views], axis=0) - middle
     flat = toward - toward[2] * np.array([0.0, 0.0, 1.0])
@@ -142,7 +144,7 @@ def _scan_direction(surface: ScannedSurface) -> Vector3:
 def _points_of_views(
     axes: Axes, view: SurfaceView, surface: ScannedSurface, direction: Vector3
 ) -> None:
-    """Points on the near side, a colour for each view."""
+    """Draw the points on the near side, with a colour for each view."""
     colours = [BLUE, ORANGE, MIDDLE_BLUE, GREY, INK]
     for k, one in enumerate(surface.views):
         front = one.normals @ direction > 0.0
@@ -153,7 +155,7 @@ def _points_of_views(
 
 
 def _seen_from(surface: PreparedSurface) -> Vector3:
-    """The usual view, from the side of the first defect where that is on the other side."""
+    """The default viewing direction, mirrored if necessary to show the first defect."""
     if not surface.actions:
         return _DIRECTION
     offset = surface.actions[0].place - surface.mesh.vertices.mean(axis=0)
@@ -162,7 +164,7 @@ def _seen_from(surface: PreparedSurface) -> Vector3:
 
 
 def _view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
-    """A view of triangles that may have no area, or their back to the viewer."""
+    """A view of a defective surface: without zero-area triangles, and with both sides visible."""
     sound = triangle_areas(mesh) > 0.0
     mesh = TriangleMesh(vertices=mesh.vertices, triangles=mesh.triangles[sound])
     both = TriangleMesh(
@@ -172,7 +174,7 @@ def _view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
 
 
 def _drawn_order(mesh: TriangleMesh, direction: Vector3) -> Int[np.ndarray, " k"]:
-    """Triangles in the order that `make_view` draws them."""
+    """Front-facing triangles in the order of `make_view`."""
     front = np.flatnonzero(unit_normals(mesh) @ direction > 0.0)
     depth = mesh.vertices[mesh.triangles[front]].mean(axis=1) @ direction
     return front[np.argsort(depth)]
@@ -196,7 +198,7 @@ def _draw(
 
 
 def _mark(axes: Axes, view: SurfaceView, places: Points) -> None:
-    """Points in orange, also those that the surface hides."""
+    """Draw points in orange, including those hidden by the surface."""
     if len(places):
         place = 1e3 * projected(view, places)
         axes.scatter(
@@ -213,7 +215,7 @@ def _coloured(
     *,
     label: str,
 ) -> None:
-    """Triangles in the colour of a value [mm], grey where it is not known, with its bar below."""
+    """Draw triangles coloured by a value [mm], grey if unknown, with a colour bar below."""
     view = make_view(mesh, direction)
     shown = value[_drawn_order(mesh, direction)]
     norm = Normalize(0.0, max(float(np.nanquantile(value, 0.99)), _SMALLEST))

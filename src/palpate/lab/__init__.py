@@ -1,10 +1,10 @@
-"""The virtual measurement facility: specimens, arm, cameras, sensors; sessions with their truth.
+"""The virtual measurement facility: specimens, arm, cameras, sensors; sessions with ground truth.
 
-Purpose    : make the data of a measurement whose truth is known, as a bench would give them.
+Purpose    : simulate the data of a measurement whose ground truth is known.
 Takes      : a configuration in TOML, format `palpate-lab/1`, and a seed.
-Gives      : a session folder, and beside it `truth.toml` and truth maps.
-Depends on : `vision`, `records`, `geometry`; never on `bem`: what estimates a specimen's constants
-             must not have made the specimen.
+Gives      : a session folder that also holds `truth.toml` and truth maps.
+Depends on : `vision`, `records`, `geometry`; never on `bem`: the model that estimates the constants
+             must not have generated the data.
 Read first : `config.py`, `bench/facility.py`, then `bodies/contact.py`, `pictures/studio.py`.
 """
 

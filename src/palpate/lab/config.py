@@ -1,6 +1,6 @@
 """Settings of the virtual facility; lengths in metres, angles in degrees.
 
-A field's annotation holds its limits; `read_lab_config` reads every class field by field.
+The limits of a field are in its annotation; `read_lab_config` reads every class field by field.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,18 +15,18 @@ from palpate.lab.bodies import TipName
 from palpate.records import MODULUS_RANGE
 from palpate.shapes import Indices, Vector3
 
-# Of a picture: the largest chips have as many, and its truth maps take 100 bytes for each.
+# Largest size of a picture: that of the largest image sensors; truth maps take 100 bytes a pixel.
 _MOST_PIXELS = 1e8
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What a setting must be.
+    """Constraint on a setting.
 
     Parameters
     ----------
-    text : str                      "must be positive", for the message
-    holds : function                value -> bool
+    text : str                      for the error message, e.g. "must be positive"
+    holds : function                value -> bool, whether the value satisfies it
     """
 
     text: str
@@ -44,7 +44,7 @@ def _no_longer(most: float, unit: str) -> Limit:
 Positive = Annotated[float, Limit("must be positive", lambda x: 0.0 < x < np.inf)]
 Share = Annotated[float, Limit("must be in 0 to 1", lambda x: 0.0 <= x <= 1.0)]
 Length = Annotated[float, _between(1e-6, 100.0, "m")]
-# Standard deviations of lengths and turns, and of a sensor's readings.
+# Standard deviations of positions, of rotations and of a sensor's readings.
 LengthError = Annotated[float, _between(0.0, 1.0, "m")]
 TurnError = Annotated[float, _between(0.0, 45.0, "degrees")]
 ReadingError = Annotated[float, _between(0.0, 1e6, "N or m")]
@@ -56,7 +56,7 @@ Direction = Annotated[
 
 
 class _Limited:
-    """Settings that keep to the limits of their fields."""
+    """Base class of settings: checks every field against the limits in its annotation."""
 
     __slots__ = ()
 
@@ -70,7 +70,7 @@ class _Limited:
 
 
 def _shown(value: Any) -> str:
-    """A setting as a message shows it; a whole number may have any number of digits."""
+    """A setting as shown in an error message; an integer may have any number of digits."""
     if isinstance(value, float):
         return f"{value:g}"
     return quoted(value.tolist() if isinstance(value, np.ndarray) else value)
@@ -78,18 +78,18 @@ def _shown(value: Any) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Specimen:
-    """The object.
+    """The object: its surface, support and element size.
 
     Parameters
     ----------
-    mesh : TriangleMesh             closed, outward: what the session gets as the object's mesh
-    body : TriangleMesh             surface of what is really pressed: a round specimen is rounder
-                                    than the session's mesh of it
-    held : (k,) int                 triangles of `body` that do not move, or stand on springs
-    support : mapping               the table of it that the session gets
-    support_stiffness : float [N/m^3] or None    traction over displacement of these springs; None:
-                                    rigid
-    element : float [m]             edge of the finite elements away from the tip
+    mesh : TriangleMesh             closed, outward normals; the mesh that the session gets
+    body : TriangleMesh             surface that is filled with finite elements; for curved
+                                    specimens finer than `mesh`
+    held : (k,) int                 triangles of `body` that are fixed, or on an elastic foundation
+    support : mapping               table [support] of the session
+    support_stiffness : float [N/m^3] or None    foundation modulus, traction over displacement;
+                                    None: rigid support
+    element : float [m]             edge length of the finite elements far from the tip
     """
 
     mesh: TriangleMesh
@@ -102,17 +102,17 @@ class Specimen:
 
 @dataclass(frozen=True, slots=True)
 class Material(_Limited):
-    """What it is made of.
+    """Material of the specimen.
 
     Parameters
     ----------
     young_modulus : float [Pa]      1 to 1.2e12
-    poisson_ratio : float           -1 to 0.5
-    law : "linear" or "neo-hookean" the second for large motions
+    poisson_ratio : float [-]       -1 < nu < 0.5
+    law : "linear" or "neo-hookean" Hooke's law, or finite strain for large displacements
 
     Raises
     ------
-    InputError                      out of range; so in all classes here
+    InputError                      a value out of range, as in all classes of this file
     """
 
     young_modulus: Annotated[float, _between(*MODULUS_RANGE, "Pa")]
@@ -127,14 +127,14 @@ class Material(_Limited):
 
 @dataclass(frozen=True, slots=True)
 class Look(_Limited):
-    """How its surface looks.
+    """Appearance of the specimen's surface.
 
     Parameters
     ----------
     texture : "speckle", "natural" or "poor"
-    size : float [m]                1e-6 to 100; of a speckle, of the finest or of the weak
-                                    structure
-    gloss : float                   share of the light that makes highlights, 0 to 1
+    size : float [m]                1e-6 to 100; diameter of a speckle, or shortest wavelength of
+                                    the other textures
+    gloss : float [-]               0 to 1; fraction of the reflected light that is specular
     """
 
     texture: Literal["speckle", "natural", "poor"] = "speckle"
@@ -152,10 +152,9 @@ class Arm(_Limited):
     radius : float [m]              1e-6 to 100; of the tip
     misalignment : float [degrees]  0 to 45; standard deviation of the tip's direction, about each
                                     of two axes
-    placement : float [m]           0 to 1; standard deviation of where it touches, along the
-                                    surface, each of two directions; the session holds where it was
-                                    sent
-    sticking : bool                 the tip holds what it touches, else the surface slides
+    placement : float [m]           0 to 1; standard deviation of the contact point, along each of
+                                    two tangents; the session holds the commanded point
+    sticking : bool                 no slip between tip and surface; else frictionless
     """
 
     tip: TipName = "sphere"
@@ -167,14 +166,14 @@ class Arm(_Limited):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensor(_Limited):
-    """What a sensor of force, or of the arm's or a stage's position, adds to each component.
+    """Errors of a force sensor, or of the position sensor of the arm or of a stage, per component.
 
     Parameters
     ----------
     noise : float [N or m]          0 to 1e6; standard deviation
-    relative_noise : float          0 to 1; the same, as a share of the reading's size
-    bias : (3,) float [N or m]      1e6 long at most
-    resolution : float [N or m]     0 to 1e6; readings are whole multiples; 0: any
+    relative_noise : float [-]      0 to 1; the same, as a fraction of the true vector's length
+    bias : (3,) float [N or m]      constant offset, at most 1e6 long
+    resolution : float [N or m]     0 to 1e6; readings are integer multiples of it; 0: not rounded
     """
 
     noise: ReadingError = 0.0
@@ -183,12 +182,12 @@ class Sensor(_Limited):
     resolution: ReadingError = 0.0
 
     def read(self, truth: Vector3, *, rng: np.random.Generator) -> Vector3:
-        """A reading of a force, a position or a displacement.
+        """Simulated reading of a force, a position or a displacement.
 
         Parameters
         ----------
-        truth : (3,) float [N or m]
-        rng : Generator
+        truth : (3,) float [N or m] true value
+        rng : Generator             for the noise
 
         Returns
         -------
@@ -199,13 +198,13 @@ class Sensor(_Limited):
         return step * np.rint(value / step) if step > 0.0 else value
 
     def std(self, truth: Vector3) -> float:
-        """Standard deviation of each component that the sensor's data sheet would state.
+        """Standard deviation of each component, as the sensor's data sheet would state it.
 
-        The rounding counts as noise; a bias is not on the sheet.
+        Includes the rounding error (resolution / sqrt 12), but not the bias.
 
         Parameters
         ----------
-        truth : (3,) float [N or m]
+        truth : (3,) float [N or m] true value
 
         Returns
         -------
@@ -214,22 +213,22 @@ class Sensor(_Limited):
         return float(np.hypot(self._noise_of(truth), self.resolution / np.sqrt(12.0)))
 
     def _noise_of(self, truth: Vector3) -> float:
-        """Standard deviation before the rounding."""
+        """Standard deviation of the noise, without rounding."""
         return float(np.hypot(self.noise, self.relative_noise * np.linalg.norm(truth)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Probe(_Limited):
-    """One probing: to a depth, or to a force.
+    """One probing, to a given depth or to a given force.
 
     Parameters
     ----------
     name : str
-    point : (3,) float [m]          where the arm is sent, on the surface
-    direction : (3,) float or None  into the body; None: along the normal
-    depth : float [m] or None       1e-6 to 100; travel of the tip from its first touch
-    force : float [N] or None       > 0; its force in the end
-    steps : int                     instants with pictures, the last one at the end
+    point : (3,) float [m]          commanded contact point, on the surface
+    direction : (3,) float or None  direction of the push, into the body; None: along the normal
+    depth : float [m] or None       1e-6 to 100; travel of the tip from first contact
+    force : float [N] or None       > 0; final force; exactly one of depth and force is given
+    steps : int                     load steps with pictures, the last at full load
     """
 
     name: str
@@ -247,15 +246,15 @@ class Probe(_Limited):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage(_Limited):
-    """A motion stage that carries the object, rigid, from step to step.
+    """A motion stage that moves the object rigidly, step by step.
 
     Parameters
     ----------
-    steps : int                     besides the first instant
-    translation : (3,) float [m]    a step, 1 long at most
-    rotation : float [degrees]      a step, -180 to 180, about `axis` through `centre`
-    axis : (3,) float               a direction
-    centre : (3,) float [m]         100 from the origin at most
+    steps : int                     number of motions after the first instant
+    translation : (3,) float [m]    per step, at most 1 m long
+    rotation : float [degrees]      per step, -180 to 180, about `axis` through `centre`
+    axis : (3,) float               direction of the rotation axis, non-zero
+    centre : (3,) float [m]         a point of the axis, at most 100 m from the origin
     """
 
     steps: Count
@@ -273,19 +272,18 @@ class Head(_Limited):
 
     Parameters
     ----------
-    layout : "trinocular" or "ring" an L: reference, one to its left and one above, axes parallel as
-                                    far as the object allows; or `cameras` evenly on a ring around
-                                    the direction of view
-    cameras : int                   of a ring, 2 to 4
-    distance : float [m]            0.01 to 100; from the middle of the object
-    baseline : float [m]            1e-6 to 100; between reference and others, or the ring's
-                                    diameter
-    toward : (3,) float             direction from the object to the head
+    layout : "trinocular" or "ring" an L: the reference camera, one to its left and one above it;
+                                    or `cameras` evenly spaced on a ring about the viewing
+                                    direction. All point at the middle of the object
+    cameras : int                   number on a ring, 2 to 4
+    distance : float [m]            0.01 to 100; from the middle of the object to the head
+    baseline : float [m]            1e-6 to 100; from the reference camera to each other one, or
+                                    the ring's diameter
+    toward : (3,) float             direction from the object to the head, non-zero
     columns, rows : int [px]        32 to 20 000
-    focal : float [px] or None      1 to 1e6; None: such that the object fills three quarters of
-                                    the picture
-    k1 : float                      -1 to 1; barrel (negative) or cushion of the lenses
-    file : str or None              a rig of one's own instead, with the object in its frame
+    focal : float [px] or None      1 to 1e6; None: the object fills three quarters of the picture
+    k1 : float [-]                  -1 to 1; radial distortion, negative: barrel
+    file : str or None              a rig file to use instead, in the object's frame
     """
 
     layout: Literal["trinocular", "ring"] = "trinocular"
@@ -310,11 +308,11 @@ class Head(_Limited):
 
 @dataclass(frozen=True, slots=True)
 class Calibration(_Limited):
-    """By how much the rig in the session differs from the one that took the pictures.
+    """Errors of the session's rig with respect to the rig that took the pictures.
 
-    Standard deviations, another error for each camera: of the focal length as a share (0 to 1),
-    the principal point (0 to 1000 px), the camera's rotation (0 to 45 degrees) and place (0 to
-    1 m); and of the object's pose, the same for all cameras.
+    Standard deviations. Drawn independently for each camera: focal length, relative (0 to 1);
+    principal point (0 to 1000 px); rotation (0 to 45 degrees) and translation (0 to 1 m) of the
+    camera. Drawn once, common to all cameras: rotation and translation of the object.
     """
 
     focal: Share = 0.0
@@ -327,22 +325,21 @@ class Calibration(_Limited):
 
 @dataclass(frozen=True, slots=True)
 class Pictures(_Limited):
-    """How pictures are taken.
+    """Exposure, image sensor and lens.
 
     Parameters
     ----------
-    samples : int                   rays through a pixel; 9 leave less noise than the sensor has
-    noise : float                   read noise, 0 to 255 [grey levels of 255]
-    full_well : float or None       electrons at white, > 0: their number is noisy too
-    response : float [px]           0 to 100; blur of lens and chip, standard deviation
-    gain_drift : float              0 to 1; standard deviation of each picture's brightness, as a
-                                    share
+    samples : int                   rays per pixel; 9 give less noise than the image sensor has
+    noise : float                   read noise, standard deviation, 0 to 255 [grey levels of 255]
+    full_well : float or None       electrons at white, > 0; adds shot noise. None: no shot noise
+    response : float [px]           0 to 100; blur of lens and sensor, standard deviation
+    gain_drift : float [-]          0 to 1; relative standard deviation of the gain from picture to
+                                    picture
     bits : int                      8 or 12
-    aperture : float [m]            0 to 1, of the lens, 0: everything is sharp; sharp at
-                                    `Head.distance`
-    motion_blur : float             0 to 1; share of the motion that falls into the exposure
-    lamp : float [m]                1e-6 to 100; side of the lamp: the longer, the softer its
-                                    shadows
+    aperture : float [m]            0 to 1; diameter of the lens opening, focused on the middle of
+                                    the object; 0: unlimited depth of field
+    motion_blur : float [-]         0 to 1; fraction of the step's motion during the exposure
+    lamp : float [m]                1e-3 to 100; side of the square lamp: larger is softer shadows
     """
 
     samples: Count = 9
@@ -358,18 +355,19 @@ class Pictures(_Limited):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LabConfig(_Limited):
-    """A measurement to be made.
+    """Configuration of one virtual measurement.
 
     Parameters
     ----------
     name : str
-    seed : int                      every random number comes from it; 0 to 2^32 - 1
-    probes : tuple of Probe         none where there is a stage
-    stage : Stage or None
+    seed : int                      seed of all random numbers; 0 to 2^32 - 1
+    probes : tuple of Probe         empty if there is a stage
+    stage : Stage or None           rigid motions instead of probings
 
     Raises
     ------
-    InputError                      neither probes nor stage, or both; twin names
+    InputError                      neither probes nor stage, or both; duplicate probe names; a
+                                    support stiffness with a nonlinear law
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Configurations of the virtual facility from files: `palpate-lab/1`, in TOML."""
+"""Reads configurations of the virtual facility from TOML files, format `palpate-lab/1`."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
@@ -24,15 +24,16 @@ from palpate.records import STIFFNESS_UNITS, TomlTable, read_support, read_toml
 from palpate.shapes import Indices
 
 LAB_FORMAT = "palpate-lab/1"
-# Keys that are no fields of `LabConfig`, or not as they stand in the file.
+# Keys that are not fields of `LabConfig`, or are converted before they become fields.
 _APART = ("format", "specimen", "support", "probe")
-# Chords cut off a round body by the square of their length: a ninth of what the mesh loses.
+# The body's surface is this many times finer than the session's mesh. The error of a faceted
+# surface grows with the square of its edge, so the body has a ninth of the mesh's.
 _ROUNDER = 3.0
-# What a specimen may be cut into: minutes of work and some gigabytes.
+# Largest numbers of surface triangles and of tetrahedra: minutes of work and some gigabytes.
 _MOST_SQUARES, _MOST_TETRAHEDRA = 30_000, 300_000
-# Across a specimen [m].
+# Smallest and largest permitted size of a specimen [m].
 _SMALLEST, _LARGEST = 1e-4, 50.0
-# Lengths that are no longer than the specimen.
+# Lengths that may not exceed the size of the specimen.
 _WITHIN = (
     ("specimen", "element"), ("look", "size"), ("arm", "radius"), ("arm", "placement"),
     ("position_sensor", "noise"), ("position_sensor", "bias"), ("position_sensor", "resolution"),
@@ -50,7 +51,7 @@ def read_lab_config(path: Path | str) -> LabConfig:
 
     Parameters
     ----------
-    path : path                     a TOML file; files that it names are beside it
+    path : path                     a TOML file; files named in it are relative to its folder
 
     Returns
     -------
@@ -60,7 +61,7 @@ def read_lab_config(path: Path | str) -> LabConfig:
     ------
     RecordError                     not readable, unknown or missing keys, values out of range; the
                                     text names file, table and key
-    MeshError                       a mesh that is no closed surface
+    MeshError                       a mesh that is not a closed surface
     """
     root = read_toml(Path(path))
     known = (field.name for field in fields(LabConfig) if field.name not in ("probes", "specimen"))
@@ -83,18 +84,18 @@ def read_lab_config(path: Path | str) -> LabConfig:
 
 
 def built_in() -> dict[str, Path]:
-    """Configurations that come with the program.
+    """Configurations that are distributed with the program.
 
     Returns
     -------
-    dict                            file by name
+    dict of str to Path             file by name
     """
     folder = Path(str(files("palpate.lab"))) / "configs"
     return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
 def _specimen(root: TomlTable) -> Specimen:
-    """The object of [specimen] and [support]."""
+    """The specimen that [specimen] and [support] describe."""
     table = root.table("specimen", "[specimen]")
     if "mesh" in table.values:
         table.check_keys(("mesh", "element"))
@@ -119,7 +120,7 @@ def _specimen(root: TomlTable) -> Specimen:
     element = table.number("element") if "element" in table.values else edge
     if not element > 0.0:
         table.fail("element", f"is {element:g} m; must be positive")
-    # Six of root 2 even tetrahedra fill a cube of their edge.
+    # 6 sqrt 2 regular tetrahedra have the volume of a cube of their edge.
     least = (6.0 * np.sqrt(2.0) * abs(enclosed_volume(mesh)) / _MOST_TETRAHEDRA) ** (1.0 / 3.0)
     if element < least:
         table.fail(
@@ -134,7 +135,7 @@ def _specimen(root: TomlTable) -> Specimen:
 def _support(
     root: TomlTable, body: TriangleMesh
 ) -> tuple[Indices, Mapping[str, object], float | None]:
-    """Held triangles of [support], the table of it that the session gets, and its stiffness."""
+    """Held triangles of [support], the session's table [support], and the foundation modulus."""
     table = root.table("support") if "support" in root.values else replace(root, values={})
     table = replace(table, name="[support]")
     stiffness = None
@@ -151,8 +152,8 @@ def _support(
 
 
 def _check_edge(table: TomlTable, edge: float, lengths: Mapping[str, float]) -> None:
-    """Refuse an edge so short that the surface would not fit into memory."""
-    # A box around it: a radius stands for two sides.
+    """Refuse an edge so short that the surface mesh would not fit into memory."""
+    # Area of a bounding box; a radius stands for two of its sides.
     sides = [s for name, x in lengths.items() for s in ([2 * x] * 2 if "radius" in name else [x])]
     area = sum(sides) ** 2 - sum(side**2 for side in sides)
     least = np.sqrt(area / _MOST_SQUARES)
@@ -165,7 +166,7 @@ def _check_edge(table: TomlTable, edge: float, lengths: Mapping[str, float]) -> 
 
 
 def _check_sizes(file: Path, config: LabConfig) -> None:
-    """Refuse lengths that contradict each other, before anything long is begun with them."""
+    """Refuse inconsistent lengths before any long computation begins."""
     mesh, look, arm = config.specimen.mesh, config.look, config.arm
     size = bounding_diagonal(mesh)
 
@@ -193,7 +194,7 @@ def _check_sizes(file: Path, config: LabConfig) -> None:
 
 
 def _settings(table: TomlTable, kind: type[Settings], **given: Any) -> Settings:
-    """A dataclass whose fields are the keys of a table; those with a default may be left out."""
+    """A dataclass filled from a table, key by field; fields with a default may be left out."""
     known = [field for field in fields(kind) if field.name not in given]  # type: ignore[arg-type]
     table.check_keys([field.name for field in known])
     hints = get_type_hints(kind)
@@ -207,7 +208,7 @@ def _settings(table: TomlTable, kind: type[Settings], **given: Any) -> Settings:
 
 
 def _value(table: TomlTable, key: str, hint: Any) -> Any:
-    """Value of a key as the field's type wants it."""
+    """Value of a key, converted to the type of the field."""
     if get_origin(hint) in (Union, UnionType):
         (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
     if isinstance(hint, type) and is_dataclass(hint):

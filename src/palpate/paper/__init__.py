@@ -1,7 +1,7 @@
-"""The paper's experiments made anew on the virtual bench.
+"""The paper's experiments, reproduced on the virtual bench.
 
-Purpose    : repeat tables 1 to 3 and figures 2 to 4 of Lang and Pai (2001), and say what limits
-             table 3, by source of error.
+Purpose    : reproduce tables 1 to 3 and figures 2 to 4 of Lang and Pai (2001), with an error
+             budget of table 3.
 Takes      : built-in configurations of the lab.
 Gives      : `PaperResult`: text, tables and pictures, as files and as a page.
 Depends on : `figures`, `pipeline`, `lab`, `estimation`, `vision`, `records`, `geometry`.

@@ -1,8 +1,8 @@
-"""What limits table 3: its experiment repeated with one source of error at a time.
+"""Error budget of table 3: its experiment repeated with one source of error at a time.
 
-A bench without any error is where it begins; each source is then put in alone, in the size of a
-careful laboratory. Sources that change the pictures get pictures of their own. Those that change
-only the readings or the calibration are drawn several times over the same pictures.
+It starts from a bench without errors, to which each source is added alone, with the size it has in
+a careful laboratory. Sources that change the pictures get pictures of their own; those that change
+only readings or calibration are drawn several times with the same pictures.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,31 +47,31 @@ from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, read_rig, read_session, write_rig
 
-# From the exact session, a generator and a file for another rig, to the session that is fitted.
+# (exact session, generator, file for a perturbed rig) -> session that is fitted.
 Change = Callable[[Session, np.random.Generator, Path], Session]
-# Share of the time that goes into the sessions; estimates take the rest.
+# Fraction of the time for making the sessions; the rest is for the estimates.
 _MAKING = 0.6
-# Where it touches; a robot's repeatability and the care with which its frame was found [m].
+# Standard deviation of the contact point [m]: repeatability of a robot, registration of its frame.
 _PLACEMENT = 3e-4
-# A calibration that leaves 0.2 px where the object fills the picture, most of it in scale: what
-# would turn the cameras against each other shows between the pictures, and was calibrated away.
+# A calibration with errors of 0.2 px where the object fills the picture, mostly of scale: relative
+# rotations of the cameras are visible in the pictures and are removed by calibration.
 CALIBRATION = Calibration(focal=1e-3, centre=0.1, rotation=0.002, translation=2e-5)
 REGISTRATION = Calibration(object_rotation=0.3, object_translation=3e-4)
-# The session's mesh, this many times as coarse.
+# Factor by which the edges of the session's mesh are longer in the coarse variant.
 _COARSER = 2.0
-# Columns of SourceErrors' errors.
+# Columns of the errors in `SourceErrors`.
 _NU, _YOUNG = 0, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceErrors:
-    """Errors that one source alone makes.
+    """Errors of the constants due to one source alone.
 
     Attributes
     ----------
-    name, size : str                what it is, and how much of it
-    single : (k, 3) float [-]       error of nu, of G over G and of E over E, of each probing alone
-    joint : (d, 3) float [-]        the same of all probings together, one row a draw
+    name, size : str                name and size of the source
+    single : (k, 3) float [-]       error of nu, relative errors of G and E, of each probing alone
+    joint : (d, 3) float [-]        the same of all probings together, one row per draw
     """
 
     name: str
@@ -82,7 +82,7 @@ class SourceErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Source:
-    """A source of error: in a bench of its own, or in what is read of the exact one."""
+    """A source of error: a bench of its own, or a change of the exact session's readings."""
 
     name: str
     size: str
@@ -99,26 +99,26 @@ def error_budget(
     progress: Progress = silent,
     parts: Path | None = None,
 ) -> tuple[SourceErrors, ...]:
-    """Errors of the constants, by source.
+    """Errors of the estimated constants, by source.
 
     Parameters
     ----------
-    config : LabConfig              a half ball with probings; its own errors are the sizes of force
-                                    noise, image noise and misalignment
-    folder : Path                   empty: the sessions stay there
+    config : LabConfig              a half ball with probings; its own errors give the sizes of
+                                    force noise, image noise and misalignment
+    folder : Path                   an empty folder, in which the sessions are kept
     variant : Variant               of Mitsuba
-    draws : int                     of the sources that change no picture, >= 1
-    progress : callable             called with what is done (text) and how far it is (0 to 1)
-    parts : Path or None            folder that keeps what is finished, as for `make_sessions`
+    draws : int                     number of draws of sources that change no picture, >= 1
+    progress : callable             called with the current step (text) and the fraction done, 0..1
+    parts : Path or None            folder in which finished parts are stored, as in `make_sessions`
 
     Returns
     -------
-    tuple of SourceErrors            the bench without errors first, all of the bench's own errors
+    tuple of SourceErrors           the bench without errors first, all of the bench's own errors
                                     together last
 
     Raises
     ------
-    InputError, RecordError         as `make_sessions`
+    InputError, RecordError         as in `make_sessions`
     """
     sources = _sources(config)
     folders = {source.name: folder / _plain(source.name) for source in sources if source.bench}
@@ -131,7 +131,7 @@ def error_budget(
         parts=parts,
     )
     finished = Parts(parts, "" if parts is None else content_digest((config, variant.name)))
-    # Its motion serves every source that changes no picture and no camera.
+    # Its motion is reused by every source that changes neither pictures nor cameras.
     exact = read_session(folders[sources[0].name])
     exact = with_pictures_measured(exact, pose="given", parts=parts)
     readings = [source for source in sources if source.change]
@@ -174,7 +174,7 @@ def _exact(config: LabConfig) -> LabConfig:
 
 
 def _sources(config: LabConfig) -> list[_Source]:
-    """The bench without errors, with each error alone, and with all that it has."""
+    """The bench without errors, with each source alone, and with all of its own errors."""
     exact = _exact(config)
 
     def changed(part: str, **values: Any) -> LabConfig:
@@ -210,7 +210,7 @@ def _sources(config: LabConfig) -> list[_Source]:
 
 
 def _with_forces(session: Session, sensor: Sensor, rng: np.random.Generator) -> Session:
-    """A session whose exact forces were read from a sensor."""
+    """A session with simulated sensor readings in place of its exact forces."""
     probings = tuple(
         replace(
             probing,
@@ -225,18 +225,18 @@ def _with_forces(session: Session, sensor: Sensor, rng: np.random.Generator) -> 
 def with_misjudged_rig(
     session: Session, rng: np.random.Generator, file: Path, *, error: Calibration
 ) -> Session:
-    """A session whose rig is not quite the one that took its pictures.
+    """A session whose rig has random calibration errors.
 
     Parameters
     ----------
-    session : Session               whose rig is the true one
-    rng : Generator
-    file : Path                     where the other rig is written
+    session : Session               with the true rig
+    rng : Generator                 of the errors
+    file : Path                     file to which the perturbed rig is written
     error : Calibration             standard deviations
 
     Returns
     -------
-    Session                         whose motion is still to be measured with that rig
+    Session                         without displacements: they are to be measured with the new rig
 
     Raises
     ------
@@ -252,13 +252,13 @@ def with_misjudged_rig(
 def _errors(
     session: Session, truth: Material, parts: Path | None
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "1 3"]]:
-    """Errors of single probings and of all; what was measured already is not measured anew."""
+    """Errors of single probings and of all together; existing displacements are reused."""
     joint = fit_session(with_pictures_measured(session, pose="given", parts=parts)).estimate
     return constant_errors(joint.probes, truth), constant_errors([joint], truth)
 
 
 def _plain(name: str) -> str:
-    """A source's name as a folder."""
+    """A source's name as the name of a folder."""
     return name.replace(" ", "_")
 
 
@@ -289,7 +289,7 @@ def budget_table(sources: Sequence[SourceErrors]) -> ResultTable:
 
 
 def sizes_table(sources: Sequence[SourceErrors]) -> ResultTable:
-    """How much of each source there was.
+    """Table of the sizes of the sources.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def sizes_table(sources: Sequence[SourceErrors]) -> ResultTable:
 
 @styled
 def budget_picture(sources: Sequence[SourceErrors]) -> Picture:
-    """The same root mean squares as bars (single probings) and dots (all of them together).
+    """Root mean square errors by source, as bars (single probings) and dots (all together).
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def budget_picture(sources: Sequence[SourceErrors]) -> Picture:
 
 
 def _panel(axes: Axes, sources: Sequence[SourceErrors], column: int, factor: float) -> None:
-    """Bars and dots of one constant."""
+    """Draw the bars and dots of one constant."""
     rows = np.arange(len(sources))
     single = factor * np.array([_rms(source.single)[column] for source in sources])
     joint = factor * np.array([_rms(source.joint)[column] for source in sources])

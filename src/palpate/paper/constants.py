@@ -1,5 +1,5 @@
-"""The paper's table 3 and figure 4 on the virtual bench: constants from pictures and forces, and a
-compression test of the same material beside them."""
+"""The paper's table 3 and figure 4 on the virtual bench: constants from pictures and forces,
+compared with a compression test of the same material."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,22 +18,22 @@ from palpate.paper.sessions import Method, PaperSession
 from palpate.pipeline import fit_session, with_measured_displacement
 from palpate.records import Constant, Estimate, ProbeEstimate, Session
 
-# A cylinder as one would cut it from foam [m], and the strain of the test.
+# Cylinder cut from foam [m], and the strain of the compression test.
 _RADIUS, _HEIGHT, _STRAIN = 0.015, 0.03, 0.01
 _ELEMENT = 0.005
 _KPA = 1e-3
-# Constants by the symbols that tables show.
+# Constants by their symbols in tables.
 CONSTANTS = {"nu": "poisson_ratio", "G": "shear_modulus", "E": "young_modulus"}
 _YES_NO = {True: "yes", False: "no"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatedConstants:
-    """What a method's motion and the forces say of a specimen.
+    """Constants of a specimen, estimated from one method's motion and the forces.
 
     Attributes
     ----------
-    session : Session               with the displacements that were measured
+    session : Session               with the measured displacements
     result : FitResult
     """
 
@@ -42,12 +42,12 @@ class EstimatedConstants:
 
 
 def estimated_constants(measured: PaperSession, method: Method) -> EstimatedConstants:
-    """Constants from the motion that a method saw.
+    """Estimate the constants from the motion measured by one method.
 
     Parameters
     ----------
     measured : PaperSession         with probings
-    method : Method                 one that was measured
+    method : Method                 a method whose motion was measured
 
     Returns
     -------
@@ -62,9 +62,9 @@ def estimated_constants(measured: PaperSession, method: Method) -> EstimatedCons
 
 
 def compressed_modulus(material: Material) -> float:
-    """Young's modulus from a compression of a cylinder by one percent, in finite elements.
+    """Apparent Young's modulus of a finite element cylinder that is compressed by one per cent.
 
-    The cylinder stands on a plate to which it sticks, under a plate without friction.
+    The cylinder sticks to its lower plate; the upper plate is frictionless.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def compressed_modulus(material: Material) -> float:
 
     Returns
     -------
-    float [Pa]                      too high by a few per cent, because of the end that sticks
+    float [Pa]                      a few per cent too high, because one end sticks
 
     Source
     ------
@@ -93,7 +93,7 @@ def compressed_modulus(material: Material) -> float:
 
 
 def constants_table(found: EstimatedConstants, title: str) -> ResultTable:
-    """Constants of each probing alone and of all, with 95 % intervals.
+    """Table of the constants of each probing alone and of all together, with 95 % intervals.
 
     Parameters
     ----------
@@ -121,19 +121,19 @@ def constants_table(found: EstimatedConstants, title: str) -> ResultTable:
 def constants_summary(
     found: Mapping[Method, EstimatedConstants], truth: Material, compressed: float
 ) -> ResultTable:
-    """Spread over single probings, the joint estimate, and its error.
+    """Table of the spread over single probings, the joint estimate, and its error.
 
-    The paper's error of E is against its compression test, ours against the truth.
+    The paper's error of E is relative to its compression test, ours to the truth.
 
     Parameters
     ----------
-    found : mapping of method to EstimatedConstants
+    found : mapping                 method -> EstimatedConstants
     truth : Material
     compressed : float [Pa]         Young's modulus of a compression test of the same material
 
     Returns
     -------
-    ResultTable                     the paper first; errors of E in per cent
+    ResultTable                     the paper's row first; errors of E in per cent
     """
     published = np.array([(row.poisson_ratio, row.shear_modulus) for row in PAPER_PROBES])
     error = PAPER_ALL_PROBES.young_modulus / PAPER_COMPRESSION_MODULUS - 1.0
@@ -172,7 +172,7 @@ def constant_errors(
 
     Returns
     -------
-    (k, 3) float [-]                error of nu, of G over the true G, of E over the true E
+    (k, 3) float [-]                error of nu, relative error of G, relative error of E
     """
     true = np.array([getattr(truth, name) for name in CONSTANTS.values()])
     value = np.array([[getattr(e, name).value for name in CONSTANTS.values()] for e in estimates])
@@ -182,7 +182,7 @@ def constant_errors(
 def intervals_hold(
     estimates: Sequence[Estimate | ProbeEstimate], truth: Material
 ) -> Bool[np.ndarray, "k 3"]:
-    """Whether the 95 % intervals hold the truth.
+    """Whether the 95 % intervals cover the truth.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def motion_picture(found: EstimatedConstants, name: str) -> Picture:
 
     Returns
     -------
-    Picture                         as `displacement_figure`
+    Picture                         as drawn by `displacement_figure`
 
     Raises
     ------
@@ -225,13 +225,13 @@ def motion_picture(found: EstimatedConstants, name: str) -> Picture:
 def _value_and_ends(
     estimate: Estimate | ProbeEstimate, symbol: str, factor: float
 ) -> tuple[float, ...]:
-    """Value and interval of a constant, times a factor."""
+    """Value and ends of the interval of a constant, times a factor."""
     constant: Constant = getattr(estimate, CONSTANTS[symbol])
     return tuple(factor * value for value in (constant.value, *constant.ci95))
 
 
 def _spread(single: Float[np.ndarray, "k 2"]) -> tuple[Cell, ...]:
-    """Number of single probings; least and greatest nu; standard deviations of nu, and of G [%]."""
+    """Number of single probings, minimum and maximum of nu, standard deviations of nu and G [%]."""
     ratio, shear = single.T
     return (
         len(single), float(ratio.min()), float(ratio.max()), float(ratio.std(ddof=1)),

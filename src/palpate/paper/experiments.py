@@ -1,4 +1,4 @@
-"""The paper's experiments by name: which sessions each one needs, and what it makes of them."""
+"""The paper's experiments by name: the sessions that each one needs, and its evaluation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -53,24 +53,24 @@ from palpate.vision import is_valid
 _X, _Y, _TURN, _PROBING = "translation-x", "translation-y", "rotation-z", "toy-probing"
 _BALL = "half-ball"
 Measured = Mapping[str, PaperSession]
-# Session, name of the motion in it, what it is.
+# Session, name of the motion in it, description.
 _Motion = tuple[str, str, str]
-# How often a source of error that changes no picture is drawn.
+# Number of draws of a source of error that changes no picture.
 _DRAWS = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Workplace:
-    """Where and how an experiment makes sessions of its own.
+    """Where and how experiments make their sessions.
 
     Attributes
     ----------
-    folder : Path                   for folders of sessions
+    folder : Path                   parent of the session folders
     variant : Variant               of Mitsuba
     quick : bool                    small pictures and few steps
-    progress : callable             called with what is done (text) and how far it is (0 to 1)
-    parts : Path or None            folder, there or not, that keeps what is finished, for a run
-                                    that is interrupted and started again
+    progress : callable             called with the current step (text) and the fraction done, 0..1
+    parts : Path or None            folder, created if missing, in which finished parts are stored
+                                    so that an interrupted run can be resumed
     """
 
     folder: Path
@@ -80,7 +80,7 @@ class Workplace:
     parts: Path | None = None
 
     def config(self, name: str) -> LabConfig:
-        """A built-in configuration, for a quick look if so wanted.
+        """A built-in configuration, reduced by `quickened` if `quick`.
 
         Parameters
         ----------
@@ -94,12 +94,12 @@ class Workplace:
         return quickened(config) if self.quick else config
 
     def part(self, begin: float, end: float, name: str) -> "Workplace":
-        """The same for a part of the work.
+        """The same workplace with the progress of one part of the work.
 
         Parameters
         ----------
         begin, end : float          fractions of the whole, 0 to 1, where the part begins and ends
-        name : str                  of the part, for the progress
+        name : str                  of the part, put before progress texts
 
         Returns
         -------
@@ -114,8 +114,8 @@ class Experiment:
 
     Attributes
     ----------
-    sessions : tuple of str         built-in configurations that are measured for it
-    result : callable               from these, by name, and a workplace to what is written
+    sessions : tuple of str         names of the built-in configurations that it needs
+    result : callable               (measured sessions by name, Workplace) -> PaperResult
     """
 
     sessions: tuple[str, ...]
@@ -123,7 +123,7 @@ class Experiment:
 
 
 def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperResult]:
-    """Make and measure the sessions of some experiments, each once, and evaluate them.
+    """Make and measure the sessions of some experiments, each session once, and evaluate them.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
 
     Raises
     ------
-    InputError, RecordError         as `measured_session`
+    InputError, RecordError         as in `measured_session`
     """
     needed = list(dict.fromkeys(name for each in names for name in EXPERIMENTS[each].sessions))
     count = len(needed) + len(names)
@@ -290,7 +290,7 @@ def _beside(
     measured: PaperSession,
     rows_of: Callable[[PaperSession, Method], Sequence[MotionRow]],
 ) -> dict[str, Sequence[MotionRow]]:
-    """The paper's rows, as many as were measured, and those of each method."""
+    """The paper's rows, for as many steps as were measured, and those of each method."""
     found: dict[str, Sequence[MotionRow]] = {
         method: rows_of(measured, method) for method in METHODS
     }
@@ -298,7 +298,7 @@ def _beside(
 
 
 def _flow_pictures(name: str, measured: Measured, motions: Sequence[_Motion]) -> dict[str, Picture]:
-    """Flow pictures of some motions below each other, for each method."""
+    """For each method, the flow pictures of some motions, one below the other."""
     return {
         f"{name}_{method}": np.concatenate(
             [flow_picture(measured[s], method, step, f"{t}, {method}") for s, step, t in motions]
@@ -308,7 +308,7 @@ def _flow_pictures(name: str, measured: Measured, motions: Sequence[_Motion]) ->
 
 
 def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> ResultTable:
-    """How much each method tracked in some motions, and how far from the truth."""
+    """Table of the number of tracked points and their errors, for some motions and each method."""
     cells: list[tuple[Cell, ...]] = []
     for name, step, _ in motions:
         for method in METHODS:
@@ -335,7 +335,7 @@ def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> Resul
     return ResultTable(title, columns, (0, 0, 0, 0, 0, 4, 4, 0), tuple(cells))
 
 
-# By the name that the command line knows.
+# By their names on the command line.
 EXPERIMENTS: dict[str, Experiment] = {
     "table1": Experiment((_X, _Y), _table1),
     "table2": Experiment((_X, _Y, _TURN), _table2),

@@ -1,4 +1,4 @@
-"""Pictures of the paper's experiments: figures 2 and 3, and tables 1 and 2 as curves."""
+"""Figures of the paper's experiments: figures 2 and 3, and tables 1 and 2 as curves."""
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +32,7 @@ _COLOURS = {PAPER: GREY, "lang-pai": ORANGE, "joint": BLUE}
 _MARKS = {PAPER: "s", "lang-pai": "^", "joint": "o"}
 _Line = Literal["-", "--", ":"]
 _LINES: tuple[_Line, ...] = ("-", "--", ":")
-# A bias that happens to be zero would squeeze all others on a logarithmic scale [mm].
+# Least bias shown [mm]: one that happens to be near zero would stretch the logarithmic scale.
 _MIN_BIAS = 5e-4
 
 
@@ -42,13 +42,13 @@ def flow_picture(measured: PaperSession, method: Method, name: str, title: str) 
     Parameters
     ----------
     measured : PaperSession
-    method : Method                 one that was measured
+    method : Method                 a method whose motion was measured
     name : str                      of the motion: a step or an instant of a probing
     title : str
 
     Returns
     -------
-    Picture                         as `flow_figure`
+    Picture                         as drawn by `flow_figure`
 
     Raises
     ------
@@ -67,11 +67,11 @@ def flow_picture(measured: PaperSession, method: Method, name: str, title: str) 
 
 @styled
 def flow_curves(tests: Tests) -> Picture:
-    """Table 1 over the steps: bias of the length, spread of the length, spread of the angle.
+    """Table 1 over the steps: bias and standard deviation of the length, and that of the angle.
 
     Parameters
     ----------
-    tests : mapping of motion to mapping of source to rows
+    tests : mapping                 motion -> source -> rows
 
     Returns
     -------
@@ -94,17 +94,17 @@ def flow_curves(tests: Tests) -> Picture:
 
 
 def _shown_bias(row: MotionRow) -> float:
-    """Bias of the length without its sign [mm]; on the lower line where it is smaller still."""
+    """Absolute bias of the length [mm], at least `_MIN_BIAS`."""
     return max(1e3 * abs(length_bias(row)), _MIN_BIAS)
 
 
 @styled
 def vertex_curves(tests: Tests) -> Picture:
-    """Table 2: error of the direction of the vertices' motion, a panel for each of three motions.
+    """Table 2 over the steps: mean angle error of the vertices' displacements, for three motions.
 
     Parameters
     ----------
-    tests : mapping of motion to mapping of source to rows
+    tests : mapping                 motion -> source -> rows
 
     Returns
     -------
@@ -122,7 +122,7 @@ def vertex_curves(tests: Tests) -> Picture:
 
 
 def _three_plots(titles: Sequence[str]) -> tuple[Figure, list[Axes]]:
-    """Empty plots over the steps, on logarithmic scales."""
+    """Three empty plots over the steps, with logarithmic ordinates."""
     figure = Figure(figsize=(8.4, 3.1))
     grid = figure.add_gridspec(1, 3, left=0.07, right=0.99, top=0.81, bottom=0.14, wspace=0.28)
     panels = [figure.add_subplot(grid[0, column]) for column in range(3)]

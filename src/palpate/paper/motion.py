@@ -1,6 +1,6 @@
-"""Tables 1 and 2 of the paper: motion of a rigid object, its own numbers beside both methods.
+"""Tables 1 and 2 of the paper: rigid motion, the paper's own numbers compared with both methods.
 
-Every instant of a measured session becomes a row of the same type as the paper's own ones.
+Every instant of a measured session becomes a row of the same type as the paper's rows.
 
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
 """
@@ -23,10 +23,10 @@ from palpate.pipeline import MeasuredMotion
 from palpate.shapes import Points, PointScalars, Vector3, Vertices
 from palpate.vision import RangeFlow, VertexDisplacement, is_valid
 
-# What the paper's own numbers are called beside the names of the methods.
+# Name of the paper's own numbers, used like the name of a method.
 PAPER = "paper"
 _MM = 1e3
-# Of one direction or motion: source to its rows; of several: motion to these.
+# Rows of one motion by source; the same for several motions, by motion.
 Rows = Mapping[str, Sequence[MotionRow]]
 Tests = Mapping[str, Rows]
 
@@ -37,16 +37,16 @@ def flow_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
     Parameters
     ----------
     measured : PaperSession         of a translation
-    method : Method                 one that was measured
+    method : Method                 a method whose motion was measured
 
     Returns
     -------
-    tuple of MotionRow              `command` is the true path: the virtual stage goes where it is
-                                    sent. Steps whose pictures could not be used have no points
+    tuple of MotionRow              `command` is the true path, as the virtual stage has no error;
+                                    steps that could not be measured have no points
 
     Raises
     ------
-    RecordError, InputError         as `rigid_steps`
+    RecordError, InputError         as in `rigid_steps`
     """
     rig = measured.found[method].rig
     axis = rig.cameras[rig.reference].T_camera_object[2, :3]
@@ -62,11 +62,11 @@ def flow_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
 def flow_row(
     flow: RangeFlow | None, axis: Vector3, *, step: int, encoder: float, command: float
 ) -> MotionRow:
-    """A row of table 1 from the range flow of its instant.
+    """A row of table 1 from the range flow of one instant.
 
     Parameters
     ----------
-    flow : RangeFlow or None
+    flow : RangeFlow or None        None: not measured
     axis : (3,) float [-]           optical axis of the reference camera, unit, object frame
     step : int                      from 1
     encoder, command : float [m]    see `MotionRow`
@@ -87,7 +87,7 @@ def vertex_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]
     Parameters
     ----------
     measured : PaperSession         of a rigid motion
-    method : Method                 one that was measured
+    method : Method                 a method whose motion was measured
 
     Returns
     -------
@@ -95,7 +95,7 @@ def vertex_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]
 
     Raises
     ------
-    RecordError, InputError         as `rigid_steps`
+    RecordError, InputError         as in `rigid_steps`
     """
     vertices = measured.session.mesh.vertices
     return tuple(
@@ -111,19 +111,19 @@ def vertex_row(
     *,
     step: int,
 ) -> MotionRow:
-    """A row of table 2 from the displacement of the vertices at its instant.
+    """A row of table 2 from the displacement of the vertices at one instant.
 
     Parameters
     ----------
-    measured : VertexDisplacement or None
-    vertices : (v, 3) float [m]     their places at the first instant
-    motion : (4, 4) float [m]       what really happened to them
+    measured : VertexDisplacement or None   None: not measured
+    vertices : (v, 3) float [m]     positions at the first instant
+    motion : (4, 4) float           true motion from the first instant, translation in metres
     step : int                      from 1
 
     Returns
     -------
-    MotionRow                       a vertex on the axis of a rotation has no direction: it counts
-                                    for the lengths only
+    MotionRow                       a vertex on the axis of a rotation has no direction and counts
+                                    only for the lengths
     """
     moved = np.full(vertices.shape, np.nan) if measured is None else measured.displacement
     known = np.isfinite(moved).all(axis=1)
@@ -138,12 +138,12 @@ def vertex_row(
 
 
 def flow_table(title: str, rows: Rows) -> ResultTable:
-    """Table 1 for one direction: each step by each source.
+    """Table 1 for one direction: every step, with a row for each source.
 
     Parameters
     ----------
     title : str
-    rows : mapping of source to its rows    the paper's and the methods'
+    rows : mapping                  source -> its rows, for the paper and the methods
 
     Returns
     -------
@@ -162,7 +162,7 @@ def flow_table(title: str, rows: Rows) -> ResultTable:
 
 
 def vertex_table(title: str, rows: Rows) -> ResultTable:
-    """Table 2 for one motion: each step by each source.
+    """Table 2 for one motion: every step, with a row for each source.
 
     Parameters
     ----------
@@ -185,12 +185,13 @@ def vertex_table(title: str, rows: Rows) -> ResultTable:
 
 
 def flow_summary(title: str, tests: Tests) -> ResultTable:
-    """The worst of table 1: bias and spread of lengths, spread of the angle at the first step.
+    """Summary of table 1: largest bias and standard deviation of the length over the steps, and the
+    standard deviation of the angle at the first step.
 
     Parameters
     ----------
     title : str
-    tests : mapping of motion to mapping of source to rows
+    tests : mapping                 motion -> source -> rows
 
     Returns
     -------
@@ -210,7 +211,7 @@ def flow_summary(title: str, tests: Tests) -> ResultTable:
 
 
 def vertex_summary(title: str, tests: Tests) -> ResultTable:
-    """The ends of table 2: errors of the direction at the first and at the last step.
+    """Summary of table 2: angle errors at the first and at the last step.
 
     Parameters
     ----------
@@ -232,18 +233,18 @@ def vertex_summary(title: str, tests: Tests) -> ResultTable:
 
 
 def length_bias(row: MotionRow) -> float:
-    """Mean length of table 1 less the true one [m]; NaN where it is not known.
+    """Mean length in table 1 minus the true length.
 
-    The paper's stage did not quite go where it was sent, so that its encoder is the truth; the
-    virtual stage obeys, and its command is.
+    The paper's stage did not reach the commanded positions exactly, so its encoder counts as the
+    truth; for the virtual stage the command does.
 
     Parameters
     ----------
-    row : MotionRow                 the paper's rows have no count
+    row : MotionRow                 the paper's rows are recognised by having no count
 
     Returns
     -------
-    float [m]
+    float [m]                       NaN if unknown
     """
     true = row.encoder if row.count is None else row.command
     if row.length is None or true is None:
@@ -262,7 +263,7 @@ def _each(tests: Tests) -> list[tuple[str, str, Sequence[MotionRow]]]:
 
 
 def _by_step(rows: Rows) -> list[tuple[str, MotionRow]]:
-    """Sources and their rows, step after step."""
+    """Pairs of source and row, sorted by step."""
     pairs = [(source, row) for source, each in rows.items() for row in each]
     return sorted(pairs, key=lambda pair: pair[1].step)
 
@@ -280,14 +281,14 @@ def _millimetre(length: float | None) -> float | None:
 
 
 def _worst(values: Sequence[float | None]) -> float:
-    """The value farthest from zero, with its sign; NaN where one is not known."""
+    """The value of largest magnitude, with its sign; NaN if any is unknown."""
     known = np.array(values, dtype=float)
     return float(known[np.argmax(np.abs(known))])
 
 
 def _angle(vectors: Points, others: Points) -> PointScalars:
-    """Angle between rows [rad]; NaN where one of them is zero."""
-    # Not from the cosine, which knows no angle below 1e-8.
+    """Angle between corresponding rows [rad]; NaN where one of them is zero."""
+    # Not from the cosine, which cannot resolve angles below 1e-8.
     across = np.linalg.norm(np.cross(vectors, others), axis=1)
     along = np.einsum("na,na->n", vectors, others)
     lost = (across == 0.0) & (along == 0.0)
@@ -295,7 +296,7 @@ def _angle(vectors: Points, others: Points) -> PointScalars:
 
 
 def _spread(values: PointScalars) -> Spread:
-    """Mean and standard deviation of what is known."""
+    """Mean and standard deviation of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return Spread(np.nan, np.nan)

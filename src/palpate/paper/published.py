@@ -1,6 +1,6 @@
 """The paper's own numbers: tables 1, 2 and 3, in SI units.
 
-What this project measures for the same tables has the same types, so that it can stand beside them.
+Results of this project for the same tables use the same types, so that both can be compared.
 
 Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), sections 4
 and 5. Lengths are printed in cm there, angles in degrees.
@@ -17,7 +17,7 @@ class Spread:
 
     Attributes
     ----------
-    mean, std : float               in the quantity's unit; NaN of no points
+    mean, std : float               in the quantity's unit; NaN if there are no points
     """
 
     mean: float
@@ -26,7 +26,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class MotionRow:
-    """A row of table 1 or 2: what was measured after some steps of a rigid motion.
+    """A row of table 1 or 2: measurements after some steps of a rigid motion.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class MotionRow:
                                     reference camera; table 2: between the measured and the true
                                     displacement of a vertex
     length : Spread or None [m]     of the flow or displacement; None: not printed
-    command : float or None [m]     table 1: travel that the stage was sent; table 2: mean length of
+    command : float or None [m]     table 1: commanded travel of the stage; table 2: mean length of
                                     the true displacement of the same vertices
-    encoder : float or None [m]     table 1: travel from the first instant by the stage's encoder
+    encoder : float or None [m]     table 1: travel from the first instant, from the stage's encoder
     count : int or None             tracked points or measured vertices; None: not printed
     """
 
@@ -55,7 +55,7 @@ class MaterialRow:
 
     Attributes
     ----------
-    node : int or None              that was probed; None: all of them
+    node : int or None              the probed node; None: all nodes together
     poisson_ratio : float [-]
     shear_modulus : float           unit not printed; N/cm^2 would fit its other units
     young_modulus : float           the same unit
@@ -68,8 +68,8 @@ class MaterialRow:
 
 
 def _rows(*rows: tuple[float, ...]) -> tuple[MotionRow, ...]:
-    """Rows as printed: angle and sigma [deg], then, where printed, length, sigma, encoder (table 1
-    only) and command [cm]."""
+    """Rows from the printed numbers: angle and sigma [deg], then, if printed, length, sigma,
+    encoder (table 1 only) and command [cm]."""
     made = []
     for step, row in enumerate(rows, start=1):
         angle, metres = np.deg2rad(row[:2]).tolist(), [1e-2 * length for length in row[2:]]

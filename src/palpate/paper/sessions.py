@@ -1,4 +1,4 @@
-"""Sessions of the virtual facility, their motion measured by each method, and their truth."""
+"""Sessions of the virtual facility, their motion measured by each method, and the ground truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +19,9 @@ from palpate.vision import RangeFlow
 
 Method = Literal["lang-pai", "joint"]
 METHODS: tuple[Method, ...] = ("lang-pai", "joint")
-# Share of the time that goes into making a session; measuring it takes the rest.
+# Fraction of the time for making a session; the rest is for measuring its motion.
 _MAKING = 0.5
-# A quick run: steps, and by how much pictures are smaller.
+# Quick runs: largest number of steps or probings, and divisor of the picture size.
 _QUICK_STEPS, _QUICK_SHRINK = 3, 2
 
 
@@ -31,8 +31,8 @@ class PaperSession:
 
     Attributes
     ----------
-    session : Session               `truth.toml` is beside its file
-    found : mapping of method to SessionFlow
+    session : Session               with `truth.toml` in its folder
+    found : mapping                 method -> SessionFlow
     """
 
     session: Session
@@ -52,7 +52,7 @@ class PaperSession:
 
         Raises
         ------
-        InputError                  there is none of that name
+        InputError                  no motion of that name
         """
         motions = {motion.name: motion for motion in self.found[method].motions}
         if name not in motions:
@@ -66,8 +66,8 @@ class RigidStep:
 
     Attributes
     ----------
-    motion : (4, 4) float [m]       x(step) = R x(first) + t, object frame
-    encoder : float [m]             travel of the stage by its encoder
+    motion : (4, 4) float           x(step) = R x(first) + t, object frame, t in metres
+    encoder : float [m]             travel of the stage from its encoder
     """
 
     motion: Float[np.ndarray, "4 4"]
@@ -75,9 +75,9 @@ class RigidStep:
 
 
 def quickened(config: LabConfig) -> LabConfig:
-    """A configuration for a quick look: half the pixels a side, three steps or probings at most.
+    """Reduced configuration for a quick run: half the picture size, up to three steps or probings.
 
-    The texture grows with the pixels, so that it can be matched as well.
+    The texture is enlarged with the pixels, so that it can be matched equally well.
 
     Parameters
     ----------
@@ -112,16 +112,16 @@ def measured_session(
 ) -> PaperSession:
     """Make a session in the facility and measure its motion.
 
-    The object's pose is taken as the session gives it.
+    The object's pose in the session is used without refinement.
 
     Parameters
     ----------
     config : LabConfig
-    folder : Path                   an empty folder: the session stays there
+    folder : Path                   an empty folder, in which the session is kept
     methods : sequence of Method
     variant : Variant               of Mitsuba
-    progress : callable             called with what is done (text) and how far it is (0 to 1)
-    parts : Path or None            folder that keeps what is finished, as for `make_session`
+    progress : callable             called with the current step (text) and the fraction done, 0..1
+    parts : Path or None            folder in which finished parts are stored, as in `make_session`
 
     Returns
     -------
@@ -129,7 +129,7 @@ def measured_session(
 
     Raises
     ------
-    InputError, RecordError         as `make_session` and `measure_motion`
+    InputError, RecordError         as in `make_session` and `measure_motion`
     """
     making = part_of(progress, 0.0, _MAKING)
     make_session(config, folder, variant=variant, progress=making, parts=parts)
@@ -147,7 +147,7 @@ def measured_session(
 
 
 def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
-    """What the truth beside a session says of its steps after the first.
+    """True motions of a session's steps after the first, from its `truth.toml`.
 
     Parameters
     ----------
@@ -159,8 +159,8 @@ def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
 
     Raises
     ------
-    RecordError                     no `truth.toml` that can be read, a step without its motion
-    InputError                      another number of steps than the session's
+    RecordError                     no readable `truth.toml`, a step without its motion
+    InputError                      a number of steps that differs from the session's
     """
     root = read_toml(session.path.parent / "truth.toml")
     tables = root.tables("step", "[[step]]")
@@ -177,19 +177,19 @@ def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
 
 
 def true_material(session: Session) -> Material:
-    """What the specimen of a facility's session is made of.
+    """True constants of the specimen in a session of the facility.
 
     Parameters
     ----------
-    session : Session               with truth.toml beside its file
+    session : Session               with `truth.toml` in its folder
 
     Returns
     -------
-    Material
+    Material                        the law is not read: always "linear"
 
     Raises
     ------
-    RecordError                     it cannot be read
+    RecordError                     `truth.toml` cannot be read
     """
     truth = read_toml(session.path.parent / "truth.toml")
     return Material(truth.number("young_modulus"), truth.number("poisson_ratio"))
@@ -200,14 +200,15 @@ def true_displacement(session: Session, name: str, flow: RangeFlow) -> Points:
 
     Parameters
     ----------
-    session : Session               made by the facility: `truth.toml` or truth maps beside its file
+    session : Session               made by the facility, with `truth.toml` or truth maps in its
+                                    folder
     name : str                      of a step after the first, or of a probing
     flow : RangeFlow                of that instant
 
     Returns
     -------
-    (n, 3) float [m]                of a probing: at the pixel nearest to each point; NaN where the
-                                    reference camera does not see the object there
+    (n, 3) float [m]                in a probing that of the pixel nearest to each point; NaN where
+                                    the reference camera does not see the object there
 
     Raises
     ------
@@ -227,8 +228,8 @@ def rigid_displacement(motion: Float[np.ndarray, "4 4"], points: Points) -> Poin
 
     Parameters
     ----------
-    motion : (4, 4) float [m]
-    points : (n, 3) float [m]       before it
+    motion : (4, 4) float           homogeneous matrix, translation in metres
+    points : (n, 3) float [m]       positions before the motion
 
     Returns
     -------
@@ -238,7 +239,7 @@ def rigid_displacement(motion: Float[np.ndarray, "4 4"], points: Points) -> Poin
 
 
 def _by_map(session: Session, name: str, flow: RangeFlow) -> Points:
-    """From the truth map of a probing."""
+    """True displacement from the truth map of a probing."""
     known = [probing.name for probing in session.probings]
     if name not in known:
         raise InputError(f"there is no probing '{name}'; there are {', '.join(known)}")

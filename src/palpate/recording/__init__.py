@@ -1,8 +1,8 @@
 """From videos of presses and the log of a force gauge to a session.
 
 Purpose    : find the presses in a recording, the clocks' offsets and the moments to measure at, and
-             write them down as a session.
-Takes      : recording.toml: a video or pictures a camera, a force log, a mesh, a rig.
+             write them as a session.
+Takes      : recording.toml: a video or pictures for each camera, a force log, a mesh, a rig.
 Gives      : `Recorded`, a session folder; `survey_folder` and the outline of a session.
 Depends on : `vision`, `bem`, `probe`, `records`, `geometry`.
 Read first : `record.py`, then `force/touches.py`, `clock.py` and `session_folder.py`.

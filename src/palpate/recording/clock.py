@@ -1,10 +1,10 @@
-"""The offset of a camera's clock from the gauge's, from motion and force of the same presses.
+"""Offset between a camera's clock and the gauge's, from motion and force of the same presses.
 
-First the offset at which the picture's changes go best with the force over the whole recording.
-Then, press by press, the one at which the force is best told from how far the picture has gone,
-whatever the law between the two: the same picture has the same force, going in and coming out. A
-material with hysteresis shifts that by half of it, as a share of a ramp's time. It costs nothing:
-where pictures are taken nothing moves, and a tenth of a second would do.
+A coarse search maximises the correlation of the picture's change with the force over the whole
+recording. A fine search then finds, for each press, the offset at which the force is best explained
+as a smooth function of the displacement in the picture, the same for loading and unloading.
+Hysteresis of the material biases this offset by half its fraction of the force times the duration
+of a ramp. That is harmless: pictures are taken on plateaus, where a tenth of a second would do.
 """
 
 from collections.abc import Sequence
@@ -17,43 +17,47 @@ from palpate.errors import RecordError
 from palpate.recording.force import Touch
 from palpate.recording.pictures import MARGIN, CameraMotion, Ramp
 
-# Steps of the first search [s].
+# Step of the coarse search [s].
 _STEP = 0.02
-# Signals that overlap less, as a share of the shorter one, say nothing.
+# Least overlap of the two signals, as a fraction of the shorter one.
 _OVERLAP = 0.5
-# Below it the picture does not go with the force at all; another offset as good as this is a doubt.
+# Least correlation of picture and force; another offset with this fraction of the best correlation
+# makes the result doubtful.
 _LEAST_CORRELATION, _DOUBT = 0.3, 0.95
-# Presses that follow each other in the same time, to so many seconds, can be taken for each other.
+# Presses whose intervals are equal within this time [s] can be mistaken for each other.
 _REGULAR = 0.05
-# Of the press's force: below it, the tool may still be in the air, where motion means no force.
+# Least force for certain contact, as a fraction of the peak: before contact the tool moves without
+# force.
 _CONTACT = 0.15
-# The same where the clocks are known.
+# The same if the clocks' offset is known.
 _KNOWN_CONTACT = 0.02
-# The law from motion to force: a polynomial of this order, without a say for the offset.
+# Degree of the polynomial that relates displacement and force.
 _ORDER = 3
-# Pictures of a press that tell more than such a law takes.
+# Least number of pictures of a press for fitting that polynomial.
 _FEWEST = 2 * (_ORDER + 1)
-# Steps of the second search [s], and half its width in the last round.
+# Steps of the fine search in its first and second round [s].
 _FINE, _LAST = 0.01, 0.002
-# Shares of the way at which loading and unloading are compared.
+# Fractions of the displacement at which loading and unloading are compared.
 _COMPARED = np.linspace(0.3, 0.9, 7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clock:
-    """A camera's clock beside the gauge's.
+    """A camera's clock relative to the gauge's.
 
     Attributes
     ----------
     camera : str
-    offset : float [s]              gauge's time less the camera's
-    std : float [s]                 of the offset, from the presses' scatter; NaN: not measured
-    correlation : float [-]         of the picture's changes with the force, over the recording
+    offset : float [s]              gauge's time minus the camera's
+    std : float [s]                 of the offset, from the scatter over the presses; NaN: unknown
+    correlation : float [-]         of the picture's change with the force, over the recording; NaN
+                                    if the offset was given
     scatter : float [s]             standard deviation of single presses' offsets; NaN: unknown
-    hysteresis : tuple of float [-] of each press: how much larger the force is going in than coming
-                                    out, at the same picture, as a share of the full force; NaN:
-                                    unknown, as where the offset is found: an offset looks alike
-    given : bool                    the offset was told, not found
+    hysteresis : tuple of float [-] for each press: excess of the force in loading over that in
+                                    unloading at the same picture, as a fraction of the full force;
+                                    NaN if unknown, as always for an estimated offset, which cannot
+                                    be distinguished from hysteresis
+    given : bool                    the offset was given, not estimated
     doubt : float [s] or None       another offset that fits nearly as well
     """
 
@@ -68,7 +72,7 @@ class Clock:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is doubtful about it, as ends of sentences."""
+        """Doubts about the offset, as sentences without full stop."""
         if self.doubt is None:
             return ()
         text = (
@@ -81,18 +85,18 @@ class Clock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SizeOfForce:
-    """Size of the force without weight and drift, at even times of the gauge's clock."""
+    """Magnitude of the force without weight and drift [N], at equal time steps of the gauge [s]."""
 
     time: Float[np.ndarray, " n"]
     size: Float[np.ndarray, " n"]
 
     def at(self, time: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Size at any times [N]."""
+        """Magnitude at given times [N], by linear interpolation."""
         return np.interp(time, self.time, self.size)
 
 
 def coarse_offset(force: SizeOfForce, motion: CameraMotion) -> tuple[float, float, float | None]:
-    """Offset at which the picture's changes go best with the force.
+    """Offset that maximises the correlation of the picture's change with the force.
 
     Parameters
     ----------
@@ -101,20 +105,20 @@ def coarse_offset(force: SizeOfForce, motion: CameraMotion) -> tuple[float, floa
 
     Returns
     -------
-    offset : float [s]              to a fraction of a second: the tool moves in the air as well
-    correlation : float [-]
-    doubt : float [s] or None       the best offset far from it, where it is nearly as good
+    offset : float [s]              to a fraction of a second: the tool is also seen before contact
+    correlation : float [-]         at that offset
+    doubt : float [s] or None       the best distant offset, if it is nearly as good
 
     Raises
     ------
-    RecordError                     the picture does not go with the force anywhere
+    RecordError                     the picture's change does not correlate with the force
     """
     gauge = _even(force.time, force.size)
     camera = _even(motion.time, motion.change)
-    # The correlation by its transform; scipy.signal would take every command half a second to load.
+    # Cross-correlation by FFT; importing scipy.signal would cost every command half a second.
     size = len(gauge) + len(camera) - 1
     product = np.fft.irfft(np.fft.rfft(gauge, size) * np.fft.rfft(camera[::-1], size), size)
-    # Entry [len(camera) - 1] is where both begin together.
+    # In entry [len(camera) - 1] both signals begin at the same time.
     lag = np.arange(len(product)) - (len(camera) - 1)
     shared = np.minimum(len(gauge), lag + len(camera)) - np.maximum(lag, 0)
     product[shared < _OVERLAP * min(len(gauge), len(camera))] = -np.inf
@@ -137,7 +141,7 @@ def coarse_offset(force: SizeOfForce, motion: CameraMotion) -> tuple[float, floa
 
 
 def _even(time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> np.ndarray:
-    """Values at even times, without their mean."""
+    """Values resampled at equal steps, minus their mean."""
     even = np.interp(np.arange(time[0], time[-1], _STEP), time, values)
     return even - even.mean()
 
@@ -149,13 +153,13 @@ def fine_clock(
     ramps: Sequence[Ramp | None],
     camera: str,
 ) -> Clock:
-    """The offset at which the same picture has the same force.
+    """Offset at which the force is best explained by the displacement in the picture.
 
     Parameters
     ----------
     coarse : offset, correlation, doubt     of `coarse_offset`
     force : SizeOfForce
-    touches, ramps : sequences      of the same presses
+    touches, ramps : sequences      of the same presses; a ramp is None if the camera missed it
     camera : str
 
     Returns
@@ -180,7 +184,7 @@ def fine_clock(
     for _ in range(2):
         trial = offset + np.arange(-width, width + step / 2, step)
         cost = np.stack([unexplained(value) for value in trial])
-        # Where no press is seen at some offset, nothing is known of it.
+        # The cost is unknown at offsets at which no press is seen.
         known = np.isfinite(cost).any(axis=1)
         if not known.any():
             raise RecordError(
@@ -202,9 +206,9 @@ def fine_clock(
 
 
 def _alike(touches: Sequence[Touch], shift: float) -> bool:
-    """Whether the presses would follow each other as they do if they were others, so much later.
+    """Whether the sequence of presses matches itself after a shift in time [s].
 
-    Where the pauses differ, each press would ask for an offset of its own.
+    If the pauses differ, each press would need another offset.
     """
     begin = np.array([touch.begin for touch in touches])
     away = begin[:, None] - (begin + shift)
@@ -214,7 +218,7 @@ def _alike(touches: Sequence[Touch], shift: float) -> bool:
 
 
 def _lowest(trial: Float[np.ndarray, " t"], cost: Float[np.ndarray, " t"]) -> float:
-    """Where a parabola through the lowest value and its neighbours is lowest."""
+    """Minimum of a parabola through the lowest value and its neighbours."""
     k = int(np.clip(np.nanargmin(cost), 1, len(trial) - 2))
     below, here, above = cost[k - 1 : k + 2]
     bend = below - 2.0 * here + above
@@ -225,7 +229,7 @@ def _lowest(trial: Float[np.ndarray, " t"], cost: Float[np.ndarray, " t"]) -> fl
 def _in_contact(
     force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float, least: float = _CONTACT
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, shares and forces of the frames in which the tool surely touches."""
+    """Times, displacement fractions and forces of the frames with certain contact."""
     time = ramp.time + offset
     size = force.at(time)
     inside = (time > touch.begin) & (time < touch.end) & (size > least * touch.peak)
@@ -233,7 +237,7 @@ def _in_contact(
 
 
 def _unexplained(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -> float:
-    """Share of the force's variance that the picture does not tell; NaN: too little is seen."""
+    """Fraction of the force's variance not explained by the picture; NaN if too few frames."""
     _, share, size = _in_contact(force, touch, ramp, offset)
     if len(share) < _FEWEST:
         return np.nan
@@ -243,19 +247,20 @@ def _unexplained(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) ->
 
 
 def hysteresis_of(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -> float:
-    """How much larger the force is going in than coming out at the same picture.
+    """Excess of the force in loading over that in unloading, at the same picture.
 
-    Only with clocks that are known: on even ramps an offset makes the same difference.
+    Only meaningful with a known offset: on equal ramps an error of the offset has the same effect.
 
     Parameters
     ----------
     force : SizeOfForce
     touch, ramp : Touch, Ramp       of one press
-    offset : float [s]              gauge's time less the camera's
+    offset : float [s]              gauge's time minus the camera's
 
     Returns
     -------
-    float [-]                       mean over the way, share of the full force; NaN: too little seen
+    float [-]                       mean over the displacement, as a fraction of the full force;
+                                    NaN if too few frames
     """
     time, share, size = _in_contact(force, touch, ramp, offset, _KNOWN_CONTACT)
     middle = 0.5 * (touch.begin + touch.end)

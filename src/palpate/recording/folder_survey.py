@@ -1,4 +1,4 @@
-"""What lies in a folder that is to become a session: surface, cameras, pictures, videos, tables."""
+"""Survey of a folder that is to become a session: meshes, rigs, pictures, videos, tables."""
 
 import os
 from collections.abc import Iterable
@@ -17,16 +17,16 @@ from palpate.vision import VIDEO_SUFFIXES
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _RIG_SUFFIXES = (".toml", ".yml", ".yaml", ".xml", ".json", ".mat", ".caldat")
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
-# Files of Palpate's that are no rig.
+# TOML files of Palpate that are not rigs.
 _OWN = ("session.toml", "recording.toml", "truth.toml")
-# More files are no bench's folder; a folder in the folder is looked into, not farther.
+# Largest number of files in the folder and its direct subfolders.
 _MOST_FILES = 20_000
-# Flat sides are within this share of the object's size of its end.
+# Triangles of a flat side lie within this fraction of the object's size of its extreme plane.
 _FLAT = 1e-3
 _SIDES = {"x-": (0, -1.0), "x+": (0, 1.0), "y-": (1, -1.0), "y+": (1, 1.0), "z-": (2, -1.0),
           "z+": (2, 1.0)}  # fmt: skip
 SIDES = tuple(_SIDES)
-# The most likely unit of a mesh by its largest extent: a probed object has 5 mm to 2 m.
+# Most likely unit of a mesh for its largest extent: probed objects measure 5 mm to 2 m.
 _UNITS = (("m", 2.0), ("cm", 20.0), ("mm", np.inf))
 
 
@@ -36,10 +36,11 @@ class Side:
 
     Attributes
     ----------
-    name : str                      of `SIDES`
-    point, normal : (3,) float      on it, unit of the mesh; outward
-    tolerance : float               unit of the mesh
-    share : float                   of the whole surface
+    name : str                      one of `SIDES`
+    point : (3,) float              a point of its plane, in the mesh's unit
+    normal : (3,) float             outward unit normal
+    tolerance : float               distance from the plane, in the mesh's unit
+    share : float [-]               fraction of the whole surface
     """
 
     name: str
@@ -51,14 +52,14 @@ class Side:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FolderSurvey:
-    """What was found; names are relative to the folder.
+    """Files found in a folder, with names relative to it.
 
     Attributes
     ----------
     folder : Path
     meshes, rigs, videos, pictures : tuple of str
-    displacements, forces, poses, times : tuple of str      tables, by their columns
-    rig : Rig or None               of the first file that holds one
+    displacements, forces, poses, times : tuple of str      tables, classified by their columns
+    rig : Rig or None               from the first file that holds one
     """
 
     folder: Path
@@ -74,7 +75,7 @@ class FolderSurvey:
 
 
 def survey_folder(folder: Path) -> FolderSurvey:
-    """Look through a folder and the folders in it; nothing is changed.
+    """Survey a folder and its direct subfolders, without changing anything.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def survey_folder(folder: Path) -> FolderSurvey:
 
     Raises
     ------
-    RecordError                     no such folder, a disk as a whole, or one of too many files
+    RecordError                     no such folder, not readable, the root of a disk, too many files
     """
     if not folder.is_dir():
         raise RecordError(f"{folder}: no such folder; make it, and put the mesh into it")
@@ -123,16 +124,16 @@ def survey_folder(folder: Path) -> FolderSurvey:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Every name of a file once, however many links lead to the folder that it stands in."""
+    """All files, each once, even if several links lead to its folder."""
     within = [one for one in folder.glob("*") if one.is_dir()]
-    # The folder itself first, then those that are no links.
+    # The folder itself first, then real subfolders, then links.
     folders = [folder, *sorted(within, key=lambda one: (one.is_symlink(), one))]
     once = {one.resolve(): one for one in reversed(folders)}
     return [file for one in once.values() for file in one.glob("*") if os.path.isfile(file)]
 
 
 def _table_kind(path: Path) -> str:
-    """What a table holds, by its columns; empty where it is none of ours."""
+    """Kind of a table according to its columns; empty if none of those sought."""
     try:
         table = read_text_table(path, cure="")
     except PalpateError:
@@ -149,16 +150,16 @@ def _table_kind(path: Path) -> str:
 
 
 def read_surface(survey: FolderSurvey, name: str) -> TriangleMesh:
-    """The surface of a mesh file, in its own unit.
+    """Surface from a mesh file, in the file's own unit.
 
     Parameters
     ----------
     survey : FolderSurvey
-    name : str                      of the file
+    name : str                      of the file, relative to the folder
 
     Raises
     ------
-    MeshError                       it cannot be read
+    MeshError                       the file cannot be read
     """
     try:
         return read_mesh(survey.folder / name, metres_per_unit=1.0)
@@ -167,7 +168,7 @@ def read_surface(survey: FolderSurvey, name: str) -> TriangleMesh:
 
 
 def likely_unit(mesh: TriangleMesh) -> str:
-    """The unit in which an object that one can probe on a bench has these numbers.
+    """Most likely unit of a mesh, if the object is one that can be probed on a bench.
 
     Parameters
     ----------
@@ -182,7 +183,7 @@ def likely_unit(mesh: TriangleMesh) -> str:
 
 
 def usual_radius(mesh: TriangleMesh) -> float:
-    """A radius of contact to begin with: a twentieth of the object, one digit.
+    """Default contact radius: a twentieth of the object's largest extent, to one digit.
 
     Parameters
     ----------
@@ -196,7 +197,7 @@ def usual_radius(mesh: TriangleMesh) -> float:
 
 
 def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
-    """Flat sides at the ends of the axes, the largest first; the lower one of equals is first.
+    """Flat sides perpendicular to the axes, the largest first; among equals the lower one first.
 
     Parameters
     ----------
@@ -204,7 +205,7 @@ def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
 
     Returns
     -------
-    tuple of Side                   empty where there is none
+    tuple of Side                   empty if there is none
     """
     areas = triangle_areas(mesh)
     size = float(np.ptp(mesh.vertices, axis=0).max())
@@ -221,16 +222,20 @@ def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
 
 
 def chosen_side(sides: tuple[Side, ...], name: str | None) -> Side | None:
-    """The side that was asked for, or the largest.
+    """The requested flat side, or the largest.
 
     Parameters
     ----------
     sides : tuple of Side
-    name : str or None              of `SIDES`
+    name : str or None              one of `SIDES`; None: the largest
+
+    Returns
+    -------
+    Side or None                    None if there is no flat side and no name was given
 
     Raises
     ------
-    InputError                      the object is not flat there
+    InputError                      the object has no flat side of that name
     """
     if name is None:
         return sides[0] if sides else None

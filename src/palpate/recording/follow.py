@@ -1,4 +1,4 @@
-"""What the cameras saw at the gauge's times: clocks, when nothing moved, when to look at rest."""
+"""Camera pictures on the gauge's clock: clock offsets, times of rest, moments for rest pictures."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,14 +22,14 @@ from palpate.recording.pictures import (
 )
 from palpate.recording.recording_file import Recording
 
-# Between a touch and the picture at rest before it, and how long nothing moves around that [s].
+# Least time between a touch and the rest picture before it, and least duration of that rest [s].
 _AWAY, _REST = 0.15, 0.2
-# Changes of a picture, of its largest, that are no different.
+# Changes of a picture that differ by less than this fraction of the largest count as equal.
 _AS_GOOD = 0.01
-# Offsets of single presses may scatter by so many frames; more than that is a clock of its own.
+# Largest scatter of single presses' offsets, in frames; more means that a clock runs unevenly.
 _MOST_SCATTER = 1.0
-# An offset that was told may differ from what is found by so many of its sigmas, frames, and shares
-# of a ramp: a hysteresis of 30 % shifts by the last.
+# A given offset may differ from the estimated one by the largest of: so many standard deviations,
+# frames, and fractions of a ramp's duration (the bias that a hysteresis of 30 % causes).
 _SIGMAS, _FRAMES, _RAMPS = 5.0, 1.0, 0.15
 
 Span = tuple[float, float]
@@ -44,28 +44,28 @@ def follow(
     *,
     progress: Progress = silent,
 ) -> tuple[tuple[CameraMotion, ...], tuple[Clock, ...]]:
-    """Changes in every camera's pictures, and its clock; each video is decoded twice.
+    """Motion in every camera's pictures, and its clock offset; each video is decoded twice.
 
     Parameters
     ----------
     recording : Recording
     even, zero : EvenForce, Zero
-    touches, plateaus : sequences   of the same presses, in the force alone
-    progress : callable
+    touches, plateaus : sequences   of the same presses, found in the force alone
+    progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
     -------
-    motions, clocks : tuples        one a camera
+    motions, clocks : tuples        one of each per camera
 
     Raises
     ------
-    RecordError                     a video that cannot be decoded or shows no press; clocks that do
-                                    not run alike, or not as was told
+    RecordError                     a video that cannot be decoded or shows no press; a clock that
+                                    drifts against the gauge's, or contradicts a given offset
     """
     size = np.linalg.norm(even.force - zero.at(even.time), axis=1)
     known = np.isfinite(size)
     force = SizeOfForce(even.time, np.interp(even.time, even.time[known], size[known]))
-    # Without a plateau the middle of a touch is as good as any moment of it.
+    # Without a plateau, take the middle of the touch.
     middles = [0.5 * (touch.begin + touch.end) for touch in touches]
     rests = [plateau or (m, m) for plateau, m in zip(plateaus, middles, strict=True)]
     count = len(recording.footage)
@@ -88,7 +88,7 @@ def _clock(
     touches: Sequence[Touch],
     rests: Sequence[Span],
 ) -> Clock:
-    """A camera's clock; where it was told, it is compared with what the pictures say."""
+    """A camera's clock offset; a given one is checked against the estimate from the pictures."""
     told = footage.offset
     coarse = coarse_offset(force, motion) if told is None else (told, np.nan, None)
     times = [
@@ -128,13 +128,13 @@ def still_pictures(
     clocks: Sequence[Clock],
     plateaus: Sequence[Span | None],
 ) -> Bool[np.ndarray, " n"]:
-    """When all cameras recorded and none of their pictures moved.
+    """Times at which all cameras recorded and no motion is seen in any of them.
 
     Parameters
     ----------
     even : EvenForce
-    motions, clocks : sequences     one a camera
-    plateaus : sequence of (begin, end) or None     when the force is at rest, gauge's clock
+    motions, clocks : sequences     one per camera
+    plateaus : sequence of (begin, end) [s] or None     plateaus of the force, gauge's clock
 
     Returns
     -------
@@ -145,7 +145,7 @@ def still_pictures(
         shifted = [(a - clock.offset, b - clock.offset) for a, b in filter(None, plateaus)]
         flags = still_frames(motion, shifted)
         time = motion.time + clock.offset
-        # Between two frames something moved if the later one differs.
+        # Motion between two frames shows in the later one.
         later = np.searchsorted(time, even.time)
         inside = (later > 0) & (later < len(time))
         later = np.clip(later, 1, len(time) - 1)
@@ -161,20 +161,20 @@ def rest_before(
     free: Span,
     still: Bool[np.ndarray, " n"],
 ) -> Span | None:
-    """The moment at rest within a pause at which the pictures show the least of the tool.
+    """Time span at rest within a pause, chosen so that the tool is least visible.
 
-    They are compared with the first one of each camera: the recording begins with the tool away.
+    Pictures are compared with the first one of each camera, when the tool is away.
 
     Parameters
     ----------
     even : EvenForce
-    motions, clocks : sequences     one a camera
-    free : (begin, end) [s]         of the pause
-    still : (n,) bool               when nothing moves, at the times of `even`
+    motions, clocks : sequences     one per camera
+    free : (begin, end) [s]         the pause, without contact
+    still : (n,) bool               no motion, at the times of `even`
 
     Returns
     -------
-    (begin, end) [s], or None where there is none
+    (begin, end) [s] or None        gauge's clock; None if there is no such span
     """
     time = even.time
     quiet = still & (time > free[0] + _AWAY) & (time < free[1] - _AWAY)
@@ -187,7 +187,7 @@ def rest_before(
         mean = np.convolve(change, np.ones(length) / length, "valid")
         least = float(mean.min())
         if best is None or least < best[0]:
-            # As good as the best are many; their middle is farthest from whatever moves.
+            # Many spans are nearly as good; take their middle, farthest from any motion.
             good = np.flatnonzero(mean < least + _AS_GOOD * len(motions))
             k = first + int(good[len(good) // 2])
             best = least, (float(time[k]), float(time[k + length - 1]))
@@ -197,7 +197,7 @@ def rest_before(
 def _change(
     motions: Sequence[CameraMotion], clocks: Sequence[Clock], time: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Change of all pictures since the first ones, each in parts of its largest."""
+    """Sum over the cameras of the change since the first picture, each relative to its maximum."""
     parts = [
         np.interp(time - clock.offset, motion.time, motion.change) / max(motion.change.max(), 1e-12)
         for motion, clock in zip(motions, clocks, strict=True)

@@ -1,4 +1,4 @@
-"""The first session.toml or recording.toml of a folder, with comments on what is to be said."""
+"""Template of a session.toml or recording.toml for a folder, with comments on what to fill in."""
 
 import re
 from collections.abc import Sequence
@@ -12,32 +12,32 @@ from palpate.recording.recording_file import RECORDING_FORMAT
 from palpate.records import SESSION_FORMAT
 
 Template = Literal["lab", "dic", "robot", "gauge"]
-# What each template is for, and the file that it makes.
+# Purpose of each template, and the file that it makes.
 TEMPLATES: dict[str, tuple[str, str]] = {
     "lab": ("sorted pictures of calibrated cameras", "session.toml"),
     "dic": ("displacements from image correlation or another program", "session.toml"),
     "robot": ("videos, a force log and a log of the tool's pose", "recording.toml"),
     "gauge": ("videos and the log of a force gauge; the contact is found", "recording.toml"),
 }
-# Still to be filled in: a session that says so is refused with a message that names the place.
+# Marks what is still to be filled in; `palpate init` counts these marks.
 _FILL = "# <- fill in"
 
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """What a new session is about.
+    """What is known of a new session.
 
     Parameters
     ----------
-    template : str                  of `TEMPLATES`
+    template : str                  one of `TEMPLATES`
     name : str
-    mesh : str                      file
-    unit : str                      of its lengths
-    side : Side or None             that is held
-    radius : float                  of the touched patch, the same unit
-    radius_known : bool             it was said, and is no guess
-    tool_radius : float or None     of a ball that presses, the same unit; the touched patch then
-                                    follows from it
+    mesh : str                      mesh file
+    unit : str                      of all lengths
+    side : Side or None             flat side that is held
+    radius : float                  contact radius, in that unit
+    radius_known : bool             the radius was given, not guessed
+    tool_radius : float or None     radius of a ball that presses, in that unit; the contact radius
+                                    is then computed from it
     """
 
     template: Template
@@ -51,7 +51,7 @@ class Outline:
 
 
 def likely_template(survey: FolderSurvey) -> Template:
-    """The template for what lies in a folder.
+    """The template that suits the files of a folder.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def likely_template(survey: FolderSurvey) -> Template:
 
     Returns
     -------
-    str
+    str                             one of `TEMPLATES`
     """
     if survey.videos or survey.forces:
         return "robot" if survey.poses else "gauge"
@@ -67,7 +67,7 @@ def likely_template(survey: FolderSurvey) -> Template:
 
 
 def outline_text(survey: FolderSurvey, outline: Outline) -> str:
-    """The file's text.
+    """Text of the session.toml or recording.toml.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def outline_text(survey: FolderSurvey, outline: Outline) -> str:
 
     Raises
     ------
-    InputError                      a mesh that is not in the folder
+    InputError                      the mesh is not in the folder
     """
     if outline.mesh not in survey.meshes:
         raise InputError(
@@ -100,7 +100,7 @@ def outline_text(survey: FolderSurvey, outline: Outline) -> str:
 
 
 def _line(text: str, comment: str, *, fill: bool = False) -> str:
-    """A line with a comment; marked where something is to be filled in."""
+    """A line with a comment, marked if something is to be filled in."""
     mark = f"{_FILL}: " if fill else "# "
     return f"{text:<30}{mark}{comment}\n" if comment else f"{text:<30}{mark}".rstrip(": ") + "\n"
 
@@ -201,7 +201,7 @@ def _contact(survey: FolderSurvey, outline: Outline) -> str:
 
 
 def _pictured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
-    """A probing for every loaded picture that all cameras have."""
+    """One probing for each loaded picture that all cameras have."""
     names = [camera.name for camera in survey.rig.cameras] if survey.rig else []
     patterns = _patterns(survey.pictures, names)
     rests = [pattern for pattern in patterns if "rest" in Path(pattern).name]
@@ -218,7 +218,7 @@ def _pictured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
 
 
 def _patterns(pictures: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """Names with `{camera}` in place of a camera's, where there is a picture of every camera."""
+    """File patterns with `{camera}` for the camera's name, where every camera has a picture."""
     found: dict[str, set[str]] = {}
     for picture in pictures:
         path = Path(picture)
@@ -231,7 +231,7 @@ def _patterns(pictures: Sequence[str], cameras: Sequence[str]) -> list[str]:
 
 
 def _measured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
-    """A probing for every table of displacements."""
+    """One probing for each table of displacements."""
     files = survey.displacements or ("n01.csv",)
     missing = not survey.displacements
     what = "x,y,z,ux,uy,uz; palpate import writes it" if missing else "x,y,z,ux,uy,uz"
@@ -256,7 +256,7 @@ def _probe(name: str, outline: Outline) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text of TOML."""
+    """A TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'
 

@@ -1,4 +1,4 @@
-"""The log of the tool's pose: where its tip was when it touched, and how far it went."""
+"""Log of the tool's pose: position of its tip at first contact, and its travel."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,19 +19,19 @@ from palpate.shapes import Points, Vector3
 
 _WORDS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
 _CURE = "a log of poses is a table with the columns time, x, y, z"
-# How long before a touch is noticed it may have begun [s].
+# Largest delay between the true contact and its detection in the force [s].
 _EARLIER = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseLog:
-    """Places of the tool's tip.
+    """Positions of the tool's tip over time.
 
     Attributes
     ----------
-    time : (n,) float [s]           gauge's clock, increasing
-    place : (n, 3) float [m]        of the tip's end, object frame
-    source : str
+    time : (n,) float [s]           gauge's clock, not decreasing
+    place : (n, 3) float [m]        position of the tip's end, object frame
+    source : str                    file, for messages
     """
 
     time: Float[np.ndarray, " n"]
@@ -39,11 +39,11 @@ class PoseLog:
     source: str
 
     def at(self, time: float) -> Vector3:
-        """Place at a time.
+        """Position at a time, by linear interpolation.
 
         Parameters
         ----------
-        time : float [s]
+        time : float [s]            gauge's clock
 
         Returns
         -------
@@ -51,7 +51,7 @@ class PoseLog:
 
         Raises
         ------
-        RecordError                 before the first line or after the last
+        RecordError                 a time outside the log
         """
         if not self.time[0] <= time <= self.time[-1]:
             raise RecordError(
@@ -66,9 +66,9 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
 
     Parameters
     ----------
-    path : Path                     a table, or a bag, whose lengths are metres
-    metres_per_unit : float         of a table's lengths
-    topic : str or None             of a bag; None: its only one with poses
+    path : Path                     a table, or a bag, whose lengths are in metres
+    metres_per_unit : float         unit of a table's lengths
+    topic : str or None             of a bag; None: the only one with poses
 
     Returns
     -------
@@ -76,7 +76,7 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
 
     Raises
     ------
-    RecordError                     no such table or columns; times that run backwards
+    RecordError                     no such table or columns; times that decrease
     """
     table = read_log_table(path, topic=topic, wanted=PLACES, cure=_CURE)
     unit = 1.0 if path.suffix.lower() in BAG_SUFFIXES else metres_per_unit
@@ -90,10 +90,10 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
 
 
 def tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3, Vector3, float]:
-    """Where the tip touched, how far it had gone at the reading, and how sure that is.
+    """Contact point, displacement of the tip up to the reading, and its standard deviation.
 
-    The force shows a touch a little late: how far the tip went in the tenth of a second before is
-    the width of what is not known.
+    Contact is detected with a delay of up to a tenth of a second; the contact point is taken as
+    uniformly distributed over the path of the tip during that time.
 
     Parameters
     ----------
@@ -103,9 +103,9 @@ def tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3,
 
     Returns
     -------
-    point : (3,) float [m]
-    displacement : (3,) float [m]
-    std : float [m]                 of a component
+    point : (3,) float [m]          of first contact
+    displacement : (3,) float [m]   from there to the reading
+    std : float [m]                 of each component of the displacement
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""From a recording to its presses: when the tool touched, when all rested, with what force."""
+"""Presses of a recording: times of contact and of rest, and the force at each."""
 
 from dataclasses import dataclass
 
@@ -39,11 +39,11 @@ class Press:
 
     Attributes
     ----------
-    number : int                    from 1, in time, left out ones counted
+    number : int                    from 1, in order of time, including presses that are left out
     name : str                      of the probing
     touch : Touch
     reading : Reading
-    rest : (begin, end) [s]         when the picture at rest is taken, gauge's clock
+    rest : (begin, end) [s]         time span of the rest picture, gauge's clock
     """
 
     number: int
@@ -55,17 +55,17 @@ class Press:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """What was found in a recording.
+    """Result of the analysis of a recording.
 
     Attributes
     ----------
     log : ForceLog
     even : EvenForce
     zero : Zero
-    touches : tuple of Touch        all of them
+    touches : tuple of Touch        all touches
     presses : tuple of Press        those that can be measured
     motions : tuple of CameraMotion in the rig's order
-    clocks : tuple of Clock
+    clocks : tuple of Clock         in the rig's order
     notes : tuple of str            what was left out, dropped or assumed, in sentences
     """
 
@@ -82,12 +82,12 @@ class Recorded:
 def find_presses(recording: Recording, *, progress: Progress = silent) -> Recorded:
     """Find the presses of a recording, the clocks' offsets and the moments to measure at.
 
-    Every video is decoded twice, a frame at a time.
+    Every video is decoded twice, frame by frame.
 
     Parameters
     ----------
     recording : Recording
-    progress : callable
+    progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
     -------
@@ -96,7 +96,7 @@ def find_presses(recording: Recording, *, progress: Progress = silent) -> Record
     Raises
     ------
     RecordError                     no press, a video that cannot be decoded or shows no press, a
-                                    camera whose clock runs differently, no moment at rest
+                                    camera whose clock drifts, no moment at rest
     """
     log = read_force_log(recording.gauge)
     even = even_force(log)
@@ -127,7 +127,7 @@ def find_presses(recording: Recording, *, progress: Progress = silent) -> Record
 
 
 def _require_any(recording: Recording, reasons: list[str]) -> None:
-    """Refuse a recording of which every press is left out for a reason."""
+    """Refuse a recording in which there is a reason to leave out every press."""
     if reasons and all(reasons):
         told = "; ".join(dict.fromkeys(reasons[:3]))
         raise RecordError(f"{recording.path}: none of the presses can be measured: {told}")

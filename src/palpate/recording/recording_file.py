@@ -1,4 +1,4 @@
-"""recording.toml: what was recorded, of which object, and how it is to be read."""
+"""Reads recording.toml: the object, the recorded files, and how to interpret them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,21 +26,22 @@ RECORDING_FORMAT = "palpate-recording/1"
 _ROOT = ("format", "name", "object", "support", "gravity", "rig", "force", "camera", "contact")
 _FORCE = ("file", "time", "time_unit", "columns", "unit", "axes", "sign", "limit", "topic")
 _CAMERA = ("name", "video", "pictures", "times", "offset")
-# Of which force the readings are: what the tool does to the object, or the object to the tool.
+# Sign convention of the gauge: force of the tool on the object, or of the object on the tool.
 _SIGNS = ("on object", "on tool")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Where the tool touches, as far as it is known.
+    """The table [contact]: contact points, or how to find them.
 
     Attributes
     ----------
-    points : (k, 3) float [m] or None   one a press, told
+    points : (k, 3) float [m] or None   given contact points, one per press
     poses : Path or None            log of the tool's tip: time, x, y, z
-    patch : dict                    other keys of a probing's contact, as they will be written
-    radii : tuple of float or None  one a press in place of a common one, the session's unit
-    topic : str or None             of the poses in a bag; None: its only one of poses
+    patch : dict                    other keys of a probing's contact, written to the session as is
+    radii : tuple of float or None  contact radii, one per press, in the session's unit; None: a
+                                    common one in `patch`
+    topic : str or None             of the poses in a bag; None: the only one with poses
     """
 
     points: Float[np.ndarray, "k 3"] | None
@@ -52,21 +53,21 @@ class Places:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What was recorded of one object.
+    """A recording of one object, as described in recording.toml.
 
     Attributes
     ----------
     path : Path                     recording.toml
     name : str
-    head : dict                     tables of the session that are taken over as they are
+    head : dict                     tables that are copied to the session unchanged
     mesh : TriangleMesh
     held : (k,) int                 triangles of the supports
-    metres_per_unit : float [m]
+    metres_per_unit : float [m]     length unit of the file
     rig : Rig
     gauge : Gauge
-    footage : tuple of Footage      a camera each, in the rig's order
+    footage : tuple of Footage      one per camera, in the rig's order
     places : Places
-    files : tuple of Path           that the session needs beside it: mesh, rig, lists of triangles
+    files : tuple of Path           files copied to the session: mesh, rig, lists of triangles
     """
 
     path: Path
@@ -83,11 +84,11 @@ class Recording:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read and check recording.toml, the object, its rig, and that all files are there.
+    """Read and check recording.toml, mesh and rig; checks that all files exist.
 
     Parameters
     ----------
-    path : Path                     the file, or the folder that holds it
+    path : Path                     the file, or its folder
 
     Returns
     -------
@@ -95,8 +96,8 @@ def read_recording(path: Path) -> Recording:
 
     Raises
     ------
-    RecordError                     anything wrong in it; the text names file, table and key
-    MeshError, CalibrationError     a mesh or rig that cannot be used
+    RecordError                     any mistake in the file; the text names file, table and key
+    MeshError, CalibrationError     an invalid mesh or rig
     """
     root = read_toml(path / "recording.toml" if path.is_dir() else path)
     root.check_keys(_ROOT)
@@ -133,7 +134,7 @@ def _support_lists(root: TomlTable) -> list[TomlTable]:
 
 
 def _gauge(table: TomlTable) -> Gauge:
-    """How the force log is to be read."""
+    """The table [force]: how to read the force log."""
     table.check_keys(_FORCE)
     sign = table.choice("sign", _SIGNS) if "sign" in table.values else _SIGNS[0]
     axes = table.get("axes")
@@ -189,7 +190,7 @@ def _footage(table: TomlTable, name: str) -> Footage:
 
 
 def _places(table: TomlTable, metres: float) -> Places:
-    """Where the tool touches: points, a log of the tip, or still to be found."""
+    """The table [contact]: given points, a log of the tip, or neither: points to be found."""
     own = ("points", "poses", "radius", "topic")
     patch = {key: value for key, value in table.values.items() if key not in own}
     for key in ("point", "triangles", "support"):
@@ -216,16 +217,16 @@ def _places(table: TomlTable, metres: float) -> Places:
 
 
 def check_count(recording: Recording, presses: int) -> None:
-    """Refuse lists of contacts that have not one entry for each press.
+    """Refuse lists of contacts that do not have one entry for each press.
 
     Parameters
     ----------
     recording : Recording
-    presses : int                   that were found, left out ones included
+    presses : int                   number of presses found, including those left out
 
     Raises
     ------
-    RecordError
+    RecordError                     another number of entries
     """
     places = recording.places
     for key, values in (("points", places.points), ("radius", places.radii)):

@@ -1,4 +1,4 @@
-"""A recording as a session folder: pictures, copies of what it names, session.toml, a table."""
+"""Writes a recording as a session folder: pictures, copied files, session.toml, presses.csv."""
 
 import shutil
 from dataclasses import dataclass
@@ -22,23 +22,23 @@ from palpate.vision import JointFlow, is_valid, read_pictures
 
 _PICTURES = "images"
 _REST, _LOADED = "{name}_rest_{{camera}}.png", "{name}_{{camera}}.png"
-# Without a radius the motion is looked at as if the contact had this share of the tool's radius,
-# or of the object's size.
+# Contact radius assumed in the search for the contact if none is given: this fraction of the
+# tool's radius, or of the object's size.
 _TOUCHED, _USUAL_RADIUS = 0.5, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedPress:
-    """Where a press was, as the session has it.
+    """A press with its contact point.
 
     Attributes
     ----------
     press : Press
-    point : (3,) float [m]          object frame
-    point_std : float [m]           along the surface, of each direction; NaN: told
-    travel : (3,) float [m] or None     of the contact point, from a log of poses
-    travel_std : float [m]
-    frames : int                    that the picture under load is the mean of
+    point : (3,) float [m]          contact point, object frame
+    point_std : float [m]           standard deviation along each tangent; NaN: not estimated
+    travel : (3,) float [m] or None     displacement of the contact point, from a log of poses
+    travel_std : float [m]          standard deviation of each component; NaN without a log
+    frames : int                    number of frames averaged for the picture under load
     """
 
     press: Press
@@ -52,23 +52,23 @@ class PlacedPress:
 def write_recorded(
     folder: Path, recording: Recording, found: Recorded, *, progress: Progress = silent
 ) -> tuple[PlacedPress, ...]:
-    """Write a session; what is written is read again before it counts.
+    """Write a session folder and check it by reading it back.
 
     Parameters
     ----------
-    folder : Path                   exists, empty
+    folder : Path                   an existing, empty folder
     recording : Recording
     found : Recorded
-    progress : callable
+    progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
     -------
-    tuple of PlacedPress
+    tuple of PlacedPress            one for each probing
 
     Raises
     ------
-    RecordError                     a press beside the object, or one that pulls; a file that cannot
-                                    be written
+    RecordError                     a force that pulls, a contact that cannot be found, an invalid
+                                    session; a file that cannot be written
     """
     for file in recording.files:
         shutil.copyfile(file, folder / file.name)
@@ -97,7 +97,8 @@ def write_recorded(
 def _write_pictures(
     folder: Path, recording: Recording, found: Recorded, progress: Progress
 ) -> dict[str, int]:
-    """Pictures at rest and under load of every camera; the least number of frames of each."""
+    """Write pictures at rest and under load of every camera; gives, for each picture, the least
+    number of averaged frames over the cameras."""
     frames: dict[str, int] = {}
     count = len(recording.footage)
     for k, (footage, motion, clock) in enumerate(
@@ -121,7 +122,7 @@ def _write_pictures(
 def _placed(
     folder: Path, recording: Recording, press: Press, model: ContactModel | None, frames: int
 ) -> PlacedPress:
-    """Where a press was: told, from the log of poses, or from how the surface moved."""
+    """Contact point of a press: given, from the log of poses, or from the surface's motion."""
     places, travel, travel_std, std = recording.places, None, np.nan, np.nan
     if places.points is not None:
         point = places.points[press.number - 1]
@@ -147,7 +148,7 @@ def _placed(
 def _found(
     folder: Path, recording: Recording, press: Press, model: ContactModel
 ) -> tuple[Vector3, float]:
-    """The contact from the motion of the surface in the pictures."""
+    """Contact point and its standard deviation from the motion of the surface in the pictures."""
     pictures = [
         read_pictures(
             recording.rig, name.format(name=press.name), folder=folder / _PICTURES,
@@ -175,7 +176,7 @@ def _found(
 
 
 def _write_session(folder: Path, recording: Recording, placed: list[PlacedPress]) -> None:
-    """session.toml, in the recording's own unit of length."""
+    """Write session.toml, in the recording's own unit of length."""
     head = _local(recording.head, {path.name for path in recording.files})
     content: dict[str, Any] = {"format": SESSION_FORMAT, "name": recording.name, **head}
     content["probe"] = [_probe(recording, one) for one in placed]
@@ -183,7 +184,7 @@ def _write_session(folder: Path, recording: Recording, placed: list[PlacedPress]
 
 
 def _local(value: Any, names: set[str]) -> Any:
-    """Texts that name a copied file, with its name in this folder."""
+    """Nested tables in which paths of copied files are replaced by their names in this folder."""
     if isinstance(value, dict):
         return {key: _local(item, names) for key, item in value.items()}
     if isinstance(value, list):
@@ -221,7 +222,7 @@ _HEADINGS = (
 
 
 def _table(found: Recorded, placed: list[PlacedPress]) -> str:
-    """A line for each press, times of the gauge's clock."""
+    """CSV table with a line for each press, times on the gauge's clock."""
     lines = [_HEADINGS]
     for one in placed:
         press, reading = one.press, one.press.reading
@@ -235,7 +236,7 @@ def _table(found: Recorded, placed: list[PlacedPress]) -> str:
 
 
 def hysteresis(found: Recorded, press: Press) -> float:
-    """Mean over the cameras of how much larger the force is going in than coming out.
+    """Hysteresis of a press, the mean of `Clock.hysteresis` over the cameras.
 
     Parameters
     ----------
@@ -244,7 +245,7 @@ def hysteresis(found: Recorded, press: Press) -> float:
 
     Returns
     -------
-    float [-]                       share of the full force; NaN where no camera tells
+    float [-]                       fraction of the full force; NaN if unknown for all cameras
     """
     values = np.array([clock.hysteresis[press.number - 1] for clock in found.clocks])
     known = values[np.isfinite(values)]

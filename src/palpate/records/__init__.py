@@ -1,6 +1,6 @@
-"""What was measured and what was estimated, as records that cross rooms, and their files.
+"""Records of measurements and estimates that are passed between rooms, and their files.
 
-Purpose    : frozen dataclasses that check themselves, and everything that reads or writes them.
+Purpose    : frozen dataclasses that validate themselves, with their readers and writers.
 Takes      : session folders, displacement CSV, rig.toml, estimate.json, files of other programs.
 Gives      : `Session`, `Probing`, `Contact`, `DisplacementField`, `Rig`, `Estimate`, in SI units.
 Depends on : `geometry`, `arrays`, `optional_imports`, `shapes`, `errors`.

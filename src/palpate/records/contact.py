@@ -1,4 +1,4 @@
-"""Where a tool presses, and how its pressure is spread there; what is held, and how it moves."""
+"""Contacts and supports: where a tool presses and its pressure profile; what is held, and how."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Pressure = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
 
 
 def smooth_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """(1 - s^2)^2: falls off to the rim without a kink, as under a soft tool.
+    """(1 - s^2)^2: decreases smoothly to zero at the rim, as under a soft tool.
 
     Parameters
     ----------
@@ -22,13 +22,13 @@ def smooth_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
     Returns
     -------
-    array [-]                       1 at the centre, 0 from the rim on; users normalise it
+    array [-]                       1 at the centre, 0 from the rim on; callers normalise it
     """
     return np.clip(1 - s**2, 0, None) ** 2
 
 
 def uniform_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """1 within the rim, 0 beyond, as under a flat tool on a soft layer.
+    """1 inside the radius, 0 outside, as under a flat tool on a soft layer.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def uniform_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def hertz_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """sqrt(1 - s^2), under a sphere without friction (Hertz 1881).
+    """sqrt(1 - s^2), under a frictionless sphere (Hertz 1881).
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def hertz_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def flat_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """1 / sqrt(1 - s^2), under a rigid flat punch without friction.
+    """1 / sqrt(1 - s^2), under a frictionless rigid flat punch.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def flat_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
     Returns
     -------
-    array [-]                       1 at the centre, without bound at the rim, 0 from there on
+    array [-]                       1 at the centre, singular at the rim, 0 from there on
 
     Source
     ------
@@ -78,7 +78,7 @@ def flat_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def cone_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """arcosh(1 / s), under a rigid cone without friction.
+    """arcosh(1 / s), under a frictionless rigid cone.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def cone_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
     Returns
     -------
-    array [-]                       without bound at the centre, as a logarithm; 0 from the rim on
+    array [-]                       logarithmically singular at the centre; 0 from the rim on
 
     Source
     ------
@@ -95,8 +95,8 @@ def cone_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.arccosh(1.0 / np.clip(s, 1e-9, 1.0))
 
 
-# To add a tool shape: a file with its pressure, and one line here. Only the shape of the curve
-# counts: it is scaled so that the total is the force.
+# To add a tool shape, add its pressure function and one line here. Only the shape of the curve
+# matters: it is scaled so that its integral is the force.
 PRESSURES: Mapping[str, Pressure] = {
     "smooth": smooth_pressure,
     "uniform": uniform_pressure,
@@ -104,50 +104,51 @@ PRESSURES: Mapping[str, Pressure] = {
     "flat": flat_pressure,
     "cone": cone_pressure,
 }
-# The hat function of the vertex nearest to the contact point; a patch without a radius.
+# Linear hat function of the vertex nearest to the contact point; a contact without a radius.
 VERTEX = "vertex"
-# A load over given triangles: the same traction everywhere, or a grip that keeps them rigid.
+# Loads over given triangles: uniform traction, or a grip that moves them rigidly.
 UNIFORM, RIGID = "uniform", "rigid"
-# Tools, and what a surface does under them.
+# Shapes of tools, and friction between tool and surface.
 SPHERE, FLAT, CONE, CYLINDER = TOOL_SHAPES = ("sphere", "flat", "cone", "cylinder")
 SLIDES, STICKS = FRICTIONS = ("slides", "sticks")
-# Of a tool's radius, and at most of the object's size: where the search for the circle starts.
+# Initial contact radius of a search: this fraction of the tool's radius, but at most this fraction
+# of the object's size.
 _TOUCHED, _TOUCHED_OF_OBJECT = 0.5, 0.05
-# Sharpest cone [rad].
+# Least half opening angle of a cone [rad].
 _SHARPEST = 0.5
 # How a support moves.
 FIXED, GIVEN, FREE = MOTIONS = ("fixed", "given", "free")
-# Of the largest singular value: directions that add less to others are the same again.
+# Smallest singular value of the directions over the largest, below which they are dependent.
 _SAME_DIRECTION = 1e-3
-# Beds of springs [N/m^3]: a metre of the softest gel, and a tenth of a millimetre of diamond.
+# Range of foundation moduli [N/m^3]: a metre of the softest gel to a tenth of a millimetre of
+# diamond.
 _SOFTEST, _STIFFEST = 1.0, 1e16
-# Turns beyond which the displacement of a rigid motion is no longer linear in it: cos differs from
-# 1 by 1e-3.
+# Largest rotation for which rigid displacements count as linear in it [rad]: cos is 1e-3 below 1.
 _LARGEST_TURN = 0.05
 
 
 def contact_profiles() -> tuple[str, ...]:
-    """Names that a contact's profile may have."""
+    """Permitted names of a contact's pressure profile."""
     return (*PRESSURES, VERTEX)
 
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """A rigid tool; what it touches follows from the contact.
+    """A rigid tool; its contact patch follows from force and constants.
 
     Parameters
     ----------
-    shape : str                     `SPHERE`; `FLAT` or `CYLINDER`, the round face of a punch or of
-                                    a cylinder, which are the same; `CONE`, its tip ahead
-    radius : float [m]              of the sphere, of the face, or of the cone's base, > 0
-    friction : str                  the surface `SLIDES` under it freely, or `STICKS` to it
-    angle : float [rad] or None     of a cone, and only there: between its axis and its side, from
-                                    0.5 (29 degrees) to below pi / 2
+    shape : str                     `SPHERE`; `FLAT` or `CYLINDER`, synonyms for a flat circular
+                                    face; `CONE`, apex first
+    radius : float [m]              of the sphere, of the flat face, or of the cone's base, > 0
+    friction : str                  the surface `SLIDES` freely under the tool, or `STICKS` to it
+    angle : float [rad] or None     only for a cone: between its axis and its side, from 0.5
+                                    (29 degrees) to below pi / 2
 
     Raises
     ------
-    InputError                      another shape or friction; a radius that is not positive; an
-                                    angle that is missing, out of range, or of no cone
+    InputError                      unknown shape or friction; a radius that is not positive; an
+                                    angle that is missing, out of range, or given without a cone
     """
 
     shape: str
@@ -178,12 +179,12 @@ class Tool:
 
     @property
     def is_flat(self) -> bool:
-        """Whether it presses with a round flat face."""
+        """Whether the contact face is a flat disc."""
         return self.shape in (FLAT, CYLINDER)
 
     def contact(self, point: Vector3, size: float = np.inf) -> "Contact":
-        """Where the search for the touched circle starts: half the tool's radius, little of an
-        object of some size [m]; or all of a flat face."""
+        """Initial contact for the search of the contact radius: half the tool's radius, at most 5 %
+        of the object's `size` [m]; the whole face of a flat tool."""
         if self.is_flat:
             return Contact(point, self.radius, "flat", tool=self)
         radius = min(_TOUCHED * self.radius, _TOUCHED_OF_OBJECT * size)
@@ -193,17 +194,17 @@ class Tool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """Patch of the surface over which the tool presses, or a face that is loaded as a whole.
+    """Circular patch over which the tool presses, or a set of triangles that is loaded as a whole.
 
     Parameters
     ----------
     point : (3,) float [m]          centre of the patch, on the surface or close to it
-    radius : float [m] or None      > 0; None only for the profile `VERTEX`, and where there are
+    radius : float [m] or None      contact radius, > 0; None only for the profile `VERTEX` and for
                                     triangles
     profile : str                   one of `contact_profiles`; with triangles `UNIFORM` or `RIGID`
-    triangles : (k,) int or None    what is loaded, in place of a round patch
-    tool : Tool or None             what presses: radius and profile follow from it, and those here
-                                    are where the search starts; None: they are known
+    triangles : (k,) int or None    loaded triangles, in place of a circular patch
+    tool : Tool or None             the tool, from which radius and profile are computed; those
+                                    given here are only initial values. None: they are known
 
     Raises
     ------
@@ -250,23 +251,23 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
-    """A part of the surface that is held as a whole.
+    """A part of the surface that is held and, if it moves, moves rigidly.
 
     Parameters
     ----------
     triangles : (k,) int            sorted, distinct
-    motion : str                    `FIXED`; `GIVEN` by every probing; or `FREE`: a rigid motion is
-                                    estimated along with the constants, for every probing
-    directions : (d, 3) float or None    of a roller: only these are held, along the others the
-                                    surface slides without friction; orthonormal afterwards; None:
-                                    all are held
-    stiffness : float [N/m^3] or None    of springs between the surface and what holds it: traction
-                                    over displacement, > 0; None: rigid
+    motion : str                    `FIXED`; `GIVEN` for every probing; or `FREE`: a rigid motion
+                                    that is estimated for every probing along with the constants
+    directions : (d, 3) float or None    of a roller: only these directions are held, along the
+                                    others the surface slides without friction; orthonormalised;
+                                    None: all are held
+    stiffness : float [N/m^3] or None    modulus of an elastic foundation, traction over
+                                    displacement, 1 to 1e16; None: rigid
 
     Raises
     ------
-    InputError                      another motion; a direction that is zero, or depends on others;
-                                    a stiffness that is not positive
+    InputError                      unknown motion; a direction that is zero, or depends on others;
+                                    a stiffness out of range
     """
 
     triangles: Indices
@@ -290,17 +291,17 @@ class Support:
 
     @property
     def compliance(self) -> float:
-        """Displacement over traction [m/Pa]; 0: rigid."""
+        """Displacement over traction [m/Pa]; 0 if rigid."""
         return 0.0 if self.stiffness is None else 1.0 / self.stiffness
 
     @property
     def holding(self) -> Float[np.ndarray, "3 3"]:
-        """Projector onto the directions that are held."""
+        """Projector onto the span of the held directions, (3, 3)."""
         return np.eye(3) if self.directions is None else self.directions.T @ self.directions
 
 
 def _orthonormal(directions: Float[np.ndarray, "d 3"]) -> Float[np.ndarray, "d 3"] | None:
-    """Directions at right angles that span the same; None where these are all."""
+    """Orthonormal basis of the same span; None if that is the whole space."""
     given = fixed_array(directions, name="directions", shape=(None, 3))
     length = np.linalg.norm(given, axis=1, keepdims=True)
     if not len(given) or not length.all():
@@ -324,11 +325,12 @@ class RigidMotion:
     Parameters
     ----------
     translation : (3,) float [m]    of the middle of the support
-    rotation : (3,) float [rad]     turn about the middle: axis times angle, right-handed
+    rotation : (3,) float [rad]     rotation vector about the middle: axis times angle,
+                                    right-handed, at most 0.05 rad
 
     Raises
     ------
-    InputError                      a turn that is not small
+    InputError                      a rotation that is not small
     """
 
     translation: Vector3

@@ -1,4 +1,4 @@
-"""How well a laboratory knows what its points and its probings share."""
+"""Prior standard deviations of measurement errors that points or probings have in common."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -14,37 +14,39 @@ _SHARES = {"%": 0.01}
 _SHARE_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
 
 _LARGEST_SHARE, _LARGEST_ANGLE, _LARGEST_LENGTH = 0.5, 0.5, 1.0
-# A metre for each pascal: nothing holds any more.
+# One metre per pascal: in effect no support [m/Pa].
 _LARGEST_COMPLIANCE = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorPriors:
-    """Standard deviations, before the fit, of errors that are no noise; 0 means exact.
+    """Prior standard deviations of systematic errors; 0 means exact.
 
-    The defaults are what a careful laboratory can sign without measuring it.
+    The defaults are what a careful laboratory can guarantee without measuring it.
 
     Parameters
     ----------
-    force_gain : float [-]          gain of the force sensor, the same for all probings
-    force_direction : float [rad]   turn of its axes, about each axis
-    force : float [-]               force of a probing without `force_std`: of every component, over
-                                    the length of the force
-    contact_point : float [m]       place of a contact, along each tangent, for each probing
-    contact_radius : float [-]      radius of the touched patch, for each probing
-    touched_radius : float [-]      of a contact's radius, where it follows from the tool: friction
-                                    that is neither free nor full, a tool that is not quite round
-    pose_translation : float [m]    shift of the mesh against the measured points, along each axis
-    pose_rotation : float [rad]     turn of the same, about each axis
-    length_scale : float [-]        of measured displacements, along each axis
-    support_compliance : float [m/Pa]    how much further than the session says each support gives:
+    force_gain : float [-]          gain of the force sensor, common to all probings
+    force_direction : float [rad]   rotation of the force sensor, about each axis
+    force : float [-]               force of a probing without `force_std`: each component, as a
+                                    fraction of the force's length
+    contact_point : float [m]       position of a contact, along each tangent, for each probing
+    contact_radius : float [-]      given contact radius, relative, for each probing
+    touched_radius : float [-]      contact radius computed from the tool, relative: partial
+                                    friction, a tool that is not perfectly round
+    pose_translation : float [m]    shift of the mesh relative to the measured points, along each
+                                    axis
+    pose_rotation : float [rad]     rotation of the mesh relative to the measured points, about each
+                                    axis
+    length_scale : float [-]        scale of the measured displacements, along each axis
+    support_compliance : float [m/Pa]    compliance of each support beyond that in the session:
                                     displacement over traction
-    contact_points : mapping        name of a probing whose contact is known otherwise -> its own
-                                    `contact_point` [m]
+    contact_points : mapping        name of a probing -> its own `contact_point` [m], where it
+                                    differs
 
     Raises
     ------
-    InputError                      negative, or beyond what is an error and no mistake
+    InputError                      negative, or too large to be an error rather than a mistake
     """
 
     force_gain: float = 0.01
@@ -75,7 +77,7 @@ class ErrorPriors:
             _check_range(f"the contact point of '{name}'", std, _LARGEST_LENGTH)
 
     def contact_std(self, name: str) -> float:
-        """Of the contact point of one probing, along each tangent [m]."""
+        """Prior standard deviation of one probing's contact point, along each tangent [m]."""
         return self.contact_points.get(name, self.contact_point)
 
 
@@ -93,14 +95,14 @@ EXACT = ErrorPriors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 def read_error_priors(
     root: TomlTable, *, metres_per_unit: float, calibrated: bool = False
 ) -> ErrorPriors:
-    """Priors of a session; those that it does not name have their defaults.
+    """Priors from the table [errors] of a session; keys that are missing have their defaults.
 
     Parameters
     ----------
-    root : TomlTable                of the session
-    metres_per_unit : float         of lengths that are written without a unit
-    calibrated : bool               there is a covariance of the rig: lengths have no other error
-                                    unless the session names one
+    root : TomlTable                whole session.toml
+    metres_per_unit : float         for lengths that are written without a unit
+    calibrated : bool               the rig has a covariance, which then accounts for the scale
+                                    error: `length_scale` is 0 unless the session gives it
 
     Returns
     -------
@@ -108,7 +110,7 @@ def read_error_priors(
 
     Raises
     ------
-    RecordError                     an unknown key, no number, an unknown unit, beyond its range
+    RecordError                     an unknown key, not a number, an unknown unit, out of range
     """
     found: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
     found["contact_points"] = _contact_points(root, metres_per_unit)
@@ -132,7 +134,7 @@ def read_error_priors(
 
 
 def _contact_points(root: TomlTable, metres_per_unit: float) -> dict[str, float]:
-    """What single probings say about their own contact."""
+    """Standard deviations of contact points that single probings give, [m] by name."""
     found = {}
     for probe in root.optional("probe", root.tables) or ():
         contact = probe.values.get("contact")

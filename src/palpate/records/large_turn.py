@@ -1,4 +1,4 @@
-"""Whether measured points turned as a whole, farther than small displacements allow."""
+"""Detection of a rigid rotation of the measured points that is too large for a linear model."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,19 +6,21 @@ from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError
 
-# Linear in a turn, displacements leave half its square as a false strain: 2 % and 12 % here. The
-# free end of a beam that bends turns by 20 degrees, and looks much like a body that is turned.
+# Rotations that cause a warning and a refusal [rad]. A rotation has a spurious linearised strain of
+# half its square: 2 % and 12 % here. The refusal is not at less since the free end of a bent beam
+# may rotate by 20 degrees, and looks much like a rotated body.
 LARGE_TURN, _LARGEST_TURN = 0.2, 0.5
-# Of what the points moved beside a shift, the turn must explain all but this, or it is no turn.
+# A motion counts as a rotation if at most this fraction of it, without its translation, is left
+# after the best rotation.
 _LEFT = 0.5
-# Points nearer to one line than this part of their length say nothing about a turn around it.
+# Points closer to a line than this fraction of their extent do not determine the rotation about it.
 _ON_A_LINE = 1e-2
 
 
 def check_turn(
     points: Float[np.ndarray, "n 3"], displacement: Float[np.ndarray, "n 3"], place: str
 ) -> None:
-    """Refuse displacements that are mostly a large rigid turn.
+    """Refuse displacements that are mostly a large rigid rotation.
 
     Parameters
     ----------
@@ -28,7 +30,7 @@ def check_turn(
 
     Raises
     ------
-    InputError                          the text gives the turn
+    InputError                          a rotation of more than 0.5 rad; the text gives its angle
     """
     turn = whole_turn(points, displacement)
     if turn > _LARGEST_TURN:
@@ -42,17 +44,17 @@ def check_turn(
 
 
 def whole_turn(points: Float[np.ndarray, "n 3"], displacement: Float[np.ndarray, "n 3"]) -> float:
-    """The rigid turn that brings points nearest to where they moved, if that is most of the motion.
+    """Angle of the best-fitting rigid rotation of the points, if that explains most of the motion.
 
     Parameters
     ----------
-    points : (n, 3) float [m]
+    points : (n, 3) float [m]           at rest
     displacement : (n, 3) float [m]     finite
 
     Returns
     -------
-    float [rad]                         0 to pi; 0 where the motion is something else, or the points
-                                        say nothing about turns
+    float [rad]                         0 to pi; 0 if the motion is not mainly a rotation, or the
+                                        points are too few or collinear
 
     Source
     ------

@@ -1,4 +1,4 @@
-"""Displacements measured by other programs: in metres, in the object frame, tied to the mesh."""
+"""Displacements measured by other programs: converted to metres, object frame, and the mesh."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,26 +13,26 @@ from palpate.records.program import ProgramPoints
 from palpate.records.quantities import LENGTH_UNITS, unit_name
 from palpate.shapes import Flags, Points
 
-# A view of the object shows much of it: points that span three times as much, or a hundredth, are
-# in another unit (the units differ by factors of 10, 25.4 and 1000).
+# The measured points cover a good part of the object: an extent of three times its size, or of a
+# hundredth, means a wrong unit (units differ by factors of 10, 25.4 and 1000).
 _MAX_SPAN, _MIN_SPAN = 3.0, 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPoints:
-    """Points that a program looked at, and how they moved from rest to load, by `in_metres`.
+    """Points and displacements of another program's result, made by `in_metres`.
 
     Parameters
     ----------
-    points : (n, 3) float [m]       at rest; NaN where a failed point has no place, never where a
-                                    measured one is
-    displacement : (n, 3) float [m] NaN rows: looked at and not measured; never all of them
+    points : (n, 3) float [m]       at rest; NaN only for failed points without a position
+    displacement : (n, 3) float [m] NaN rows for points that were not measured; never all of them
     std : (n, 3) float [m] or None  one standard deviation of the displacement, > 0 where measured
     source : str                    file they came from, for messages
     notes : tuple of str            what was assumed, converted or left out, in sentences about the
-                                    file, which they do not name
-    poor : int                      points not believed for their correlation, rows of NaN
-    contradicted : int              points not believed for their neighbours, rows of NaN
+                                    file, without its name
+    poor : int                      number of points rejected for low correlation, NaN rows
+    contradicted : int              number of points rejected as contradicting their neighbours, NaN
+                                    rows
     """
 
     points: Points
@@ -44,11 +44,15 @@ class MeasuredPoints:
     contradicted: int = 0
 
     def without(self, contradicted: Flags) -> "MeasuredPoints":
-        """The same, some measured points counted as contradicted by their neighbours.
+        """A copy in which some measured points are rejected as contradicting their neighbours.
 
         Parameters
         ----------
-        contradicted : (n,) bool
+        contradicted : (n,) bool        measured points to reject
+
+        Returns
+        -------
+        MeasuredPoints
         """
         row = contradicted[:, None]
         return replace(
@@ -61,18 +65,18 @@ class MeasuredPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedField:
-    """A displacement field from another program, and where each of its points went.
+    """A displacement field from another program, with an account of all its points.
 
     Parameters
     ----------
-    field : DisplacementField       on the mesh; failed points that have a place are rows of NaN
-    read : int                      points in the file
-    failed : int                    of them kept as rows of NaN, for whatever reason
-    poor, contradicted : int        points not believed for their correlation, for their neighbours
-    nowhere : int                   failed points left out: without a place, or one off the surface
-    off_surface : int               measured points left out as they lie off the surface
+    field : DisplacementField       on the mesh; failed points on the surface are NaN rows
+    read : int                      number of points in the file
+    failed : int                    of these kept as NaN rows, for whatever reason
+    poor, contradicted : int        rejected for low correlation, as contradicting their neighbours
+    nowhere : int                   failed points left out: without a position, or off the surface
+    off_surface : int               measured points left out because they lie off the surface
     median_distance : float [m]     of all measured points from the surface
-    notes : tuple of str            about the file
+    notes : tuple of str            sentences about the file
     """
 
     field: DisplacementField
@@ -94,22 +98,27 @@ def in_metres(
     usual: str | None,
     least_score: float | None = None,
 ) -> MeasuredPoints:
-    """Points in metres, with everything that was not measured as rows of NaN.
+    """Convert a program's points to metres; points that were not measured become NaN rows.
 
-    A failed point at exactly (0, 0, 0) has no place: programs write zeros where triangulation did
-    not happen. Standard deviations go, with a note, where some measured point has none.
+    A failed point at exactly (0, 0, 0) has no position: programs write zeros where triangulation
+    failed. If any measured point lacks a standard deviation, all are dropped, with a note.
 
     Parameters
     ----------
-    given : ProgramPoints
-    path : Path                     their file
-    length_unit : str or None       as the user says it
-    usual : str or None             unit that the program writes when nothing is said
-    least_score : float or None     points of a lower correlation are not believed
+    given : ProgramPoints           as read from the file
+    path : Path                     the file
+    length_unit : str or None       as given by the user
+    usual : str or None             unit that the program uses if its file states none
+    least_score : float or None     points with a lower correlation are rejected
+
+    Returns
+    -------
+    MeasuredPoints                  still in the program's frame
 
     Raises
     ------
-    RecordError                     nothing measured, nothing moved at all, no unit
+    RecordError                     nothing was measured, nothing moved, no unit or contradictory
+                                    units
     """
     metres, unit_notes = _metres(path, found=given.unit, given=length_unit, usual=usual)
     moved = np.where(np.isinf(given.displacement), np.nan, given.displacement)
@@ -157,10 +166,10 @@ def _check_measured(path: Path, moved: Points, failed: Flags, low: str) -> None:
 def _metres(
     path: Path, *, found: str | None, given: str | None, usual: str | None
 ) -> tuple[float, tuple[str, ...]]:
-    """Length of a file's unit [m] and what was assumed about it.
+    """Length of a file's unit [m], and notes on what was assumed.
 
-    The file's own word comes first, then the user's, then the program's usual unit; an unknown
-    unit, a contradiction, or none at all is refused.
+    The unit stated in the file comes first, then the user's, then the program's usual one; an
+    unknown unit, a contradiction, or none at all is refused.
     """
     names = " ".join(LENGTH_UNITS)
     said = unit_name(found) if found else None
@@ -186,15 +195,20 @@ def _metres(
 
 
 def on_object(measured: MeasuredPoints, T_object_file: Float[np.ndarray, "4 4"]) -> MeasuredPoints:
-    """The same points in the object frame.
+    """Transform points and displacements to the object frame.
 
-    The standard deviations are those of the turned components; that the turned errors of two
-    components go together is lost.
+    The standard deviations are those of the rotated components; the correlation between components
+    that the rotation introduces is neglected.
 
     Parameters
     ----------
-    measured : MeasuredPoints
-    T_object_file : (4, 4) float [m]    a rigid motion, x_object = T_object_file x_file
+    measured : MeasuredPoints           in the program's frame
+    T_object_file : (4, 4) float        rigid motion, x_object = T_object_file x_file; translation
+                                        in metres
+
+    Returns
+    -------
+    MeasuredPoints
     """
     rotation = T_object_file[:3, :3]
     std = measured.std
@@ -209,19 +223,23 @@ def on_object(measured: MeasuredPoints, T_object_file: Float[np.ndarray, "4 4"])
 def on_surface(
     measured: MeasuredPoints, mesh: TriangleMesh, *, drop_off_surface: bool = False
 ) -> ImportedField:
-    """Displacement field of the points that lie on an object, everything else counted.
+    """Displacement field of the points that lie on the object's surface; all others are counted.
 
     Parameters
     ----------
     measured : MeasuredPoints       in the object frame
     mesh : TriangleMesh             in metres
-    drop_off_surface : bool         leave measured points out that lie off the surface (background,
-                                    tool, holder); otherwise they are refused
+    drop_off_surface : bool         leave out measured points off the surface (background, tool,
+                                    holder); otherwise they are refused
+
+    Returns
+    -------
+    ImportedField
 
     Raises
     ------
-    RecordError                     measured points off the surface that may not be left out, or
-                                    half of them: then the frames or units differ
+    RecordError                     measured points off the surface, without `drop_off_surface` or
+                                    more than half of them: then frames or units differ
     """
     is_measured = measured_rows(measured.displacement)
     has_place = ~np.isnan(measured.points).any(axis=1)
@@ -256,14 +274,15 @@ def on_surface(
 
 
 def _span(measured: MeasuredPoints) -> float:
-    """Diagonal of the box round the measured points [m]."""
+    """Diagonal of the measured points' bounding box [m]."""
     return float(
         np.linalg.norm(np.ptp(measured.points[measured_rows(measured.displacement)], axis=0))
     )
 
 
 def _span_notes(measured: MeasuredPoints, mesh: TriangleMesh) -> tuple[str, ...]:
-    """Points in too small a unit may all lie on the surface, where the frame's origin does."""
+    """A note if the points span too little of the object: with too small a unit all of them may
+    still lie on the surface, near the origin of the frame."""
     span, size = _span(measured), bounding_diagonal(mesh)
     if span >= _MIN_SPAN * size:
         return ()
@@ -295,7 +314,7 @@ def _check_off_surface(
     *,
     drop_off_surface: bool,
 ) -> None:
-    """Refuse points off the surface, unless they are the minority and may be left out."""
+    """Refuse points off the surface, unless they are a minority and may be left out."""
     is_measured: Flags = measured_rows(measured.displacement)
     found, limit = distance[is_measured], surface_limit(mesh)
     off, middle = int((found > limit).sum()), float(np.median(found))

@@ -13,24 +13,24 @@ from palpate.records.contact import RIGID, Contact, RigidMotion
 from palpate.records.large_turn import check_turn
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
 
-# Of a sum of some hundred weights.
+# Tolerance on the sum of some hundred weights in single precision.
 _ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCorrelation:
-    """Correlation of the errors of pairs of points; points of no pair err independently.
+    """Correlation of the errors of pairs of points; points not in any pair are uncorrelated.
 
-    The same component of two points is correlated so, different ones are not.
+    It applies to the same component of both points; different components are uncorrelated.
 
     Parameters
     ----------
-    pair : (m, 2) int           two points, each pair once and the lower number first
-    value : (m,) float [-]      between -1 and 1
+    pair : (m, 2) int           indices of two points, each pair once, lower index first
+    value : (m,) float [-]      correlation coefficient, -1 to 1
 
     Raises
     ------
-    InputError                  another shape, a pair out of order, a value beyond one
+    InputError                  wrong shape, a pair out of order, a value outside -1 to 1
     """
 
     pair: Int[np.ndarray, "m 2"]
@@ -41,19 +41,19 @@ class PointCorrelation:
         value = fixed_array(self.value, name="value", shape=(len(pair),))
         if (pair[:, 0] < 0).any() or (pair[:, 0] >= pair[:, 1]).any():
             raise InputError("pairs of correlated points must have the lower number first")
-        # Sums of shares may leave rounding.
+        # Tolerance for rounding in sums of weights.
         if (np.abs(value) > 1.0 + 1e-9).any():
             raise InputError(f"a correlation of {np.abs(value).max():g} is more than 1")
         object.__setattr__(self, "pair", pair)
         object.__setattr__(self, "value", value)
 
     def among(self, rows: Indices, count: int) -> "PointCorrelation":
-        """The same of some of `count` points, by their numbers among these.
+        """Restrict to a subset of the points, renumbered by their position in `rows`.
 
         Parameters
         ----------
-        rows : (k,) int         points that are kept, each once
-        count : int
+        rows : (k,) int         points that are kept, distinct
+        count : int             number of points before
         """
         number = np.full(count, -1)
         number[rows] = np.arange(len(rows))
@@ -62,11 +62,11 @@ class PointCorrelation:
         return PointCorrelation(np.sort(pair[kept], axis=1), self.value[kept])
 
     def scaled(self, share: Float[np.ndarray, " n"]) -> "PointCorrelation":
-        """The same where the correlated errors are a part of all errors.
+        """Correlation of the total errors, of which the correlated errors are only a part.
 
         Parameters
         ----------
-        share : (n,) float [-]  of each point's variance, 0 to 1
+        share : (n,) float [-]  fraction of each point's variance that is correlated, 0 to 1
         """
         root = np.sqrt(share[self.pair].prod(axis=1))
         return PointCorrelation(self.pair, self.value * root)
@@ -77,20 +77,20 @@ INDEPENDENT = PointCorrelation(np.zeros((0, 2), dtype=np.int64), np.zeros(0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceAverage:
-    """Displacements that are averages over the surface around, as windows of finite size see it.
+    """Displacements measured as local averages over the surface, as subsets of finite size do.
 
-    The displacement of point i is sum_j weights[3i:3i+3, 3j:3j+3] @ displacement of points[j];
-    where a point has no weights it is that of the point itself.
+    The measured displacement of point i is sum_j weights[3i:3i+3, 3j:3j+3] @ u(points[j]); for a
+    point without weights it is the displacement of the point itself.
 
     Parameters
     ----------
-    points : (s, 3) float [m]       of the surface at rest
-    weights : (3 n, 3 s) sparse [-] 3 x 3 blocks that add up to the unit matrix along every row, or
-                                    to zero; kept in single precision
+    points : (s, 3) float [m]       sampling points on the surface at rest
+    weights : (3 n, 3 s) sparse [-] 3 x 3 blocks that sum to the identity along every block row, or
+                                    to zero; stored in single precision
 
     Raises
     ------
-    InputError                      shapes that differ, blocks that add up to something else
+    InputError                      inconsistent shapes, blocks with another sum
     """
 
     points: Points
@@ -121,34 +121,38 @@ class SurfaceAverage:
         return (self.weights @ np.tile(np.eye(3), (len(self.points), 1))).reshape(-1, 3, 3)
 
     def of(self, alone: csr_array, around: csr_array) -> csr_array:
-        """The averages from the displacements of nodes, (3 n, 3 v) sparse.
+        """Matrix from nodal displacements to the averaged displacements.
 
         Parameters
         ----------
-        alone : (n, v) sparse   each displacement's own point from the nodes
-        around : (s, v) sparse  `points` from the nodes
+        alone : (n, v) sparse   interpolation from nodes to the n measured points
+        around : (s, v) sparse  interpolation from nodes to the sampling points `points`
+
+        Returns
+        -------
+        (3 n, 3 v) sparse
         """
         unit = np.eye(3)
         left = diags_array((~self.given).astype(np.float64)) @ alone
         return csr_array(self.weights @ kron(around, unit) + kron(left, unit))
 
     def among(self, rows: Indices) -> "SurfaceAverage":
-        """The same of some displacements.
+        """Restrict to a subset of the measured displacements.
 
         Parameters
         ----------
-        rows : (k,) int
+        rows : (k,) int         displacements that are kept
         """
         chosen = (3 * rows[:, None] + np.arange(3)).ravel()
         return SurfaceAverage(self.points, csr_array(self.weights[chosen]))
 
     def spread(self, rows: Indices, count: int) -> "SurfaceAverage":
-        """The same as some of `count` displacements, the others without weights.
+        """Embed into a longer list of displacements, of which the others have no weights.
 
         Parameters
         ----------
-        rows : (n,) int         where these go, rising
-        count : int
+        rows : (n,) int         new indices of these displacements, increasing
+        count : int             new number of displacements
         """
         entries = np.zeros(3 * count, dtype=np.int64)
         entries[(3 * rows[:, None] + np.arange(3)).ravel()] = np.diff(self.weights.indptr)
@@ -164,23 +168,23 @@ class DisplacementField:
 
     Parameters
     ----------
-    points : (n, 3) float [m]       at rest, as they were observed
-    displacement : (n, 3) float [m] a row with any NaN is kept as a row of NaN: not measured
+    points : (n, 3) float [m]       at rest, as observed
+    displacement : (n, 3) float [m] a row with any NaN is stored as a row of NaN: not measured
     std : (n, 3) float [m] or None  one standard deviation per component, > 0 where measured
-    vertex : (n,) int or None       index of the mesh vertex, where the points are vertices
-    surface : SurfacePoints         where the points sit on the mesh
+    vertex : (n,) int or None       index of the mesh vertex, if the points are vertices
+    surface : SurfacePoints         closest positions on the mesh
     source : str                    file they came from, for messages
-    scale_error : float [-]         relative standard deviation of all displacements together, which
-                                    no single one shows; 0 where unknown
+    scale_error : float [-]         relative standard deviation of a scale common to all
+                                    displacements; 0 if unknown
     covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, with the squares of
-                                    `std` on its diagonal; None: its components err independently
-    correlation : PointCorrelation  of the errors of neighbouring points, where it is known
-    average : SurfaceAverage or None    what each displacement is the average of; None: each is that
-                                    of its point alone
+                                    `std` on its diagonal; None: components are uncorrelated
+    correlation : PointCorrelation  of the errors of neighbouring points, where known
+    average : SurfaceAverage or None    local averages that the displacements are; None: they belong
+                                    to the points themselves
 
     Raises
     ------
-    InputError                      shapes that differ, a standard deviation that is not positive
+    InputError                      inconsistent shapes, a standard deviation that is not positive
     """
 
     points: Points
@@ -268,8 +272,8 @@ class Images:
 
     Parameters
     ----------
-    rest : str
-    loaded : tuple of str           in time; the last one is at the full force
+    rest : str                      before the push
+    loaded : tuple of str           under the push, in order of time; the last at full force
     """
 
     rest: str
@@ -278,13 +282,13 @@ class Images:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """A load that acts besides the tool and is known exactly.
+    """An additional load, besides the tool's, that is known exactly.
 
     Parameters
     ----------
-    contact : Contact               not rigid
+    contact : Contact               any profile but `RIGID`
     force : (3,) float [N] or None  total force on the object
-    pressure : float [Pa] or None   against the surface, > 0 pushes; over triangles only
+    pressure : float [Pa] or None   normal pressure, > 0 pushes; over triangles only
 
     Raises
     ------
@@ -321,22 +325,22 @@ class Probing:
     ----------
     name : str                      unique within its session
     contact : Contact
-    force : (3,) float [N]          total force that the tool exerts on the object, not zero
+    force : (3,) float [N]          total force of the tool on the object; zero only with `loads`
     force_std : (3,) float [N] or None              one standard deviation, >= 0
     tip_displacement : (3,) float [m] or None       of the contact point
     tip_displacement_std : (3,) float [m] or None   one standard deviation, > 0
     displacement : DisplacementField or None
     images : Images or None
-    loads : tuple of Load           that act besides, known exactly; with them the force may be zero
+    loads : tuple of Load           additional loads, known exactly
     support_displacement : DisplacementField or None    measured on the supports whose motion is
                                                         given
-    support_motion : RigidMotion or None                the same as a rigid motion
+    support_motion : RigidMotion or None                that motion, given as a rigid motion instead
 
     Raises
     ------
-    InputError                      zero force and no other load, both ways to give a motion, a
-                                    negative standard deviation, or one of nothing,
-                                    wrong shape; measured points that turned far as a whole
+    InputError                      zero force without other loads; a motion given in both ways; a
+                                    negative standard deviation, or one without its value; a wrong
+                                    shape; displacements that are mostly a large rigid rotation
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Units of length, and numbers as a person reads them: no more digits than are known."""
+"""Units, and formatting of numbers for readers, with no more digits than are significant."""
 
 import math
 from collections.abc import Sequence
@@ -7,28 +7,28 @@ from palpate.records.estimate import BIASED, BudgetEntry, Constant, ErrorEstimat
 
 # Metres in each unit that a file or a command may name.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-# The units of Palpate's own files, and of calibrations, which are never so small.
+# Length units of Palpate's own files and of calibrations, in which micrometres make no sense.
 FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
 ANGLE_UNITS = {"deg": math.pi / 180.0, "rad": 1.0}
-# Stiffness of a bed of springs: traction over displacement [N/m^3]; compliance is its inverse.
+# Modulus of an elastic foundation, traction over displacement [N/m^3]; compliance is its inverse.
 STIFFNESS_UNITS = {"N/m^3": 1.0, "Pa/m": 1.0, "N/mm^3": 1e9, "kPa/mm": 1e6, "MPa/mm": 1e9}
 COMPLIANCE_UNITS = {"m/Pa": 1.0, "m^3/N": 1.0, "mm/kPa": 1e-6, "um/kPa": 1e-9, "mm/MPa": 1e-9}
-# How errors are written: factor on the SI unit, and the unit written.
+# SI unit of an error -> factor to the unit in which it is shown, and name of that unit.
 _ERROR_UNITS = {
     "": (100.0, "%"),
     "m": (1e3, "mm"),
     "rad": (180.0 / math.pi, "degrees"),
     "m/Pa": (1e9, "mm/MPa"),
 }
-# No modulus is lower than the softest gel's, or higher than diamond's [Pa].
+# Range of elastic moduli [Pa], from the softest gel to diamond.
 MODULUS_RANGE = (1.0, 1.2e12)
-# The strongest steels yield here [Pa].
+# Yield strength of the strongest steels [Pa].
 HIGHEST_PRESSURE = 3e9
-# A standard deviation that is a smaller share of its value comes from the rounding of numbers.
+# Relative standard deviations below this are rounding errors.
 _ROUNDING = 1e-9
-# What stands in place of a value that the data do not determine.
+# Shown in place of a value that the data do not determine.
 NOT_DETERMINED = "not determined"
-# Constants in the order in which they are told, with their symbols.
+# Symbols of the constants, in the order in which they are shown.
 SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
 _SPELLINGS = {
     "\u00b5m": "um",
@@ -42,17 +42,21 @@ _SPELLINGS = {
 
 
 def unit_name(word: str) -> str:
-    """The name in `LENGTH_UNITS` of a unit as programs spell it; an unknown one in small letters.
+    """Name in `LENGTH_UNITS` of a unit as programs spell it; an unknown unit in lower case.
 
     Parameters
     ----------
     word : str                      e.g. "MM", "micron", "inches"
+
+    Returns
+    -------
+    str
     """
     return _SPELLINGS.get(word.lower(), word.lower())
 
 
 def modulus_unit(modulus: float) -> tuple[float, str]:
-    """Unit in which a modulus has one to three digits before the point: (pascals a unit, name).
+    """Unit in which a modulus has one to three digits before the decimal point.
 
     Parameters
     ----------
@@ -60,7 +64,7 @@ def modulus_unit(modulus: float) -> tuple[float, str]:
 
     Returns
     -------
-    (float [Pa], str)               1e9, 1e6, 1e3 or 1, and GPa, MPa, kPa or Pa
+    (float [Pa], str)               value and name of the unit: GPa, MPa, kPa or Pa
     """
     size = abs(modulus) if math.isfinite(modulus) else 0.0
     for factor, name in ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa")):
@@ -70,7 +74,7 @@ def modulus_unit(modulus: float) -> tuple[float, str]:
 
 
 def length_unit(length: float) -> tuple[float, str]:
-    """Unit in which a length has one to three digits before the point: (metres a unit, name).
+    """Unit in which a small length is shown.
 
     Parameters
     ----------
@@ -78,23 +82,23 @@ def length_unit(length: float) -> tuple[float, str]:
 
     Returns
     -------
-    (float [m], str)                1e-6 and µm below 0.1 mm, else 1e-3 and mm
+    (float [m], str)                value and name of the unit: µm below 0.1 mm, else mm
     """
     size = abs(length) if math.isfinite(length) else 0.0
     return (1e-6, "µm") if size < 0.1e-3 else (1e-3, "mm")
 
 
 def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Value and standard deviation to the same decimal, two digits of the deviation.
+    """Value and standard deviation to the same decimal, with two digits of the deviation.
 
     Parameters
     ----------
     constant : Constant
-    factor : float                  value of the unit it is shown in, > 0
+    factor : float                  value of the display unit in SI units, > 0
 
     Returns
     -------
-    str                             'unknown' where the value is not finite
+    str                             'unknown' if the value is not finite
     """
     value, std = constant.value / factor, constant.std / factor
     shown = value_text(constant, factor=factor)
@@ -109,23 +113,23 @@ def value_text(constant: Constant, *, factor: float = 1.0) -> str:
     Parameters
     ----------
     constant : Constant
-    factor : float                  value of the unit it is shown in, > 0
+    factor : float                  value of the display unit in SI units, > 0
 
     Returns
     -------
-    str                             'unknown' where the value is not finite
+    str                             'unknown' if the value is not finite
     """
     value, std = constant.value / factor, constant.std / factor
     return f"{value:.{_places(std, value)}f}" if math.isfinite(value) else "unknown"
 
 
 def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
-    """Both ends of the 95 % interval, to the decimal of the standard deviation.
+    """Both ends of the 95 % interval, to two digits of the standard deviation.
 
     Parameters
     ----------
     constant : Constant
-    factor : float                  value of the unit it is shown in, > 0
+    factor : float                  value of the display unit in SI units, > 0
 
     Returns
     -------
@@ -137,10 +141,10 @@ def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
 
 
 def constant_row(estimate: Estimate, name: str) -> tuple[str, str, str]:
-    """Value, interval and unit of a constant as a table has them.
+    """Value, interval and unit of a constant for a table.
 
-    A constant that the data do not determine has no value; its interval, in brackets, is what is
-    possible.
+    A constant that the data do not determine has no value; its interval, in brackets, is the range
+    of possible values.
 
     Parameters
     ----------
@@ -161,7 +165,7 @@ def constant_row(estimate: Estimate, name: str) -> tuple[str, str, str]:
 
 
 def verdict_text(estimate: Estimate) -> str:
-    """What an estimate says, in a sentence or two.
+    """Summary of an estimate in a few sentences.
 
     Parameters
     ----------
@@ -169,9 +173,8 @@ def verdict_text(estimate: Estimate) -> str:
 
     Returns
     -------
-    str                             begins with what the status means; then the constants that are
-                                    determined, with their intervals; then the first of the notes
-                                    that call it biased
+    str                             the meaning of the status; then the identifiable constants with
+                                    their intervals; then the first note that calls it biased
     """
     sentence = estimate.status.sentence
     known = []
@@ -192,18 +195,24 @@ def verdict_text(estimate: Estimate) -> str:
 
 
 def constant_unit(name: str, value: float) -> tuple[float, str]:
-    """Unit that a constant is shown in: (SI units a unit, name), none for Poisson's ratio.
+    """Unit in which a constant is shown.
 
     Parameters
     ----------
     name : str                      one of `CONSTANT_NAMES`
     value : float                   [Pa] for moduli
+
+    Returns
+    -------
+    (float, str)                    value of the unit in SI units, and its name; 1 and an empty name
+                                    for Poisson's ratio
     """
     return (1.0, "") if name == "poisson_ratio" else modulus_unit(value)
 
 
 def _places(std: float, value: float) -> int:
-    """Decimals that show two digits of the standard deviation, or four of the value."""
+    """Number of decimals for two digits of the standard deviation, or three to four of the value
+    if the deviation is not known."""
     known = math.isfinite(std) and std > _ROUNDING * abs(value)
     shown = std if known else abs(value) * 1e-2
     if not (math.isfinite(shown) and shown > 0.0):
@@ -212,7 +221,7 @@ def _places(std: float, value: float) -> int:
 
 
 def budget_text(budget: Sequence[BudgetEntry], name: str) -> str:
-    """What most of a constant's standard deviation comes from, as a person says it.
+    """The largest contributions to a constant's standard deviation, as text.
 
     Parameters
     ----------
@@ -221,9 +230,9 @@ def budget_text(budget: Sequence[BudgetEntry], name: str) -> str:
 
     Returns
     -------
-    str                             up to three sources, each a third of the largest at least:
+    str                             up to three sources, each more than a third of the largest:
                                     "gain of the force sensor 1 %, measured forces 0.59 %"; empty
-                                    where nothing is known
+                                    if nothing is known
     """
     parts = [(getattr(one, name), one.source) for one in budget]
     parts = sorted((part for part in parts if not math.isnan(part[0])), reverse=True)
@@ -237,7 +246,7 @@ def _deviation(std: float, *, ratio: bool) -> str:
 
 
 def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
-    """Value, standard deviation and that of the prior as a person writes them, with the unit.
+    """Value, posterior and prior standard deviation of an error, as texts with units.
 
     Parameters
     ----------
@@ -245,7 +254,7 @@ def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
 
     Returns
     -------
-    (str, str, str)                 shares in per cent, lengths in mm, angles in degrees,
+    (str, str, str)                 relative errors in per cent, lengths in mm, angles in degrees,
                                     compliances in mm/MPa
     """
     factor, unit = _ERROR_UNITS[error.unit]

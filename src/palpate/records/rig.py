@@ -1,4 +1,4 @@
-"""Calibrated cameras around the object, and what other programs matched in their pictures."""
+"""Calibrated cameras around the object, their covariance, and matched points in their pictures."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -12,7 +12,7 @@ from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6
-# Over the distance of the farthest camera: rounding, and no baseline.
+# Baselines below this fraction of the farthest camera's distance are rounding errors.
 _SAME_PLACE = 1e-6
 
 
@@ -22,15 +22,17 @@ class Camera:
 
     Parameters
     ----------
-    name : str                      fills `{camera}` in the patterns of image files
-    size : (columns, rows) or None  of its pictures [px]; None where the calibration does not say
+    name : str                      replaces `{camera}` in the patterns of image files
+    size : (columns, rows) or None  of its pictures [px]; None if the calibration does not give it
     matrix : (3, 3) float [px]      [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0
-    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6; shorter ones are filled with zeros
+    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6; a shorter list is padded with zeros
     T_camera_object : (4, 4) float [m]  x_camera = T_camera_object x_object, a rigid motion
 
     Raises
     ------
-    CalibrationError                focal lengths, a rotation that is none, wrong shapes
+    CalibrationError                focal lengths or size not positive, more than eight distortion
+                                    terms, a pose or matrix not of the form above
+    InputError                      wrong shapes, numbers that are not finite
     """
 
     name: str
@@ -68,12 +70,13 @@ class Rig:
     Parameters
     ----------
     cameras : tuple of Camera       names distinct
-    reference : int                 index of the reference camera: range flow is given at its pixels
+    reference : int                 index of the reference camera, at whose pixels range flow is
+                                    evaluated
     source : str                    file they came from, for messages
 
     Raises
     ------
-    CalibrationError                fewer than two cameras, twin names, no such reference
+    CalibrationError                fewer than two cameras, duplicate names, no such reference
     """
 
     cameras: tuple[Camera, ...]
@@ -96,21 +99,23 @@ class Rig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigCovariance:
-    """What a calibration knows of its cameras, and how well.
+    """Calibrated camera parameters with their joint covariance.
 
     Parameters
     ----------
-    names : tuple of p str          "CAMERA.TERM": lens terms fx fy cx cy k1 k2 p1 p2 k3 of every
-                                    camera; rx ry rz [rad] and tx ty tz [m] of every camera but the
-                                    first, of its pose with respect to the first
-    value : (p,) float              the numbers themselves; the pose as turn (axis times angle) and
-                                    shift that take points of the first camera's frame to its own
-    covariance : (p, p) float       of a step of each number; a turn comes after that of the pose
+    names : tuple of p str          "CAMERA.TERM": intrinsic terms fx fy cx cy k1 k2 p1 p2 k3 of
+                                    every camera; rx ry rz [rad] and tx ty tz [m] of every camera
+                                    but the first, for its pose relative to the first
+    value : (p,) float              calibrated values; a pose as rotation vector (axis times angle)
+                                    and translation from the first camera's frame to its own
+    covariance : (p, p) float       of the errors; that of a rotation is a rotation vector applied
+                                    after the pose's own rotation
     source : str                    file it came from, for messages
 
     Raises
     ------
-    CalibrationError                shapes that do not fit; variances that are negative
+    InputError                      inconsistent shapes
+    CalibrationError                a covariance that is not symmetric, negative variances
     """
 
     names: tuple[str, ...]
@@ -161,7 +166,7 @@ def _check_pose(name: str, pose: Float[np.ndarray, "4 4"]) -> None:
 
 
 def camera_centre(camera: Camera) -> Vector3:
-    """Where a camera stands, object frame [m]; (3,) float.
+    """Centre of projection of a camera, in the object frame.
 
     Parameters
     ----------
@@ -176,7 +181,7 @@ def camera_centre(camera: Camera) -> Vector3:
 
 
 def check_baselines(rig: Rig) -> None:
-    """Refuse two cameras at one place: together they see no depth, whatever the others see.
+    """Refuse two cameras at the same position: without a baseline the pair gives no depth.
 
     Parameters
     ----------
@@ -211,7 +216,7 @@ def picture_size(camera: Camera) -> tuple[int, int]:
 
     Raises
     ------
-    InputError                      the camera has none
+    InputError                      the camera has no size
     """
     if camera.size is None:
         raise InputError(
@@ -222,14 +227,15 @@ def picture_size(camera: Camera) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureTracks:
-    """Pixels at which cameras see the same points, at rest and under load, not yet in space.
+    """Image positions of the same points in several cameras, at rest and loaded, in pixels.
 
     Parameters
     ----------
     rest, loaded : (c, n, 2) float [px]     column, row; the first pixel's centre is (0, 0); NaN
                                     where a point was not found
-    cameras : tuple of str          names of the c cameras, as far as the program knows them
-    score : (n,) float or None      zero-mean normalised correlation of each point's worst match
+    cameras : tuple of str          names of the c cameras, if the program gives them
+    score : (n,) float or None      zero-mean normalised cross-correlation of each point's worst
+                                    match
     notes : tuple of str            what was assumed, in sentences about the file
     """
 

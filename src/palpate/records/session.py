@@ -1,4 +1,4 @@
-"""A session: one object, one support, any number of probings; or one object that moves rigidly."""
+"""A session: one object with its supports and probings, or an object that moves rigidly."""
 
 import html
 from dataclasses import dataclass, field
@@ -15,12 +15,13 @@ from palpate.records.probing import Probing
 from palpate.records.support_checks import check_supports
 from palpate.shapes import Indices, Vector3
 
-# Osmium [kg/m^3]; ten times the earth's gravity [m/s^2]: beyond it a unit is mistaken.
+# Density of osmium [kg/m^3], and ten times the earth's gravity [m/s^2]: larger values mean a wrong
+# unit.
 _DENSEST = 22600.0
 _LARGEST_GRAVITY = 100.0
-# Names that a session prints of itself.
+# Number of probings that `repr` names.
 _NAMED = 6
-# More than this no table has room for.
+# Longest name, in characters, that tables have room for.
 _LONGEST_NAME = 200
 
 
@@ -50,34 +51,34 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """Everything that is known before the elastic constants are; all of it in SI units.
+    """All input of an estimation, in SI units.
 
     Parameters
     ----------
     name : str
     path : Path                     the session.toml it was read from
-    mesh : TriangleMesh             closed, outward
-    held_triangles : (k,) int       sorted, distinct indices of the triangles that do not move; may
-                                    be empty where there are steps, and means nothing there
-    probings : tuple of Probing     at least one, names distinct; none where there are steps
+    mesh : TriangleMesh             closed, outward normals
+    held_triangles : (k,) int       sorted, distinct indices of all supports' triangles; with steps
+                                    it is ignored and may be empty
+    probings : tuple of Probing     at least one, names distinct; empty if there are steps
     density : float [kg/m^3] or None
-    gravity : (3,) float [m/s^2] or None    only where it acts in the loaded state alone
-    rig : Path or None              the camera file, where there are pictures
-    notes : tuple of str            what was mended, converted or looks implausible, in sentences
-    steps : tuple of Step           of a rigid-motion sequence, in time, at least two, names
-                                    distinct, the first is the initial one; none where there are
-                                    probings
-    metres_per_unit : float [m]     of the lengths in the session's files; all here are in metres
-    supports : tuple of Support     what `held_triangles` consists of; one that does not move where
-                                    none is given
+    gravity : (3,) float [m/s^2] or None    only if it acts in the loaded state alone
+    rig : Path or None              the camera file, if there are pictures
+    notes : tuple of str            what was repaired, converted or looks implausible, in sentences
+    steps : tuple of Step           of a rigid-motion sequence, in order of time, at least two,
+                                    names distinct; empty if there are probings
+    metres_per_unit : float [m]     length unit of the session's files; lengths here are in metres
+    supports : tuple of Support     supports that make up `held_triangles`; by default one that is
+                                    fixed
+    errors : ErrorPriors            prior standard deviations of systematic errors
 
     Raises
     ------
-    InputError                      neither probings nor steps, or both; twin names; one step alone;
-                                    a support that is empty, one triangle or the whole surface; two
-                                    that share vertices; motions that are not given, or not asked
-                                    for; pictures that are needed without a rig; gravity without
-                                    density, or one of them beyond what there is
+    InputError                      neither probings nor steps, or both; duplicate names; a single
+                                    step; a support that is empty, one triangle or the whole
+                                    surface; supports that overlap; a support's motion that is
+                                    missing or not expected; pictures without a rig; gravity without
+                                    density, or values out of range
     """
 
     name: str
@@ -165,7 +166,8 @@ def require_probings(session: Session) -> None:
 
 
 def _check_contents(session: Session) -> None:
-    """Refuse a session of nothing, of two kinds, with twin names, or without its cameras."""
+    """Refuse a session without content, with both probings and steps, with duplicate names, or with
+    pictures but no rig."""
     probings, steps = session.probings, session.steps
     if probings and steps:
         raise InputError(
@@ -203,7 +205,7 @@ def _check_contents(session: Session) -> None:
 
 
 def _check_support(held: Indices, triangle_count: int) -> None:
-    """Refuse a support that is empty, out of range, or the whole surface."""
+    """Refuse a support that is empty, out of range, a single triangle, or the whole surface."""
     if len(held) == 0:
         raise InputError(
             "the support is empty: no triangle is held, and the object would float away;"

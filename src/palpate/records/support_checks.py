@@ -1,4 +1,4 @@
-"""What several supports, their motions and the forces on them must satisfy together."""
+"""Consistency of supports, their motions and the forces on them."""
 
 from collections.abc import Sequence
 
@@ -10,16 +10,17 @@ from palpate.records.contact import FIXED, FREE, GIVEN, RIGID, Support
 from palpate.records.probing import Probing
 from palpate.shapes import Indices
 
-# Of a force: what may be across the directions of a roller, whose friction is small and not zero.
+# Largest fraction of a force perpendicular to a roller's held directions, for its small friction.
 _UNANSWERED = 0.05
-# Sine of half a degree, squared: directions that others hold less than this they do not hold.
+# A direction counts as held by other supports if the squared sine of its angle to their free
+# directions exceeds this, that of half a degree.
 _HELD = 1e-4
 
 
 def check_supports(
     mesh: TriangleMesh, supports: Sequence[Support], probings: Sequence[Probing]
 ) -> None:
-    """Refuse supports that touch, and motions and forces that do not belong to them.
+    """Refuse supports that touch, and motions or forces that are inconsistent with them.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def check_supports(
 
 
 def _check_apart(mesh: TriangleMesh, supports: Sequence[Support], first: int, second: int) -> None:
-    """Refuse a triangle in two supports, and a vertex in two of which one moves."""
+    """Refuse supports that share a triangle, or, unless both are fixed, a vertex."""
     one, other = supports[first], supports[second]
     twice = np.intersect1d(one.triangles, other.triangles).size
     if twice:
@@ -60,7 +61,7 @@ def _check_apart(mesh: TriangleMesh, supports: Sequence[Support], first: int, se
 
 
 def _check_motion(probing: Probing, given: Sequence[int]) -> None:
-    """Refuse a motion that is missing, or that no support asks for."""
+    """Refuse a support motion that is missing, or that no support expects."""
     place = f"probing '{probing.name}'"
     has_motion = probing.support_motion is not None
     if given and not has_motion and probing.support_displacement is None:
@@ -81,7 +82,7 @@ def _check_motion(probing: Probing, given: Sequence[int]) -> None:
 
 
 def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Support]) -> None:
-    """Refuse a force on a support that cannot follow it, or that nothing reacts against."""
+    """Refuse a force on a support that is not free to move, or without another support to react."""
     place = f"probing '{probing.name}'"
     pulled = [
         number
@@ -108,7 +109,8 @@ def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Suppo
 
 
 def _check_pull(probing: Probing, supports: Sequence[Support], number: int) -> None:
-    """Refuse a force across what the support that it pulls holds, and one that no other answers."""
+    """Refuse a force outside the pulled support's held directions, or in a direction along which no
+    other support reacts."""
     place = f"probing '{probing.name}': its force acts on support {number}"
     holding = supports[number - 1].holding
     across = float(np.linalg.norm(probing.force - holding @ probing.force))

@@ -1,9 +1,9 @@
-"""The report of a fit: one HTML file that needs nothing else.
+"""The report of a fit: one self-contained HTML file.
 
-Purpose    : say what a result folder holds so that a person can judge it, print it and repeat it.
+Purpose    : present a result folder so that a reader can judge, print and reproduce the fit.
 Takes      : a result folder of `palpate fit`.
-Gives      : report.html: verdict, constants, a view that turns, probings, likelihood, predictions,
-             errors, what was rejected, and all that is needed to repeat it.
+Gives      : report.html: verdict, constants, an interactive 3-D view, probings, likelihood,
+             predictions, errors, rejected points, and all settings needed to reproduce it.
 Depends on : `figures`, `pipeline`, `estimation`, `records`, `geometry`, `files`, `disk`.
 Read first : `report.py`, then `scene.py` and `templates/page.html`.
 """

@@ -1,4 +1,4 @@
-"""A result folder's report: its files put together in one page."""
+"""Report of a result folder: its files combined in one page."""
 
 import base64
 import io
@@ -50,7 +50,7 @@ from palpate.report.scene import scene
 
 REPORT_FILE = "report.html"
 _TEMPLATES = resources.files("palpate.report") / "templates"
-# Pictures that a report shows whole, with what they show.
+# Figures that a report shows, with their captions.
 _DRAWINGS = {
     "likelihood": "Pairs of Poisson's ratio and shear modulus that the data allow",
     "probings": "The constants as each probing alone gives them",
@@ -58,7 +58,7 @@ _DRAWINGS = {
     "errors": "What the data say about the assumed errors",
     "budget": "What each source adds to the standard deviations of the constants",
 }
-# What pictures of the probings may take [bytes of base64]; at first in good quality.
+# Size limit of the probings' pictures [bytes of base64], and their quality (WebP).
 _MOST_BYTES, _QUALITY = 1_800_000, 82
 
 
@@ -67,12 +67,12 @@ def write_report(folder: Path, target: Path) -> None:
 
     Parameters
     ----------
-    folder : Path                   of a result of `palpate fit`
-    target : Path                   the page; a file of that name is replaced
+    folder : Path                   result folder of `palpate fit`
+    target : Path                   the page; an existing file is replaced
 
     Raises
     ------
-    RecordError                     a file of the result is not there or cannot be read, or the page
+    RecordError                     a file of the result is missing or cannot be read, or the page
                                     cannot be written
     """
     estimate = read_estimate(folder / "estimate.json")
@@ -86,7 +86,7 @@ def write_report(folder: Path, target: Path) -> None:
 
 
 def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[str, Any]:
-    """Everything that the page names."""
+    """All variables of the page's template."""
     shown = scene(surface)
     pictures, missing = _pictures(folder, [probing.name for probing in surface.probings])
     return {
@@ -117,7 +117,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
 
 
 def _style(colours: list[str]) -> str:
-    """The style sheet, its colour bars as bands."""
+    """The style sheet, with the bands of the colour bar filled in."""
     text = (_TEMPLATES / "style.css").read_text(encoding="utf-8")
     share = 100 / len(colours)
     bands = (f"{c} {share * k:g}% {share * (k + 1):g}%" for k, c in enumerate(colours))
@@ -125,15 +125,15 @@ def _style(colours: list[str]) -> str:
 
 
 def _drawing(path: Path) -> str:
-    """A drawing as the address of itself; empty where it is not there."""
+    """An SVG figure as a data URL; empty if it is missing."""
     if not path.is_file():
         return ""
     return "data:image/svg+xml;base64," + base64.b64encode(read_bytes(path)).decode()
 
 
 def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
-    """Pictures of the probings as addresses of themselves, in the order of their names, and how
-    many there is no room for."""
+    """Pictures of the probings as data URLs, in the order of `names`, and the number of those left
+    out for lack of room."""
     order = {stem: k for k, stem in enumerate(file_stems(names, kind="probing"))}
     found: dict[str, str] = {}
     size = 0
@@ -152,17 +152,17 @@ def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
 
 
 def write_result_files(folder: Path, session: Session, result: FitResult) -> Estimate:
-    """Write all that a report is made of: estimate.json, residuals, surface.npz, pictures.
+    """Write all files that a report is made from: estimate.json, residuals, surface.npz, pictures.
 
     Parameters
     ----------
-    folder : Path                   of the result
-    session : Session               that was fitted
+    folder : Path                   result folder
+    session : Session               the fitted session
     result : FitResult
 
     Returns
     -------
-    Estimate                        as written: its seconds with those of the drawing
+    Estimate                        as written, with the time for drawing added to its seconds
 
     Raises
     ------
@@ -182,7 +182,7 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
 
 
 def checked_result(folder: Path) -> None:
-    """Refuse what is no unchanged result of `palpate fit`.
+    """Refuse a folder that is not an unchanged result of `palpate fit`.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def checked_result(folder: Path) -> None:
 
     Raises
     ------
-    RecordError                     it is something else, or was changed or half copied
+    RecordError                     it is something else, was changed, or was copied incompletely
     """
     kind, changed, _ = folder_changes(folder)
     if kind != "fit":

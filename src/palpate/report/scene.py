@@ -1,4 +1,4 @@
-"""What the view that turns shows, small enough to be written into a page."""
+"""Data of the report's interactive 3-D view, compact enough to embed in the page."""
 
 import base64
 from typing import Any
@@ -12,15 +12,15 @@ from palpate.geometry import TriangleMesh, closest_points, unit_normals
 from palpate.pipeline import FittedProbing, FittedSurface
 from palpate.shapes import Points, PointScalars, Vector3
 
-# What a page of 5 MB leaves for the view [bytes of base64].
+# Size limit of the view [bytes of base64], for a page of 5 MB.
 _MOST_BYTES = 2_200_000
-# Lengths are whole numbers of a unit: this many, and one that stands for "not known".
+# Lengths are stored as 16-bit integers: the largest value, and the one that means "unknown".
 _STEPS, _UNKNOWN = 32767, -32768
 _BANDS = 10
 
 
 def scene(surface: FittedSurface) -> dict[str, Any]:
-    """The view of a fitted object as JSON holds it; lengths in mm.
+    """The view of a fitted object as data for JSON; lengths in mm.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ def scene(surface: FittedSurface) -> dict[str, Any]:
 
     Returns
     -------
-    dict                            probings that the page has no room for are left out, their
-                                    number is under `left_out`
+    dict                            probings for which the page has no room are left out; `left_out`
+                                    is their number
     """
     centre = 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
     vertices = 1e3 * (surface.vertices - centre)
@@ -59,21 +59,24 @@ def scene(surface: FittedSurface) -> dict[str, Any]:
 
 
 def in_sigmas(probing: FittedProbing) -> PointScalars:
-    """Length of every point's residual over its standard deviation; NaN where not measured.
+    """Normalised residual of every point: rms over the components of residual over sigma.
 
-    The square root of the mean over the components of squared residuals over sigmas: 1 on average
-    where the model and the noise levels are right.
+    About 1 if model and noise levels are right.
 
     Parameters
     ----------
     probing : FittedProbing
+
+    Returns
+    -------
+    (n,) float [-]                  NaN where not measured
     """
     scaled = (probing.displacement - probing.predicted) / probing.sigma
     return np.sqrt(np.mean(scaled**2, axis=1))
 
 
 def _direction(surface: FittedSurface, mesh: TriangleMesh) -> Vector3:
-    """Toward the viewer, so that most points of the first probing are seen."""
+    """Direction toward the viewer from which most points of the first probing are visible."""
     normals, first = unit_normals(mesh), surface.probings[0]
     seen = np.isfinite(first.displacement).all(axis=1)
     places = closest_points(mesh, np.vstack([first.contact, first.points[seen]])).triangle
@@ -81,7 +84,7 @@ def _direction(surface: FittedSurface, mesh: TriangleMesh) -> Vector3:
 
 
 def _probing(probing: FittedProbing, centre: Vector3, mesh: TriangleMesh) -> dict[str, Any]:
-    """One probing without what was not measured and without outliers."""
+    """One probing, without points that were not measured and without outliers."""
     seen = np.isfinite(probing.displacement).all(axis=1)
     used = seen & (probing.weight.max(axis=1) >= OUTLIER_WEIGHT)
     seen, surface = used if used.any() else seen, probing.surface
@@ -89,7 +92,7 @@ def _probing(probing: FittedProbing, centre: Vector3, mesh: TriangleMesh) -> dic
     length = 1e3 * np.linalg.norm(probing.displacement[seen], axis=1)
     return {
         "name": probing.name,
-        # The end of the scale of colours [mm].
+        # Upper end of the colour scale [mm].
         "top": max(float(np.quantile(length, 0.99)), 1e-6) if seen.any() else 1.0,
         "force": probing.force.tolist(),
         "contact": (1e3 * (probing.contact - centre)).tolist(),
@@ -104,7 +107,7 @@ def _probing(probing: FittedProbing, centre: Vector3, mesh: TriangleMesh) -> dic
 
 
 def _packed(values: Points | PointScalars) -> dict[str, Any]:
-    """Numbers as 16 bits each, with their unit: to one part in 65 000 of the largest."""
+    """Numbers as 16-bit integers with their unit; rounding error 1.5e-5 of the largest."""
     known = np.isfinite(values)
     largest = float(np.abs(values[known]).max()) if known.any() else 0.0
     unit = max(largest, 1e-12) / _STEPS
@@ -117,7 +120,7 @@ def _text(array: np.ndarray) -> str:
 
 
 def _size(value: Any) -> int:
-    """Bytes of a part of the scene, about."""
+    """Approximate size in bytes of a part of the scene."""
     if isinstance(value, dict):
         return len(value["data"])
     return (

@@ -1,9 +1,9 @@
-"""The viewer: an object, its probings and its model in a browser, and pictures without one.
+"""The viewer: an object, its probings and its model in a browser, or as pictures without one.
 
-Purpose    : look at a session or a result, ask the model at other constants, touch the object, set
-             support and contacts by clicking.
+Purpose    : look at a session or a result, query the model at other constants, press the object,
+             set support and contacts by clicking.
 Takes      : a session, or a result folder of `palpate fit`.
-Gives      : `Viewer`, a page on one port of this computer; a picture, a turntable.
+Gives      : `Viewer`, a web page on a port of this computer; a picture, a turntable video.
 Depends on : `figures`, `simulation`, `pipeline`, `vision`, `estimation`, `records`, `geometry`.
 Read first : `server.py`, then `stage.py` and `workshop.py`.
 """

@@ -1,4 +1,4 @@
-"""Numbers as colours: what the points of a probing show, and the scale beside them."""
+"""Colour coding: the quantity shown at the points of a probing, and its colour scale."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ MEASURED, PREDICTED, RESIDUAL, SIGMA = FIELDS = (
     "displacement, measured", "displacement, predicted", "residual, in sigmas", "sigma",
 )  # fmt: skip
 _STOPS = 12
-# Share of the points within the scale: a wrong match does not set its end.
+# Quantile of the values at the end of the scale, so that false matches do not determine it.
 _TOP = 0.97
 
 Colours = UInt8[np.ndarray, "n 3"]
@@ -23,15 +23,15 @@ Colours = UInt8[np.ndarray, "n 3"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColouredField:
-    """Points with a number each, as they are drawn.
+    """Points with one value each, for drawing.
 
     Attributes
     ----------
     points : (n, 3) float [m]           at rest
-    moved : (n, 3) float [m]            displacement along which they are drawn
-    values : (n,) float                 in the unit
+    moved : (n, 3) float [m]            displacement with which they are drawn
+    values : (n,) float                 in `unit`
     top : float                         value at the end of the scale
-    unit : str
+    unit : str                          "mm" or "sigmas"
     cmap : str                          colour map of matplotlib
     """
 
@@ -44,7 +44,7 @@ class ColouredField:
 
 
 def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
-    """What the points of a probing show.
+    """Values of one quantity at the points of a probing.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
 
     Returns
     -------
-    ColouredField, or None where it is not known for any point
+    ColouredField or None               None if it is unknown at all points
     """
     moved, cmap, unit = probing.displacement, LENGTHS, "mm"
     if what == PREDICTED:
@@ -74,13 +74,13 @@ def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
 
 
 def colours_of(values: PointScalars, top: float, cmap: str) -> Colours:
-    """Red, green and blue of numbers from zero to the end of a scale.
+    """RGB colours of values on a scale from zero.
 
     Parameters
     ----------
     values : (n,) float
-    top : float                         > 0
-    cmap : str
+    top : float                         > 0; end of the scale
+    cmap : str                          colour map of matplotlib
 
     Returns
     -------
@@ -91,13 +91,13 @@ def colours_of(values: PointScalars, top: float, cmap: str) -> Colours:
 
 
 def scale_html(top: float, unit: str, cmap: str) -> str:
-    """A bar of colours with its numbers, as HTML.
+    """A colour bar with its numbers, as HTML.
 
     Parameters
     ----------
-    top : float                         at its right end
+    top : float                         value at its right end
     unit : str
-    cmap : str
+    cmap : str                          colour map of matplotlib
 
     Returns
     -------
@@ -115,7 +115,7 @@ def scale_html(top: float, unit: str, cmap: str) -> str:
 
 
 def linear_light(colours: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Colours as the amounts of light that glTF asks for, not as screens take them.
+    """Convert sRGB colours to linear RGB, which glTF requires.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Flat pictures of the viewer: the likelihood with a cross, camera pictures with arrows."""
+"""2-D pictures of the viewer: the likelihood with a cross, camera pictures with arrows."""
 
 from collections.abc import Callable
 
@@ -15,17 +15,17 @@ from palpate.pipeline import FittedProbing
 from palpate.records import Camera, Rig, Session, modulus_unit
 from palpate.vision import project, read_grey
 
-# Pixels along the longer side of a picture in the page.
+# Largest side of a picture in the page [px].
 _LARGEST = 640
 _REGIONS = (0.5, 0.95)
-# Arrows across a picture.
+# Number of arrows across a picture.
 _ARROWS = 26
 
 RGB = UInt8[np.ndarray, "_ _ 3"]
 
 
 class LikelihoodPlot:
-    """The pairs of constants that the data allow, drawn once; a cross is put on copies of it.
+    """Plot of the likelihood regions, drawn once; a cross is drawn on copies of it.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class LikelihoodPlot:
 def _likelihood_pixels(
     likelihood: LikelihoodMap, factor: float, unit: str
 ) -> tuple[RGB, Callable[[float, float], tuple[float, float]]]:
-    """The plot's pixels, and where on them a pair of constants is."""
+    """The plot's pixels, and a function from a pair of constants to its pixel."""
     figure = Figure(figsize=(3.4, 2.7), dpi=150, layout="constrained")
     axes = figure.subplots()
     nu, modulus, deviance = refined_likelihood(likelihood)
@@ -86,16 +86,16 @@ def _likelihood_pixels(
 
 
 def frames(session: Session, probing: str) -> list[str]:
-    """File patterns of a probing's pictures in time, at rest first.
+    """File patterns of a probing's pictures in order of time, at rest first.
 
     Parameters
     ----------
     session : Session
-    probing : str                   its name
+    probing : str                   name of the probing
 
     Returns
     -------
-    list of str                     empty where it has none
+    list of str                     empty if it has no pictures
     """
     images = next(one for one in session.probings if one.name == probing).images
     return [] if images is None else [images.rest, *images.loaded]
@@ -110,20 +110,20 @@ def camera_picture(
     flow: FittedProbing | None = None,
     stretch: float = 1.0,
 ) -> RGB | None:
-    """A camera's picture, small enough for a page, with arrows of the measured displacement.
+    """A camera's picture, reduced for a page, with arrows of the measured displacement.
 
     Parameters
     ----------
     session : Session
     rig : Rig
-    camera : int                    its number in the rig
-    pattern : str                   of the file
-    flow : FittedProbing or None    whose displacement is drawn; None: no arrows
-    stretch : float                 how many times longer than they are arrows are drawn
+    camera : int                    index in the rig
+    pattern : str                   file pattern
+    flow : FittedProbing or None    probing whose displacement is drawn; None: no arrows
+    stretch : float                 magnification of the arrows
 
     Returns
     -------
-    (rows, columns, 3) uint8, or None where the picture cannot be read
+    (rows, columns, 3) uint8 or None    None if the picture cannot be read
     """
     try:
         name = pattern.replace("{camera}", rig.cameras[camera].name)
@@ -146,7 +146,7 @@ def _draw_flow(
     shrink: float,
     stretch: float,
 ) -> None:
-    """Arrows from where points were at rest along the way that they went."""
+    """Draw arrows from the points at rest along their displacements."""
     known = np.isfinite(flow.displacement).all(axis=1) & _facing(camera, flow, session)
     points, moved = flow.points[known], flow.displacement[known]
     start = project(camera, points) * shrink
@@ -157,7 +157,7 @@ def _draw_flow(
 
 
 def _facing(camera: Camera, flow: FittedProbing, session: Session) -> np.ndarray:
-    """Points on the side of the object that a camera is on."""
+    """Whether each point is on the camera's side of the object."""
     pose = camera.T_camera_object
     centre = -pose[:3, :3].T @ pose[:3, 3]
     mesh = session.mesh
@@ -166,14 +166,14 @@ def _facing(camera: Camera, flow: FittedProbing, session: Session) -> np.ndarray
 
 
 def _spread(place: Float[np.ndarray, "n 2"], pitch: float) -> np.ndarray:
-    """One point a cell."""
+    """Indices of a subset with one point in each square cell."""
     known = np.flatnonzero(np.isfinite(place).all(axis=1))
     _, first = np.unique(np.floor(place[known] / pitch), axis=0, return_index=True)
     return known[first]
 
 
 def _arrow(draw: ImageDraw.ImageDraw, start: np.ndarray, way: np.ndarray) -> None:
-    """A line with a head, dark around a bright core."""
+    """Draw an arrow, bright with a dark outline."""
     length = float(np.linalg.norm(way))
     if not np.isfinite(length) or length < 1.0:
         return

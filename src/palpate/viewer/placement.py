@@ -1,4 +1,4 @@
-"""Support and contacts that were set by clicking, written into session.toml."""
+"""Support and contacts set by clicking, and their writing into session.toml."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,35 +17,35 @@ from palpate.shapes import Indices, Vector3
 
 SUPPORT_FILE = "support_triangles.txt"
 _SELECTORS = ("plane", "box", "triangles")
-# Cosine between neighbours of one flat face.
+# Least cosine between the normals of a flat face's triangles.
 _FLAT = 0.985
 _DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What was set and is not written yet.
+    """Changes that are not written yet.
 
     Attributes
     ----------
-    support : (k,) int or None      triangles that are held; None: as in the session
-    contacts : name -> (3,) float [m]   of probings
+    support : (k,) int or None      held triangles; None: as in the session
+    contacts : mapping              name of a probing -> contact point, (3,) float [m]
     """
 
     support: Indices | None = None
     contacts: dict[str, Vector3] = field(default_factory=dict)
 
     def with_support(self, triangles: Indices) -> "Draft":
-        """The same with another support."""
+        """A copy with another support."""
         return replace(self, support=np.unique(triangles))
 
     def with_contact(self, probe: str, point: Vector3) -> "Draft":
-        """The same with another contact of a probing."""
+        """A copy with another contact point [m] of a probing."""
         return replace(self, contacts=self.contacts | {probe: point})
 
 
 def flat_face(mesh: TriangleMesh, triangle: int) -> Indices:
-    """The triangles around one that go on in its direction, edge by edge.
+    """The flat face of a triangle: connected triangles with nearly the same normal.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def flat_face(mesh: TriangleMesh, triangle: int) -> Indices:
 
     Returns
     -------
-    (k,) int                        it is one of them
+    (k,) int                        including the triangle itself
     """
     normals = unit_normals(mesh)
     rows = np.flatnonzero(normals @ normals[triangle] > _FLAT)
@@ -67,7 +67,7 @@ def flat_face(mesh: TriangleMesh, triangle: int) -> Indices:
 
 
 def triangles_near(mesh: TriangleMesh, point: Vector3, radius: float) -> Indices:
-    """Triangles whose middle lies within a ball.
+    """Triangles whose centroid lies within a ball.
 
     Parameters
     ----------
@@ -84,10 +84,10 @@ def triangles_near(mesh: TriangleMesh, point: Vector3, radius: float) -> Indices
 
 
 def write_draft(session: Session, draft: Draft) -> Session:
-    """Write what was set into session.toml; comments, order and all else stay.
+    """Write the changes into session.toml, preserving comments, order and everything else.
 
-    The support becomes a list of triangles in a file beside it. Both files change together, and
-    only if the new session can be read.
+    The support becomes a list of triangles in a separate file. Both files change together, and only
+    if the new session can be read.
 
     Parameters
     ----------
@@ -96,12 +96,12 @@ def write_draft(session: Session, draft: Draft) -> Session:
 
     Returns
     -------
-    Session                         as it is read anew, without displacements and pictures
+    Session                         read again, without displacements and pictures
 
     Raises
     ------
-    InputError                      nothing was set; several supports, or a contact that is no point
-    RecordError                     the new session is refused, or cannot be written
+    InputError                      no changes; several supports, or a contact without a point
+    RecordError                     the new session is invalid, or cannot be written
     """
     if draft.support is None and not draft.contacts:
         raise InputError("nothing was set; click on the object first")
@@ -118,7 +118,7 @@ def write_draft(session: Session, draft: Draft) -> Session:
 
 
 def _check(staged: tuple[Path, ...], lines: str) -> None:
-    """Refuse a session that could not be read."""
+    """Refuse a new session that cannot be read."""
     path = staged[-1]
     whole = path.read_text(encoding="utf-8")
     if lines:
@@ -130,12 +130,12 @@ def _check(staged: tuple[Path, ...], lines: str) -> None:
 
 
 def session_text(text: str, session: Session, draft: Draft) -> str:
-    """A session's text with another support and other contacts.
+    """Text of a session file with the changes applied.
 
     Parameters
     ----------
     text : str                      of session.toml
-    session : Session               that was read from it
+    session : Session               as read from it
     draft : Draft
 
     Returns
@@ -144,7 +144,7 @@ def session_text(text: str, session: Session, draft: Draft) -> str:
 
     Raises
     ------
-    InputError                      several supports, or a contact that is no point
+    InputError                      several supports, or a contact without a point
     """
     document: Any = tomlkit.parse(text)
     if draft.support is not None:

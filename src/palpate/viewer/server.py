@@ -1,4 +1,4 @@
-"""The viewer's server: one port, a tab of a browser for everyone who looks."""
+"""The viewer's server: one port, with independent controls for each browser tab."""
 
 import io
 import socket
@@ -24,17 +24,17 @@ from palpate.viewer.subject import Subject
 from palpate.viewer.touch import place_on_ray
 from palpate.viewer.workshop import Workshop
 
-# Nobody but this computer may look.
+# Accept connections from this computer only.
 _HOST = "127.0.0.1"
 
 
 class Tab:
-    """One browser tab: its controls, and what they show.
+    """One browser tab: its controls and its scene.
 
     Parameters
     ----------
     client : ClientHandle of viser
-    workshop : Workshop             which all tabs share
+    workshop : Workshop             shared by all tabs
     """
 
     def __init__(self, client: Any, workshop: Workshop) -> None:
@@ -42,7 +42,7 @@ class Tab:
         self._workshop = workshop
         self._fitted = workshop.fitted
         self._drag_start = np.zeros(3)
-        # The workshop's thread and the one that opens the tab both say that something is ready.
+        # `update` is called both by the workshop's thread and by the one that opens the tab.
         self._updating = threading.Lock()
         self.stage = Stage(client, subject)
         gui.add_markdown(f"**{subject.session.name}**  \n{heading(subject)}")
@@ -58,8 +58,8 @@ class Tab:
             self.pictures = PicturesPanel(gui, self.stage, self.look)
         with tabs.add_tab("Set up"):
             self.setting = SettingPanel(gui, self.stage, self.look)
-        # Of the whole scene, not of the body: while a browser takes in how the body is deformed, it
-        # has none that could be clicked, and the ray is followed here anyway.
+        # Clicks are taken from the whole scene, not from the body: while a browser loads the
+        # deformed body there is none to click on, and the ray is intersected here anyway.
         self.stage.scene.on_click()(self._clicked)
         self.stage.body.on_drag(self._dragged)
         self.look.draw()
@@ -67,7 +67,7 @@ class Tab:
         self.update()
 
     def update(self) -> None:
-        """Something is ready that was not."""
+        """Update the controls after the workshop has completed something."""
         with self._updating:
             with self._material_folder:
                 self.material.update()
@@ -78,7 +78,7 @@ class Tab:
                     self.look.draw()
 
     def _clicked(self, event: Any) -> None:
-        """A place of the object was clicked."""
+        """Handle a click on the object."""
         moved = self.stage.shown_mesh
         place = place_on_ray(
             moved, 1e-3 * np.array(event.ray_origin), np.array(event.ray_direction)
@@ -91,7 +91,7 @@ class Tab:
             self.setting.clicked(self.stage.at_rest(place))
 
     async def _dragged(self, event: Any) -> None:
-        """The object is dragged: the further, the deeper the ball."""
+        """Handle dragging: the depth of the ball is the distance dragged."""
         if not self.setting.presses:
             return
         start, end = 1e-3 * np.array(event.start_position), 1e-3 * np.array(event.end_position)
@@ -102,7 +102,7 @@ class Tab:
             self.touching.deepen(float(np.linalg.norm(end - self._drag_start)))
 
     def close(self) -> None:
-        """The tab is gone."""
+        """Release the tab's resources after it was closed."""
         self._end_watch()
         self.pictures.close()
 
@@ -113,8 +113,8 @@ class Viewer:
     Parameters
     ----------
     subject : Subject
-    port : int or None              None: 8080, or the next that is free
-    cache : Path or None            folder that keeps the surface integrals
+    port : int or None              None: 8080, or the next free one
+    cache : Path or None            folder in which surface integrals are cached
 
     Raises
     ------
@@ -129,7 +129,7 @@ class Viewer:
         self.tabs: dict[int, Tab] = {}
         self._lock = threading.Lock()
         chosen = free_port(port)
-        # Its greeting would stand among what the command says.
+        # Suppress the server's greeting in the command's output.
         with redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(
                 host=_HOST, port=chosen, label=subject.session.name, verbose=False
@@ -142,7 +142,7 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """What a browser opens."""
+        """URL of the page."""
         return f"http://{_HOST}:{self._server.get_port()}"
 
     def _connected(self, client: Any) -> None:
@@ -157,17 +157,17 @@ class Viewer:
             tab.close()
 
     def stop(self) -> None:
-        """End it; tabs that are open are told so by their browsers."""
+        """Stop the server; open tabs lose their connection."""
         with redirect_stdout(io.StringIO()):
             self._server.stop()
 
 
 def free_port(wanted: int | None) -> int:
-    """A port that is free.
+    """Find a free port.
 
     Parameters
     ----------
-    wanted : int or None            None: 8080 or one of the hundred behind it
+    wanted : int or None            None: the first free one from 8080 to 8179
 
     Returns
     -------
@@ -175,7 +175,7 @@ def free_port(wanted: int | None) -> int:
 
     Raises
     ------
-    InputError                      the wanted one is taken, or may not be had; all are taken
+    InputError                      the port is in use or not permitted; none is free
     """
     first = 8080
     for port in [wanted] if wanted is not None else range(first, first + 100):
@@ -191,7 +191,7 @@ def free_port(wanted: int | None) -> int:
 
 
 def heading(subject: Subject) -> str:
-    """What is looked at: a session, or what an estimate says.
+    """Heading of the page: "session", or the verdict of an estimate.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What one browser tab shows of the object in space; lengths in millimetres."""
+"""The 3-D scene of one browser tab; lengths in the scene are in millimetres."""
 
 import threading
 from collections.abc import Mapping
@@ -18,20 +18,20 @@ from palpate.viewer.colours import ColouredField, Colours, colours_of, linear_li
 from palpate.viewer.drawings import camera_picture, frames
 from palpate.viewer.subject import Subject
 
-# Where a tab looks from at first.
+# Initial view of a tab.
 OBJECT = "the first probing's side"
-# Columns and rows of cameras whose calibration does not say.
+# Columns and rows assumed for cameras whose calibration does not give them.
 _CHIP = (640, 480)
 _FOV = np.pi / 3
 _BODY, _SET = "#c9ccd2", "#e69f00"
-# Of the object's size.
+# Sizes as fractions of the object's: points, arrows, their thickness, cameras, label distance.
 _POINT, _ARROW, _TIP, _FRUSTUM, _NEAR = 0.012, 0.2, 0.006, 0.12, 0.03
-# More arrows hide the points.
+# Largest number of arrows; more would hide the points.
 _MOST_ARROWS = 250
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """A colour by its name or number as three bytes."""
+    """A matplotlib colour as three bytes, 0 to 255."""
     red, green, blue = (round(255 * share) for share in to_rgb(colour))
     return red, green, blue
 
@@ -47,7 +47,7 @@ class Stage:
 
     def __init__(self, client: Any, subject: Subject) -> None:
         self.scene, self.subject, self._client = client.scene, subject, client
-        # Controls call from threads of their own: what is drawn together holds this.
+        # Controls call from several threads: hold this lock while drawing.
         self.lock = threading.RLock()
         mesh = subject.session.mesh
         self.size = 1e3 * bounding_diagonal(mesh)
@@ -65,12 +65,12 @@ class Stage:
 
     @property
     def views(self) -> tuple[str, ...]:
-        """Where the object can be looked at from."""
+        """Names of the available views."""
         rig = self.subject.rig
         return (OBJECT,) if rig is None else (OBJECT, *(one.name for one in rig.cameras))
 
     def look_from(self, view: str) -> None:
-        """Have the tab look from the side of the first probing, or as one of the cameras does."""
+        """Set the tab's view: from the side of the first probing, or that of a camera."""
         rig = self.subject.rig
         for camera in rig.cameras if rig is not None and view != OBJECT else ():
             if camera.name == view:
@@ -83,16 +83,15 @@ class Stage:
 
     @property
     def body(self) -> Any:
-        """The handle of the surface, which can be clicked and dragged."""
+        """Handle of the surface, which can be clicked and dragged."""
         return self._body
 
     def show(self, group: str, visible: bool) -> None:
-        """Show or hide points, arrows, probings or cameras."""
+        """Show or hide a group: points, arrows, probings or cameras."""
         self._groups[group].visible = visible
 
     def mark_support(self, triangles: Indices | None) -> None:
-        """Colour other triangles as held, as they would be after writing; None: those of the
-        session."""
+        """Set the triangles that are drawn as held, for a changed support; None: the session's."""
         self._marked = triangles
 
     def draw_body(self, moved: Vertices, colours: Colours | None) -> None:
@@ -100,8 +99,8 @@ class Stage:
 
         Parameters
         ----------
-        moved : (v, 3) float [m]        displacement as it is drawn
-        colours : (v, 3) uint8 or None  None: that of clay
+        moved : (v, 3) float [m]        displacement, magnified as drawn
+        colours : (v, 3) uint8 or None  None: a uniform grey
         """
         mesh = self.subject.session.mesh
         self._moved = moved
@@ -113,18 +112,18 @@ class Stage:
 
     @property
     def shown_mesh(self) -> TriangleMesh:
-        """The surface as it is drawn [m]."""
+        """The surface as drawn, with magnified displacement [m]."""
         mesh = self.subject.session.mesh
         return TriangleMesh(mesh.vertices + self._moved, mesh.triangles)
 
     def at_rest(self, place: Vector3) -> Vector3:
-        """Where a place of the drawn surface [m] is at rest."""
+        """Position at rest of a point of the drawn surface [m]."""
         found = closest_points(self.shown_mesh, place[None])
         corners = self.subject.session.mesh.triangles[found.triangle[0]]
         return np.asarray(place - found.barycentric[0] @ self._moved[corners])
 
     def _glb(self, vertices: Vertices, colours: Colours | None) -> bytes:
-        """The surface as a file of glTF, its corners apart: facets stay flat, edges sharp."""
+        """The surface as binary glTF, with separate corners, so that facets are shaded flat."""
         triangles = self.subject.session.mesh.triangles
         plain = np.tile(np.array(rgb(_BODY)), (len(vertices), 1))
         corner = (plain if colours is None else colours)[triangles].astype(float)
@@ -138,13 +137,13 @@ class Stage:
         return cast(bytes, shape.export(file_type="glb", include_normals=True))
 
     def draw_points(self, field: ColouredField | None, stretch: float) -> None:
-        """Draw the points of a probing, moved by so many times their displacement."""
+        """Draw the points of a probing, with displacement magnified by `stretch`."""
         self._clear("points", "arrows")
         if field is None:
             return
         colours = colours_of(field.values, field.top, field.cmap)
         mesh = self.subject.session.mesh
-        # Above the surface, or half of each would be under it.
+        # Raised above the surface, or half of each would be hidden.
         lift = _POINT * self.size * unit_normals(mesh)[closest_points(mesh, field.points).triangle]
         place = 1e3 * (field.points + stretch * field.moved) + 0.5 * lift
         self._loose["points"] = self.scene.add_point_cloud(
@@ -161,7 +160,7 @@ class Stage:
     def _arrows(
         self, name: str, start: np.ndarray, end: np.ndarray, colour: Any, thick: float = 1.0
     ) -> Any:
-        """Arrows of the scene's own size [mm]."""
+        """Draw arrows, scaled to the object [mm]."""
         unit = thick * _TIP * self.size
         return self.scene.add_arrows(
             name, np.stack([start, end], axis=1), colour,
@@ -169,7 +168,7 @@ class Stage:
         )  # fmt: skip
 
     def draw_probings(self, probings: tuple[FittedProbing, ...], chosen: str) -> None:
-        """Draw the force of every probing, the chosen one orange with its newtons."""
+        """Draw the force of every probing; the chosen one in orange, with its magnitude."""
         starts = {}
         for one in probings:
             newtons = float(np.linalg.norm(one.force))
@@ -184,7 +183,7 @@ class Stage:
             self.scene.add_label(f"/probings/label {number}", text, position=tuple(start))
 
     def draw_cameras(self, probing: str) -> None:
-        """Draw where the cameras are, with what they saw of a probing at rest."""
+        """Draw the cameras, with their pictures of a probing at rest."""
         session, rig = self.subject.session, self.subject.rig
         if rig is None:
             return
@@ -202,25 +201,25 @@ class Stage:
         )  # fmt: skip
 
     def draw_ball(self, centre: Vector3, radius: float, force: Vector3, text: str) -> None:
-        """Draw the ball that presses, its force and what it says [m, N]."""
+        """Draw the ball that presses, its force and a label [m, N]."""
         self.clear_ball()
         middle, newtons = 1e3 * centre, float(np.linalg.norm(force))
         self._loose["ball"] = self.scene.add_icosphere(
             "/ball", radius=1e3 * radius, color=rgb(PALE_BLUE), opacity=0.45, position=tuple(middle)
         )
         if newtons:
-            # Outside the ball, toward it.
+            # The arrow ends at the ball's surface.
             end = middle - 1e3 * radius * force / newtons
             start = end - _ARROW * self.size * force / newtons
             self._loose["push"] = self._arrows("/push", start[None], end[None], rgb(ORANGE))
             self._loose["newtons"] = self.scene.add_label("/newtons", text, position=tuple(start))
 
     def clear_ball(self) -> None:
-        """Take the ball away."""
+        """Remove the ball."""
         self._clear("ball", "push", "newtons")
 
     def draw_marks(self, places: dict[str, Vector3]) -> None:
-        """Draw contacts that were set and are not written yet [m]."""
+        """Draw contact points that are set but not written yet [m]."""
         self._clear("marks")
         if places:
             self._loose["marks"] = self.scene.add_point_cloud(
@@ -238,17 +237,17 @@ class Stage:
 def place_labels(
     starts: Mapping[str, tuple[Vector3, str]], near: float
 ) -> list[tuple[str, Vector3]]:
-    """One label for all probings whose arrows begin at one place.
+    """Labels of the probings, one for all whose arrows begin close to each other.
 
     Parameters
     ----------
-    starts : mapping                probing's name -> where its arrow begins [mm]; what to write
-                                    there, empty: its name
-    near : float [mm]               places that are nearer to each other are one
+    starts : mapping                probing's name -> (start of its arrow [mm], text of its label;
+                                    empty: its name)
+    near : float [mm]               distance below which starts count as the same
 
     Returns
     -------
-    list of (str, (3,) float [mm])
+    list of (str, (3,) float [mm])  text and position of each label
     """
     places: list[tuple[Vector3, list[str]]] = []
     for name, (start, _) in starts.items():
@@ -267,7 +266,7 @@ def place_labels(
 
 
 def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float]:
-    """How a camera is turned, where it stands and how wide it sees, as viser has it.
+    """Orientation, position and field of view of a camera, in viser's conventions.
 
     Parameters
     ----------
@@ -275,8 +274,9 @@ def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float
 
     Returns
     -------
-    (4,) float                      quaternion w, x, y, z of the turn from its frame to the object's
-    (3,) float [mm]
+    (4,) float                      quaternion w, x, y, z of the rotation from its frame to the
+                                    object's
+    (3,) float [mm]                 position in the object frame
     float [rad]                     vertical field of view
     """
     pose = camera.T_camera_object
@@ -287,19 +287,19 @@ def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float
 
 
 def _light(scene: Any, size: float) -> None:
-    """Light from above and a little from everywhere."""
+    """Default lights and a little ambient light."""
     scene.configure_default_lights(enabled=True, cast_shadow=False)
     scene.add_light_ambient("/light", intensity=0.15)
 
 
 def look(client: Any, subject: Subject, size: float) -> None:
-    """Have a tab look at the object from where most of the first probing is seen.
+    """Set a tab's view to the side from which most of the first probing is visible.
 
     Parameters
     ----------
     client : ClientHandle of viser
     subject : Subject
-    size : float [mm]               of the object
+    size : float [mm]               bounding diagonal of the object
     """
     mesh = subject.session.mesh
     middle = 1e3 * 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
@@ -311,7 +311,7 @@ def look(client: Any, subject: Subject, size: float) -> None:
 
 
 def direction_of(subject: Subject) -> Vector3:
-    """Direction toward the viewer, so that most points of the first probing are seen.
+    """Direction toward the viewer from which most points of the first probing are visible.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def direction_of(subject: Subject) -> Vector3:
 
     Returns
     -------
-    (3,) float, unit
+    (3,) float                      unit vector, object frame
     """
     session = subject.session
     normals = unit_normals(session.mesh)
@@ -333,15 +333,17 @@ def direction_of(subject: Subject) -> Vector3:
 
 
 def length_colours(moved: Vertices) -> tuple[Colours, PointScalars, float]:
-    """Colours of vertices by how far they move, their lengths [mm], and the end of the scale.
+    """Colours of vertices by the length of their displacement.
 
     Parameters
     ----------
-    moved : (v, 3) float [m]
+    moved : (v, 3) float [m]        displacement
 
     Returns
     -------
-    (v, 3) uint8; (v,) float [mm]; float [mm]
+    colours : (v, 3) uint8
+    length : (v,) float [mm]        of each displacement
+    top : float [mm]                end of the colour scale
     """
     length = 1e3 * np.linalg.norm(moved, axis=1)
     top = max(float(length.max()), 1e-6)

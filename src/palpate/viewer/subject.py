@@ -1,4 +1,4 @@
-"""What is looked at: a session, or a result of `palpate fit` with its session."""
+"""Subject of the viewer: a session, or a result of `palpate fit` with its session."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,14 +20,14 @@ from palpate.simulation import read_fit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subject:
-    """An object with its probings, and what a fit found of it, if there was one.
+    """An object with its probings, and the result of a fit, if there is one.
 
     Attributes
     ----------
-    session : Session               with the displacements that were measured, as far as known
+    session : Session               with the measured displacements, if known
     estimate : Estimate or None
     surface : FittedSurface or None
-    rig : Rig or None               its cameras, where it has pictures
+    rig : Rig or None               its cameras, if it has pictures
     """
 
     session: Session
@@ -37,12 +37,12 @@ class Subject:
 
 
 def read_subject(path: Path, session: Path | None = None) -> Subject:
-    """Read what is to be looked at.
+    """Read a session or a result for viewing.
 
     Parameters
     ----------
     path : Path                     a session's folder or file, or a result folder of `palpate fit`
-    session : Path or None          where the session of a result is now; None: where it was
+    session : Path or None          present location of a result's session; None: as recorded
 
     Returns
     -------
@@ -50,8 +50,8 @@ def read_subject(path: Path, session: Path | None = None) -> Subject:
 
     Raises
     ------
-    RecordError                     neither of both; a damaged result; one whose session has another
-                                    mesh by now
+    RecordError                     neither a session nor a result; a damaged result; a result whose
+                                    session now has another mesh
     """
     if not (path / SURFACE_FILE).is_file() and not (path / "estimate.json").is_file():
         found = read_session(path)
@@ -68,7 +68,7 @@ def read_subject(path: Path, session: Path | None = None) -> Subject:
 
 
 def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
-    """Every probing with what is known of it; NaN where nothing is.
+    """All probings, with fitted quantities if known, else NaN.
 
     Parameters
     ----------
@@ -85,16 +85,16 @@ def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
 
 
 def fitted_probings(session: Session, result: FitResult) -> tuple[FittedProbing, ...]:
-    """Every probing with what a fit found of it.
+    """All probings with the quantities of a fit.
 
     Parameters
     ----------
-    session : Session               that was fitted
+    session : Session               the fitted session
     result : FitResult
 
     Returns
     -------
-    tuple of FittedProbing
+    tuple of FittedProbing          in the session's order
     """
     found = []
     for probing, fit in zip(session.probings, result.probes, strict=True):
@@ -110,13 +110,13 @@ def fitted_probings(session: Session, result: FitResult) -> tuple[FittedProbing,
 
 
 def with_prediction(shown: FittedProbing, predicted: PredictedProbing) -> FittedProbing:
-    """A probing as the model predicts it at other constants.
+    """A probing with the model's prediction at other constants.
 
     Parameters
     ----------
     shown : FittedProbing
-    predicted : PredictedProbing    of this probing; its mesh may have more vertices behind those
-                                    of the session
+    predicted : PredictedProbing    of this probing; its mesh may have additional vertices after
+                                    those of the session
 
     Returns
     -------
@@ -129,7 +129,7 @@ def with_prediction(shown: FittedProbing, predicted: PredictedProbing) -> Fitted
 
 
 def _measured(probing: Probing, session: Session) -> FittedProbing:
-    """A probing of which nothing but the measurement is known."""
+    """A probing with the measurement alone."""
     field = probing.displacement
     points = np.zeros((0, 3)) if field is None else field.points
     unknown = np.full(points.shape, np.nan)

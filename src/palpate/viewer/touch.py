@@ -1,4 +1,4 @@
-"""A ball pressed into the object where somebody points: its force, and how the surface moves."""
+"""A ball pressed into the object at a chosen point: its force, and the surface displacement."""
 
 from dataclasses import dataclass
 
@@ -18,23 +18,24 @@ from palpate.simulation import (
     touch,
 )
 
-# Of its radius: the ball starts so far off, and goes at most so far in a step.
+# Initial gap, and largest step, as fractions of the ball's radius.
 _OFF, _STEP = 1e-3, 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pressed:
-    """A ball on the object.
+    """A ball in contact with the object.
 
     Attributes
     ----------
-    point : (3,) float [m]          of the surface at rest that was pointed at
+    point : (3,) float [m]          chosen point of the surface, at rest
     normal : (3,) float             outward unit normal there
-    depth : float [m]               of the ball below that point
+    depth : float [m]               indentation depth of the ball below that point
     state : ContactState
     moved : (v, 3) float [m]        displacement of all vertices
     force : (3,) float [N]          of the ball on the object
-    sigma : float [N]               1 sigma of its length, as far as the constants go
+    sigma : float [N]               standard deviation of the force's magnitude due to that of the
+                                    constants
     """
 
     point: Vector3
@@ -47,22 +48,22 @@ class Pressed:
 
     @property
     def centre(self) -> Vector3:
-        """Of the ball [m]."""
+        """Centre of the ball [m]."""
         return self.state.tools[0].place
 
     @property
     def touching(self) -> int:
-        """Vertices that the ball touches."""
+        """Number of vertices in contact."""
         return len(self.state.touching)
 
 
 def put_ball(green: GreenFunctions, point: Vector3, radius: float) -> Pressed:
-    """Bring a ball next to a point of the surface, where it does not touch yet.
+    """Place a ball just above a point of the surface, without contact.
 
     Parameters
     ----------
     green : GreenFunctions
-    point : (3,) float [m]          the nearest place of the surface counts
+    point : (3,) float [m]          moved to the closest point of the surface
     radius : float [m]              of the ball
 
     Returns
@@ -71,8 +72,8 @@ def put_ball(green: GreenFunctions, point: Vector3, radius: float) -> Pressed:
 
     Raises
     ------
-    InputError                      a place that is held, or whose Green's functions are not known;
-                                    one where the ball would be inside the object
+    InputError                      a point that is held, or without Green's functions; a ball that
+                                    would intersect the object
     """
     place = closest_points(green.mesh, point[None])
     corners = green.mesh.triangles[place.triangle[0]]
@@ -95,7 +96,7 @@ def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
     ----------
     green : GreenFunctions
     before : Pressed
-    depth : float [m]
+    depth : float [m]               new indentation depth
 
     Returns
     -------
@@ -103,7 +104,7 @@ def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
 
     Raises
     ------
-    NotConvergedError               the contact does not settle
+    NotConvergedError               the contact iteration does not converge
     """
     ball = before.state.tools[0].tool
     steps = max(1, int(np.ceil(abs(depth - before.depth) / (_STEP * ball.reach))))
@@ -122,7 +123,7 @@ def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
 
 
 def force_text(pressed: Pressed) -> str:
-    """The force in words, with what its reader should know.
+    """The force as text, with a warning if the mesh is too coarse for the contact.
 
     Parameters
     ----------
@@ -130,11 +131,11 @@ def force_text(pressed: Pressed) -> str:
 
     Returns
     -------
-    str                             a line or two of Markdown
+    str                             one or two paragraphs of Markdown
     """
     length = float(np.linalg.norm(pressed.force))
     resolved = bool(pressed.state.resolved.all())
-    # What the constants leave would look like all that the force may be off by.
+    # Unless the contact is resolved, the constants' share would understate the error of the force.
     known = resolved and pressed.sigma > 0.0
     doubt = f" \N{PLUS-MINUS SIGN} {pressed.sigma:.2g}" if known else ""
     text = f"**{length:.3g}{doubt} N** at {1e3 * pressed.depth:.2f} mm"
@@ -147,7 +148,7 @@ def force_text(pressed: Pressed) -> str:
 
 
 def place_on_ray(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vector3 | None:
-    """The first place of a surface that a ray meets from outside.
+    """First intersection of a ray with a surface, from outside.
 
     Parameters
     ----------
@@ -157,7 +158,7 @@ def place_on_ray(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vec
 
     Returns
     -------
-    (3,) float [m], or None where it meets none
+    (3,) float [m] or None          None if there is no intersection
 
     Source
     ------
@@ -173,7 +174,7 @@ def place_on_ray(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vec
         turned = np.cross(offset, side)
         v = turned @ direction / scale
         far = np.einsum("ma,ma->m", other, turned) / scale
-        # Seen from outside: the ray goes against the normal.
+        # From outside: the ray runs against the normal.
         met = (scale > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (far > 0.0)
     if not met.any():
         return None

@@ -1,4 +1,4 @@
-"""What is computed while people look: the fit's model and Green's functions, once for all tabs."""
+"""Background computations of the viewer, shared by all tabs: the fit and Green's functions."""
 
 import threading
 from collections.abc import Callable
@@ -18,21 +18,21 @@ from palpate.simulation import (
 )
 from palpate.viewer.subject import Subject, fitted_probings, shown_probings
 
-# Green's functions that a laptop holds and computes in a few seconds [bytes].
+# Largest size of the Green's functions [bytes]: a few seconds of work on a laptop.
 _LARGEST_GREEN = 3e8
-# Where nothing was fitted: something soft.
+# Constants assumed if nothing was fitted: a soft material.
 ASSUMED = exact_material(20e3, 0.3)
 
 
 class Workshop:
-    """The work behind the pictures, in a thread of its own.
+    """Background computations in a thread of their own.
 
-    What is not ready yet is None; `on_change` tells when that changes.
+    Results that are not ready yet are None; watchers set by `on_change` are called on changes.
 
     Parameters
     ----------
     subject : Subject
-    cache : Path or None            folder that keeps the surface integrals
+    cache : Path or None            folder in which surface integrals are cached
     """
 
     def __init__(self, subject: Subject, cache: Path | None) -> None:
@@ -48,19 +48,19 @@ class Workshop:
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def start(self) -> None:
-        """Begin the work."""
+        """Start the computations."""
         self._thread.start()
 
     def on_change(self, watcher: Callable[[], None]) -> Callable[[], None]:
-        """Have a function called whenever something is ready.
+        """Register a function that is called whenever something is ready.
 
         Parameters
         ----------
-        watcher : callable
+        watcher : callable          without arguments
 
         Returns
         -------
-        callable                    that ends this
+        callable                    cancels the registration
         """
         self._watchers.append(watcher)
 
@@ -88,7 +88,7 @@ class Workshop:
         self._changed()
 
     def _fit(self, session: Session) -> None:
-        """Fit, for the model that the sliders ask."""
+        """Fit the session, for the model that the sliders query."""
 
         def say(text: str, share: float) -> None:
             self.model_text = f"{text}, {share:.0%}"
@@ -104,7 +104,7 @@ class Workshop:
         self.model_text, self.fitted = "", fitted
 
     def _prepare_touch(self, session: Session) -> None:
-        """Green's functions of what may be touched."""
+        """Compute the Green's functions of the part that can be touched."""
         material = self._material()
         self.touch_text = "preparing the surface"
         self._changed()
@@ -117,7 +117,7 @@ class Workshop:
             self.touch_text = f"the object cannot be touched: {error}"
 
     def _material(self) -> Material:
-        """That of the estimate; something soft where there is none."""
+        """Material of the estimate; `ASSUMED` if there is none."""
         estimate = self.subject.estimate or (self.fitted.estimate if self.fitted else None)
         if estimate is not None:
             with suppress(PalpateError):
@@ -129,7 +129,7 @@ class Workshop:
 
 
 def _touchable(session: Session) -> int:
-    """How many vertices a laptop can take."""
+    """Largest number of vertices whose Green's functions fit into `_LARGEST_GREEN`."""
     count = len(session.mesh.vertices)
     nodes = count
     while 72.0 * nodes * (count + 4 * nodes) > _LARGEST_GREEN:

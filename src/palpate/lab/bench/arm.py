@@ -1,4 +1,4 @@
-"""The arm: where it really goes when it is sent somewhere, what it does there, how it looks."""
+"""The arm: its true motion for a commanded probing, the contact there, and its visible rod."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,38 +31,38 @@ from palpate.lab.config import Arm, Material, Probe, Specimen
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Points, Vector3
 
-# Of the tip's radius: a point farther from the surface was not meant to be on it.
+# Largest distance of a commanded point from the surface, in tip radii.
 _MAX_DISTANCE = 0.25
-# Elements under the tip: so many across the touched circle.
+# Number of elements across the contact circle.
 _ELEMENTS_ACROSS = 6.0
-# Edge of the elements at the rim of a punch, of its radius.
+# Edge of the elements at the rim of a punch, in tip radii.
 _RIM = 0.125
-# The same where the support ends, of the radius of a circle as large as the support. The traction
-# has no bound there: elements of half the radius make a ball on a small patch of glue so stiff
-# that its Poisson's ratio seems 0.005 too small. What is left of that is in proportion to the edge.
+# Edge of the elements at the rim of the support, in radii of a circle of the support's area. The
+# traction is singular there: elements of half that radius make a ball on a small glued patch so
+# stiff that its Poisson's ratio appears 0.005 too small. The error is proportional to the edge.
 _SUPPORT_RIM = 0.1
-# Of the distance to the nearest camera: the rod ends before it.
+# Length of the rod, as a fraction of the distance to the nearest camera.
 _ROD_LENGTH = 0.5
 
 
 def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator) -> Tip:
-    """The tip as it really goes: turned a little, and set down beside where it was sent.
+    """The tip's true axis: the commanded one with the arm's misalignment and placement error.
 
     Parameters
     ----------
     probe : Probe
     arm : Arm
     mesh : TriangleMesh             the body at rest
-    rng : Generator
+    rng : Generator                 for the errors
 
     Returns
     -------
-    Tip                             on its way to where it will touch
+    Tip                             `Tip.point` is its place at first contact
 
     Raises
     ------
-    InputError                      a point that is not on the body; a direction out of it; an arm
-                                    that would run through the body
+    InputError                      a point that is not on the body; a direction that leads out of
+                                    it; an arm that would pass through the body
     """
     place = closest_points(mesh, probe.point[None])
     on = place.position[0]
@@ -84,16 +84,16 @@ def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator)
     turn = np.deg2rad(arm.misalignment) * rng.standard_normal(2) @ across
     beside = arm.placement * rng.standard_normal(2) @ np.stack(_perpendicular(normal))
     tip = TIPS[arm.tip](arm.radius, on + beside, cv2.Rodrigues(turn)[0] @ direction)
-    # A sphere that comes in at a slant touches there if its centre goes over the place.
+    # An obliquely approaching sphere touches there if its centre passes above along the normal.
     tip = replace(tip, point=tip.point + tip.lead(np.zeros(1)) * normal)
     _check_path(probe.name, tip, mesh)
     return tip
 
 
 def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, float, float]:
-    """Where a body needs small elements, and how small: under the tip.
+    """Refined region of the finite elements under the tip.
 
-    The touched circle is taken from the formulae for a half space.
+    The contact radius is that on an elastic half space.
 
     Parameters
     ----------
@@ -103,7 +103,8 @@ def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, flo
 
     Returns
     -------
-    point (3,), radius, edge [m]
+    point : (3,) float [m]          centre of the region
+    radius, edge : float [m]        its radius, and the edge of the elements within
     """
     modulus = material.young_modulus / (1.0 - material.poisson_ratio**2)
     radius = tip.half_space_radius(probe.depth, probe.force, modulus)
@@ -111,16 +112,16 @@ def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, flo
 
 
 def solid_under(specimen: Specimen, tip: Tip, probe: Probe, material: Material) -> Solid:
-    """The specimen in finite elements, small ones under the tip and where the support ends.
+    """Finite element mesh of the specimen, refined under the tip and at the support's rim.
 
-    A punch's rim lies on nodes: between them it would be a punch that is smaller by some of the
-    distance between nodes, 3 % at six elements across. The pressure has no bound there, and the
-    elements are smaller still: with `_RIM` the force at a depth is 1 % too large.
+    Nodes lie on a punch's rim: otherwise the effective punch would be smaller by part of the node
+    spacing, 3 % with six elements across. The pressure is singular there, so the elements at the
+    rim are smaller still: with `_RIM` the force at a given depth is 1 % too large.
 
     Parameters
     ----------
     specimen : Specimen
-    tip : Tip                       on its way to where it will touch
+    tip : Tip                       of `aim`
     probe : Probe
     material : Material
 
@@ -143,7 +144,7 @@ def solid_under(specimen: Specimen, tip: Tip, probe: Probe, material: Material) 
 
 
 def _support_rim(specimen: Specimen, apart: float) -> Points:
-    """Points along the edges between what is held and what is free, no farther apart."""
+    """Points along the rim of the held surface, at most `apart` from each other [m]."""
     body = specimen.body
     held = np.isin(np.arange(len(body.triangles)), specimen.held)
     ends = body.vertices[half_edges(body.triangles).rim(held)]
@@ -156,26 +157,26 @@ def _support_rim(specimen: Specimen, apart: float) -> Points:
 def probe_body(
     body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool
 ) -> tuple[Press, ...]:
-    """Press a tip as a probe asks.
+    """Press a tip to the depth or force of a probe, in its load steps.
 
     Parameters
     ----------
     body : Body
     probe : Probe
     tip : Tip
-    sticking : bool                 only to a depth
-    finite : bool                   at finite strain: the tip's forces are those of the linear body
-                                    and keep their direction; how far they push is not linear
+    sticking : bool                 no slip; only for a probe with a depth
+    finite : bool                   displacements at finite strain, under the nodal forces of the
+                                    linear contact as dead loads
 
     Returns
     -------
-    tuple of Press                  as many states as the probe has steps, the last at the end
+    tuple of Press                  one per load step, the last at full load
 
     Raises
     ------
-    InputError                      sticking to a force; a tip that passes the body or reaches its
-                                    support
-    NotConvergedError               the contact does not settle
+    InputError                      a force with a sticking tip; a tip that misses the body or
+                                    reaches its support
+    NotConvergedError               contact or finite-strain equilibrium does not converge
     """
     share = np.arange(1, probe.steps + 1) / probe.steps
     if probe.depth is not None:
@@ -193,7 +194,7 @@ def probe_body(
 
 
 def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
-    """The same forces on the same nodes, and how far they push a body of finite strain."""
+    """The same nodal forces as dead loads, with the displacement and depth at finite strain."""
     displacement = solve_finite(body, state.load)
     weight = np.linalg.norm(state.load, axis=1)
     farther = (weight @ (displacement - state.displacement) / weight.sum()) @ tip.direction
@@ -206,12 +207,12 @@ def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
 
 
 def rod_at(tip: Tip, place: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
-    """The arm's rod at one instant, half as long as the nearest camera is away.
+    """The arm's rod at one instant, half as long as the distance to the nearest camera.
 
     Parameters
     ----------
     tip : Tip
-    place : (3,) float [m]          of the sphere's centre, or of the punch's face
+    place : (3,) float [m]          centre of the sphere, or of the punch's face
     cameras : sequence of Camera
 
     Returns
@@ -226,14 +227,14 @@ def rod_at(tip: Tip, place: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
 
 
 def _smooth_normal(mesh: TriangleMesh, place: SurfacePoints) -> Vector3:
-    """Outward normal of the round body that the facets stand for."""
+    """Outward normal interpolated from the vertex normals, as of the smooth surface."""
     corners = mesh.triangles[place.triangle[0]]
     normal = place.barycentric[0] @ vertex_normals(mesh.vertices, mesh.triangles)[corners]
     return normal / np.linalg.norm(normal)
 
 
 def _perpendicular(direction: Vector3) -> tuple[Vector3, Vector3]:
-    """Two unit vectors that make a right-handed frame with a direction as the third."""
+    """Two unit vectors that form a right-handed frame with `direction` as the third axis."""
     other = np.eye(3)[np.abs(direction).argmin()]
     first = np.cross(other, direction)
     first /= np.linalg.norm(first)
@@ -241,7 +242,7 @@ def _perpendicular(direction: Vector3) -> tuple[Vector3, Vector3]:
 
 
 def _check_path(name: str, tip: Tip, mesh: TriangleMesh) -> None:
-    """Refuse an arm that runs through the body on its way to where it touches."""
+    """Refuse an arm that would pass through the body on its way to the contact point."""
     offset = mesh.vertices - tip.point
     behind = -(offset @ tip.direction)  # of the sphere's centre at first touch, or of the face
     beside = np.linalg.norm(offset + behind[:, None] * tip.direction, axis=1)

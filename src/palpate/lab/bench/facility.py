@@ -1,7 +1,7 @@
-"""The virtual facility: from a configuration to a session folder with its truth.
+"""The virtual facility: from a configuration to a session folder with ground truth.
 
-The session is an ordinary one and holds only what a bench would give. `truth.toml` and the truth
-maps beside it hold what was really there.
+The session itself is an ordinary one and holds only what a real bench would give. The ground truth
+is in `truth.toml`, `rig_true.toml` and the truth maps, in the same folder.
 """
 
 import io
@@ -43,25 +43,25 @@ from palpate.records import Rig, read_rig, write_rig
 from palpate.shapes import Vertices
 from palpate.vision import project
 
-# One stream of random numbers for each purpose, so that a further probing changes no other.
+# One stream of random numbers for each purpose, so that adding a probing leaves the others as is.
 _TEXTURE, _ARM, _SENSORS, _CALIBRATION, _PICTURES = range(5)
-# Contents of files by their names in the session's folder.
+# Content of files by their names in the session's folder.
 _Files = dict[str, bytes]
 # Share of the object's vertices that every camera must see in its picture.
 _MIN_SEEN = 0.9
-# Work before the first probing, in probings.
+# Cost of the work before the first probing, in units of one probing, for the progress display.
 _BODY, _LIGHT = 0.7, 0.6
 
 
 class _Bench:
-    """One session: cameras and arm from the beginning, texture and light once they are put up."""
+    """State of one session while it is measured: cameras and arm, and after `put_up` the studio."""
 
     studio: Studio
 
     def __init__(
         self, config: LabConfig, folder: Path, variant: Variant, parts: Path | None
     ) -> None:
-        """Refuse what can be refused without finite elements or light."""
+        """Prepare cameras and arm; refuses whatever can be refused before meshing and rendering."""
         mesh = config.specimen.mesh
         self.config, self.folder, self.rig = config, folder, _rig(config)
         self.parts = Parts(
@@ -75,11 +75,11 @@ class _Bench:
         self.measured: list[tuple[Table, Table]] = []
 
     def rng(self, stream: int, number: int = 0) -> np.random.Generator:
-        """Random numbers of one purpose."""
+        """Generator of one stream of random numbers."""
         return np.random.default_rng([self.config.seed, stream, number])
 
     def put_up(self, variant: Variant) -> None:
-        """Put up texture and light; write what the session knows before the first picture."""
+        """Prepare texture and light; write mesh and rigs."""
         config, folder, rig = self.config, self.folder, self.rig
         mesh = config.specimen.mesh
         self.studio = make_studio(config, rig, variant, rng=self.rng(_TEXTURE))
@@ -92,7 +92,7 @@ class _Bench:
     def photograph(
         self, name: str, number: int, instants: Sequence[Vertices], rod: TriangleMesh | None = None
     ) -> _Files:
-        """Take one picture of every camera; several instants blur it."""
+        """Take one picture with every camera, as PNG; several instants give motion blur."""
         pictures = photograph(self.studio, instants, rod, rng=self.rng(_PICTURES, number))
         return {
             f"images/{name}_{camera.name}.png": cv2.imencode(".png", picture)[1].tobytes()
@@ -100,7 +100,7 @@ class _Bench:
         }
 
     def take(self, name: str, measure: Callable[[], tuple[_Files, tuple[Table, Table]]]) -> None:
-        """Write down a part of the measurement, made now or by a run that was interrupted."""
+        """Write a part of the measurement, computed now or stored by an interrupted run."""
         files, tables = self.parts.kept(name, measure)
         for file, content in files.items():
             (self.folder / file).write_bytes(content)
@@ -115,18 +115,18 @@ def make_session(
     progress: Progress | None = None,
     parts: Path | None = None,
 ) -> None:
-    """Measure a virtual specimen: pictures, forces and truth into a folder.
+    """Measure a virtual specimen: write pictures, forces and ground truth into a folder.
 
-    Everything that can be refused is refused before anything is rendered.
+    Input is checked before anything is rendered.
 
     Parameters
     ----------
     config : LabConfig
     folder : Path                   an empty folder
     variant : Variant               of Mitsuba
-    progress : callable or None     gets what is done (text) and how much of all (0 to 1)
-    parts : Path or None            folder, there or not, that keeps finished probings and steps,
-                                    for a run that is interrupted and started again
+    progress : callable or None     called with the current step (text) and the fraction done, 0..1
+    parts : Path or None            folder, created if missing, in which finished probings and steps
+                                    are stored so that an interrupted run can be resumed
 
     Raises
     ------
@@ -144,20 +144,20 @@ def make_sessions(
     progress: Progress | None = None,
     parts: Path | None = None,
 ) -> None:
-    """Measure virtual specimens, several sessions in one go.
+    """Measure several virtual specimens, each into its own session folder.
 
-    Configurations that `dataclasses.replace` made from one another, with the same body, probes and
-    constants, share the factorisations, which are half of the work. Each session gets the files
-    that it would get alone.
+    Configurations derived from one another by `dataclasses.replace`, with the same body, probes and
+    constants, share the factorisations, which are half of the work. Each session's files are the
+    same as if it were made alone.
 
     Parameters
     ----------
     wanted : sequence of (LabConfig, Path)      each with its own empty folder
-    variant, progress, parts        as for `make_session`
+    variant, progress, parts        as in `make_session`
 
     Raises
     ------
-    InputError, RecordError         as `make_session`
+    InputError, RecordError         as in `make_session`
     """
     say = progress or silent
     groups: dict[object, list[_Bench]] = {}
@@ -180,7 +180,7 @@ def make_sessions(
 
 
 def stage_motions(stage: Stage) -> Float[np.ndarray, "s 4 4"]:
-    """Motion of the object from the first instant to each, the first included.
+    """Motion of the object from the first instant to every instant, the first included.
 
     Parameters
     ----------
@@ -188,7 +188,8 @@ def stage_motions(stage: Stage) -> Float[np.ndarray, "s 4 4"]:
 
     Returns
     -------
-    (s, 4, 4) float [m]             x(step) = R x(first) + t, object frame
+    (s, 4, 4) float                 homogeneous matrices, x(step) = R x(first) + t, object frame;
+                                    t in metres
     """
     axis = stage.axis / np.linalg.norm(stage.axis)
     motions = np.tile(np.eye(4), (stage.steps + 1, 1, 1))
@@ -200,7 +201,7 @@ def stage_motions(stage: Stage) -> Float[np.ndarray, "s 4 4"]:
 
 
 def _body_key(config: LabConfig) -> object:
-    """What a session's finite elements depend on; only what was replaced counts as different."""
+    """Key of all that a session's finite elements depend on; objects are compared by identity."""
     if config.stage is not None:
         return object()
     specimen, arm, material = config.specimen, config.arm, config.material
@@ -210,11 +211,11 @@ def _body_key(config: LabConfig) -> object:
 
 
 def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress) -> None:
-    """Every probing of one body in several sessions: physics, pictures, readings, truth."""
+    """All probings of one body in several sessions: contact, pictures, readings, truth."""
     config, tips = benches[0].config, benches[0].tips
     whole = _BODY + _LIGHT + len(tips)
     say("finite elements", 0.0)
-    # Before any light is made: a body that cannot be filled or held is refused here.
+    # Before any rendering: a body that cannot be meshed or held is refused here.
     body = _body(config, config.probes[0], tips[0])
     for bench in benches:
         say("texture and light", _BODY / whole)
@@ -224,7 +225,7 @@ def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress
             (bench.folder / file).write_bytes(content)
     for k, probe in enumerate(config.probes):
         say(f"probing {probe.name}", (_BODY + _LIGHT + k) / whole)
-        # Small elements under this tip only: a body for each is less than one for all.
+        # Refined under this tip only: a mesh for each probing costs less than one for all of them.
         shared = _Shared(config, probe, tips[k], body if k == 0 else None)
         for bench in benches:
             bench.take(f"probing {probe.name}", partial(_measure_probing, bench, shared, k))
@@ -233,27 +234,27 @@ def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress
 
 
 class _Shared:
-    """A body for one probing, and what several benches ask of it; made when it is asked for."""
+    """The finite elements of one probing, shared by several benches and computed on demand."""
 
     def __init__(self, config: LabConfig, probe: Probe, tip: Tip, body: Body | None) -> None:
         self._config, self._probe, self._tip, self._body = config, probe, tip, body
         self._carried: dict[bytes, csr_array] = {}
 
     def body(self) -> Body:
-        """Finite elements, small ones under the tip."""
+        """Finite element model, refined under the tip."""
         if self._body is None:
             self._body = _body(self._config, self._probe, self._tip)
         return self._body
 
     def carried(self, rest: Vertices) -> csr_array:
-        """From nodal values to drawn vertices: the same where cameras and mesh are."""
+        """Interpolation from nodes to rendered vertices, shared for equal cameras and mesh."""
         if rest.tobytes() not in self._carried:
             self._carried[rest.tobytes()] = surface_values(self.body().solid, rest)
         return self._carried[rest.tobytes()]
 
 
 def _measure_probing(bench: _Bench, shared: _Shared, k: int) -> tuple[_Files, tuple[Table, Table]]:
-    """One probing on one bench: pictures and truth map; tables of the session and of the truth."""
+    """One probing in one session: pictures and truth map; tables for session.toml, truth.toml."""
     config, rig, mesh = bench.config, bench.rig, bench.studio.mesh
     probe, tip = config.probes[k], bench.tips[k]
     finite = config.material.law == "neo-hookean"
@@ -274,7 +275,7 @@ def _measure_probing(bench: _Bench, shared: _Shared, k: int) -> tuple[_Files, tu
 
 
 def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress) -> None:
-    """A rigid object on a motion stage."""
+    """All steps of a rigid object on a motion stage, in one session."""
     bench.put_up(variant)
     config, rest = bench.config, bench.studio.mesh.vertices
     motions = stage_motions(stage)
@@ -292,7 +293,7 @@ def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress)
 
 
 def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
-    """The specimen in finite elements, small ones under the tip."""
+    """Finite element model of the specimen, refined under the tip."""
     material, specimen = config.material, config.specimen
     solid = solid_under(specimen, tip, probe, material)
     held = held_nodes(solid, specimen.held)

@@ -1,4 +1,4 @@
-"""What the cameras of a session will see, before there is a picture."""
+"""Preview of a session that is not yet measured: what its cameras will see."""
 
 from collections.abc import Iterator, Sequence
 
@@ -20,12 +20,12 @@ from palpate.lab.pictures import Variant, make_studio, photograph
 from palpate.records import FLAT, Probing, Rig, Session, read_rig
 from palpate.shapes import Vertices
 
-# A speckle of so many pixels is best matched.
+# Speckle diameter that is matched best [px].
 _SPECKLE_PX = 4.0
-# Profiles of a flat tool; all others are taken for a ball's.
+# Contact profiles of a flat tool; all others are attributed to a ball.
 _PUNCHES = (FLAT, "uniform")
-# Of the circle that it touches: a ball that seems larger, for its constants are a guess, would hide
-# what no tool hides.
+# Largest radius of a ball, in contact radii. With guessed constants Hertz' formula may give a
+# larger one, which would occlude far more than any real tool.
 _LARGEST_BALL = 4.0
 
 
@@ -37,24 +37,24 @@ def planned_pictures(
     pictures: Pictures = Pictures(),
     variant: Variant,
 ) -> Iterator[tuple[str, tuple[UInt[np.ndarray, "_ _"], ...]]]:
-    """Pictures of all cameras at rest, and of each probing at its full force.
+    """Render the pictures of all cameras at rest, and of each probing at full force.
 
-    The object carries a speckle of four pixels. A flat tool is a punch, any other a ball on a shaft
-    of at most 4 mm radius: the ball that the probing names, or that touches its circle under its
-    force (Hertz). Where the patch has no radius, there is no tool to be seen.
+    The object carries a speckle pattern of four pixels. A flat tool is drawn as a punch, any other
+    as a ball on a shaft of at most 4 mm radius: with the probing's tool radius, or else the radius
+    that gives its contact radius under its force (Hertz). A contact without radius has no tool.
 
     Parameters
     ----------
-    session : Session               with a rig whose cameras have sizes
+    session : Session               with a rig whose cameras have picture sizes
     moved : sequence of (v, 3) float [m]    displacement of the mesh's vertices in each probing
-    material : Material             a guess: balls follow from it
-    pictures : Pictures             how they are taken
+    material : Material             assumed constants, from which radii of balls follow
+    pictures : Pictures             exposure, image sensor and lens
     variant : Variant               of Mitsuba
 
     Yields
     ------
-    name, pictures                  `rest`, then each probing's name; (rows, columns) uint8 for
-                                    every camera
+    name, pictures                  "rest", then each probing's name; a tuple of (rows, columns)
+                                    uint8 or uint16, one for each camera
 
     Raises
     ------
@@ -81,14 +81,14 @@ def planned_pictures(
 
 
 def _one_side(mesh: TriangleMesh) -> np.ndarray:
-    """No triangle is told from another: displacement is continuous over creases."""
+    """The same label for all triangles: the displacement is continuous across creases."""
     return np.zeros(len(mesh.triangles), dtype=np.int64)
 
 
 def _rod(
     session: Session, probing: Probing, moved: Vertices, material: Material, rig: Rig
 ) -> TriangleMesh | None:
-    """The arm's rod where it presses a probing's contact in; None where no round patch is."""
+    """The arm's rod at a probing's displaced contact; None for a contact without radius."""
     contact = probing.contact
     if contact.radius is None:
         return None
@@ -102,7 +102,7 @@ def _rod(
 
 
 def _arm(probing: Probing, material: Material) -> Arm:
-    """The tool that a contact's patch belongs to."""
+    """The tool of a contact, or the one that its patch suggests."""
     contact, touched = probing.contact, float(probing.contact.radius or 0.0)
     shape: TipName = "punch" if contact.profile in _PUNCHES else "sphere"
     if contact.tool is not None:
@@ -116,7 +116,7 @@ def _arm(probing: Probing, material: Material) -> Arm:
 
 
 def _as_config(session: Session, rig: Rig, material: Material, pictures: Pictures) -> LabConfig:
-    """A session's object and cameras as the facility's: only what pictures need is meant."""
+    """A session's object and cameras as a configuration, meaningful only for rendering."""
     mesh, camera = session.mesh, rig.cameras[rig.reference]
     depth = float(
         np.median(mesh.vertices @ camera.T_camera_object[2, :3]) + camera.T_camera_object[2, 3]

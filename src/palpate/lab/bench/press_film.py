@@ -1,9 +1,9 @@
-"""Films of presses with the log of a force gauge: what a bench without sorted pictures records.
+"""Videos of presses with the log of a force gauge: the raw recordings of a bench.
 
 Each press is solved at a few depths, and the object at rest is rendered once for each camera, at
-twice the resolution. A frame is that picture warped by the projected displacement, interpolated
-over the depth; what is interpolated is the smooth motion, never a picture. The rod is drawn as it
-is, without its shadow; light does not follow the surface's slope. Every frame has its own noise.
+twice the resolution. A frame is that picture warped by the projected displacement, which is
+interpolated over the depth; pictures are never interpolated in time. The rod is drawn without its
+shadow, and shading does not change with the surface's slope. Every frame has its own noise.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,18 +41,21 @@ Picture = Float[np.ndarray, "_ _"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Film:
-    """When the tool comes and goes, and how it is recorded.
+    """Time course of the presses, and how they are recorded.
 
     Attributes
     ----------
-    presses, depths : int           how many; states of each that are solved
+    presses, depths : int           number of presses; number of solved depths of each
     frame_rate, gauge_rate : float [Hz]
     clock_offset : float [s]        by which the gauge's clock is ahead of the cameras'
-    approach, ramp, hold : float [s]    the tool comes and goes away, goes in and comes out, rests
-    pause : tuple of float [s]      it is away, in turn
-    far : float [m]                 from where it comes
-    weight : (3,) float [N]         of the tool, which the gauge reads, too
-    gauge_noise, drift : float [N]  of a reading; in all
+    approach : float [s]            duration of the approach, and of the retreat
+    ramp : float [s]                duration of loading, and of unloading
+    hold : float [s]                duration of the plateau at full depth
+    pause : tuple of float [s]      time without tool after each press, used cyclically
+    far : float [m]                 distance from which the tool approaches
+    weight : (3,) float [N]         of the tool, included in the gauge's readings
+    gauge_noise : float [N]         standard deviation of each component of a reading
+    drift : float [N]               total zero drift over the recording
     """
 
     presses: int = 10
@@ -71,7 +74,7 @@ class Film:
 
     @property
     def begins(self) -> Float[np.ndarray, " k"]:
-        """When each press touches, gauge's clock [s]."""
+        """Time of first contact of each press, gauge's clock [s]."""
         found, time = [], 2.0
         for k in range(self.presses):
             found.append(time)
@@ -80,12 +83,12 @@ class Film:
 
     @property
     def duration(self) -> float:
-        """Length of the recording [s]."""
+        """Duration of the recording [s]."""
         return float(self.begins[-1] + 2.0 * self.ramp + self.hold + self.approach + 1.5)
 
     def depth_share(self, time: Float[np.ndarray, " n"], begin: float) -> Float[np.ndarray, " n"]:
-        """How deep the tool is of its greatest depth; negative above the surface, in parts of
-        `far`."""
+        """Depth of the tool as a fraction of its largest depth; before and after contact minus its
+        distance as a fraction of `far`."""
         out = begin + self.ramp + self.hold
         inside = _smooth((time - begin) / self.ramp) - _smooth((time - out) / self.ramp)
         before = np.clip((begin - time) / self.approach, 0.0, None)
@@ -95,7 +98,7 @@ class Film:
 
 
 def _smooth(share: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """From 0 to 1 without a jerk."""
+    """Smooth step from 0 to 1 with zero slope at both ends."""
     s = np.clip(share, 0.0, 1.0)
     return s**2 * (3.0 - 2.0 * s)
 
@@ -107,14 +110,14 @@ class SolvedPress:
     Attributes
     ----------
     tip : Tip
-    point : (3,) float [m]          where the arm was sent
-    radius : float [m]              of the touched patch at the end
-    place : (3,) float [m]          of the tip at the end
-    depth : float [m]               there
-    share : (s,) float              of that depth, from 0
-    force : (s, 3) float [N]        of the tool on the body
+    point : (3,) float [m]          commanded contact point
+    radius : float [m]              contact radius at full depth
+    place : (3,) float [m]          of the tip at full depth
+    depth : float [m]               full depth
+    share : (s,) float [-]          depth of each state as a fraction of the full depth, from 0 to 1
+    force : (s, 3) float [N]        of the tool on the body in each state
     solid : Solid
-    moved : (s, n, 3) float [m]     displacement of its nodes in every state
+    moved : (s, n, 3) float [m]     nodal displacements in each state
     """
 
     tip: Tip
@@ -128,31 +131,35 @@ class SolvedPress:
     moved: Float[np.ndarray, "s n 3"]
 
     def force_at(self, share: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-        """Force of the tool on the body at shares of the depth [N]."""
-        # Hertz: the force grows with the power 1.5 of the depth; the rest is smooth.
+        """Force of the tool on the body at fractions of the full depth [N]."""
+        # Hertz: the force grows as depth to the power 1.5, so it is smooth in the depth's root.
         law = CubicSpline(np.sqrt(self.share), self.force)
         touching = np.clip(share, 0.0, 1.0)
         return np.where(touching[:, None] > 0.0, law(np.sqrt(touching)), 0.0)
 
     def tip_place(self, share: float, far: float) -> Vector3:
-        """Where the tip is [m]; its own point of reference."""
+        """Position of the tip's reference point [m], at a value of `Film.depth_share`."""
         along = self.depth * (share - 1.0) if share >= 0.0 else -self.depth + far * share
         return self.place + along * self.tip.direction
 
 
 def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedPress:
-    """Press as a probe of a configuration asks, at several depths.
+    """Solve a press to the force of a configuration's probe, at several depths.
 
     Parameters
     ----------
     config : LabConfig
-    tip : Tip
-    number : int                    of the probe, which has a force
-    film : Film
+    tip : Tip                       of `aim`
+    number : int                    index of the probe, which must have a force
+    film : Film                     its number of depths
 
     Returns
     -------
     SolvedPress
+
+    Raises
+    ------
+    InputError, MeshError           as in `solid_under` and `press_to_force`
     """
     probe, specimen = config.probes[number], config.specimen
     solid = solid_under(specimen, tip, probe, config.material)
@@ -175,17 +182,18 @@ def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedP
 def gauge_readings(
     film: Film, presses: Sequence[SolvedPress], *, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """What the gauge writes down: the force on the body with weight, drift and noise.
+    """The gauge's log: force of the tool on the body plus weight, drift and noise.
 
     Parameters
     ----------
     film : Film
     presses : sequence of SolvedPress
-    rng : Generator
+    rng : Generator                 of the noise
 
     Returns
     -------
-    (n,) float [s], (n, 3) float [N]    the gauge's own clock
+    time : (n,) float [s]           the gauge's own clock
+    force : (n, 3) float [N]
     """
     time = np.arange(0.0, film.duration, 1.0 / film.gauge_rate)
     force = np.zeros((len(time), 3))
@@ -198,7 +206,7 @@ def gauge_readings(
 
 
 def rest_pictures(config: LabConfig, rig: Rig, variant: Variant) -> list[Picture]:
-    """The object at rest in every camera at twice the resolution, without noise.
+    """Noise-free pictures of the object at rest, at twice the resolution of the cameras.
 
     Parameters
     ----------
@@ -208,7 +216,7 @@ def rest_pictures(config: LabConfig, rig: Rig, variant: Variant) -> list[Picture
 
     Returns
     -------
-    list of (2 rows, 2 columns) float32 [grey levels]
+    list of (2 rows, 2 columns) float32 [grey levels]   one for each camera
     """
     sharp = replace(config.pictures, noise=0.0, response=0.0, bits=12, samples=9)
     double = Rig(tuple(map(_double_camera, rig.cameras)), rig.reference, rig.source)
@@ -230,15 +238,15 @@ def film_frames(
     *,
     rng: np.random.Generator,
 ) -> Iterator[UInt8[np.ndarray, "_ _"]]:
-    """Frames of one camera.
+    """Video frames of one camera.
 
     Parameters
     ----------
     film : Film
     config : LabConfig
     rig : Rig
-    number : int                    of the camera
-    rest : (2 rows, 2 columns) float32  of `rest_pictures`
+    number : int                    index of the camera
+    rest : (2 rows, 2 columns) float32  its picture of `rest_pictures`
     presses : sequence of SolvedPress
     rng : Generator                 of the noise
 
@@ -267,17 +275,17 @@ def film_frames(
 
 
 def write_film(path: Path, frames: Iterator[UInt8[np.ndarray, "_ _"]], rate: float) -> None:
-    """Write frames as a video without losses (FFV1).
+    """Write frames as a lossless video (FFV1).
 
     Parameters
     ----------
-    path : Path                     ending .avi
-    frames : iterator of (rows, columns) uint8
+    path : Path                     file name that ends in .avi
+    frames : iterator of (rows, columns) uint8, at least one
     rate : float [Hz]
 
     Raises
     ------
-    RecordError                     it cannot be written
+    RecordError                     the file cannot be opened for writing
     """
     first = next(frames)
     code = cv2.VideoWriter.fourcc(*"FFV1")
@@ -290,7 +298,8 @@ def write_film(path: Path, frames: Iterator[UInt8[np.ndarray, "_ _"]], rate: flo
 
 
 def _motion_of(camera: Camera, config: LabConfig, solved: SolvedPress) -> CubicSpline:
-    """Motion [px] of every second pixel over the share of the depth, (rows, columns, 2)."""
+    """Spline over the depth fraction of the image motion [px] of every second pixel; its values
+    have shape (rows / 2, columns / 2, 2)."""
     mesh = config.specimen.mesh
     columns, rows = picture_size(camera)
     seen = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles).point[::2, ::2]
@@ -308,7 +317,7 @@ def _motion_of(camera: Camera, config: LabConfig, solved: SolvedPress) -> CubicS
 
 
 def _double_camera(camera: Camera) -> Camera:
-    """The same camera with pixels of half the side."""
+    """The same camera with pixels of half the size."""
     columns, rows = picture_size(camera)
     matrix = camera.matrix.copy()
     matrix[:2] *= 2.0
@@ -317,18 +326,18 @@ def _double_camera(camera: Camera) -> Camera:
 
 
 def _warped(coefficients: Picture, motion: Float[np.ndarray, "_ _ 2"]) -> Picture:
-    """A picture at twice the resolution, by its spline's coefficients, moved by a field at half of
-    the resolution.
+    """A picture at twice the resolution, given by its spline coefficients, warped by a motion field
+    at half the resolution.
 
-    The remap of image libraries rounds places to 1/32 of a pixel, a tenth of how far most of an
-    object moves, and more.
+    The remap functions of image libraries round positions to 1/32 of a pixel, a tenth or more of
+    the motion of most of the object.
     """
     rows, columns = coefficients.shape
     field = cv2.resize(
         2.0 * motion.astype(np.float32), (columns, rows), interpolation=cv2.INTER_CUBIC
     )
     y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
-    # The field's first sample is at the first pixel, not at the middle of four.
+    # The field is sampled at the first pixel of each block, not at the middle of the block.
     onto = np.array([[1, 0, -1], [0, 1, -1]], dtype=np.float32)
     field = cv2.warpAffine(
         field, onto, (columns, rows), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -341,14 +350,14 @@ def _warped(coefficients: Picture, motion: Float[np.ndarray, "_ _ 2"]) -> Pictur
 
 
 def _with_rod(picture: Picture, camera: Camera, tip: Tip, place: Vector3, rig: Rig) -> Picture:
-    """The rod in front of a picture at twice the resolution."""
+    """A picture at twice the resolution with the rod drawn over it, in place."""
     outline = project(_double_camera(camera), rod_at(tip, place, rig.cameras).vertices)
     hull = cv2.convexHull(np.rint(16.0 * outline).astype(np.int32))
     return cv2.fillConvexPoly(picture, hull, (_ROD,), lineType=cv2.LINE_AA, shift=4)
 
 
 def _chip(picture: Picture, config: LabConfig) -> Picture:
-    """What the chip gets of a picture at twice the resolution, without noise."""
+    """Picture at the camera's resolution, blurred by lens and image sensor, without noise."""
     blurred = cv2.GaussianBlur(picture, (0, 0), 2.0 * config.pictures.response)
     rows, columns = blurred.shape
     return cv2.resize(blurred, (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)

@@ -1,4 +1,4 @@
-"""A session and its truth as text: what the facility leaves is read like any other session."""
+"""Tables of session.toml and truth.toml; a session of the facility is read like any other."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ Table = dict[str, Any]
 
 
 def instant_name(probe: Probe, number: int) -> str:
-    """Name of a probing's pictures at an instant.
+    """Name of a probing's pictures at one load step.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def instant_name(probe: Probe, number: int) -> str:
 
     Returns
     -------
-    str                             the last instant has the probing's own name
+    str                             the probing's own name for the last load step
     """
     return probe.name if number == probe.steps else f"{probe.name}_{number}"
 
@@ -34,17 +34,17 @@ def instant_name(probe: Probe, number: int) -> str:
 def probe_tables(
     config: LabConfig, probe: Probe, tip: Tip, states: Sequence[Press], *, rng: np.random.Generator
 ) -> tuple[Table, Table]:
-    """A probing as the bench knows it, from readings and where the arm was sent; and its truth.
+    """Tables of a probing for the session, with simulated readings, and for the ground truth.
 
-    The contact is what a person at the bench would write down: where the arm was sent, and what is
-    screwed to its rod. How wide it touches nobody sees.
+    The session's contact is what an operator would know: the commanded point, and the shape, radius
+    and friction of the tool. The contact radius is not observed.
 
     Parameters
     ----------
     config : LabConfig              its sensors
-    probe : Probe                   what was asked for
-    tip : Tip                       the tip as it really went
-    states : sequence of Press      one an instant, the last at the end
+    probe : Probe                   as commanded
+    tip : Tip                       as truly moved
+    states : sequence of Press      one per load step, the last at full load
     rng : Generator                 of the readings
 
     Returns
@@ -71,7 +71,7 @@ def probe_tables(
             "loaded": [f"images/{name}_{{camera}}.png" for name in loaded],
         },
     }
-    # The tip's axis goes through the sphere's centre, one radius above the place.
+    # `tip.point` is the centre of a sphere, one radius above the contact point.
     place = closest_points(config.specimen.mesh, tip.point[None]).position[0]
     truth = {
         "name": probe.name,
@@ -89,13 +89,13 @@ def probe_tables(
 def step_tables(
     config: LabConfig, name: str, motion: Float[np.ndarray, "4 4"], *, rng: np.random.Generator
 ) -> tuple[Table, Table]:
-    """A step of a stage as the bench knows it; and its true motion, with the encoder's reading.
+    """Tables of a stage's step for the session, and for the truth: motion and encoder reading.
 
     Parameters
     ----------
     config : LabConfig              its position sensor
     name : str                      of the step
-    motion : (4, 4) float [m]       from the first instant, object frame
+    motion : (4, 4) float           from the first instant, object frame; translation in metres
     rng : Generator                 of the reading
 
     Returns
@@ -115,11 +115,11 @@ def write_session(folder: Path, config: LabConfig, measured: Sequence[tuple[Tabl
     ----------
     folder : Path
     config : LabConfig
-    measured : sequence of tables   of the session and of the truth, of every probing or step
+    measured : sequence of (dict, dict)     session and truth tables of every probing or step
 
     Raises
     ------
-    OSError                         they cannot be written
+    OSError                         the files cannot be written
     """
     material = config.material
     rows, truths = (list(tables) for tables in zip(*measured, strict=True))

@@ -1,7 +1,7 @@
-"""Everything that a bench records before it knows anything: boards, a turntable, films of presses.
+"""Raw recordings for the tutorial: calibration boards, a turntable, videos of presses.
 
-The recordings of one unknown half ball by three cameras that nobody has calibrated: what a tutorial
-begins with. The truth lies beside them.
+They show one unknown half ball, taken by three uncalibrated cameras. The ground truth is written to
+a folder of its own.
 """
 
 from collections.abc import Sequence
@@ -31,10 +31,11 @@ from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, camera_centre, write_rig, write_text
 from palpate.shapes import Vector3
 
-# Cameras from above, all three over the object, so that a board on the table is seen, too.
+# The head looks from above, so that all three cameras also see a board on the table.
 _TOWARD = (0.35, -0.5, 0.8)
 _BOARD_BLUR = 0.6
-# How far boards are tilted about their own axes [degrees] and away from the middle [m].
+# Largest tilt and in-plane rotation of the boards [degrees], and largest offsets of their middle
+# across and along the viewing direction [m].
 _TILT, _TURN, _AWAY, _NEARER = 32.0, 60.0, 0.015, 0.05
 
 
@@ -44,13 +45,13 @@ class TutorialSize:
 
     Attributes
     ----------
-    columns, rows : int [px]        of the pictures
-    boards, views : int             of the cameras, and of the object on its turntable
-    presses : int                   3 at most
-    frame_rate : float [Hz]
-    hold : float [s]                of a press
-    element : float [m]             of the body's finite elements
-    depths : int                    states of a press that are solved
+    columns, rows : int [px]        size of the pictures
+    boards, views : int             number of board poses, and of turntable positions
+    presses : int                   1 to 3
+    frame_rate : float [Hz]         of the videos
+    hold : float [s]                duration of the plateau of a press
+    element : float [m]             edge of the body's finite elements
+    depths : int                    number of solved depths of a press
     """
 
     columns: int = 480
@@ -90,11 +91,11 @@ def make_tutorial(
 
     Parameters
     ----------
-    folder : Path                   exists
-    board : Print                   for the cameras
+    folder : Path                   an existing folder; gets boards, turntable, presses and truth
+    board : Print                   calibration board
     variant : Variant               of Mitsuba
     size : TutorialSize
-    progress : callable
+    progress : callable             called with the current step (text) and the fraction done, 0..1
     """
     config = _config(size)
     rig = make_head(config.head, config.specimen.mesh)
@@ -107,7 +108,7 @@ def make_tutorial(
 
 
 def _config(size: TutorialSize) -> LabConfig:
-    """The half ball of the demonstration before other cameras."""
+    """Configuration of the demo's half ball with other cameras, texture size and elements."""
     demo = read_lab_config(built_in()["demo"])
     head = replace(
         demo.head, columns=size.columns, rows=size.rows, toward=np.array(_TOWARD), k1=-0.08
@@ -122,7 +123,7 @@ def _config(size: TutorialSize) -> LabConfig:
 def _write_boards(
     folder: Path, rig: Rig, board: Print, config: LabConfig, size: TutorialSize, say: Progress
 ) -> None:
-    """Pictures of the board: lying on the table, then in the hand."""
+    """Pictures of the board: first lying on the table, then held at various poses."""
     rng = np.random.default_rng([config.seed, 10])
     for camera in rig.cameras:
         (folder / camera.name).mkdir(parents=True)
@@ -140,8 +141,8 @@ def _write_boards(
 def _board_pose(
     rig: Rig, board: Print, config: LabConfig, number: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "4 4"]:
-    """Board in the object's frame: first on the table, where the object will stand; then tilted
-    before the cameras."""
+    """Pose of the board in the object's frame: the first on the table, where the object will stand;
+    the others tilted in front of the cameras."""
     # The print faces -z of its own frame.
     turn, middle = np.diag([1.0, -1.0, -1.0]), np.zeros(3)
     if number > 0:
@@ -151,7 +152,7 @@ def _board_pose(
         right = np.cross(view, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         facing = np.stack([right, np.cross(view, right), view], axis=1)
-        # To all sides in turn, lest two views be alike.
+        # Tilt directions in turn all around, so that no two views are alike.
         side = 2.4 * number
         angle = np.deg2rad(_TILT * rng.uniform(0.5, 1.0))
         tilt = angle * np.array([np.cos(side), np.sin(side), 0.0])
@@ -221,7 +222,7 @@ def _write_films(
 
 
 def _write_truth(folder: Path, rig: Rig, config: LabConfig, solved: Sequence[SolvedPress]) -> None:
-    """What nobody at the bench knows."""
+    """Ground truth: rig, constants and contacts."""
     place = folder / "truth"
     place.mkdir()
     write_rig(place / "rig.toml", rig)

@@ -1,6 +1,6 @@
 """Specimens, their finite elements, and the tips that are pressed into them.
 
-Purpose    : how far a rigid tip presses into a held body, and with which force.
+Purpose    : solve the contact of a rigid tip with a supported body, to a depth or to a force.
 Takes      : a closed surface, held triangles, elastic constants, a tip with a depth or a force.
 Gives      : nodal forces and displacements, and their values at points of the surface.
 Depends on : `geometry`, `records`; scikit-fem for the elements.

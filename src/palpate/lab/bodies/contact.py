@@ -1,7 +1,7 @@
-"""A rigid tip pressed into an elastic body: unilateral contact on the factorised stiffness.
+"""A rigid tip pressed into a linear elastic body: unilateral contact on the factorised stiffness.
 
-The nodes under the tip may not enter it, and it cannot pull them. With the compliance between those
-nodes this is a small problem of non-negative forces; the tip's shape is exact, the body is linear.
+Nodes under the tip cannot penetrate it, and it cannot pull them. With the compliance matrix of
+those nodes this is a small non-negative least-squares problem; the tip's shape is exact.
 """
 
 from dataclasses import dataclass
@@ -19,28 +19,28 @@ from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, Vector3
 
 _MAX_ROUNDS = 60
-# Normals and active nodes count as settled when forces change by less than this share.
+# Relative change of the forces below which normals and active nodes have converged.
 _SETTLED = 1e-10
-# A round and held body is not far from a half space: where the search for a force's depth begins.
+# The search for the depth of a force begins at this many times the depth in a half space.
 _FIRST_DEPTH = 1.2
-# Nodes that would enter the tip at this many times its depth may come to touch it.
+# Candidate contact nodes are those that the tip would reach at this many times its depth.
 _CANDIDATE_DEPTH = 1.3
-# Every outer face is sampled on this many parts a side to find where the tip touches first.
+# Each side of an outer face is divided into this many parts to find the first contact.
 _PARTS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
-    """A body with a tip pressed into it.
+    """Equilibrium of a body with a tip pressed into it.
 
     Parameters
     ----------
-    depth : float [m]               travel of the tip from its first touch
+    depth : float [m]               travel of the tip from first contact
     place : (3,) float [m]          centre of the sphere, or of the punch's face
-    force : (3,) float [N]          total, of the tip on the body
-    radius : float [m]              of a circle as large as the touched part of the surface
-    load : (n, 3) float [N]         the tip's forces on the nodes
-    displacement : (n, 3) float [m]
+    force : (3,) float [N]          total force of the tip on the body
+    radius : float [m]              radius of the circle with the area of the contact
+    load : (n, 3) float [N]         nodal forces of the tip on the body
+    displacement : (n, 3) float [m] nodal displacements
     """
 
     depth: float
@@ -53,7 +53,7 @@ class Press:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Nodes that may touch, and what unit forces on them do to them."""
+    """Candidate contact nodes, their positions at rest, and their compliance [m/N]."""
 
     node: Int[np.ndarray, " k"]
     rest: Float[np.ndarray, "k 3"]
@@ -61,7 +61,7 @@ class _Candidates:
 
 
 def touch(solid: Solid, tip: Tip) -> float:
-    """How far along its axis from `tip.point` the tip first touches the body at rest.
+    """Travel of the tip, along its axis from `tip.point`, to first contact with the body at rest.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def touch(solid: Solid, tip: Tip) -> float:
 
     Raises
     ------
-    InputError                      the tip passes the body
+    InputError                      the tip misses the body
     """
     facets = solid.facets[_facing(solid, tip)]
     shape = quadratic_shapes(facet_samples())
@@ -96,18 +96,19 @@ def press(
     ----------
     body : Body
     tip : Tip
-    depths : (s,) float [m]         increasing, > 0, from the first touch
-    sticking : bool                 what touches the tip moves with it; else it slides freely.
-                                    Sticking depends on the path: take small steps
+    depths : (s,) float [m]         increasing, > 0, from first contact
+    sticking : bool                 nodes in contact stick to the tip; else contact is frictionless.
+                                    Sticking contact depends on the path: take small steps
 
     Returns
     -------
-    tuple of Press                  one a depth
+    tuple of Press                  one per depth
 
     Raises
     ------
-    InputError                      bad depths, a tip beside the body or at its support
-    NotConvergedError               the set of touching nodes does not settle
+    InputError                      invalid depths; a tip that misses the body or reaches its
+                                    support
+    NotConvergedError               the set of contact nodes does not converge
     """
     depths = fixed_array(depths, name="depths", shape=(None,))
     if not len(depths) or depths[0] <= 0.0 or np.any(np.diff(depths) <= 0.0):
@@ -129,7 +130,7 @@ def press(
 
 
 def press_to_force(body: Body, tip: Tip, force: float) -> Press:
-    """Press a freely sliding tip until its force along its motion has a given size.
+    """Press a frictionless tip until its force along its motion reaches a given value.
 
     Parameters
     ----------
@@ -139,13 +140,13 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
 
     Returns
     -------
-    Press                           its depth is found to 1e-10 of itself
+    Press                           depth to a relative accuracy of 1e-10
 
     Raises
     ------
-    InputError                      a force that is not positive or presses a sphere in by its
-                                    radius, a tip beside the body
-    NotConvergedError               the set of touching nodes does not settle
+    InputError                      a force that is not positive, or that presses a sphere in by
+                                    its radius; a tip that misses the body
+    NotConvergedError               the set of contact nodes does not converge
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
@@ -163,7 +164,7 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
     low = 0.0
     while (short := excess(reach)) < 0.0:
         tip.check_depth(reach)
-        # Force grows with the depth to the power 1 (punch) to 1.5 (sphere): a little beyond.
+        # The force grows as the depth to the power 1 (punch) to 1.5 (sphere): go slightly beyond.
         grown = 1.1 * force / max(short + force, 1e-3 * force)
         low, reach = reach, min(reach * min(grown, 4.0), tip.max_depth)
         near = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
@@ -172,9 +173,14 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
 
 
 def facet_samples() -> Float[np.ndarray, "q 3"]:
-    """Barycentric coordinates of the points of degree 2 on each of a triangle's 16 parts.
+    """Barycentric coordinates of the three-point quadrature rule on each of a triangle's 16 parts.
 
-    All count alike: their mean is the integral over the area.
+    The rule is of degree 2 with equal weights: the mean over the points is the integral over the
+    area, divided by the area.
+
+    Returns
+    -------
+    (48, 3) float [-]
 
     Source
     ------
@@ -188,12 +194,12 @@ def facet_samples() -> Float[np.ndarray, "q 3"]:
 
 
 def _facing(solid: Solid, tip: Tip) -> Bool[np.ndarray, " f"]:
-    """Outer faces that look against the tip's motion."""
+    """Outer faces whose normals oppose the tip's motion."""
     return area_vectors(TriangleMesh(solid.nodes, solid.facets[:, :3])) @ tip.direction < 0.0
 
 
 def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
-    """Nodes that the tip would enter, were it to go as far as `reach` through the body at rest."""
+    """Nodes of the body at rest that the tip would reach within a travel of `reach`."""
     solid = body.solid
     nodes = np.unique(solid.facets[_facing(solid, tip)])
     nodes = nodes[tip.travel(solid.nodes[nodes]) < reach]
@@ -216,13 +222,13 @@ def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
 
 
 def _sliding(near: _Candidates, tip: Tip, travel: float) -> Points:
-    """Forces on the candidates without friction, (k, 3) [N].
+    """Frictionless contact forces on the candidate nodes, (k, 3) [N].
 
     Source
     ------
-    Signorini's problem in its dual form: minimise l C l / 2 - l p over l >= 0, where p is how deep
-    the nodes at rest are in the tip; by a Cholesky factor of C it is one of non-negative least
-    squares. The tip's normals are taken where the nodes are, by repetition.
+    Signorini's problem in dual form: minimise l C l / 2 - l p over l >= 0, with p the penetration
+    of the undeformed nodes and C their compliance; a Cholesky factor of C makes it a non-negative
+    least-squares problem. Fixed-point iteration updates the tip's normals to the displaced nodes.
     """
     moved = np.zeros_like(near.rest)
     forces = np.zeros_like(near.rest)
@@ -244,9 +250,9 @@ def _sliding(near: _Candidates, tip: Tip, travel: float) -> Points:
 def _stuck(
     near: _Candidates, tip: Tip, travel: float, anchor: Float[np.ndarray, "k 3"]
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Forces on the candidates when touched nodes stay where they are on the tip.
+    """Forces on the candidate nodes, (k, 3) [N], when nodes in contact stick to the tip.
 
-    `anchor` is each node's place on the tip (NaN: not touching), relative to its axis point.
+    `anchor` is each node's position on the tip (NaN: no contact), relative to the tip's place.
     """
     anchor = anchor.copy()
     place = tip.point + travel * tip.direction
@@ -275,7 +281,7 @@ def _stuck(
 def _state(
     body: Body, tip: Tip, near: _Candidates, forces: Points, start: float, depth: float
 ) -> Press:
-    """Displacement of the whole body under the forces on the candidates."""
+    """Equilibrium of the whole body under the forces on the candidate nodes."""
     load = np.zeros_like(body.solid.nodes)
     load[near.node] = forces
     touched = np.zeros(len(load), dtype=bool)
@@ -291,9 +297,9 @@ def _state(
 
 
 def _node_areas(solid: Solid) -> Float[np.ndarray, " n"]:
-    """Share of the surface that belongs to each node [m^2]: corners 1/12 of a facet, middles 1/4.
+    """Surface area of each node [m^2]: corners get 1/12 of a facet, midside nodes 1/4.
 
-    These are the areas nearest to the nodes when the four parts of a facet are split in thirds.
+    Each of the four subtriangles of a facet gives a third of its area to each of its corners.
     """
     area = triangle_areas(TriangleMesh(solid.nodes, solid.facets[:, :3]))
     share = area[:, None] * np.array([1, 1, 1, 3, 3, 3]) / 12.0

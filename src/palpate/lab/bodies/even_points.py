@@ -1,8 +1,8 @@
-"""Evenly spaced points on a surface and inside it, as the nodes of a mesh want them.
+"""Evenly spaced points on a surface and inside it, for use as the nodes of a mesh.
 
-Points come from many candidates, thinned until none is nearer to another than a share of the wanted
-spacing, and are then moved to the centres of the candidates that are nearest to them (Lloyd). The
-candidates are fixed sequences, not random numbers: the same surface gives the same points.
+Many candidate points are thinned to a minimum distance, a fraction of the wanted spacing; each
+point kept is then moved to the centroid of the candidates nearest to it (Lloyd's algorithm). The
+candidates are deterministic sequences, so that the same surface gives the same points.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,40 +24,43 @@ from palpate.shapes import Points, PointScalars
 
 Spacing = Callable[[np.ndarray], np.ndarray]
 
-# Of the spacing: thinned points lie 1.0 to 2.0 times this apart, evened ones about 1.35 times.
+# Least distance of points, as a fraction of the spacing: thinned points lie 1.0 to 2.0 times this
+# apart, about 1.35 times after smoothing.
 _NEAREST = 0.75
-# Candidates per square of the spacing: enough that a point's share of them shows its centre.
+# Candidates per square of the spacing: enough for an accurate centroid.
 _CANDIDATES = 40.0
 _ROUNDS = 8
-# Sharp edges are cut into pieces of at most this share of the spacing to choose points from.
+# Candidates on sharp edges lie at most this fraction of the spacing apart.
 _PIECE = 0.25
-# The spacing grows by this much per metre from a fine place, so that neighbours differ little.
+# The spacing grows by this much per metre away from a refined region: neighbours differ little.
 _GROWTH = 0.3
-# Inner points stay this share of the spacing off the surface: the height of an even tetrahedron
-# is 0.8 of its edge, and a flatter first layer is better than a sliver.
+# Least distance of interior points from the surface, as a fraction of the spacing: a regular
+# tetrahedron is 0.8 of its edge high, and a flatter first layer is better than slivers.
 _OFF_SURFACE = 0.6
-# Cells of a body centred lattice whose nearest points (0.87 cells) and second nearest (1 cell)
-# are about a spacing apart.
+# Edge of the cubic cells of a body-centred lattice, as a multiple of the spacing: its nearest
+# (0.87 cells) and second nearest neighbours (1 cell) are then about one spacing apart.
 _CELL = 1.08
-# Where the spacing changes the candidates lie this share of it apart, or no even choice is left.
+# Distance of candidates, as a fraction of the spacing, where the spacing varies: with fewer, the
+# thinned points would be uneven.
 _CHOICE = 0.5
 _EIGHTHS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -> Spacing:
-    """Wanted spacing of points as a function of place.
+    """Wanted spacing of points as a function of position.
 
     Parameters
     ----------
-    edge : float [m]                    far from the fine places
-    fine : (point (3,), radius, edge)   within `radius` of `point` at most that edge [m]
+    edge : float [m]                    spacing far from the refined regions
+    fine : (point (3,), radius, edge)   refined regions: at most `edge` [m] within `radius` [m] of
+                                        `point`
 
     Returns
     -------
-    (n, 3) -> (n,) float [m]            grows by 0.3 m/m outside a fine place
+    (n, 3) -> (n,) float [m]            grows by 0.3 m/m outside a refined region
     """
 
-    # A line is many places of one kind: of these only the nearest counts.
+    # A refined line is many regions with the same radius and edge: only the nearest one matters.
     kinds: dict[tuple[float, float], list[np.ndarray]] = {}
     for centre, radius, small in fine:
         kinds.setdefault((radius, small), []).append(centre)
@@ -76,14 +79,14 @@ def make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -
 def surface_points(
     mesh: TriangleMesh, spacing: Spacing, marked: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Points on a surface, its sharp edges and corners among them.
+    """Evenly spaced points on a surface, including points on its sharp edges and corners.
 
     Parameters
     ----------
     mesh : TriangleMesh                 closed
-    spacing : (n, 3) -> (n,) [m]
-    marked : (k, 3) float [m]           on the surface: they are among the points, but for those
-                                        too near to a sharp edge or to each other
+    spacing : (n, 3) -> (n,) [m]        of `make_spacing`
+    marked : (k, 3) float [m]           points of the surface that are included, except those too
+                                        close to a sharp edge or to each other
 
     Returns
     -------
@@ -108,18 +111,18 @@ def surface_points(
 
 
 def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[np.ndarray, "k 3"]:
-    """Points inside a surface, clear of the points on it.
+    """Points inside a closed surface, at a distance from the points on it.
 
     Parameters
     ----------
-    mesh : TriangleMesh                 closed, outward
-    spacing : (n, 3) -> (n,) [m]
+    mesh : TriangleMesh                 closed, outward normals
+    spacing : (n, 3) -> (n,) [m]        of `make_spacing`
     shell : (n, 3) float [m]            the points on the surface
 
     Returns
     -------
-    (k, 3) float [m]                    a body centred lattice where the spacing is constant, points
-                                        of finer lattices where it falls
+    (k, 3) float [m]                    a body-centred lattice where the spacing is constant,
+                                        thinned points of finer lattices where it decreases
     """
     largest = float(spacing(mesh.vertices).max())
     cell = _CELL * largest
@@ -133,7 +136,7 @@ def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[
         corner = (corner[split][:, None] + cell * _EIGHTHS).reshape(-1, 3)
     points = np.concatenate(levels)
     distance, _ = cKDTree(shell).query(points)
-    # Cheap test first: whether a point is inside is costly to find out.
+    # The cheap test first: testing whether points are inside is costly.
     points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
     points = points[inside(mesh, points)]
     gap = closest_points(mesh, points).distance
@@ -145,7 +148,7 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
 
     Parameters
     ----------
-    mesh : TriangleMesh             closed, outward
+    mesh : TriangleMesh             closed, outward normals
     points : (n, 3) float [m]
 
     Returns
@@ -155,8 +158,8 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     Source
     ------
     Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal (2005):
-    the sign of the offset from the nearest point along the normal of the face, edge or vertex that
-    holds it.
+    the sign of the offset from the closest surface point along the pseudonormal of the face, edge
+    or vertex that contains it.
     """
     place = closest_points(mesh, points)
     normals = unit_normals(mesh)
@@ -167,9 +170,8 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     at_vertex = np.zeros_like(mesh.vertices)
     np.add.at(at_vertex, mesh.triangles, angle[:, :, None] * normals[:, None])
-    # An edge's pseudonormal is the sum of its two faces' normals; the offset is perpendicular to
-    # the edge, so the face of the nearest triangle alone has the wrong sign only for ties across
-    # a sharp edge, which the sum settles.
+    # An edge's pseudonormal is the sum of its two faces' normals. The normal of one of these faces
+    # alone would give the wrong sign in ties across a sharp edge.
     zero = place.barycentric <= 1e-9
     normal = normals[place.triangle]
     on_edge = zero.sum(axis=1) == 1
@@ -182,7 +184,7 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
 
 
 def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
-    """Corners where sharp edges end or turn, then points along the sharp edges."""
+    """Corners, where sharp edges end or turn, followed by points along the sharp edges."""
     normals = unit_normals(mesh)
     sides = _sides(mesh)
     edge = half_edges(mesh.triangles).ends[sides.cut]
@@ -208,12 +210,12 @@ def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
 
 
 def _sides(mesh: TriangleMesh) -> Sides:
-    """Edges of a mesh, and which of them are sharp."""
+    """Edges of a mesh, with the sharp ones marked."""
     return split_sides(mesh, np.zeros(len(mesh.triangles), dtype=np.int64))
 
 
 def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " v"]:
-    """Vertices like the tip of a cone, around which no single edge is sharp."""
+    """Vertices like the apex of a cone: pointed, although none of their edges is sharp."""
     mean = np.zeros_like(mesh.vertices)
     np.add.at(mean, mesh.triangles, normals[:, None])
     mean /= np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None]
@@ -224,7 +226,7 @@ def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.n
 
 
 def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, PointScalars]:
-    """Many points of a surface, and the share of a wanted point that each stands for."""
+    """Candidate points on a surface, and the fraction of a wanted point that each represents."""
     corner, small = mesh.vertices[mesh.triangles], []
     while len(corner):
         longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
@@ -241,7 +243,7 @@ def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, P
     count = np.maximum(1, np.ceil(_CANDIDATES * share)).astype(np.int64)
     row = np.repeat(np.arange(len(share)), count)
     k = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    # Roberts' sequence of two dimensions; each triangle starts elsewhere in it.
+    # Roberts' two-dimensional low-discrepancy sequence, with another start in each triangle.
     u = (0.5 + 0.7548776662466927 * k + 0.6180339887498949 * row) % 1.0
     v = (0.5 + 0.5698402909980532 * k + 0.4142135623730951 * row) % 1.0
     fold = u + v > 1.0
@@ -251,7 +253,7 @@ def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, P
 
 
 def _lattice(low: np.ndarray, high: np.ndarray, cell: float) -> Points:
-    """Corners of a cubic lattice over a box, centred in it."""
+    """Corners of a cubic lattice that covers a box and is centred on it."""
     count = np.ceil((high - low) / cell).astype(int) + 1
     start = 0.5 * (low + high) - 0.5 * cell * count
     axes = [start[i] + cell * np.arange(count[i] + 1) for i in range(3)]
@@ -259,7 +261,7 @@ def _lattice(low: np.ndarray, high: np.ndarray, cell: float) -> Points:
 
 
 def _thinned(points: Points, spacing: Spacing) -> Float[np.ndarray, "k 3"]:
-    """Points in the given order, less those too near to a point that was kept before them."""
+    """Greedy thinning in the given order: drops points too close to one already kept."""
     if not len(points):
         return points
     tree = cKDTree(points)

@@ -1,8 +1,8 @@
-"""A rigid tip pressed into a body at finite strain: without friction, with a given force.
+"""A rigid tip pressed into a body at finite strain, without friction, to a given force.
 
-The tip's shape is exact, the body hyperelastic. The surface may enter the tip by a little, which
-a stiff layer of springs resists: what a body does under a given force hardly depends on how deep
-the tip that gives it has gone.
+The tip's shape is exact and the body hyperelastic. Contact is enforced by a penalty: stiff springs
+resist the small penetration of the surface into the tip. With the force prescribed, the response of
+the body hardly depends on that penetration.
 """
 
 from dataclasses import dataclass, replace
@@ -29,22 +29,22 @@ from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
 from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, PointScalars
 
-# Pressure over depth of entry, over the shear modulus and one over the tip's radius: pressures of a
-# modulus enter by a hundredth of the radius.
+# Penalty stiffness in units of shear modulus over tip radius: a pressure equal to the shear modulus
+# causes a penetration of a hundredth of the radius.
 _SPRINGS = 100.0
-# The surface may meet the tip within so many of its radii.
+# Contact is considered within this many tip radii of the point of first contact.
 _REACH = 1.6
-# Forces out of balance, of the load; of the tip's force alike.
+# Tolerance on the residual forces, relative to the tip's force.
 _BALANCED = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinitePress:
-    """A body at finite strain with a tip pressed into it.
+    """Equilibrium of a body at finite strain with a tip pressed into it.
 
     Attributes
     ----------
-    displacement : (n, 3) float [m]
+    displacement : (n, 3) float [m] nodal displacements
     travel : float [m]              of the tip along its axis, from `Tip.point`
     """
 
@@ -54,13 +54,13 @@ class FinitePress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Skin:
-    """Points of the surface that may meet the tip.
+    """Contact points: the points of the surface that may touch the tip, each with a spring.
 
     Attributes
     ----------
-    shape : sparse (p, n)           from nodes to points
-    rest : (p, 3) float [m]
-    stiffness : (p,) float [N/m]    of each point's spring
+    shape : sparse (p, n)           interpolation from nodes to points
+    rest : (p, 3) float [m]         positions at rest
+    stiffness : (p,) float [N/m]    penalty stiffness of each point
     """
 
     shape: csr_array
@@ -70,13 +70,13 @@ class _Skin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Springs:
-    """What the springs of the skin do at some place of tip and body.
+    """Energy and forces of the penalty springs in one configuration of tip and body.
 
     Attributes
     ----------
     energy : float [J]
     force : (n, 3) float [N]        on the nodes
-    push : float [N]                of the tip along its motion
+    push : float [N]                force of the tip along its motion
     """
 
     energy: float
@@ -92,15 +92,15 @@ def press_finite(
     law: LawOf = NeoHookean,
     start: FinitePress | None = None,
 ) -> FinitePress:
-    """Press a freely sliding tip into a body at finite strain until it pushes with a given force.
+    """Press a frictionless tip into a body at finite strain to a given force.
 
     Parameters
     ----------
     body : Body
-    tip : Tip                       goes along its axis; what is across is held by the arm
+    tip : Tip                       moves along its axis; the arm bears any lateral force
     force : float [N]               along the tip's motion, > 0
     law : function                  Lame's constants mu and lambda [Pa] -> `Law`
-    start : FinitePress or None     of nearly the same body and force; None: from rest
+    start : FinitePress or None     initial guess, from a similar body and force; None: from rest
 
     Returns
     -------
@@ -108,15 +108,15 @@ def press_finite(
 
     Raises
     ------
-    InputError                      a force that is not positive, a tip beside the body
+    InputError                      a force that is not positive, a tip that misses the body
     NotConvergedError               no stable equilibrium is found
 
     Source
     ------
-    Wriggers, Computational contact mechanics (2nd ed. 2006), section 6.3: penalty; the material and
-    its tangent as in `solve_finite`. The tip's travel is one more unknown. Newton with steps
-    shortened until the potential does not rise; the slope of the tip's normal is left out of the
-    tangent, which the stiff springs make small.
+    Wriggers, Computational contact mechanics (2nd ed. 2006), section 6.3: penalty method; material
+    and tangent as in `solve_finite`. The tip's travel is an additional unknown. Newton's method
+    with step halving until the potential does not increase; the tangent neglects the change of the
+    contact normals, whose effect is small because the penetration is.
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
@@ -133,8 +133,8 @@ def press_finite(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Meeting:
-    """A body and a tip under a force: the nodes' displacement, then the tip's travel
-    (`Potential`)."""
+    """Potential of a body and a tip under a force (`Potential`). Unknowns: nodal displacements,
+    then the tip's travel."""
 
     body: Body
     law: Law
@@ -144,20 +144,20 @@ class _Meeting:
     force: float
 
     def value(self, at: Unknowns) -> float:
-        """Energy of body and springs less the work of the force on the tip."""
+        """Stored energy of body and springs minus the work of the force on the tip [J]."""
         stored = energy(self.law, self.basis, at[:-1].reshape(-1, 3))
         return stored + self.springs(at).energy - self.force * float(at[-1])
 
     def forces(self, at: Unknowns) -> Unknowns:
-        """Of the springs on the nodes less the body's own; then what the springs leave to the
-        tip."""
+        """Residual: spring forces minus internal forces at the nodes; then the tip's force minus
+        the push of the springs [N]."""
         springs = self.springs(at)
         missing = springs.force - inner_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
         missing[self.body.held] = 0.0
         return np.append(missing, self.force - springs.push)
 
     def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
-        """The tip's travel is eliminated last."""
+        """Newton's step by block elimination; the tip's travel is eliminated last."""
         entered, normal = self.entered(at)
         weight = np.where(entered > 0.0, self.skin.stiffness, 0.0)
         ahead = normal @ self.tip.direction
@@ -178,7 +178,7 @@ class _Meeting:
         return np.append(both[:, 0] + travel * both[:, 1], travel)
 
     def springs(self, at: Unknowns) -> _Springs:
-        """Energy and forces of the skin's springs."""
+        """Energy and forces of the penalty springs."""
         entered, normal = self.entered(at)
         size = self.skin.stiffness * entered
         return _Springs(
@@ -188,17 +188,17 @@ class _Meeting:
         )
 
     def entered(self, at: Unknowns) -> tuple[PointScalars, Points]:
-        """How deep the skin's points are in the tip, and the tip's normals there."""
+        """Penetration of the contact points [m], zero outside, and the tip's normals there."""
         places = self.skin.rest + self.skin.shape @ at[:-1].reshape(-1, 3)
         distance, normal = self.tip.distance(float(at[-1]), places)
         return np.maximum(-distance, 0.0), normal
 
     def rest(self, at: Unknowns) -> Unknowns | None:
-        """Rest near a place; None where it is not found."""
+        """Equilibrium near an initial guess; None if it is not found."""
         return find_rest(self, at, balanced=_BALANCED * self.force)
 
     def rest_from_touch(self) -> Unknowns:
-        """Rest, by way of smaller forces, from the tip's first touch of the body at rest."""
+        """Equilibrium, in load steps from first contact with the body at rest."""
         touching = FinitePress(
             np.zeros_like(self.body.solid.nodes), touch(self.body.solid, self.tip)
         )
@@ -217,7 +217,8 @@ class _Meeting:
         return found
 
     def first(self, at: Unknowns) -> Unknowns | None:
-        """The tip as deep in the resting skin as its springs alone would bear; None: too deep."""
+        """Guess from rest: the travel at which the springs alone balance the force; None if that
+        exceeds half the tip's radius."""
 
         def excess(depth: float) -> float:
             return self.springs(np.append(at[:-1], at[-1] + depth)).push - self.force
@@ -229,12 +230,12 @@ class _Meeting:
 
 
 def _joined(press: FinitePress) -> Unknowns:
-    """Displacement of the nodes, then the travel."""
+    """Vector of unknowns: nodal displacements, then the travel."""
     return np.append(press.displacement, press.travel)
 
 
 def _along_normals(shape: csr_array, normal: Points) -> csr_array:
-    """Rows that give each point's motion along its normal from the nodes' motion, (p, 3 n)."""
+    """Matrix from nodal displacements to each point's displacement along its normal, (p, 3 n)."""
     entries = shape.tocoo()
     column = 3 * entries.col[:, None] + np.arange(3)
     value = entries.data[:, None] * normal[entries.row]
@@ -244,7 +245,7 @@ def _along_normals(shape: csr_array, normal: Points) -> csr_array:
 
 
 def _skin(body: Body, tip: Tip) -> _Skin:
-    """Points of the faces that may meet the tip."""
+    """Contact points on the outer faces near the tip."""
     solid = body.solid
     first = tip.point + touch(solid, tip) * tip.direction
     nodes = solid.nodes[solid.facets]

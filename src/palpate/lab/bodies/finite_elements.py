@@ -1,7 +1,7 @@
 """Linear elasticity of a solid in quadratic tetrahedra: how the virtual specimens deform.
 
-Elements, quadrature and sums over elements are scikit-fem's. Nothing of the boundary elements is
-used: what estimates a specimen's constants must not have made the specimen.
+Elements, quadrature and assembly are scikit-fem's. Nothing of the boundary element model is used:
+the model that estimates the constants must not have generated the data.
 """
 
 from collections.abc import Callable
@@ -19,23 +19,24 @@ from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, skin
 from palpate.optional_imports import late_import
 from palpate.shapes import Points, Vector3
 
-# Of the body's size: held nodes nearer to a line than this hold it by rounding only.
+# Held nodes closer to a common line than this fraction of the body's size count as collinear: only
+# rounding errors would keep the body from turning about that line.
 _IN_LINE = 1e-6
-# Points along a side of a face, of those that integrate a pressure over it.
+# Quadrature points along a side of a face, for the integral of a pressure over it.
 _SAMPLES = 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A solid of one material, held at some nodes or on springs, ready for loads.
+    """A supported solid of one material with its factorised stiffness.
 
     Parameters
     ----------
     solid : Solid
-    held : (n,) bool                nodes that cannot move; none on springs
+    held : (n,) bool                fixed nodes; none on an elastic foundation
     shear_modulus : float [Pa]
     poisson_ratio : float [-]
-    factor : Cholesky               of the free nodes' stiffness
+    factor : Cholesky               of the stiffness matrix of the free nodes
     """
 
     solid: Solid
@@ -52,20 +53,20 @@ class Body:
 
 
 def held_nodes(solid: Solid, triangles: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " n"]:
-    """Nodes on outer faces that lie on some triangles of the given surface.
+    """Nodes of the outer faces that lie on given triangles of the surface.
 
     Parameters
     ----------
     solid : Solid
-    triangles : (k,) int            of the surface that was filled, e.g. a session's support
+    triangles : (k,) int            indices into the surface that was filled, e.g. its held ones
 
     Returns
     -------
-    (n,) bool                       of all nodes
+    (n,) bool                       for all nodes
 
     Raises
     ------
-    InputError                      no outer face lies there
+    InputError                      no outer face lies on these triangles
     """
     facets = np.isin(solid.facet_triangle, triangles)
     if not facets.any():
@@ -86,16 +87,16 @@ def make_body(
     poisson_ratio: float,
     support_stiffness: float | None = None,
 ) -> Body:
-    """Stiffness of a held solid, factorised once for any number of loads.
+    """Assemble and factorise the stiffness of a supported solid, once for any number of loads.
 
     Parameters
     ----------
     solid : Solid
-    held : (n,) bool                nodes that cannot move, or that stand on springs
+    held : (n,) bool                nodes that are fixed, or on an elastic foundation
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu < 0.5; quadratic elements lock little up to 0.499
-    support_stiffness : float [N/m^3]    traction over displacement of springs under the faces whose
-                                    nodes are all held, along all directions; None: rigid
+    support_stiffness : float [N/m^3]    modulus of the foundation under the faces whose nodes are
+                                    all held, the same along all directions; None: rigid
 
     Returns
     -------
@@ -105,7 +106,7 @@ def make_body(
     ------
     InputError                      constants out of range, no or all nodes held; scikit-fem is not
                                     installed
-    SingularSystemError             the held nodes leave the body free to turn
+    SingularSystemError             the held nodes are collinear: the body can turn about them
     """
     if not (np.isfinite(shear_modulus) and shear_modulus > 0.0):
         raise InputError(f"shear_modulus is {shear_modulus}; must be positive, in pascals")
@@ -134,7 +135,7 @@ def make_body(
 
 
 def _bed(basis: Any, held: Bool[np.ndarray, " n"]) -> csr_array:
-    """Springs of unit stiffness under the outer faces whose nodes are all held, (3 n, 3 n) [m^2].
+    """Foundation of unit modulus under the outer faces whose nodes are all held, (3 n, 3 n) [m^2].
 
     Source
     ------
@@ -143,17 +144,17 @@ def _bed(basis: Any, held: Bool[np.ndarray, " n"]) -> csr_array:
     skfem, mesh = _skfem(), basis.mesh
     below = mesh.boundary_facets()
     below = below[held[mesh.facets[:, below]].all(axis=0)]
-    # Shape functions of degree 2, squared.
+    # Products of two shape functions of degree 2.
     faces = skfem.FacetBasis(mesh, skfem.ElementTetP2(), facets=below, intorder=4)
     mass = skfem.BilinearForm(lambda u, v, _: u * v).assemble(faces)
     return csr_array(kron(mass, np.eye(3)))
 
 
 def quadratic_basis(solid: Solid) -> Any:
-    """scikit-fem's ten-node elements over a solid, with the four quadrature points of degree 2.
+    """scikit-fem's ten-node tetrahedra over a solid, with the four-point quadrature of degree 2.
 
-    Four points integrate straight elements exactly and leave a ten-node tetrahedron no motion
-    without energy. The unknowns are numbered as `solid.nodes`.
+    Four points integrate straight-sided elements exactly and leave a ten-node tetrahedron without
+    zero-energy modes. The unknowns are numbered like `solid.nodes`.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ def quadratic_basis(solid: Solid) -> Any:
 
     Returns
     -------
-    skfem.Basis                     scalar: one unknown a node
+    skfem.Basis                     scalar: one unknown per node
 
     Raises
     ------
@@ -173,7 +174,7 @@ def quadratic_basis(solid: Solid) -> Any:
 
 
 def hooke_moduli(shear_modulus: float, poisson_ratio: float) -> Float[np.ndarray, "3 3 3 3"]:
-    """Derivative of the stress component aA by the displacement gradient bB.
+    """Elasticity tensor: derivative of the stress aA with respect to the displacement gradient bB.
 
     Parameters
     ----------
@@ -196,18 +197,18 @@ def hooke_moduli(shear_modulus: float, poisson_ratio: float) -> Float[np.ndarray
 
 
 def stiffness_matrix(basis: Any, moduli: Float[np.ndarray, "3 3 3 3 *quadrature"]) -> csr_array:
-    """Second derivative of a body's energy by its nodal displacements.
+    """Stiffness matrix: second derivative of the energy with respect to the nodal displacements.
 
     Parameters
     ----------
     basis : skfem.Basis             of `quadratic_basis`
-    moduli : (3, 3, 3, 3) or (3, 3, 3, 3, m, q) float [Pa]   derivative of the stress component aA
-                                    by the displacement gradient bB, which is that of bB by aA; the
-                                    same everywhere, or of every quadrature point
+    moduli : (3, 3, 3, 3) or (3, 3, 3, 3, m, q) float [Pa]   derivative of the stress aA with
+                                    respect to the displacement gradient bB, with major symmetry
+                                    (aA, bB); uniform, or at the q quadrature points of m elements
 
     Returns
     -------
-    (3 n, 3 n) sparse [N/m]         three unknowns a node, node by node
+    (3 n, 3 n) sparse [N/m]         three unknowns per node, node by node
     """
     total = csr_array((3 * basis.N, 3 * basis.N))
     for a, b in zip(*np.triu_indices(3), strict=True):
@@ -221,7 +222,7 @@ def stiffness_matrix(basis: Any, moduli: Float[np.ndarray, "3 3 3 3 *quadrature"
 
 
 def _form(moduli: Float[np.ndarray, "3 3 *quadrature"]) -> Any:
-    """Bilinear form: the gradients of two shape functions, weighted."""
+    """Bilinear form: product of the gradients of two shape functions, weighted with moduli."""
     terms = [(i, j) for i, j in np.ndindex(3, 3) if moduli[i, j].any()]
 
     def density(u: Any, v: Any, _: Any) -> np.ndarray:
@@ -231,12 +232,12 @@ def _form(moduli: Float[np.ndarray, "3 3 *quadrature"]) -> Any:
 
 
 def free_part(stiffness: csr_array, held: Bool[np.ndarray, " n"]) -> csr_array:
-    """Rows and columns of the nodes that can move.
+    """Rows and columns of a matrix that belong to the free nodes.
 
     Parameters
     ----------
-    stiffness : (3 n, 3 n) sparse   three unknowns a node, node by node
-    held : (n,) bool
+    stiffness : (3 n, 3 n) sparse   three unknowns per node, node by node
+    held : (n,) bool                fixed nodes
 
     Returns
     -------
@@ -252,7 +253,7 @@ def solve_load(body: Body, load: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, 
     Parameters
     ----------
     body : Body
-    load : (n, 3) float [N]         forces on the nodes; those on held nodes move nothing
+    load : (n, 3) float [N]         nodal forces; those on fixed nodes have no effect
 
     Returns
     -------
@@ -268,10 +269,10 @@ def solve_free(
 
     Parameters
     ----------
-    held : (n,) bool                nodes that cannot move
-    factor : Cholesky               of the free nodes' stiffness
-    right : (3 n, k) float [N]      three loads a node, node by node; those on held nodes move
-                                    nothing
+    held : (n,) bool                fixed nodes
+    factor : Cholesky               of the stiffness matrix of the free nodes
+    right : (3 n, k) float [N]      right-hand sides, three components per node, node by node; those
+                                    of fixed nodes have no effect
 
     Returns
     -------
@@ -289,29 +290,29 @@ def pressure_load(
     radius: float,
     pressure: Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]],
 ) -> Float[np.ndarray, " n"]:
-    """Shares of the nodes in a force that a round tool spreads over the surface.
+    """Nodal weights of a force that is distributed over a circular patch of the surface.
 
     Parameters
     ----------
     solid : Solid
-    point : (3,) float [m]          centre of the touched circle
-    radius : float [m]              of the circle, > 0
+    point : (3,) float [m]          centre of the patch
+    radius : float [m]              of the patch, > 0
     pressure : function             distance from the centre over the radius -> pressure, of any
                                     scale
 
     Returns
     -------
-    (n,) float                      sum to 1
+    (n,) float [-]                  weights that sum to 1
 
     Raises
     ------
-    InputError                      the circle misses the surface
+    InputError                      the patch misses the surface
     """
     nodes = solid.nodes[solid.facets]
     size = np.linalg.norm(nodes[:, 1:3] - nodes[:, :1], axis=2).max(axis=1)
     side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
     gap = np.linalg.norm(nodes - point, axis=2).min(axis=1)
-    # The far side of a thin body is as near, and looks the other way.
+    # Exclude the far side of a thin body: it is close as well, but faces the other way.
     near = (gap < radius + size) & (side @ side[int(gap.argmin())] > 0.0)
     shape = quadratic_shapes(_inner_points()).T
     distance = np.linalg.norm(np.einsum("sv,fva->fsa", shape, nodes[near]) - point, axis=2)
@@ -325,7 +326,7 @@ def pressure_load(
 
 
 def _inner_points() -> Float[np.ndarray, "s 3"]:
-    """Barycentric coordinates of points that lie evenly in a triangle."""
+    """Barycentric coordinates of evenly spaced points in a triangle."""
     steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
     a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
@@ -333,12 +334,12 @@ def _inner_points() -> Float[np.ndarray, "s 3"]:
 
 
 def surface_values(solid: Solid, points: Points) -> csr_array:
-    """Operator from nodal values to values at points of the outer faces.
+    """Interpolation matrix from nodal values to values at points of the surface.
 
     Parameters
     ----------
     solid : Solid
-    points : (p, 3) float [m]       on the body's surface, or near it: the nearest place counts
+    points : (p, 3) float [m]       on the body's surface or near it; the closest point counts
 
     Returns
     -------

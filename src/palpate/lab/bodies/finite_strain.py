@@ -1,4 +1,4 @@
-"""The same body at finite strain: what the linear model leaves out when it is pressed far."""
+"""The same body at finite strain: the nonlinearity that the linear model neglects."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
 from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
 from palpate.optional_imports import late_import
 
-# Forces out of balance, of the load: Newton's last step leaves rounding.
+# Tolerance on the residual forces, relative to the load: Newton's last step leaves only rounding.
 _BALANCED = 1e-9
 
 LawOf = Callable[[float, float], Law]
@@ -30,11 +30,11 @@ LawOf = Callable[[float, float], Law]
 def solve_finite(
     body: Body, load: Float[np.ndarray, "n 3"], *, law: LawOf = NeoHookean
 ) -> Float[np.ndarray, "n 3"]:
-    """Displacement at finite strain under nodal forces, a dead load.
+    """Displacement at finite strain under dead nodal loads.
 
     Parameters
     ----------
-    body : Body                     of linear elements, which small strains are
+    body : Body                     gives mesh, fixed nodes and constants
     load : (n, 3) float [N]         forces on the nodes
     law : function                  Lame's constants mu and lambda [Pa] -> `Law`
 
@@ -50,9 +50,9 @@ def solve_finite(
     Source
     ------
     Bonet and Wood, Nonlinear continuum mechanics for finite element analysis (2nd ed. 2008),
-    chapter 9: total Lagrangian elements. Newton with steps shortened until no element turns over
-    and the energy less the load's work does not rise (`find_rest`); where that fails the load is
-    applied in smaller parts.
+    chapter 9: total Lagrangian elements. Newton's method with step halving until no element is
+    inverted and the potential does not increase (`find_rest`); if that fails, the load is applied
+    in smaller increments.
     """
     basis = quadratic_basis(body.solid)
     scale = float(np.linalg.norm(load[~body.held]))
@@ -72,7 +72,7 @@ def solve_finite(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Loaded:
-    """A body under dead loads, in the displacement of all nodes (`Potential`)."""
+    """Potential of a body under dead loads (`Potential`). Unknowns: displacements of all nodes."""
 
     body: Body
     law: Law
@@ -94,16 +94,16 @@ class _Loaded:
 
 
 def stable_factor(body: Body, matrix: csr_array) -> Cholesky | None:
-    """Factor of a tangent's free part.
+    """Cholesky factor of the free part of a tangent stiffness.
 
     Parameters
     ----------
     body : Body
-    matrix : (3 n, 3 n) sparse [N/m]    a tangent
+    matrix : (3 n, 3 n) sparse [N/m]    tangent stiffness
 
     Returns
     -------
-    Cholesky or None                None where the body is not stable
+    Cholesky or None                None if it is not positive definite: no stable equilibrium
     """
     try:
         return factorise(free_part(matrix, body.held), body.solid.nodes[~body.held])
@@ -112,7 +112,7 @@ def stable_factor(body: Body, matrix: csr_array) -> Cholesky | None:
 
 
 def energy(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> float:
-    """Energy that a deformed body stores.
+    """Strain energy of a deformed body.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def energy(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> floa
 
     Returns
     -------
-    float [J]                       infinite where an element is turned over
+    float [J]                       infinite if an element is inverted
     """
     gradient = deformation_gradient(basis, displacement)
     if (np.linalg.det(gradient.transpose(2, 3, 0, 1)) <= 0.0).any():
@@ -133,7 +133,7 @@ def energy(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> floa
 def inner_forces(
     law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Derivative of the stored energy by the nodes' displacement.
+    """Internal forces: derivative of the strain energy with respect to the nodal displacements.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def inner_forces(
 
     Returns
     -------
-    (n, 3) float [N]                NaN where an element is turned over
+    (n, 3) float [N]                NaN where an element is inverted
 
     Raises
     ------
@@ -156,7 +156,7 @@ def inner_forces(
 
 
 def tangent(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> csr_array:
-    """Derivative of the inner forces by the nodes' displacement.
+    """Tangent stiffness: derivative of the internal forces with respect to nodal displacements.
 
     Parameters
     ----------
@@ -183,7 +183,8 @@ def deformation_gradient(
 
     Returns
     -------
-    (3, 3, m, q) float [-]          row: component of the place now; column: direction at rest
+    (3, 3, m, q) float [-]          row: component of the deformed position; column: reference
+                                    direction
     """
     slopes = np.stack([basis.interpolate(component).grad for component in displacement.T])
     return np.eye(3)[:, :, None, None] + slopes

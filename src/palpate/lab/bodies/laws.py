@@ -1,7 +1,7 @@
-"""Elastic laws at finite strain, which are all Hooke's at small ones: an energy and its slopes.
+"""Hyperelastic laws that reduce to Hooke's law at small strain: energy density and derivatives.
 
-Two that are both called neo-Hookean. They have the same constants, and differ in how volume and
-shape share the energy: by as much as one soft material may differ from another of its constants.
+Both laws are known as neo-Hookean. They have the same constants but couple volumetric and
+deviatoric strain differently, by as much as real soft materials of equal constants may differ.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,17 @@ Moduli = Float[np.ndarray, "3 3 3 3 m q"]
 
 @runtime_checkable
 class Law(Protocol):
-    """An isotropic elastic law; F = I + du/dX, row: component of the place now; m elements, q
-    quadrature points."""
+    """An isotropic hyperelastic law, in the deformation gradient F = I + du/dX (row: component of
+    the deformed position, column: reference direction) at q quadrature points of m elements."""
 
     def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
-        """Energy per volume at rest [Pa]; not finite where F has no positive determinant."""
+        """Strain energy per reference volume [Pa]; not finite unless det F > 0."""
 
     def stress(self, gradient: Gradient) -> Gradient:
-        """Derivative of the energy by F, the nominal stress [Pa]."""
+        """First Piola-Kirchhoff stress, the derivative of the energy with respect to F [Pa]."""
 
     def moduli(self, gradient: Gradient) -> Moduli:
-        """Derivative of the stress component aA by bB of F [Pa]; indices a, A, b, B."""
+        """Derivative of the stress aA with respect to F_bB [Pa]; indices a, A, b, B."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class NeoHookean:
 
 @dataclass(frozen=True, slots=True)
 class SplitNeoHookean:
-    """mu/2 (J^(-2/3) tr C - 3) + K/2 (J - 1)^2: shape and volume apart (`Law`).
+    """mu/2 (J^(-2/3) tr C - 3) + K/2 (J - 1)^2: deviatoric and volumetric parts uncoupled (`Law`).
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class SplitNeoHookean:
         return shear * gradient + (pressure - shear * squares / 3.0) * inverse
 
     def moduli(self, gradient: Gradient) -> Moduli:
-        """The differential of the stress, with d J = J H : dF and dH_aA = -H_aB H_bA dF_bB."""
+        """Derivative of the stress, with dJ = J H : dF and dH_aA = -H_aB H_bA dF_bB, H = F^-T."""
         volume, shear, squares = self._parts(gradient)
         inverse = _inverse_transposed(gradient)
         pressure = self.bulk * (volume - 1.0) * volume
@@ -128,7 +128,7 @@ def _crossed(inverse: Gradient) -> Moduli:
 
 
 def _add_unit(moduli: Moduli, size: float | Float[np.ndarray, "m q"]) -> None:
-    """Add so many times delta_ab delta_AB."""
+    """Add `size` times delta_ab delta_AB in place."""
     for a, i in np.ndindex(3, 3):
         moduli[a, i, a, i] += size
 

@@ -1,5 +1,5 @@
-"""Where a body comes to rest in a potential: Newton's method with shortened steps, the load put on
-in parts where it is too much at once."""
+"""Stable equilibrium as the minimum of a potential: Newton's method with step halving, and load
+increments where the full load does not converge at once."""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 _MAX_STEPS = 40
 _MAX_HALVINGS = 10
-# The load, put on in parts that are halved where one is too large, is not cut finer than this.
+# Smallest load increment, as a fraction of the load; increments that fail are halved.
 _LEAST_PART = 1e-3
 
 Unknowns = Float[np.ndarray, " unknowns"]
@@ -17,35 +17,35 @@ Unknowns = Float[np.ndarray, " unknowns"]
 
 @runtime_checkable
 class Potential(Protocol):
-    """An energy of some unknowns, less the work of the loads on them."""
+    """Total potential energy: stored energy minus the work of the loads."""
 
     def value(self, at: Unknowns) -> float:
-        """Potential [J]; infinite where the unknowns cannot be."""
+        """Potential [J]; infinite for inadmissible unknowns."""
 
     def forces(self, at: Unknowns) -> Unknowns:
-        """Minus its slope [N]; zero for what cannot move."""
+        """Residual forces, the negative gradient [N]; zero for fixed unknowns."""
 
     def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
-        """Newton's step [m]; None where the tangent is not stable."""
+        """Newton's step [m]; None where the tangent is not positive definite."""
 
 
 def find_rest(potential: Potential, at: Unknowns, *, balanced: float) -> Unknowns | None:
-    """Rest near a place.
+    """Equilibrium near an initial guess.
 
     Parameters
     ----------
     potential : Potential
-    at : (u,) float [m]             where to begin
-    balanced : float [N]            norm of the forces that are left, > 0
+    at : (u,) float [m]             initial guess
+    balanced : float [N]            tolerance on the norm of the residual forces, > 0
 
     Returns
     -------
-    (u,) float [m] or None          None where Newton's method does not find it
+    (u,) float [m] or None          None if Newton's method does not converge
 
     Source
     ------
-    Nocedal and Wright, Numerical optimization (2nd ed. 2006), section 3.1: steps halved until the
-    potential does not rise.
+    Nocedal and Wright, Numerical optimization (2nd ed. 2006), section 3.1: backtracking, here by
+    halving the step until the potential does not increase.
     """
     for _ in range(_MAX_STEPS):
         forces = potential.forces(at)
@@ -62,17 +62,17 @@ def find_rest(potential: Potential, at: Unknowns, *, balanced: float) -> Unknown
 def find_in_parts(
     find: Callable[[float, Unknowns], Unknowns | None], start: Unknowns
 ) -> tuple[Unknowns, float]:
-    """Rest under a whole load, by way of parts of it where it is not found at once.
+    """Equilibrium under the full load, in load increments where it is not found at once.
 
     Parameters
     ----------
-    find : function                 share of the load, where to begin -> rest, or None
-    start : (u,) float [m]          rest without load
+    find : function                 fraction of the load, initial guess -> equilibrium, or None
+    start : (u,) float [m]          equilibrium without load
 
     Returns
     -------
-    found : (u,) float [m]          the last rest that was found
-    done : float [-]                the share of the load there: 1 if all went well
+    found : (u,) float [m]          the last equilibrium found
+    done : float [-]                fraction of the load there; 1 on success
     """
     now, done, part = start, 0.0, 1.0
     while done < 1.0 and part >= _LEAST_PART:
@@ -86,7 +86,7 @@ def find_in_parts(
 
 
 def _shortened(potential: Potential, at: Unknowns, step: Unknowns) -> Unknowns | None:
-    """The end of a step, halved until the potential falls (rounding apart); None: it never does."""
+    """End of a step, halved until the potential does not rise (within rounding); None: fails."""
     before = potential.value(at)
     for _ in range(_MAX_HALVINGS):
         after = potential.value(at + step)

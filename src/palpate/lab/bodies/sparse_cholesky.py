@@ -1,7 +1,7 @@
-"""Cholesky factor of a stiffness matrix by dense fronts, for bodies of many thousand nodes.
+"""Multifrontal Cholesky factor of a stiffness matrix, for bodies of many thousand nodes.
 
-Space is cut in two again and again; the nodes on the cuts come last. Each piece is a small dense
-matrix, where the processor is at its best: ten times faster than sparse elimination row by row.
+Nested dissection: the nodes are bisected recursively and the separators eliminated last. Each front
+is a small dense matrix; this is ten times faster than sparse elimination row by row.
 """
 
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from palpate.errors import SingularSystemError
 
-# Below this many nodes a front is dense enough that a further cut saves nothing.
+# Below this many nodes further dissection saves nothing.
 _LEAF_NODES = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Front:
-    """Unknowns eliminated together: L11 of their own block, and L21 transposed."""
+    """Unknowns that are eliminated together: `lower` is L11, `coupling` the transpose of L21."""
 
     own: Int[np.ndarray, " k"]
     later: Int[np.ndarray, " b"]
@@ -62,7 +62,7 @@ class Cholesky:
         return x
 
     def half_solve(self, right: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """L^-1 times right-hand sides; A^-1 between two of them is the product of their halves.
+        """Forward substitution, L^-1 times right-hand sides: a^T A^-1 b = (L^-1 a)^T (L^-1 b).
 
         Parameters
         ----------
@@ -70,11 +70,11 @@ class Cholesky:
 
         Returns
         -------
-        (n, k) float                    in the order of the unknowns, not of their elimination
+        (n, k) float                    in the order of the unknowns, not of elimination
         """
         x = np.array(right, dtype=np.float64)
         for front in self.fronts:
-            # Forces on a few nodes concern few fronts.
+            # Loads on a few nodes affect only few fronts.
             if x[front.own].any():
                 own = solve_triangular(front.lower, x[front.own], lower=True, check_finite=False)
                 x[front.own] = own
@@ -83,12 +83,12 @@ class Cholesky:
 
 
 def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
-    """Factor of a matrix whose unknowns are three a node.
+    """Factorise a matrix with three unknowns per node.
 
     Parameters
     ----------
-    matrix : (3 n, 3 n) sparse      symmetric, positive definite; three unknowns a node
-    points : (n, 3) float [m]       place of each node, for the cuts
+    matrix : (3 n, 3 n) sparse      symmetric, positive definite; three unknowns per node
+    points : (n, 3) float [m]       node positions, used for the dissection
 
     Returns
     -------
@@ -113,11 +113,11 @@ def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
     done = np.zeros(len(points), dtype=bool)
     place = np.empty(3 * len(points), dtype=np.int64)
     fronts: list[_Front] = []
-    # One front at a time is in work; fresh memory for each would cost as much as its numbers.
+    # One work array for all fronts: allocating one for each would take as long as its arithmetic.
     work = np.empty(0)
 
     def eliminate(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes that a piece leaves coupled, and what it adds to their matrix."""
+        """Eliminate a set of nodes: the nodes coupled to it, and its update of their matrix."""
         nonlocal work
         cut, halves = _cut(graph, points, nodes)
         parts = [eliminate(half) for half in halves if len(half)]
@@ -138,11 +138,10 @@ def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
 def _cut(
     graph: csr_array, points: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Nodes that part a piece in two when they are taken out, and the two halves.
+    """Separator of a set of nodes, and the two halves that it leaves.
 
-    The halves lie on both sides of a plane, or in and out of a sphere: about a place where elements
-    are small a sphere meets fewer of them. Of the nodes at links from one half to the other, the
-    fewest that all of these links meet.
+    The halves are divided by a plane or by a sphere; around a refined region a sphere cuts fewer
+    elements. The separator is a minimum vertex cover of the links between the halves.
     """
     if len(nodes) <= _LEAF_NODES:
         return nodes, ()
@@ -164,12 +163,12 @@ def _cut(
 
 
 def _cover(links: csr_array) -> tuple[np.ndarray, np.ndarray]:
-    """The fewest rows and columns that meet all entries of a matrix, as masks.
+    """Minimum vertex cover: the fewest rows and columns that cover all entries, as masks.
 
     Source
     ------
-    König, Gráfok és mátrixok, Matematikai és Fizikai Lapok 38 (1931) 116: as many as there are
-    pairs in a largest matching; they are found along the ways that alternate in it.
+    König, Gráfok és mátrixok, Matematikai és Fizikai Lapok 38 (1931) 116: it is as large as a
+    maximum matching, and is found along the alternating paths of such a matching.
     """
     partner = maximum_bipartite_matching(links, perm_type="column")
     row_of = np.full(links.shape[1], -1)
@@ -181,7 +180,7 @@ def _cover(links: csr_array) -> tuple[np.ndarray, np.ndarray]:
         new = (back @ last.astype(np.int64) > 0) & ~columns
         columns |= new
         last = np.zeros_like(reached)
-        # A column without a partner would end a way that makes the matching larger: there is none.
+        # Every column reached has a partner: otherwise there would be an augmenting path.
         last[row_of[new]] = True
         reached = reached | last
     return ~reached, columns
@@ -195,9 +194,9 @@ def _front(
     parts: list[tuple[np.ndarray, np.ndarray]],
     work: np.ndarray,
 ) -> tuple[_Front, np.ndarray]:
-    """Eliminate a front's own unknowns; what is left over is for the front above.
+    """Eliminate a front's own unknowns; also gives the Schur complement for its parent front.
 
-    But for the block of its own unknowns a front's matrix is filled above the diagonal only.
+    Only the upper triangle of a front's matrix is filled, except in the block of its own unknowns.
     """
     own, later = _unknowns(own), _unknowns(later)
     everything = np.concatenate([own, later])
@@ -224,7 +223,7 @@ def _front(
 
 @njit(cache=True, error_model="numpy")
 def _add_kernel(full: np.ndarray, own: int, at: np.ndarray, added: np.ndarray) -> None:
-    """Add a symmetric matrix at some places: to the upper triangle, and to all of the own block."""
+    """Add a symmetric matrix at indices `at`: to the upper triangle, and to the whole own block."""
     for i in range(len(at)):
         for j in range(i, len(at)):
             first, last = min(at[i], at[j]), max(at[i], at[j])

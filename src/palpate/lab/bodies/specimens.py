@@ -1,4 +1,4 @@
-"""The facility's own test objects: closed surfaces that stand on the plane z = 0, glued there."""
+"""The facility's own specimens: closed surfaces with their supported base in the plane z = 0."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,11 +10,11 @@ from jaxtyping import Float, Int
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 
-# A ring of fewer vertices is no ring.
+# Least number of vertices on a ring.
 _MIN_RING = 6
-# The rod is a prism of about 2 pi times as many sides.
+# Radius of the rod over its edge length: 2 pi times as many sides around it.
 _ROD_SIDES = 8.0
-# Bumps of the toy: direction from its middle, height over the radius, width in degrees.
+# Bumps of the toy: direction from its middle, height over the radius, width [degrees].
 _BUMPS = (
     ((0.55, 0.0, 0.80), 0.60, 15.0),  # ears
     ((-0.55, 0.0, 0.80), 0.60, 15.0),
@@ -29,9 +29,9 @@ class Shape:
 
     Attributes
     ----------
-    make : function                 keyword lengths and `edge` [m] -> TriangleMesh
-    lengths : names                 of its keyword lengths
-    summary : str                   one line for a list
+    make : function                 lengths and `edge` [m], all by keyword -> TriangleMesh
+    lengths : tuple of str          names of these lengths
+    summary : str                   one line for a list of shapes
     """
 
     make: Callable[..., TriangleMesh]
@@ -44,7 +44,7 @@ def half_ball(*, radius: float, edge: float) -> TriangleMesh:
 
     Parameters
     ----------
-    radius, edge : float [m]        `edge` is about the length of a triangle's sides
+    radius, edge : float [m]        `edge`: approximate length of a triangle's sides
 
     Returns
     -------
@@ -60,7 +60,7 @@ def half_ball(*, radius: float, edge: float) -> TriangleMesh:
 
 
 def glued_ball(*, radius: float, patch_radius: float, edge: float) -> TriangleMesh:
-    """Ball with a flat patch on which it is glued.
+    """Ball glued to the plane z = 0 on a flat circular patch.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def cylinder(*, radius: float, height: float, edge: float) -> TriangleMesh:
 
 
 def block(*, length: float, width: float, height: float, edge: float) -> TriangleMesh:
-    """Block along x, y and z, the middle of its base at the origin.
+    """Block with sides along x, y and z; the middle of its base is the origin.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def toy(*, radius: float, edge: float) -> TriangleMesh:
 
     Parameters
     ----------
-    radius : float [m]              of the ball that it grows from
+    radius : float [m]              of the ball that the bumps are added to
     edge : float [m]
 
     Returns
@@ -174,24 +174,25 @@ def toy(*, radius: float, edge: float) -> TriangleMesh:
         axis = np.array(toward) / np.linalg.norm(toward)
         angle = np.degrees(np.arccos(np.clip(direction @ axis, -1.0, 1.0)))
         growth += height * np.exp(-0.5 * (angle / width) ** 2)
-    # The base stays flat, and what is near it nearly so.
+    # The bumps fade out towards the base, which stays flat.
     fade = np.clip(ball.vertices[:, 2] / (0.5 * radius), 0.0, 1.0)
     scale = 1.0 + fade**2 * (3.0 - 2.0 * fade) * growth
     return replace(ball, vertices=middle + away * scale[:, None])
 
 
 def rod(end: Float[np.ndarray, "k 2"], *, radius: float, length: float) -> TriangleMesh:
-    """The arm's rod, its end down: no specimen, it stands in the pictures.
+    """The arm's rod with its tip down; not a specimen, but visible in the pictures.
 
     Parameters
     ----------
-    end : (k, 2) float [m]          radius and height of its end, from the axis to the shaft
+    end : (k, 2) float [m]          radius and height of the contour of its end, from the axis to
+                                    the shaft
     radius : float [m]              of the tip, > 0
     length : float [m]              height of its upper end, > 0
 
     Returns
     -------
-    TriangleMesh                    along z, upward
+    TriangleMesh                    along z, tip at the lower end
 
     Raises
     ------
@@ -233,7 +234,7 @@ def straight_rings(
     Parameters
     ----------
     start, end : (radius, height) [m]
-    edge : float [m]                about how far apart
+    edge : float [m]                approximate spacing
 
     Returns
     -------
@@ -244,7 +245,7 @@ def straight_rings(
 
 
 def _arc(radius: float, start: float, end: float, edge: float) -> Float[np.ndarray, "k 2"]:
-    """Rings along an arc about the origin, by the angle over the horizontal [rad]."""
+    """Rings along an arc about the origin, between two angles above the horizontal [rad]."""
     count = max(int(np.rint(radius * (end - start) / (0.87 * edge))), 2) + 1
     angle = np.linspace(start, end, count)
     contour = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -254,7 +255,7 @@ def _arc(radius: float, start: float, end: float, edge: float) -> Float[np.ndarr
 
 
 def revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
-    """Surface of revolution about z, from the axis out, up, and back to the axis.
+    """Surface of revolution about z; the contour leads from the axis out, up and back to it.
 
     Parameters
     ----------
@@ -269,7 +270,7 @@ def revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
     rings, vertices, count = [], [], 0
     for k, (radius, height) in enumerate(contour):
         size = 1 if radius == 0.0 else max(_MIN_RING, int(np.rint(2.0 * np.pi * radius / edge)))
-        # Half a step off from ring to ring: triangles nearer to equilateral.
+        # Alternate rings are rotated by half a step: the triangles become nearly equilateral.
         angle = 2.0 * np.pi * (np.arange(size) + 0.5 * (k % 2)) / size
         place = [radius * np.cos(angle), radius * np.sin(angle), np.full(size, height)]
         vertices.append(np.stack(place, axis=1))
@@ -282,9 +283,9 @@ def revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
 def _strip(
     lower: Int[np.ndarray, " n"], upper: Int[np.ndarray, " m"], odd: int
 ) -> Int[np.ndarray, "t 3"]:
-    """Triangles between two rings, always across the shorter diagonal by angle."""
+    """Triangles between two rings; of the two diagonals always the one shorter in angle."""
     n, m = len(lower), len(upper)
-    # Angles of the next vertices of both rings; of two alike the lower ring's comes first.
+    # Angles of the next vertices of both rings; in ties the lower ring comes first.
     ahead_lower = (np.arange(n) + 1 + 0.5 * odd) / n
     ahead_upper = (np.arange(m) + 1 + 0.5 * (1 - odd)) / m
     order = np.argsort(np.concatenate([ahead_lower, ahead_upper]), kind="stable")
@@ -293,5 +294,5 @@ def _strip(
     j = np.arange(n + m) - i
     ahead = np.where(on_lower, lower[(i + 1) % n], upper[(j + 1) % m])
     strip = np.stack([lower[i % n], ahead, upper[j % m]], axis=1)
-    # A ring of one vertex, on the axis, has no sides.
+    # A ring of one vertex, on the axis, has no edges.
     return strip[(ahead != strip[:, 0]) & (ahead != strip[:, 2])]

@@ -1,8 +1,8 @@
-"""A solid body as quadratic tetrahedra, filled into a closed triangle surface.
+"""Quadratic tetrahedral meshes of the solid inside a closed triangle surface.
 
-The programs that fill surfaces are either under licences that this project does not take in, or
-draw random numbers that cannot be fixed. Here evenly spaced points on and in the body are joined by
-Delaunay's rule, and what lies outside is dropped: the same surface gives the same bytes.
+Existing mesh generators either have licences that this project does not accept, or use random
+numbers that cannot be seeded. Here evenly spaced points on and in the body are connected by a
+Delaunay tetrahedralisation without its outer cells: the same surface gives the same bytes.
 """
 
 from collections.abc import Sequence
@@ -25,39 +25,40 @@ from palpate.lab.bodies.even_points import (
 from palpate.optional_imports import late_import
 from palpate.shapes import Points
 
-# Corners of the edges with mid-side nodes 4 to 9, in the order of skfem.ElementTetP2.
+# Corners of the edges with midside nodes 4 to 9, in the order of skfem.ElementTetP2.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 # Faces of a tetrahedron of positive volume, counter-clockwise from outside: corners, then the
-# mid-side nodes of their edges 01, 12, 20.
+# midside nodes of their edges 01, 12, 20.
 FACES = np.array([[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [0, 3, 2, 7, 9, 6], [1, 2, 3, 5, 9, 8]])
-# Tetrahedra flatter than this (1 is regular) between four points of the surface are not body but
-# the gap between two ways to cut a quadrilateral; inside, points of so flat ones are moved.
+# Tetrahedra between four surface points that are flatter than this (1 is regular) do not belong to
+# the body: they fill the gap between the two triangulations of a quadrilateral.
 _MIN_SHAPE = 0.1
 _ROUNDS = 6
 # Shape functions of a six-node triangle at its centre.
 _CENTRE = np.array([-1.0, -1.0, -1.0, 4.0, 4.0, 4.0]) / 9.0
-# Nodes of the four triangles that the middles of its edges cut a six-node triangle into.
+# Nodes of the four triangles into which the midside nodes divide a six-node triangle.
 QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
-# A bent element may lose this much of its volume anywhere; beyond, it stays straight.
+# Least Jacobian determinant of a curved element, relative to the straight one; otherwise it is
+# left straight.
 _MIN_VOLUME = 0.3
-# Of the local edge; a larger gap means that the points are too far apart for the shape.
+# Largest deviation from the surface, as a fraction of `edge`; more means too coarse a mesh.
 _MAX_DEVIATION = 0.4
-# Elements along a body: candidates for points are many times finer still.
+# Largest number of elements along a body: the candidate points are many times finer still.
 _MOST_ACROSS = 2000
 _NONE = np.zeros((0, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """Quadratic tetrahedra with their outer faces; those at a round surface are bent to it.
+    """Quadratic tetrahedra with their outer faces; elements at a curved surface are curved too.
 
     Parameters
     ----------
-    nodes : (n, 3) float [m]          corners first, then one at the middle of each edge
-    elements : (m, 10) int            four corners (positive volume), then the middles of edges 01,
-                                      12, 02, 03, 13, 23
+    nodes : (n, 3) float [m]          corner nodes first, then one midside node per edge
+    elements : (m, 10) int            four corners (positive volume), then the midside nodes of
+                                      edges 01, 12, 02, 03, 13, 23
     facets : (f, 6) int               outer faces, counter-clockwise from outside: three corners,
-                                      then the middles of edges 01, 12, 20
+                                      then the midside nodes of edges 01, 12, 20
     facet_triangle : (f,) int         triangle of the given surface nearest to each outer face
     deviation : float [m]             largest distance between the outer faces and the given surface
     """
@@ -86,17 +87,17 @@ def make_solid(
 ) -> Solid:
     """Fill a closed surface with quadratic tetrahedra.
 
-    Corners of outer faces lie on the surface, sharp edges (over 40 degrees) keep their points. Flat
-    faces are met exactly, round ones by bent elements; `Solid.deviation` says how well.
+    Corners of outer faces lie on the surface; sharp edges (over 40 degrees) are preserved. Flat
+    faces are reproduced exactly, curved ones by curved elements; `Solid.deviation` is the error.
 
     Parameters
     ----------
-    mesh : TriangleMesh               closed, outward
-    edge : float [m]                  wanted length of an element's edge
-    fine : (point (3,), radius, edge) within `radius` of `point` elements of at most that edge [m];
-                                      they grow by 0.3 m/m around it
-    marked : (k, 3) float [m]         points that become nodes of the surface, where they are not
-                                      too near to its sharp edges: an element's edge apart
+    mesh : TriangleMesh               closed, outward normals
+    edge : float [m]                  wanted edge length of the elements
+    fine : (point (3,), radius, edge) refined regions: elements of at most that edge [m] within
+                                      `radius` [m] of `point`, growing by 0.3 m/m around it
+    marked : (k, 3) float [m]         points that become surface nodes, unless they are closer to a
+                                      sharp edge than about an element's edge
 
     Returns
     -------
@@ -104,9 +105,10 @@ def make_solid(
 
     Raises
     ------
-    InputError                        an edge or radius that is not positive
-    MeshError                         the surface is open, crosses itself, is several solids; or
-                                      its details are finer than `edge`
+    InputError                        an edge or radius that is not positive, or an edge too small
+                                      for the size of the body
+    MeshError                         the surface is open, intersects itself, bounds several
+                                      solids, or has details finer than `edge`
     """
     for name, value in [("edge", edge)] + [("edge of a fine place", small) for *_, small in fine]:
         if not (np.isfinite(value) and value > 0.0):
@@ -141,14 +143,14 @@ def quadratic_solid(
     mesh: TriangleMesh,
     largest: float = np.inf,
 ) -> Solid:
-    """Tetrahedra with nodes at the middles of their edges, and their outer faces.
+    """Quadratic tetrahedra from linear ones: adds midside nodes and finds the outer faces.
 
     Parameters
     ----------
     points : (n, 3) float [m]
     tetrahedra : (m, 4) int           of any orientation
-    mesh : TriangleMesh               the surface they fill
-    largest : float [m]               allowed distance between outer faces and surface
+    mesh : TriangleMesh               surface of the body
+    largest : float [m]               largest permitted distance of the outer faces from the surface
 
     Returns
     -------
@@ -156,7 +158,7 @@ def quadratic_solid(
 
     Raises
     ------
-    MeshError                         a tetrahedron without volume, or faces farther off
+    MeshError                         a tetrahedron of zero volume, or outer faces farther away
     """
     tetrahedra = _turned(points, tetrahedra)
     ends = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
@@ -180,7 +182,7 @@ def quadratic_solid(
 
 
 def skin(nodes: Points, facets: Int[np.ndarray, "f 6"]) -> TriangleMesh:
-    """Outer faces as plain triangles over all their nodes.
+    """Outer faces as linear triangles over all their nodes.
 
     Parameters
     ----------
@@ -189,7 +191,7 @@ def skin(nodes: Points, facets: Int[np.ndarray, "f 6"]) -> TriangleMesh:
 
     Returns
     -------
-    TriangleMesh                      four triangles a facet, in its order
+    TriangleMesh                      four triangles per facet, in the order of the facets
     """
     return TriangleMesh(nodes, facets[:, QUARTERS].reshape(-1, 3))
 
@@ -200,7 +202,8 @@ def _bent(
     sides: Int[np.ndarray, " s"],
     mesh: TriangleMesh,
 ) -> Points:
-    """Nodes with the middles of outer edges put on the surface, where no element turns over."""
+    """Nodes with midside nodes of outer edges moved to the surface, unless that would distort an
+    element too much."""
     wanted = nodes.copy()
     wanted[sides] = closest_points(mesh, nodes[sides]).position
     straight = _volumes(nodes[elements[:, :4]])
@@ -214,7 +217,7 @@ def _bent(
 
 
 def _least_determinant(corner: Float[np.ndarray, "m 10 3"]) -> Float[np.ndarray, " m"]:
-    """Least determinant of the map from the unit tetrahedron, at an element's nodes [m^3]."""
+    """Least Jacobian determinant of the map from the unit tetrahedron, over the nodes [m^3]."""
     skfem = late_import("skfem", extra="fem", purpose="the finite elements of a specimen")
     element = skfem.ElementTetP2()
     slopes = np.stack([element.lbasis(element.doflocs.T, i)[1] for i in range(10)])
@@ -222,7 +225,7 @@ def _least_determinant(corner: Float[np.ndarray, "m 10 3"]) -> Float[np.ndarray,
 
 
 def _turned(points: Points, tetrahedra: Int[np.ndarray, "m 4"]) -> Int[np.ndarray, "m 4"]:
-    """Tetrahedra of positive volume."""
+    """Tetrahedra with corners reordered to positive volume."""
     volume = _volumes(points[tetrahedra])
     if np.any(volume == 0.0):
         raise MeshError(
@@ -256,7 +259,7 @@ def _is_outer(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
 def _tetrahedra(
     mesh: TriangleMesh, shell: Points, inner: Float[np.ndarray, "k 3"], spacing: Spacing
 ) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "m 4"]]:
-    """Delaunay's tetrahedra of the points that fill the body, inner points evened out."""
+    """Delaunay tetrahedra that fill the body, with smoothed interior points."""
     count = len(shell)
     points = np.concatenate([shell, inner])
     for step in range(_ROUNDS + 1):
@@ -270,7 +273,7 @@ def _tetrahedra(
 
 
 def _evened(points: Points, cells: Int[np.ndarray, "m 4"], spacing: Spacing) -> Points:
-    """Every point at the mean of its cells' centres, weighted by volume over wanted volume.
+    """Every point moved to the mean of its cells' centroids, weighted by volume over wanted volume.
 
     Source
     ------
@@ -292,9 +295,9 @@ def _evened(points: Points, cells: Int[np.ndarray, "m 4"], spacing: Spacing) -> 
 def _inner_cells(
     mesh: TriangleMesh, points: Points, cells: Int[np.ndarray, "m 4"], count: int
 ) -> Int[np.ndarray, "r 4"]:
-    """Cells inside the surface, less flat ones that only cover it.
+    """Cells inside the surface, without the flat ones that only lie against it.
 
-    Between four points of one plane a flat element is as good as infinitely stiff against bending.
+    A flat element between four nearly coplanar points would be almost infinitely stiff in bending.
     """
     doubtful = np.flatnonzero((cells < count).all(axis=1))
     corner = points[cells[doubtful]]

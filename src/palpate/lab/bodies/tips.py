@@ -1,4 +1,4 @@
-"""Rigid tips of the arm's rod: every shape of tip is one class here and one entry of `TIPS`."""
+"""Rigid tips of the arm's rod: each shape of tip is a class here and an entry in `TIPS`."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -13,23 +13,24 @@ from palpate.records import FLAT, SPHERE
 from palpate.shapes import Points, PointScalars, Vector3
 
 TipName = Literal["sphere", "punch"]
-# A round end larger than this sits on a thinner shaft, so that it hides less [m].
+# Largest radius of the shaft behind a ball, so that the rod occludes little [m].
 _SHAFT = 4e-3
-# A thin layer on its support gives less than a half space does, by this factor or less.
+# A thin supported layer is indented less than a half space, by at most about this factor.
 _STIFFER = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tip(ABC):
-    """Rigid end of a probe on its way to the body.
+    """Rigid tip that moves along its axis towards the body.
 
-    Its place is a point of its axis: the middle of a sphere, or of a punch's face.
+    The place of a tip is its reference point on the axis: the centre of a sphere or of a punch's
+    face.
 
     Parameters
     ----------
     radius : float [m]              > 0
-    point : (3,) float [m]          the axis of its motion goes through it
-    direction : (3,) float [-]      of its motion, towards the body; made a unit vector
+    point : (3,) float [m]          a point of the axis; travel is counted from it
+    direction : (3,) float [-]      of the motion, towards the body; normalised to unit length
 
     Raises
     ------
@@ -52,7 +53,7 @@ class Tip(ABC):
         object.__setattr__(self, "direction", unit)
 
     def travel(self, points: Points) -> PointScalars:
-        """How far from `point` the tip goes until it touches each point, were it alone.
+        """Travel from `point` at which the tip would touch each point.
 
         Parameters
         ----------
@@ -60,7 +61,7 @@ class Tip(ABC):
 
         Returns
         -------
-        (n,) float [m]                  infinite where it passes
+        (n,) float [m]                  infinite for points that it misses
         """
         offset = points - self.point
         along = offset @ self.direction
@@ -69,11 +70,11 @@ class Tip(ABC):
 
     @property
     def max_depth(self) -> float:
-        """Depth that it must stay below [m]; infinite for a tip that may go as deep as it likes."""
+        """Upper bound of the depth, itself excluded [m]; infinite if unlimited."""
         return np.inf
 
     def check_depth(self, depth: float) -> None:
-        """Refuse a depth that it must stay below.
+        """Refuse a depth that is not below `max_depth`.
 
         Parameters
         ----------
@@ -81,7 +82,7 @@ class Tip(ABC):
 
         Raises
         ------
-        InputError
+        InputError                      depth too large
         """
         if not depth < self.max_depth:
             raise InputError(
@@ -90,16 +91,16 @@ class Tip(ABC):
             )
 
     def check_force(self, force: float, modulus: float) -> None:
-        """Refuse a force that presses it deeper than it may go, however thin the body is.
+        """Refuse a force that would exceed `max_depth` even in a thin, supported layer.
 
         Parameters
         ----------
         force : float [N]
-        modulus : float [Pa]            E / (1 - nu^2) of the body
+        modulus : float [Pa]            plane strain modulus E / (1 - nu^2) of the body
 
         Raises
         ------
-        InputError
+        InputError                      force too large
         """
         depth = self.half_space_depth(force, modulus)
         if not depth < _STIFFER * self.max_depth:
@@ -111,40 +112,40 @@ class Tip(ABC):
 
     @abstractmethod
     def lead(self, beside: PointScalars) -> PointScalars:
-        """How far its surface is ahead of its place.
+        """Distance, along the motion, of the tip's surface ahead of its place.
 
         Parameters
         ----------
-        beside : (n,) float [m]         distance from its axis
+        beside : (n,) float [m]         distance from the axis
 
         Returns
         -------
-        (n,) float [m]                  -inf where the tip does not reach
+        (n,) float [m]                  -inf beyond the tip's radius
         """
 
     @abstractmethod
     def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
-        """Distance of points from its surface.
+        """Signed distance of points from the tip's surface.
 
         Parameters
         ----------
-        travel : float [m]              how far the tip went from `point`
+        travel : float [m]              of the tip, from `point`
         points : (n, 3) float [m]
 
         Returns
         -------
-        distance : (n,) float [m]       negative inside
-        normal : (n, 3) float [-]       outward, of the surface nearest to each point
+        distance : (n,) float [m]       negative inside the tip
+        normal : (n, 3) float [-]       outward unit normal at the closest point of the surface
         """
 
     @abstractmethod
     def half_space_depth(self, force: float, modulus: float) -> float:
-        """How deep a force presses it into a half space.
+        """Indentation depth in an elastic half space under a force, without friction.
 
         Parameters
         ----------
         force : float [N]
-        modulus : float [Pa]            E / (1 - nu^2) of the half space
+        modulus : float [Pa]            plane strain modulus E / (1 - nu^2) of the half space
 
         Returns
         -------
@@ -153,21 +154,21 @@ class Tip(ABC):
 
     @abstractmethod
     def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
-        """Radius of the circle that it touches on a half space, at a depth or under a force.
+        """Contact radius on an elastic half space, at a depth or under a force.
 
         Parameters
         ----------
         depth : float [m] or None
-        force : float [N] or None       where there is no depth
-        modulus : float [Pa]            E / (1 - nu^2) of the half space
+        force : float [N] or None       used if there is no depth
+        modulus : float [Pa]            plane strain modulus E / (1 - nu^2) of the half space
 
         Returns
         -------
-        float [m]                       at most the tip's
+        float [m]                       at most the tip's radius
         """
 
     def rim(self, apart: float) -> Float[np.ndarray, "k 3"]:
-        """Points of a sharp rim that the body is pressed with, at its first touch.
+        """Points on the sharp rim of the tip, if it has one, with the tip at `point`.
 
         Parameters
         ----------
@@ -175,17 +176,17 @@ class Tip(ABC):
 
         Returns
         -------
-        (k, 3) float [m]                none where the tip is round
+        (k, 3) float [m]                empty for a round tip
         """
         return np.zeros((0, 3))
 
     @abstractmethod
     def outline(self) -> Float[np.ndarray, "k 2"]:
-        """The rod's end, from its axis to the shaft.
+        """Contour of the rod's end, from its axis to the shaft.
 
         Returns
         -------
-        (k, 2) float [m]                radius, and height over the tip's place
+        (k, 2) float [m]                radius, and height above the tip's place
         """
 
 
@@ -197,26 +198,26 @@ class Sphere(Tip):
 
     @property
     def max_depth(self) -> float:
-        """A sphere goes in by less than its radius [m]."""
+        """The radius: a sphere is pressed in by less than that [m]."""
         return self.radius
 
     def lead(self, beside: PointScalars) -> PointScalars:
-        """Height of the sphere over its centre [m]."""
+        """Distance of the sphere's surface ahead of its centre [m]."""
         rise = np.sqrt(np.clip(self.radius**2 - beside**2, 0.0, None))
         return np.where(beside < self.radius, rise, -np.inf)
 
     def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
-        """Along the radius."""
+        """Signed distance, with radial normals."""
         offset = points - (self.point + travel * self.direction)
         length = np.linalg.norm(offset, axis=1)
         return length - self.radius, offset / length[:, None]
 
     def half_space_depth(self, force: float, modulus: float) -> float:
-        """Source: Johnson, Contact Mechanics (1985), equation 4.23."""
+        """Hertz' depth; source: Johnson, Contact Mechanics (1985), equation 4.23."""
         return float(np.cbrt((0.75 * force / modulus) ** 2 / self.radius))
 
     def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
-        """Source: Johnson, Contact Mechanics (1985), equations 4.22 and 4.23."""
+        """Hertz' radius; source: Johnson, Contact Mechanics (1985), equations 4.22 and 4.23."""
         if depth is not None:
             radius = np.sqrt(self.radius * depth)
         else:
@@ -224,7 +225,7 @@ class Sphere(Tip):
         return min(float(radius), self.radius)
 
     def outline(self) -> Float[np.ndarray, "k 2"]:
-        """From the pole past the equator to the shaft."""
+        """Contour from the pole past the equator to the shaft."""
         shaft = min(self.radius, _SHAFT)
         angle = np.linspace(-0.5 * np.pi, np.arccos(shaft / self.radius), 13)
         end = self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -239,31 +240,31 @@ class Punch(Tip):
     tool = FLAT
 
     def lead(self, beside: PointScalars) -> PointScalars:
-        """Level up to its rim."""
+        """Zero up to the rim."""
         return np.where(beside <= self.radius * (1.0 + 1e-9), 0.0, -np.inf)
 
     def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
-        """Along its motion, as if its face had no end."""
+        """Signed distance from the plane of the face, which is taken as unbounded."""
         offset = points - (self.point + travel * self.direction)
         return offset @ self.direction, np.broadcast_to(self.direction, points.shape)
 
     def half_space_depth(self, force: float, modulus: float) -> float:
-        """Source: Johnson, Contact Mechanics (1985), equation 3.36."""
+        """Depth of a flat punch; source: Johnson, Contact Mechanics (1985), equation 3.36."""
         return force / (2.0 * self.radius * modulus)
 
     def half_space_radius(self, depth: float | None, force: float | None, modulus: float) -> float:
-        """Its whole face, however deep."""
+        """The radius of the face, at any depth."""
         return self.radius
 
     def rim(self, apart: float) -> Float[np.ndarray, "k 3"]:
-        """Round the face."""
+        """Points around the face."""
         count = int(np.ceil(2.0 * np.pi * self.radius / apart))
         angle = 2.0 * np.pi * np.arange(count) / count
         across = np.linalg.svd(self.direction[None])[2][1:]
         return self.point + self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
 
     def outline(self) -> Float[np.ndarray, "k 2"]:
-        """The face."""
+        """Contour of the face."""
         return np.array([[0.0, 0.0], [self.radius, 0.0]])
 
 

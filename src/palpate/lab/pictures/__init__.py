@@ -1,7 +1,7 @@
-"""What the facility's cameras see: textured bodies, light, lenses and chips.
+"""What the facility's cameras see: textured bodies, light, lenses and image sensors.
 
-Purpose    : pictures of a body at rest and pressed, and what each of their pixels really shows.
-Takes      : a configuration, a rig, the drawn vertices at one instant or within an exposure.
+Purpose    : render pictures of a body at rest and under load, with the true motion of each pixel.
+Takes      : a configuration, a rig, the rendered vertices at one instant or during an exposure.
 Gives      : grey pictures of every camera and of boards, truth maps, rigs and rigs with calibration
              errors.
 Depends on : `vision`, `records`, `geometry`; Mitsuba for the rendering.

@@ -1,4 +1,4 @@
-"""What a camera sees of a flat board: rays from its pixels to the print."""
+"""Picture of a flat printed board, by tracing rays from the camera's pixels to the print."""
 
 import cv2
 import numpy as np
@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 from palpate.records import Camera, picture_size
 from palpate.vision import normalised
 
-# Grey levels of ink, of paper beside it, and of what lies beyond the board.
+# Grey levels of ink, of paper, and of the background beyond the board.
 _INK, _PAPER, _BEYOND = 25.0, 235.0, 235.0
 
 
@@ -22,20 +22,20 @@ def board_picture(
     rays: int = 2,
     blur: float = 0.0,
 ) -> UInt8[np.ndarray, "_ _"]:
-    """A picture of a board in even light.
+    """A picture of a board under uniform light.
 
     Parameters
     ----------
-    camera : Camera                 with the size of its pictures
-    T_object_board : (4, 4) float [m]   the board's upper left corner is the origin of its frame, x
-                                    leads along its rows and y down; it is seen from z < 0
-    print_ : (rows, columns) uint8  what is on it: 0 ink, 255 paper
-    extent : (float, float) [m]     its width and height
-    rng : Generator
-    noise : float [grey levels]     of a pixel
-    rays : int                      each way through a pixel, whose mean it is: 2 are as sharp as a
-                                    perfect chip
-    blur : float [px]               of lens and chip
+    camera : Camera                 with its picture size
+    T_object_board : (4, 4) float   pose of the board, translation in metres; its upper left corner
+                                    is the origin, x along its rows, y down; it is seen from z < 0
+    print_ : (rows, columns) uint8  the printed pattern: 0 ink, 255 paper
+    extent : (float, float) [m]     width and height of the board
+    rng : Generator                 of the noise
+    noise : float [grey levels]     standard deviation of a pixel
+    rays : int                      rays per pixel along each axis, which are averaged; 2 are as
+                                    sharp as an ideal image sensor
+    blur : float [px]               standard deviation of the blur of lens and sensor
 
     Returns
     -------

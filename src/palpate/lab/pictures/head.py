@@ -1,4 +1,4 @@
-"""Camera rigs of the facility, and calibrations of them with errors."""
+"""Camera rigs of the facility, and rigs with simulated calibration errors."""
 
 from dataclasses import replace
 
@@ -12,9 +12,9 @@ from palpate.lab.config import Calibration, Head
 from palpate.records import DISTORTION_TERMS, Camera, Rig
 from palpate.shapes import Vector3
 
-# Share of the picture that the object fills where no focal length is given.
+# Fraction of the picture that the object fills if no focal length is given.
 _FILL = 0.75
-# Object z is up in the pictures, unless the head looks along it.
+# The object's z axis is up in the pictures, unless the head looks along it.
 _UP = np.array([0.0, 0.0, 1.0])
 _MAX_COSINE = 0.999
 
@@ -22,14 +22,14 @@ _MAX_COSINE = 0.999
 def make_head(head: Head, mesh: TriangleMesh) -> Rig:
     """Cameras around an object.
 
-    The trinocular layout is the paper's: the reference, one beside it to its left and one above,
-    all three looking at the middle of the object. On a ring the cameras stand evenly around the
-    direction of view.
+    The trinocular layout is the paper's: the reference camera, one to its left and one above it,
+    all pointing at the middle of the object. On a ring the cameras are evenly spaced around the
+    viewing direction.
 
     Parameters
     ----------
-    head : Head                     with no file
-    mesh : TriangleMesh             the object: the middle of its bounds is looked at
+    head : Head                     without a file
+    mesh : TriangleMesh             the object; the cameras point at the middle of its bounding box
 
     Returns
     -------
@@ -37,7 +37,7 @@ def make_head(head: Head, mesh: TriangleMesh) -> Rig:
 
     Raises
     ------
-    InputError                      a head so near that a camera stands within the object
+    InputError                      a head closer than the size of the object
     """
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
@@ -59,13 +59,13 @@ def make_head(head: Head, mesh: TriangleMesh) -> Rig:
 def miscalibrated(
     rig: Rig, error: Calibration, mesh: TriangleMesh, *, rng: np.random.Generator
 ) -> Rig:
-    """The rig that a calibration with errors would give.
+    """A rig with random calibration errors.
 
     Parameters
     ----------
-    rig : Rig                       the truth
-    error : Calibration             standard deviations
-    mesh : TriangleMesh             the object turns about its middle
+    rig : Rig                       the true rig
+    error : Calibration             standard deviations of the errors
+    mesh : TriangleMesh             the object; its pose error is a rotation about its middle
     rng : Generator
 
     Returns
@@ -91,7 +91,7 @@ def miscalibrated(
 def _small_pose(
     rotation: float, translation: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "4 4"]:
-    """A random pose, standard deviations in degrees and metres about and along each axis."""
+    """Random small pose; standard deviations about [degrees] and along [m] each axis."""
     pose = np.eye(4)
     pose[:3, :3] = cv2.Rodrigues(np.deg2rad(rotation) * rng.standard_normal(3))[0]
     pose[:3, 3] = translation * rng.standard_normal(3)
@@ -99,7 +99,7 @@ def _small_pose(
 
 
 def _places(head: Head) -> Float[np.ndarray, "c 2"]:
-    """Places of the cameras beside the middle of the head, to the right and down [m]."""
+    """Positions of the cameras relative to the head's reference point, right and down [m]."""
     if head.layout == "trinocular":
         return head.baseline * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
     angle = 2.0 * np.pi * np.arange(head.cameras) / head.cameras
@@ -107,7 +107,7 @@ def _places(head: Head) -> Float[np.ndarray, "c 2"]:
 
 
 def _picture_axes(view: Vector3) -> tuple[Vector3, Vector3]:
-    """Directions to the right and down in a picture along `view`."""
+    """Unit vectors to the right and down in a picture with viewing direction `view`."""
     up = _UP if abs(view @ _UP) < _MAX_COSINE else np.array([0.0, 1.0, 0.0])
     right = np.cross(view, up)
     right /= np.linalg.norm(right)
@@ -115,7 +115,7 @@ def _picture_axes(view: Vector3) -> tuple[Vector3, Vector3]:
 
 
 def _pose(eye: Vector3, target: Vector3) -> Float[np.ndarray, "4 4"]:
-    """Pose of the object before a camera at a place that looks at another."""
+    """Pose of the object in the frame of a camera at `eye` that points at `target`."""
     view = (target - eye) / np.linalg.norm(target - eye)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([*_picture_axes(view), view])
@@ -124,7 +124,7 @@ def _pose(eye: Vector3, target: Vector3) -> Float[np.ndarray, "4 4"]:
 
 
 def _filling(head: Head, pose: Float[np.ndarray, "4 4"], mesh: TriangleMesh) -> float:
-    """Focal length with which the object fills its share of the picture [px]."""
+    """Focal length [px] at which the object fills the fraction `_FILL` of the picture."""
     x, y, z = (mesh.vertices @ pose[:3, :3].T + pose[:3, 3]).T
     wide, high = 2.0 * np.abs(x / z).max(), 2.0 * np.abs(y / z).max()
     return _FILL * float(min(head.columns / wide, head.rows / high))

@@ -1,10 +1,10 @@
-"""The pinhole picture that a renderer makes, and from it the picture of a camera with its lens.
+"""The pinhole picture that is rendered, and its resampling to a camera with lens distortion.
 
-A renderer knows square pixels and no lens. The picture of such a camera is rendered as it is, cut
-to what shows the bodies. For any other camera a finer pinhole picture is rendered; each of the
-camera's pixels is the mean of it over the pixel's own area. The lens is undone by
-`vision.pixel_grid`, which the facility shares with what it tests: its tests hold rendered places
-against OpenCV's projection.
+The renderer knows only square pixels and no lens. The picture of such a camera is rendered
+directly, cropped to the bodies. For any other camera a finer pinhole picture is rendered, and each
+pixel of the camera is its mean over the pixel's area. Distortion is removed by `vision.pixel_grid`,
+which the facility shares with the code that it tests; hence tests compare rendered positions with
+OpenCV's projection.
 """
 
 from dataclasses import dataclass, replace
@@ -18,8 +18,8 @@ from palpate.records import Camera, picture_size
 from palpate.shapes import Points
 from palpate.vision import pixel_grid
 
-# Parts of a pixel's side where a lens has to be undone: two keep what is rendered within 0.002 px
-# of its place.
+# Subdivision of a pixel's side where distortion has to be removed: with two, rendered features are
+# within 0.002 px of their true positions.
 FINE = 2
 # Pixels kept around the bodies: the reach of the cubic interpolation.
 _MARGIN = 3
@@ -27,15 +27,15 @@ _MARGIN = 3
 
 @dataclass(frozen=True, slots=True)
 class IdealView:
-    """A pinhole picture in the camera's own frame: square pixels, no lens.
+    """Pinhole view in the camera's own frame: square pixels, no distortion.
 
     Attributes
     ----------
     shape : (rows, columns) [px]
     focal : float [px]
-    centre : (column, row) [px]     where the optical axis meets the picture; the first pixel's
-                                    centre is (0, 0); it may lie outside
-    fine : int                      its pixels along a pixel of the camera; 1: they are the camera's
+    centre : (column, row) [px]     principal point; the first pixel's centre is (0, 0); may lie
+                                    outside the picture
+    fine : int                      its pixels along a side of a camera pixel; 1: the same pixels
     """
 
     shape: tuple[int, int]
@@ -45,11 +45,11 @@ class IdealView:
 
 
 def ideal_view(camera: Camera, points: Points) -> IdealView:
-    """The pinhole picture that holds what a camera sees of some points.
+    """Pinhole view that covers the points which a camera sees.
 
     Parameters
     ----------
-    camera : Camera                 with a size
+    camera : Camera                 with a picture size
     points : (n, 3) float [m]       object frame, all in front of the camera
 
     Returns
@@ -58,8 +58,8 @@ def ideal_view(camera: Camera, points: Points) -> IdealView:
 
     Raises
     ------
-    CalibrationError                points beside or behind the camera
-    InputError                      a camera without a size; one that sees nothing of the points
+    CalibrationError                points that are not in front of the camera
+    InputError                      a camera without a picture size, or that sees none of the points
     """
     low, high = _bounds(camera, points)
     k = camera.matrix
@@ -80,17 +80,17 @@ def ideal_view(camera: Camera, points: Points) -> IdealView:
 def camera_picture(
     camera: Camera, view: IdealView, picture: Float32[np.ndarray, "fine_rows fine_columns"]
 ) -> Float32[np.ndarray, "rows columns"]:
-    """What a camera sees, from its rendered ideal view; zero beyond that view.
+    """A camera's picture, resampled from its rendered pinhole view; zero beyond that view.
 
     Parameters
     ----------
-    camera : Camera                 with a size
+    camera : Camera                 with a picture size
     view : IdealView                of this camera
-    picture : (fine_rows, fine_columns) rendered; of the view's shape
+    picture : (fine_rows, fine_columns) float32     rendered picture, of the view's shape
 
     Returns
     -------
-    (rows, columns) float32         of the camera's size; every pixel the mean over its area
+    (rows, columns) float32         of the camera's size; every pixel is the mean over its area
     """
     columns, rows = picture_size(camera)
     if view.fine == 1:
@@ -106,7 +106,7 @@ def camera_picture(
 
 
 def _is_ideal(camera: Camera) -> bool:
-    """Whether a pinhole with square pixels is all there is to a camera."""
+    """Whether a camera is a pinhole with square pixels, without skew or distortion."""
     k = camera.matrix
     return bool(k[0, 0] == k[1, 1] and k[0, 1] == 0.0 and not camera.distortion.any())
 
@@ -114,7 +114,7 @@ def _is_ideal(camera: Camera) -> bool:
 def _bounds(
     camera: Camera, points: Points
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Corners of the box, in the plane z = 1, of what is seen of some points."""
+    """Corners of the visible points' bounding box, in the plane z = 1 of the camera."""
     pose = camera.T_camera_object
     x, y, depth = (points @ pose[:3, :3].T + pose[:3, 3]).T
     behind = ~(depth > 0.0)
@@ -139,7 +139,7 @@ def _bounds(
 
 
 def _fine_grid(camera: Camera, fine: int) -> Float[np.ndarray, "2 rows columns"]:
-    """Rays, in the plane z = 1, of the centres of all parts of a camera's pixels."""
+    """Rays, as points of the plane z = 1, through the centres of all subpixels of a camera."""
     columns, rows = picture_size(camera)
     matrix = fine * camera.matrix
     # The first pixel's corner, (-0.5, -0.5), stays where it is.
@@ -151,7 +151,7 @@ def _fine_grid(camera: Camera, fine: int) -> Float[np.ndarray, "2 rows columns"]
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _area_means(picture: np.ndarray, grid: np.ndarray, fine: int) -> np.ndarray:
-    """Mean of the picture over the fine x fine places of each pixel."""
+    """Mean of the picture over the fine x fine subpixels of each pixel."""
     rows, columns = grid.shape[1] // fine, grid.shape[2] // fine
     means = np.empty((rows, columns), dtype=np.float32)
     share = 1.0 / (fine * fine)

@@ -1,8 +1,8 @@
-"""Which of Mitsuba's variants can run here: LLVM where a fit library is found, else the scalar.
+"""Choice of the Mitsuba variant: LLVM if a compatible library is found, else scalar.
 
-Mitsuba's compiler loads an LLVM library of the system at run time, and an unfit one ends the whole
-process: versions below 16 fail on processors with AVX-512 as soon as a kernel is large. So
-candidates are tried in a process of their own, and what does not pass there is never loaded here.
+Mitsuba's compiler loads an LLVM library of the system at run time, and an incompatible one crashes
+the whole process: versions below 16 fail on processors with AVX-512 once a kernel is large. So
+candidates are tested in a subprocess, and those that fail are never loaded here.
 """
 
 import os
@@ -49,7 +49,7 @@ if list(drjit.llvm.Float([1.0, 2.0]) + 1.0) != [2.0, 3.0]:
     sys.exit("computes wrongly")
 print("LLVM", ".".join(map(str, version)))
 """
-# A trial takes 0.2 s; after a hundred times that the machine hangs.
+# A trial takes 0.2 s; one that takes a hundred times as long counts as hung.
 _TIMEOUT_S = 20.0
 
 
@@ -74,17 +74,17 @@ def choose_variant(
     folders: Iterable[str] = LLVM_FOLDERS,
     environment: Mapping[str, str] | None = None,
 ) -> Variant:
-    """Choose Mitsuba's fastest variant that is sure to work here; never fails.
+    """Choose the fastest variant of Mitsuba that is known to work here; never fails.
 
     Parameters
     ----------
-    folders : patterns of folders   that are searched for LLVM libraries, newest version first
-    environment : mapping or None   DRJIT_LIBLLVM_PATH in it is tried before all others; None: the
-                                    process's own
+    folders : patterns of folders   searched for LLVM libraries, newest version first
+    environment : mapping or None   the library in its DRJIT_LIBLLVM_PATH is tried first; None: the
+                                    environment of the process
 
     Returns
     -------
-    Variant                         llvm_ad_rgb with a fit LLVM, else scalar_rgb
+    Variant                         llvm_ad_rgb with a compatible LLVM, else scalar_rgb
     """
     setting = (os.environ if environment is None else environment).get(LLVM_SETTING, "")
     candidates = ([Path(setting)] if setting else []) + llvm_candidates(folders)
@@ -124,7 +124,7 @@ def llvm_candidates(folders: Iterable[str] = LLVM_FOLDERS) -> list[Path]:
 
 
 def load_mitsuba(variant: Variant) -> ModuleType:
-    """Import Mitsuba and make a variant current, for the whole process: Mitsuba has but one.
+    """Import Mitsuba and activate a variant, which applies to the whole process.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def load_mitsuba(variant: Variant) -> ModuleType:
 
 
 def _version(library: Path) -> tuple[int, ...]:
-    """Version in the name of a library; empty where it names none."""
+    """Version in the file name of a library; empty if there is none."""
     return tuple(int(number) for number in re.findall(r"\d+", library.name))
 
 

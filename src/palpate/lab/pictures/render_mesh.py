@@ -1,8 +1,8 @@
-"""A mesh fine enough for pictures: what is drawn at its vertices looks continuous to the cameras.
+"""A mesh fine enough for rendering: vertex values interpolated linearly look continuous.
 
-Edges that a camera sees longer than asked for are halved, with all triangles at them, until none is
-left; what no camera sees stays coarse. New vertices lie on the smooth surface that the mesh stands
-for. Along creases vertices are double, so that each side has its own normals.
+Edges that a camera sees longer than the limit are bisected, with all their triangles, until none is
+left; parts that no camera sees stay coarse. New vertices lie on the smooth surface that the mesh
+approximates. Vertices along creases are duplicated, so that each side has its own normals.
 """
 
 from collections.abc import Sequence
@@ -18,20 +18,22 @@ from palpate.records import Camera, camera_centre, picture_size
 from palpate.shapes import Triangles, Vertices
 from palpate.vision import project
 
-# Cosine between a triangle's normal and the direction to the camera: one that faces away a little
-# is refined too, since the body's deformation may turn it into view.
+# Least cosine between a triangle's normal and the direction to the camera. Triangles that face away
+# slightly are refined too, since the deformation may turn them into view.
 _MIN_COSINE = -0.2
-# So is a triangle outside the picture by no more than this share of it.
+# So are triangles outside the picture by up to this fraction of its size.
 _MAX_OUTSIDE = 0.05
-# A triangle's marked edges as one number.
+# Weights that encode a triangle's marked edges as one number.
 _BITS = np.array([1, 2, 4])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pieces:
-    """Triangles during the refinement; corners are places on base triangles.
+    """Triangles during the refinement, with their corners' positions on the base triangles.
 
-    `weld` numbers the vertices of both sides of a crease alike: both are split alike.
+    `base` is the triangle of the original mesh, `weight` the barycentric coordinates of the corners
+    on it. `weld` gives duplicates of a vertex the same number, so that both sides of a crease are
+    split alike.
     """
 
     vertices: Vertices
@@ -46,7 +48,8 @@ class _Edges:
     """Edges of triangles.
 
     `ends` (e, 2) are vertices, `of` (m, 3) is the edge from corner k to k + 1 of each triangle,
-    `weld` (e,) numbers the two sides of a crease's edge alike, `first` (e,) is a place in `of`.
+    `weld` (e,) gives the two copies of an edge on a crease the same number, `first` (e,) is the
+    first index of the edge in the flattened `of`.
     """
 
     ends: Int[np.ndarray, "e 2"]
@@ -63,20 +66,21 @@ def make_render_mesh(
     Parameters
     ----------
     mesh : TriangleMesh             closed
-    cameras : sequence of Camera    each with a size
-    edge : float [px]               longest edge in any camera; what is drawn between vertices is
-                                    linear, and moves with the material whatever its length
-    max_vertices : int              where they do not suffice the longest edges are halved first
+    cameras : sequence of Camera    each with a picture size
+    edge : float [px]               > 0; longest permitted edge in any camera. The texture is linear
+                                    between vertices and moves with them, whatever the edge length
+    max_vertices : int              limit on the number of vertices; the longest edges are bisected
+                                    first
 
     Returns
     -------
-    TriangleMesh                    fine triangles on the smooth surface that the mesh stands for;
-                                    vertices along creases are double
+    TriangleMesh                    fine triangles on the smooth surface that the mesh approximates;
+                                    vertices along creases are duplicated
 
     Raises
     ------
-    InputError                      edge out of range, fewer vertices allowed than the mesh has, a
-                                    camera without a size
+    InputError                      edge out of range, `max_vertices` less than the mesh has, a
+                                    camera without a picture size
     """
     sides = split_sides(mesh, np.zeros(len(mesh.triangles), dtype=np.int64))
     if not edge > 0.0 or max_vertices < len(sides.vertex):
@@ -124,7 +128,7 @@ def _seen_lengths(
     length = np.zeros(len(edges.ends))
     a, b, c = (pieces.vertices[column] for column in pieces.triangles.T)
     middle, normal = (a + b + c) / 3.0, np.cross(b - a, c - a)
-    # Axis by axis: numpy sums and compares along a short last axis ten times as slowly.
+    # Component by component: numpy is ten times slower along a short last axis.
     size = lengths(normal)
     for camera in cameras:
         toward = camera_centre(camera) - middle
@@ -137,7 +141,7 @@ def _seen_lengths(
         ends = edges.ends[seen]
         away = pixel[ends[:, 1]] - pixel[ends[:, 0]]
         length[seen] = np.fmax(length[seen], np.hypot(*away.T))  # NaN: beyond the lens
-    # Both sides of a crease as the side that is seen longer.
+    # Both copies of an edge on a crease get the larger of their two lengths.
     both = np.zeros(edges.weld.max() + 1)
     np.maximum.at(both, edges.weld, length)
     return both[edges.weld]
@@ -146,7 +150,7 @@ def _seen_lengths(
 def _in_picture(
     camera: Camera, pixel: Float[np.ndarray, "v 2"], triangles: Triangles
 ) -> Bool[np.ndarray, " m"]:
-    """Triangles whose box reaches into a camera's picture, or nearly so."""
+    """Triangles whose bounding box overlaps a camera's picture, or nearly so."""
     inside = np.ones(len(triangles), dtype=bool)
     for place, size in zip(pixel.T, picture_size(camera), strict=True):
         a, b, c = (place[column] for column in triangles.T)
@@ -158,11 +162,11 @@ def _in_picture(
 def _edges_to_halve(
     edges: _Edges, length: Float[np.ndarray, " e"], limit: float, room: int
 ) -> Bool[np.ndarray, " e"]:
-    """Edges to halve: those above the limit, the longest first if there is not room for all."""
+    """Edges to bisect: those above the limit, or as many of the longest as `room` allows."""
     marked = length > limit
     if marked.sum() <= room:
         return marked
-    # By welded edges: both sides of a crease or none.
+    # Both copies of an edge on a crease, or neither.
     order = np.lexsort((edges.weld, -length))[:room]
     kept = np.zeros_like(marked)
     kept[order] = True
@@ -177,7 +181,7 @@ def _halved(
     marked: Bool[np.ndarray, " e"],
     corner: Float[np.ndarray, "k 6 3"],
 ) -> _Pieces:
-    """Split marked edges at their middle on the base triangle, and the triangles at them."""
+    """Bisect marked edges at their midpoint on the base triangle, and split their triangles."""
     number = np.full(len(marked), -1)
     number[marked] = len(pieces.vertices) + np.arange(marked.sum())
     _, weld = np.unique(edges.weld[marked], return_inverse=True)
@@ -203,9 +207,9 @@ def _halved(
 def _split_triangles(
     vertex: Int[np.ndarray, "m 6"], marked: Bool[np.ndarray, "m 3"]
 ) -> list[tuple[Int[np.ndarray, " k"], Int[np.ndarray, "k 3"], Int[np.ndarray, "k 3"]]]:
-    """Parts of triangles with any edges halved: rows of the wholes, local nodes, vertices.
+    """Split triangles by their marked edges: parent triangles, local nodes and vertices of parts.
 
-    Local nodes 0 to 2 are the corners, 3 to 5 the middles of the edges 01, 12, 20.
+    Local nodes 0 to 2 are the corners, 3 to 5 the midpoints of the edges 01, 12, 20.
     """
     patterns = {
         (False, False, False): [(0, 1, 2)],

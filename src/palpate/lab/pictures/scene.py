@@ -1,8 +1,8 @@
-"""Pictures of textured bodies under lamps, by Mitsuba.
+"""Rendering of textured, illuminated bodies with Mitsuba.
 
-Every light is rendered in a pass of its own, by the one method that leaves it hardly any noise:
-lamps by shadow rays to points spread over them, ambient light by reflected rays. Rendered together
-they need a hundred times the samples: the noise is that of choosing between them.
+Lamp and ambient light are rendered in separate passes, each by the sampling method of least noise:
+the lamp by shadow rays to stratified points on it, ambient light by reflected rays. Rendered
+together they would need a hundred times the samples, because of the noise of choosing between them.
 """
 
 from collections.abc import Sequence
@@ -23,27 +23,27 @@ from palpate.shapes import Vector3, Vertices
 
 # From OpenCV's camera (x right, y down) to Mitsuba's (x left, y up); both look along z.
 _OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
-# Highlights of a moist membrane: this rough (Beckmann's alpha), they are some 20 degrees wide.
+# Roughness of a moist membrane (Beckmann's alpha): its highlights are some 20 degrees wide.
 _ROUGHNESS = 0.25
 
-# Cameras need not have the same size.
+# The cameras may have different picture sizes.
 Picture = Float32[np.ndarray, "_ _"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnBody:
-    """A surface with its look.
+    """A surface with its reflectance.
 
     Parameters
     ----------
-    mesh : TriangleMesh             object frame; its normals are those of the smooth surface
-    grey : (v,) float [-]           share of the light that is reflected, 0 to 1, linear in between
-    gloss : float [-]               0 to 1, share of it that makes highlights, as a moist membrane
-                                    does; 0 for a matt body
+    mesh : TriangleMesh             object frame; shaded with smooth vertex normals
+    grey : (v,) float [-]           reflectance at the vertices, 0 to 1, linear in between
+    gloss : float [-]               0 to 1; fraction of the reflected light that is specular, as on
+                                    a moist membrane; 0: matt
 
     Raises
     ------
-    InputError                      sizes that do not match, grey out of range
+    InputError                      `grey` of the wrong length or out of range
     """
 
     mesh: TriangleMesh
@@ -62,14 +62,14 @@ class DrawnBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lamp:
-    """A shining square that faces a point; not seen itself.
+    """Square area light that faces a point; itself invisible to the cameras.
 
     Parameters
     ----------
-    position : (3,) float [m]       of its middle, object frame
-    target : (3,) float [m]         that it faces
-    side : float [m]                > 0; the longer, the softer its shadows
-    radiance : float                of its surface, in the unit of the pictures
+    position : (3,) float [m]       centre of the lamp, object frame
+    target : (3,) float [m]         point that it faces
+    side : float [m]                > 0; larger is softer shadows
+    radiance : float                >= 0; of its surface, in the unit of the pictures
 
     Raises
     ------
@@ -93,13 +93,13 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Light:
-    """All light in the room.
+    """Illumination of the scene.
 
     Parameters
     ----------
-    ambient : float                 radiance from everywhere, >= 0; where nothing hides it a matt
-                                    body of grey 1 is as bright as this. A lamp does not hide it
-    lamp : Lamp or None             costs as much time as the ambient light
+    ambient : float                 >= 0; radiance from all directions. An unshaded matt body of
+                                    reflectance 1 has this radiance; the lamp casts no shadow in it
+    lamp : Lamp or None             takes as much rendering time as the ambient light
 
     Raises
     ------
@@ -125,31 +125,31 @@ def render(
     samples: int,
     seed: int,
 ) -> tuple[Picture, ...]:
-    """Pictures of bodies before cameras: linear radiance, no sensor yet.
+    """Render bodies for several cameras, as linear radiance without sensor effects.
 
-    A point of a body is drawn where `vision.project` puts it, within 0.02 px. On one machine, with
-    one variant, the same seed gives the same bytes.
+    Rendered points agree with `vision.project` within 0.02 px. On one machine, with one variant,
+    the same seed gives the same bytes.
 
     Parameters
     ----------
     bodies : sequence of DrawnBody  at least one; all in front of every camera
-    cameras : sequence of Camera    each with a size; any lens
+    cameras : sequence of Camera    each with a picture size; with any distortion
     light : Light
     variant : Variant               of `choose_variant`
-    samples : int                   rays through a pixel for each light; a square is best. 16 leave
-                                    a noise of 0.7 grey levels on a black and white speckle, 0.2 on
-                                    a soft texture, at 220 grey levels where it is brightest
+    samples : int                   rays per pixel for each light, best a square number. With 16 the
+                                    noise is 0.7 grey levels on a black and white speckle and 0.2 on
+                                    a smooth texture, at a peak of 220 grey levels
     seed : int                      0 to 2^32 - 1
 
     Returns
     -------
-    tuple of (rows, columns) float32    one for each camera; every pixel the mean over its area
+    tuple of (rows, columns) float32    radiance for each camera, averaged over each pixel's area
 
     Raises
     ------
-    InputError                      nothing to render, a camera without a size or one that sees
-                                    nothing; Mitsuba missing
-    CalibrationError                a body beside or behind a camera
+    InputError                      nothing to render, a camera without a picture size or one that
+                                    sees nothing; Mitsuba is not installed
+    CalibrationError                a body that is not in front of a camera
     """
     if not bodies:
         raise InputError("there is no body to render; give at least one")
@@ -177,9 +177,9 @@ def render(
 def _passes(
     mitsuba: ModuleType, bodies: Sequence[DrawnBody], light: Light
 ) -> list[tuple[Any, Any]]:
-    """Scene and integrator for the lamp, where there is one, and for the ambient light.
+    """Scene and integrator for the lamp, if there is one, and for the ambient light.
 
-    Light comes straight from the lamp or the surroundings; bodies do not light each other.
+    Direct illumination only: bodies do not illuminate each other.
     """
     matt = [_mesh(mitsuba, body, glossy=False) for body in bodies]
     kinds = [({"type": "constant", "radiance": light.ambient}, matt, (0, 1))]
@@ -204,7 +204,7 @@ def _passes(
 
 
 def _mesh(mitsuba: ModuleType, body: DrawnBody, *, glossy: bool) -> Any:
-    """A body as Mitsuba's mesh; what makes highlights is missing from a matt one's reflection."""
+    """A body as a Mitsuba mesh; with `glossy` False its specular reflection is left black."""
     matt: dict[str, Any] = {
         "type": "diffuse",
         "reflectance": {"type": "mesh_attribute", "name": "vertex_grey"},
@@ -256,7 +256,7 @@ def _sensor(
         "to_world": mitsuba.ScalarTransform4f(np.linalg.inv(pose) @ _OPENCV),
         "fov_axis": "x",
         "fov": float(np.degrees(2.0 * np.arctan(0.5 * columns / view.focal))),
-        # How far the picture's middle, in its corner's count of pixels, is past the axis.
+        # Offset of the picture's middle from the principal point, as a fraction of its size.
         "principal_point_offset_x": 0.5 - (view.centre[0] + 0.5) / columns,
         "principal_point_offset_y": 0.5 - (view.centre[1] + 0.5) / rows,
         "near_clip": 0.5 * float(depth.min()),

@@ -1,6 +1,6 @@
-"""From the light that reaches a camera to the grey levels that it stores.
+"""Image sensor model: from the radiance that reaches a camera to stored grey levels.
 
-Grey levels are those of 8 bits, 255 is white, also where more bits are stored.
+Grey levels are on the 8-bit scale, 255 is white, even if more bits are stored.
 """
 
 from collections.abc import Sequence
@@ -13,17 +13,17 @@ from palpate.errors import InputError
 from palpate.lab.config import Pictures
 
 _WHITE = 255.0
-# Files of 16 bits carry the 12 at their high end, as machine vision cameras do.
+# In 16-bit files the 12 bits are the most significant ones, as in machine vision cameras.
 _SHIFT = 4
-# Radii of blur a step apart are blended [px]: a quarter of a pixel changes the picture's sharpness
-# by less than a tenth.
+# Step of the blur radii between which pictures are blended [px]: a quarter of a pixel changes the
+# sharpness by less than a tenth.
 _RADIUS_STEP = 0.25
-# Parts of a pixel's side by which the area of a disc is counted: good to 1 % for a disc of a pixel,
-# to 0.1 % from two pixels on.
+# Subdivision of a pixel's side for the area of a disc inside it: accurate to 1 % for a disc of one
+# pixel, to 0.1 % from two pixels on.
 _PARTS = 32
-# An exposure brings this share of the lit pixels to this grey level or below.
+# The exposure puts this quantile of the illuminated pixels at this grey level.
 _BRIGHT_LEVEL, _BRIGHT_SHARE = 220.0, 0.995
-# Pixels darker than this share of the brightest are background when an exposure is chosen.
+# Pixels darker than this fraction of the brightest are background when the exposure is chosen.
 _DARK = 0.02
 
 Picture = Float32[np.ndarray, "rows columns"]
@@ -32,18 +32,18 @@ Picture = Float32[np.ndarray, "rows columns"]
 def grey_picture(
     radiance: Picture, settings: Pictures, *, gain: float, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "rows columns"] | UInt16[np.ndarray, "rows columns"]:
-    """A stored picture: blurred, counted, noisy, rounded and cut at black and white.
+    """A stored picture: blur, shot noise, read noise, rounding, and clipping at black and white.
 
     Parameters
     ----------
-    radiance : (rows, columns) float32  not negative
-    settings : Pictures                 response, full well, noise and bits of the chip
+    radiance : (rows, columns) float32  negative values count as zero
+    settings : Pictures                 response, full well, noise and bits of the image sensor
     gain : float                        grey levels per unit of radiance
     rng : Generator                     of the noise; another state for each picture
 
     Returns
     -------
-    (rows, columns) uint8, or uint16 with the 12 bits at the high end, as it goes into a file
+    (rows, columns) uint8, or uint16 with 12 bits as the most significant ones
     """
     light = np.maximum(radiance, 0.0)
     if settings.response > 0.0:
@@ -62,7 +62,7 @@ def grey_picture(
 
 
 def counting_noise(settings: Pictures, grey: float) -> float:
-    """Standard deviation of the number of electrons, in grey levels.
+    """Standard deviation of the shot noise, in grey levels.
 
     Parameters
     ----------
@@ -71,17 +71,17 @@ def counting_noise(settings: Pictures, grey: float) -> float:
 
     Returns
     -------
-    float                           0 for a chip without counting noise
+    float                           0 for an image sensor without shot noise
     """
     return 0.0 if settings.full_well is None else float(np.sqrt(grey * _WHITE / settings.full_well))
 
 
 def exposure_gain(pictures: Sequence[Float32[np.ndarray, "_ _"]]) -> float:
-    """Gain that brings the bright parts of the bodies to grey level 220.
+    """Gain at which the bright parts of the bodies have grey level 220.
 
     Parameters
     ----------
-    pictures : sequence of (rows, columns) float32   radiance, together
+    pictures : sequence of (rows, columns) float32   radiance; one gain for all of them
 
     Returns
     -------
@@ -89,7 +89,7 @@ def exposure_gain(pictures: Sequence[Float32[np.ndarray, "_ _"]]) -> float:
 
     Raises
     ------
-    InputError                      pictures without light
+    InputError                      pictures that are entirely black
     """
     values = np.concatenate([picture.ravel() for picture in pictures])
     brightest = float(values.max(initial=0.0))
@@ -101,18 +101,18 @@ def exposure_gain(pictures: Sequence[Float32[np.ndarray, "_ _"]]) -> float:
 def blur_radius(
     depth: Float[np.ndarray, "rows columns"], *, focus: float, aperture: float, focal: float
 ) -> Float[np.ndarray, "rows columns"]:
-    """Radius of the disc that a point out of focus becomes.
+    """Radius of the circle of confusion of each pixel.
 
     Parameters
     ----------
-    depth : (rows, columns) float [m]   along the axis; NaN, infinite: nothing there
-    focus : float [m]               depth that is sharp, > 0
-    aperture : float [m]            diameter of the lens's opening, > 0
-    focal : float [px]              of the camera matrix, i.e. sharp at `focus`
+    depth : (rows, columns) float [m]   along the optical axis; NaN or infinite: no surface
+    focus : float [m]               depth in focus, > 0
+    aperture : float [m]            diameter of the lens opening, > 0
+    focal : float [px]              > 0; camera constant of the camera matrix, focused at `focus`
 
     Returns
     -------
-    (rows, columns) float [px]      NaN where the depth is; finite where it is infinite
+    (rows, columns) float [px]      NaN where the depth is NaN; finite where it is infinite
 
     Raises
     ------
@@ -131,15 +131,15 @@ def blur_radius(
 
 
 def defocused(radiance: Picture, radius: float | Float[np.ndarray, "rows columns"]) -> Picture:
-    """A picture out of focus: every pixel the mean over a disc around it.
+    """A picture out of focus: every pixel is the mean over a disc around it.
 
-    Where the radius changes from pixel to pixel each takes its own, so that a sharp body has a
-    sharp outline before a blurred one, and a blurred one an outline a little too sharp.
+    Each pixel uses its own radius, so that a sharp body keeps a sharp outline in front of a blurred
+    one; the outline of a blurred body is slightly too sharp.
 
     Parameters
     ----------
     radiance : (rows, columns) float32
-    radius : float or (rows, columns) float [px]    NaN counts as 0
+    radius : float or (rows, columns) float [px]    >= 0; NaN counts as 0
 
     Returns
     -------
@@ -167,8 +167,8 @@ def defocused(radiance: Picture, radius: float | Float[np.ndarray, "rows columns
 
 
 def _disc_mean(radiance: Picture, radius: float) -> Picture:
-    """Mean over a disc, weighted with the area of each pixel inside it; beyond the picture its
-    outermost pixels go on."""
+    """Mean over a disc, weighted by the area of each pixel inside it; border pixels are
+    replicated."""
     if radius == 0.0:
         return radiance
     reach = int(np.ceil(radius + 0.5))

@@ -1,4 +1,4 @@
-"""Pictures of the bench: bodies, light, lenses, chips; every picture with its own noise."""
+"""Pictures of the bench: bodies, light, lenses, image sensors; each picture with its own noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,34 +24,34 @@ from palpate.records import Camera, Rig, camera_centre, picture_size
 from palpate.shapes import PointScalars, Vertices
 from palpate.vision import surface_map
 
-# Edge of the drawn triangles [px]; between its vertices the texture is linear and moves with them.
+# Longest edge of the rendered triangles [px]; the texture is linear between their vertices.
 _EDGE_PX = 1.5
-# Reflectance of the rod, and how much light comes from everywhere, of all light.
+# Reflectance of the rod; fraction of the light that is ambient.
 _ROD_GREY = 0.03
 _AMBIENT = 0.55
-# The lamp stands beside the reference camera, this share of its distance away.
+# Distance of the lamp from the reference camera, in units of that camera's distance.
 _LAMP_BESIDE = 0.8
-# Windows must tell speckles from noise: grey levels of contrast over the chip's noise.
+# Least ratio of the texture's contrast to the noise, both in grey levels, for matching subsets.
 _MIN_CONTRAST = 5.0
-# Grey level at which the noise of counting is compared with the contrast.
+# Grey level at which the shot noise is compared with the contrast.
 _MID_GREY = 127.5
-# Instants within an exposure.
+# Number of instants that are averaged over an exposure.
 _FRAMES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Studio:
-    """All that stays the same from picture to picture.
+    """Everything that is the same for all pictures.
 
     Attributes
     ----------
     config : LabConfig
-    rig : Rig                       as it is
-    mesh : TriangleMesh             drawn: the object at rest, in fine triangles
-    grey : (v,) float               its reflectance
+    rig : Rig                       true rig
+    mesh : TriangleMesh             fine mesh of the object at rest, for rendering
+    grey : (v,) float [-]           its reflectance, 0 to 1
     light : Light
-    gain : float                    grey levels per radiance
-    variant : Variant
+    gain : float                    grey levels per unit of radiance
+    variant : Variant               of Mitsuba
     """
 
     config: LabConfig
@@ -66,12 +66,12 @@ class Studio:
 def make_studio(
     config: LabConfig, rig: Rig, variant: Variant, *, rng: np.random.Generator
 ) -> Studio:
-    """Put up texture, light and exposure.
+    """Prepare texture, light and exposure.
 
     Parameters
     ----------
     config : LabConfig
-    rig : Rig                       as it is
+    rig : Rig                       true rig
     variant : Variant               of Mitsuba
     rng : Generator                 of the texture
 
@@ -81,7 +81,7 @@ def make_studio(
 
     Raises
     ------
-    InputError                      a texture whose contrast drowns in the chip's noise
+    InputError                      a texture whose contrast is too low for the sensor's noise
     """
     surface = config.specimen.mesh
     mesh = make_render_mesh(surface, rig.cameras, edge=_EDGE_PX)
@@ -106,14 +106,14 @@ def photograph(
     Parameters
     ----------
     studio : Studio
-    instants : sequence of (v, 3) float [m]     the drawn vertices at one instant, or at several
-                                    within the exposure
-    rod : TriangleMesh or None      the arm's
+    instants : sequence of (v, 3) float [m]     the rendered vertices at one instant, or at several
+                                    during the exposure
+    rod : TriangleMesh or None      the arm's rod, if visible
     rng : Generator                 of this picture's noise
 
     Returns
     -------
-    tuple of (rows, columns) uint8 or uint16
+    tuple of (rows, columns) uint8 or uint16    one for each camera
     """
     settings = studio.config.pictures
     seeds = rng.integers(0, 2**32, size=len(instants))
@@ -132,16 +132,16 @@ def photograph(
 
 
 def exposure(config: LabConfig, before: Vertices, after: Vertices) -> list[Vertices]:
-    """Instants within an exposure.
+    """Instants during an exposure.
 
     Parameters
     ----------
     config : LabConfig              its motion blur
-    before, after : (v, 3) float [m]    vertices; the exposure ends at `after`
+    before, after : (v, 3) float [m]    vertices of two load steps; the exposure ends at `after`
 
     Returns
     -------
-    list of (v, 3) float [m]        one instant where nothing blurs
+    list of (v, 3) float [m]        vertices at each instant; one instant without motion blur
     """
     share = config.pictures.motion_blur
     if share == 0.0:
@@ -150,7 +150,7 @@ def exposure(config: LabConfig, before: Vertices, after: Vertices) -> list[Verti
 
 
 def _light(config: LabConfig, rig: Rig) -> Light:
-    """A lamp beside the reference camera, and light from everywhere."""
+    """A lamp next to the reference camera, and ambient light."""
     vertices = config.specimen.mesh.vertices
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     reference = rig.cameras[rig.reference]
@@ -158,7 +158,7 @@ def _light(config: LabConfig, rig: Rig) -> Light:
     distance = float(np.linalg.norm(eye - middle))
     place = eye + _LAMP_BESIDE * distance * (0.8 * pose[0, :3] - 0.6 * pose[1, :3])
     side = config.pictures.lamp
-    # The same light on the object from any size of lamp and any distance.
+    # The irradiance of the object does not depend on the lamp's size and distance.
     radiance = (1.0 - _AMBIENT) * np.pi * float(np.sum((place - middle) ** 2)) / side**2
     return Light(_AMBIENT, Lamp(place, middle, side, radiance))
 
@@ -166,7 +166,7 @@ def _light(config: LabConfig, rig: Rig) -> Light:
 def _radiance(
     studio: Studio, vertices: Vertices, rod: TriangleMesh | None, seed: int
 ) -> tuple[np.ndarray, ...]:
-    """Light that reaches the cameras."""
+    """Rendered radiance for every camera."""
     mesh = TriangleMesh(vertices, studio.mesh.triangles)
     bodies = [DrawnBody(mesh, studio.grey, studio.config.look.gloss)]
     if rod is not None:
@@ -176,7 +176,7 @@ def _radiance(
 
 
 def _blur(studio: Studio, camera: Camera, vertices: Vertices) -> Float[np.ndarray, "rows columns"]:
-    """Radius of the blur in each pixel of a camera that is focused on the object's middle [px]."""
+    """Defocus radius [px] in each pixel of a camera that is focused on the object's middle."""
     seen = surface_map(camera, picture_size(camera)[::-1], vertices, studio.mesh.triangles)
     depth = np.asarray(seen.point @ camera.T_camera_object[2, :3] + camera.T_camera_object[2, 3])
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
@@ -186,10 +186,10 @@ def _blur(studio: Studio, camera: Camera, vertices: Vertices) -> Float[np.ndarra
 
 
 def _check_contrast(studio: Studio, radiance: np.ndarray) -> None:
-    """Refuse a texture that no window can follow: before anything else is rendered."""
+    """Refuse a texture that image correlation cannot track, before anything else is rendered."""
     chip, grey = studio.config.pictures, studio.gain * radiance
     lit = grey > 0.1 * grey.max()
-    # The reflectance's own spread: what shading adds is no texture.
+    # The spread of the reflectance alone: shading is no texture.
     contrast = float(np.std(studio.grey) / max(np.mean(studio.grey), 1e-9) * np.mean(grey[lit]))
     noise = float(np.hypot(chip.noise, counting_noise(chip, _MID_GREY)))
     if contrast < _MIN_CONTRAST * noise:

@@ -1,8 +1,8 @@
 """Reflectance of a surface as a function of the position at rest: it moves with the material.
 
-Textures are given at points and are smooth between them: `speckle` has rims of `RIM` times a
-dot's diameter, `natural` holds no wave shorter than the one asked for. Points closer than
-a quarter of that rim or wave, as vertices of a render mesh are, lose nothing.
+Textures are evaluated at points and are smooth: the rim of a `speckle` dot is `RIM` times its
+diameter wide, and `natural` has no wavelength below the given one. Points closer than a quarter of
+that rim or wavelength, like the vertices of a render mesh, resolve them fully.
 """
 
 import numpy as np
@@ -13,17 +13,17 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, triangle_areas
 from palpate.shapes import Points, PointScalars
 
-# Share of the surface inside dots; reflectance of dots and ground.
+# Fraction of the surface that dots cover; reflectance of dots and background.
 _COVERAGE, _DARK, _BRIGHT = 0.5, 0.1, 0.9
-# Width of the smooth rim of a dot, as a share of its diameter.
+# Width of the smooth rim of a dot, as a fraction of its diameter.
 RIM = 0.3
-# Waves of one octave; their sum is normal to the eye from about thirty on.
+# Waves per octave; from about thirty on their sum looks normally distributed.
 _WAVES = 48
 # Points whose waves are summed at once: some 40 MB.
 _CHUNK = 16384
-# Most dots that are drawn: a mistake in the unit of length asks for more.
+# Largest number of dots: more points to a mistake in the unit of length.
 _MAX_DOTS = 5_000_000
-# The sum of the waves reaches this many of its standard deviations before it is bent to fit 0 to 1.
+# The sum of the waves saturates at this many standard deviations, to keep it within 0 to 1.
 _REACH = 2.0
 
 
@@ -39,12 +39,12 @@ def texture(
 
     Parameters
     ----------
-    kind : "speckle", "natural" or "poor"   natural textures have blotches of up to eight times
-                                    `size`, poor ones faint ones of up to four times, as a bare
-                                    moulded body shows them: hard to match, and meant to be
+    kind : "speckle", "natural" or "poor"   natural: wavelengths from `size` to eight times `size`;
+                                    poor: faint, to four times `size`, like a bare moulded body,
+                                    and deliberately hard to match
     points : (n, 3) float [m]       on the surface, at rest
-    surface : TriangleMesh
-    size : float [m]                > 0; of a dot, or the shortest wavelength
+    surface : TriangleMesh          the surface itself
+    size : float [m]                > 0; diameter of a dot, or shortest wavelength
     rng : Generator
 
     Returns
@@ -64,18 +64,18 @@ def texture(
 def speckle(
     points: Points, surface: TriangleMesh, *, size: float, rng: np.random.Generator
 ) -> PointScalars:
-    """Dark dots at random places of a bright surface, overlapping, as sprayed paint leaves them.
+    """Dark, overlapping dots at random positions on a bright surface, like sprayed paint.
 
-    Half of the surface is covered. The dots are balls around points of the surface. A spot of paint
-    whose rim is `RIM` wide has no detail finer than that.
+    Half of the surface is covered. The dots are balls around points of the surface, with a smooth
+    rim of `RIM` times their diameter.
 
     Parameters
     ----------
     points : (n, 3) float [m]       on the surface, at rest
     surface : TriangleMesh          that carries the dots
-    size : float [m]                > 0; diameter of a dot at half its depth; three to five pixels
+    size : float [m]                > 0; diameter of a dot at half contrast; three to five pixels
                                     are best for matching
-    rng : Generator                 of the places
+    rng : Generator                 of the dots' positions
 
     Returns
     -------
@@ -96,16 +96,20 @@ def speckle(
 
 
 def dot_count(surface: TriangleMesh, size: float) -> float:
-    """How many dots a speckle has on average.
+    """Expected number of dots of a speckle pattern.
 
     Parameters
     ----------
     surface : TriangleMesh          that carries the dots
     size : float [m]                > 0; diameter of a dot
 
+    Returns
+    -------
+    float
+
     Raises
     ------
-    InputError                      more than can be drawn
+    InputError                      more than `_MAX_DOTS`
 
     Source
     ------
@@ -129,14 +133,14 @@ def natural(
     contrast: float,
     rng: np.random.Generator,
 ) -> PointScalars:
-    """Blotches of all sizes, as stone, skin or foam has them: octaves of smooth random waves.
+    """Random blotches of all sizes, as on stone, skin or foam: octaves of smooth random waves.
 
-    Every octave has twice the power of the next finer one: the spectrum of photographs of natural
-    things, in which no size stands out.
+    Every octave has twice the power of the next finer one, like the scale-free spectrum of
+    photographs of natural objects.
 
     Parameters
     ----------
-    points : (n, 3) float [m]       at rest; anywhere
+    points : (n, 3) float [m]       at rest; anywhere in space
     coarsest, finest : float [m]    longest and shortest wavelength, > 0
     contrast : float [-]            standard deviation of the reflectance, 0 to 0.25
     rng : Generator                 of the waves
@@ -153,7 +157,7 @@ def natural(
         weight = 2.0 ** (0.5 * k)
         total += weight * _waves(points, shortest, min(2.0 * shortest, coarsest), rng)
         power += weight**2
-    # Bent smoothly, so that no reflectance leaves 0 to 1: five of a hundred points lie beyond two
+    # Smooth saturation keeps the reflectance within 0 to 1: 5 % of the points would lie beyond two
     # standard deviations.
     return 0.5 + contrast * _REACH * np.tanh(total / (_REACH * np.sqrt(power)))
 
@@ -164,7 +168,7 @@ def _random_points(
     count: int,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "k 3"]:
-    """Points spread evenly over the area of a surface."""
+    """Random points, uniformly distributed over the area of a surface."""
     place = np.cumsum(areas)
     triangle = np.searchsorted(place, rng.random(count) * place[-1])
     corner = surface.vertices[surface.triangles[np.minimum(triangle, len(areas) - 1)]]
@@ -177,7 +181,7 @@ def _random_points(
 def _waves(
     points: Points, shortest: float, longest: float, rng: np.random.Generator
 ) -> PointScalars:
-    """Plane waves of all directions and of wavelengths in a range; variance 1 on average."""
+    """Sum of plane waves with random directions and wavelengths in a range; unit variance."""
     direction = rng.normal(size=(_WAVES, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     length = shortest * (longest / shortest) ** rng.random(_WAVES)

@@ -1,4 +1,4 @@
-"""What the pictures really show, pixel by pixel: the truth to compare an estimate with."""
+"""Ground truth of the pictures, pixel by pixel: the true motion, to compare estimates with."""
 
 import io
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ from palpate.records import Rig, picture_size
 from palpate.shapes import PointIndices, Points
 from palpate.vision import SurfaceMap, surface_map, visible
 
-# A point counts as hidden by its own body this far behind it, as a share of a pixel's width there:
-# depth is interpolated between pixel centres, and near the horizon the surface bends that much.
+# A point counts as hidden by its own body if it lies this far behind it, in pixel widths there: the
+# tolerance covers the interpolation of depth between pixel centres near the silhouette.
 _BEHIND = 0.1
-# Cameras that fit the bits of one byte.
+# One bit of a byte for each camera.
 _MAX_CAMERAS = 8
 
 
@@ -28,11 +28,11 @@ class TruthMap:
     Attributes
     ----------
     shape : (rows, columns)         of the reference camera
-    pixel : (n,) int                row * columns + column, of pixels that show the body at rest
-    point : (n, 3) float [m]        that their centres show, object frame
-    displacement : (n, 3) float [m] of that point
-    hidden_rest, hidden_loaded : (n,) int   bit i is set where camera i does not see the point: it
-                                    is outside the picture, or something hides it
+    pixel : (n,) int                row * columns + column of the pixels that show the body at rest
+    point : (n, 3) float [m]        surface points at their centres, at rest, object frame
+    displacement : (n, 3) float [m] of these points
+    hidden_rest, hidden_loaded : (n,) int   bit i is set if camera i does not see the point, because
+                                    it is outside the picture or occluded
     """
 
     shape: tuple[int, int]
@@ -50,14 +50,14 @@ def truth_map(
     *,
     tool: TriangleMesh | None = None,
 ) -> TruthMap:
-    """The truth of one pair of rest and loaded pictures.
+    """Truth map of one pair of rest and loaded pictures.
 
     Parameters
     ----------
-    rig : Rig                       cameras with sizes, at most eight
-    mesh : TriangleMesh             that was drawn, at rest
+    rig : Rig                       cameras with picture sizes, at most eight
+    mesh : TriangleMesh             rendered mesh, at rest
     loaded : (v, 3) float [m]       its vertices in the loaded pictures
-    tool : TriangleMesh or None     in the loaded pictures; absent at rest
+    tool : TriangleMesh or None     visible in the loaded pictures only
 
     Returns
     -------
@@ -67,7 +67,7 @@ def truth_map(
     ------
     InputError                      too many cameras, one without a size, meshes that do not match,
                                     a reference camera that sees nothing of the body
-    CalibrationError                a body beside or behind a camera
+    CalibrationError                a body that is not in front of a camera
     """
     if len(rig.cameras) > _MAX_CAMERAS:
         raise InputError(
@@ -95,8 +95,8 @@ def truth_map(
         rig, _surface_maps(rig, replace(mesh, vertices=loaded)), moved, behind=_BEHIND
     )
     if tool is not None:
-        # By itself: where a tool touches the body both surfaces coincide, but the tool's near side
-        # is well in front.
+        # Without tolerance: where the tool touches the body both surfaces coincide, but the tool's
+        # near side is well in front.
         hidden_loaded |= _hidden(rig, _surface_maps(rig, tool), moved, behind=0.0)
     return TruthMap(
         shown.triangle.shape,
@@ -109,14 +109,14 @@ def truth_map(
 
 
 def write_truth_map(path: Path | io.BytesIO, truth: TruthMap) -> None:
-    """Write a truth map as `truth_nXX.npz`; the same map gives the same bytes.
+    """Write a truth map as a compressed NPZ file; the same map gives the same bytes.
 
-    Entries: `shape`, `pixel` (int32), `X` and `U` (float32, m), `hidden_rest` and `hidden_loaded`
-    (uint8).
+    Entries: `shape`, `pixel` (int32), `X` (point) and `U` (displacement; both float32, metres),
+    `hidden_rest` and `hidden_loaded` (uint8).
 
     Parameters
     ----------
-    path : Path, or bytes to be
+    path : Path or BytesIO
     truth : TruthMap
     """
     np.savez_compressed(
@@ -139,7 +139,7 @@ def _surface_maps(rig: Rig, mesh: TriangleMesh) -> tuple[SurfaceMap, ...]:
 
 
 def _hidden(rig: Rig, maps: Sequence[SurfaceMap], points: Points, *, behind: float) -> PointIndices:
-    """Bits of the cameras that do not see points; `behind` a surface by that share of a pixel."""
+    """Bits of the cameras that do not see points; `behind` is the tolerance in pixel widths."""
     bits = np.zeros(len(points), dtype=np.int64)
     for k, (camera, surface) in enumerate(zip(rig.cameras, maps, strict=True)):
         pose = camera.T_camera_object

@@ -1,6 +1,7 @@
-"""What a force gauge's log says: when the tool touches, when it rests, with what force.
+"""Evaluation of a force gauge's log: times of contact, plateaus, and the force on each.
 
-Purpose    : forces on the object, without the tool's weight and the gauge's drift, with sigmas.
+Purpose    : forces on the object, corrected for tool weight and zero drift, with standard
+             deviations.
 Takes      : a table of times and forces, or a robot's bag, and how to read it (`Gauge`).
 Gives      : `ForceLog`, `Touch`, `Zero`, `Reading`.
 Depends on : `probe`, `records`.

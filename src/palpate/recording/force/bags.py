@@ -1,4 +1,4 @@
-"""Logs of robots: topics of ROS 1 and ROS 2 bags and of MCAP files, as tables."""
+"""Robot logs as tables: topics of ROS 1 and ROS 2 bags and of MCAP files."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from palpate.records import TextTable, make_table, read_text_table
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 _CURE = "record it again, or export the topic as a table"
 _AXES = ("x", "y", "z")
-# A stamp that nobody set.
+# Message stamps not above this were never set.
 _NEVER = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What is looked for in a bag.
+    """A quantity that is sought in a bag.
 
     Attributes
     ----------
     name : str                      "force" or "pose", for messages
-    columns : tuple of str          headings of the table's columns after the time, x y z
-    kinds : mapping of str to str   message types that hold it and where: attributes with dots
+    columns : tuple of str          headings of the x, y and z columns, after the time
+    kinds : mapping of str to str   message type -> dotted path of the attribute that holds it
     """
 
     name: str
@@ -64,22 +64,22 @@ def read_log_table(path: Path, *, topic: str | None, wanted: Quantity, cure: str
 
     Parameters
     ----------
-    path : Path                     a table of text, or a file ending in `BAG_SUFFIXES`
-    topic : str or None             of a bag; None: the only one that holds what is wanted
+    path : Path                     a text table, or a bag with a suffix of `BAG_SUFFIXES`
+    topic : str or None             of a bag; None: the only one that holds the quantity
     wanted : Quantity
-    cure : str                      what a table must be, for messages
+    cure : str                      description of a valid table, for messages
 
     Returns
     -------
-    TextTable                       of a bag: time [s], by the stamps of the messages where they
-                                    have some, else as they were recorded; then the wanted columns,
-                                    one alone of messages that hold one number
+    TextTable                       of a bag: time [s], from the stamps of the messages if set, else
+                                    the time of recording; then the wanted columns, or a single one
+                                    for messages that hold one number
 
     Raises
     ------
-    RecordError                     not there, damaged; no such topic, several that could be meant;
-                                    a topic of a text table
-    InputError                      a bag, and the extra that reads bags is not installed
+    RecordError                     missing, damaged; no such topic, or several candidates; a topic
+                                    given for a text table
+    InputError                      a bag, and the optional package that reads bags is missing
     """
     if path.suffix.lower() not in BAG_SUFFIXES:
         if topic is not None:
@@ -102,7 +102,7 @@ def read_log_table(path: Path, *, topic: str | None, wanted: Quantity, cure: str
 
 
 def _connections(path: Path, connections: Any, topic: str | None, wanted: Quantity) -> list[Any]:
-    """Those of the one topic that is meant."""
+    """Connections of the requested topic, or of the only suitable one."""
     listed = ", ".join(f"{one.topic} ({one.msgtype})" for one in connections) or "none"
     fitting = [one for one in connections if one.msgtype in wanted.kinds]
     if topic is not None:
@@ -118,7 +118,7 @@ def _connections(path: Path, connections: Any, topic: str | None, wanted: Quanti
 
 
 def _rows(reader: Any, connections: list[Any], place: str) -> Iterator[str]:
-    """Lines of the table."""
+    """Lines of the table, one per message."""
     for connection, recorded, raw in reader.messages(connections=connections):
         message = reader.deserialize(raw, connection.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)

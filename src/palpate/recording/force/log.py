@@ -1,4 +1,4 @@
-"""The log of a force gauge: readings in newtons in the object's frame, and what is wrong in it."""
+"""The log of a force gauge: readings in newtons in the object frame, with gaps and saturation."""
 
 import re
 from dataclasses import dataclass
@@ -20,37 +20,38 @@ _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$")
 _CURE = (
     "a force log is a table with a line of headings, a column of times and one to three of forces"
 )
-# Forces beyond these are not those of a probing: a unit is mistaken.
+# Plausible range of a probing's forces [N]; outside it the unit is wrong.
 _LARGEST, _SMALLEST = 500.0, 1e-4
-# A recording is not longer [s].
+# Longest recording [s].
 _LONGEST = 86400.0
-# A longer step than so many usual ones is a gap; shorter pauses than this [s] hide no press.
+# A gap is a step longer than this many median steps and than this time [s].
 _GAP_STEPS, _GAP = 5.0, 0.05
-# So many equal readings in a row at the end of the range, where of the others no more than this
-# share equals the one before: a coarse gauge repeats itself everywhere.
+# Saturation: at least so many equal extreme readings in a row, unless more than this fraction of
+# all other readings repeat too, as with a coarse resolution.
 _STUCK, _REPEATED = 10, 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gauge:
-    """How a force gauge's log is to be read.
+    """How to read a force gauge's log.
 
     Parameters
     ----------
     file : Path
-    time : str or None              heading of the times; None: the column that is called so
-    columns : tuple of str          headings of the forces; empty: the columns that are called so
-    unit : str or None              of `NEWTONS`; None: as the headings say, else N
-    time_unit : str or None         of `SECONDS`; None: as the heading says, else s
-    axes : (k, 3) float             direction of a positive reading of each column, object frame;
-                                    perpendicular, made unit vectors
-    on_tool : bool                  readings are of the force on the tool, not on the object
-    limit : float or None [N]       end of the gauge's range, both ways; readings there say nothing
-    topic : str or None             of a bag; None: its only one with forces
+    time : str or None              heading of the times; None: a usual name such as "time"
+    columns : tuple of str          headings of the forces; empty: usual names such as "fx"
+    unit : str or None              key of `NEWTONS`; None: as in the headings, else N
+    time_unit : str or None         key of `SECONDS`; None: as in the heading, else s
+    axes : (k, 3) float             direction of a positive reading of each of 1 to 3 columns,
+                                    object frame; perpendicular, normalised to unit length
+    on_tool : bool                  readings are the force on the tool, not on the object
+    limit : float or None [N]       range of the gauge, both signs; readings there are saturated
+    topic : str or None             of a bag; None: the only one with forces
 
     Raises
     ------
-    InputError                      an unknown unit, axes that are not perpendicular
+    InputError                      an unknown unit, axes that are not perpendicular or not one per
+                                    column, a limit that is not positive
     """
 
     file: Path
@@ -95,13 +96,13 @@ class ForceLog:
 
     Attributes
     ----------
-    time : (n,) float [s]           never decreasing, the gauge's own clock
-    force : (n, 3) float [N]        on the object, its frame; with the tool's weight and the zero's
-                                    drift still in it; nothing along directions not measured
-    saturated : (n,) bool           at the end of the gauge's range: more may have acted
-    axes : (k, 3) float             the directions that were measured
-    gaps : tuple of two float [s]   begin and end of the times without readings
-    missing : int                   rows without a number, left out
+    time : (n,) float [s]           not decreasing, the gauge's own clock
+    force : (n, 3) float [N]        on the object, object frame; still with tool weight and zero
+                                    drift; zero along directions that are not measured
+    saturated : (n,) bool           at the end of the gauge's range: the true force may be larger
+    axes : (k, 3) float             measured directions, unit vectors
+    gaps : tuple of (float, float) [s]  begin and end of each span without readings
+    missing : int                   number of rows without a number, which are left out
     source : str                    the file
     notes : tuple of str            what was assumed or left out, in sentences
     """
@@ -117,7 +118,7 @@ class ForceLog:
 
     @property
     def step(self) -> float:
-        """Usual time between two readings [s]."""
+        """Mean time between two readings [s]."""
         return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
 
 
@@ -134,8 +135,8 @@ def read_force_log(gauge: Gauge) -> ForceLog:
 
     Raises
     ------
-    RecordError                     no such file, no such columns, two units that contradict each
-                                    other, times that run backwards, forces that no probing has
+    RecordError                     no such file or columns, contradictory units, times that
+                                    decrease, implausible forces
     """
     table = read_log_table(gauge.file, topic=gauge.topic, wanted=FORCES, cure=_CURE)
     time = _time_column(table, gauge.time)
@@ -167,13 +168,13 @@ def read_force_log(gauge: Gauge) -> ForceLog:
 
 
 def _bare(heading: str) -> str:
-    """A heading without its unit, in small letters."""
+    """A heading without its unit, in lower case."""
     match = _UNIT.match(heading)
     return (match["name"] if match else heading).strip().lower()
 
 
 def _named(table: TextTable, wanted: str, what: str) -> Column:
-    """The column that is called so, its unit apart."""
+    """The only column of that name, with or without its unit."""
     found = [c for c in table.columns if wanted.lower() in (c.heading.lower(), _bare(c.heading))]
     if len(found) == 1:
         return found[0]
@@ -198,7 +199,7 @@ def _time_column(table: TextTable, wanted: str | None) -> Column:
 
 
 def _force_columns(table: TextTable, wanted: tuple[str, ...], count: int) -> list[Column]:
-    """As many columns of forces as there are axes."""
+    """The force columns, one for each axis."""
     if wanted:
         return [_named(table, name, "force") for name in wanted]
     found = [column for column in table.columns if _bare(column.heading) in _FORCE_WORDS]
@@ -220,7 +221,7 @@ def _unit(
     what: str,
     notes: list[str],
 ) -> str:
-    """The unit that was asked for or stands in the headings; refused where the two differ."""
+    """The given unit or that of the headings; refused if they contradict each other."""
     said = {match["unit"] for c in columns if (match := _UNIT.match(c.heading))}
     heading = columns[0].heading
     if len(said) > 1 or said - set(known):
@@ -256,7 +257,7 @@ def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray)
 
 
 def _check_size(path: Path, reading: Float[np.ndarray, "n k"]) -> None:
-    """Refuse forces that nobody presses with; what is constant is weight."""
+    """Refuse implausible changes of the force; a constant part is the tool's weight."""
     spread = float(np.abs(reading - np.median(reading, axis=0)).max())
     if not _SMALLEST <= spread <= _LARGEST:
         raise RecordError(
@@ -273,7 +274,7 @@ def _gaps(time: Float[np.ndarray, " n"]) -> tuple[tuple[float, float], ...]:
 
 
 def _stuck(reading: Float[np.ndarray, " n"], limit: float | None) -> Bool[np.ndarray, " n"]:
-    """Readings at the end of the range: told, or seen as the same highest value again and again."""
+    """Saturated readings: at the given limit, or recognised by repeated extreme values."""
     found = np.zeros(len(reading), dtype=bool)
     if limit is not None:
         found |= np.abs(reading) >= 0.999 * limit
@@ -287,7 +288,7 @@ def _stuck(reading: Float[np.ndarray, " n"], limit: float | None) -> Bool[np.nda
 
 
 def true_runs(flags: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
-    """Where flags are true without a break.
+    """Runs of consecutive true flags.
 
     Parameters
     ----------
@@ -295,7 +296,7 @@ def true_runs(flags: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
 
     Returns
     -------
-    list of (int, int)              first of each run, and the one after its last
+    list of (int, int)              index of the first flag of each run, and one past its last
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""When a press is read: everything at rest, creep bounded; and what is read then."""
+"""Plateaus of the presses, with bounded creep, and the force read on them."""
 
 from dataclasses import dataclass
 
@@ -8,27 +8,28 @@ from jaxtyping import Bool, Float
 from palpate.recording.force.log import ForceLog, true_runs
 from palpate.recording.force.touches import EvenForce, Touch, Zero, mean_std
 
-# A slope is read over twice this [s].
+# Half the window for slopes of the force [s].
 _HALF = 0.12
-# At rest: the force changes by less than this share of itself a second, or by so many sigmas.
+# At rest the force changes by less than this fraction of itself per second, or by less than this
+# many standard deviations of the slope's noise.
 _MAX_CREEP, _SIGMAS = 0.03, 5.0
-# Of the touch's peak: a plateau is not lower.
+# Least force of a plateau as a fraction of the touch's peak.
 _HIGH = 0.7
-# A shorter one [s] has no force worth the name; so much is left out at either end.
+# Least duration of a plateau [s]; time cut off at either end [s].
 _SHORTEST, _TRIM = 0.25, 0.04
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """Force and rest of one press.
+    """Force on the plateau of one press.
 
     Attributes
     ----------
     begin, end : float [s]          of the plateau, gauge's clock
-    time : float [s]                of the picture under load; the force is that of this moment
+    time : float [s]                of the picture under load, to which the force refers
     force : (3,) float [N]          on the object
-    std : (3,) float [N]            from the plateau's scatter, the zero's and its drift
-    creep : float [-]               change of the force along the plateau, as a share of it
+    std : (3,) float [N]            from the scatter on the plateau and of the zero, and its drift
+    creep : float [-]               relative change of the force over the plateau
     """
 
     begin: float
@@ -40,7 +41,7 @@ class Reading:
 
 
 def still_force(even: EvenForce, zero: Zero) -> Bool[np.ndarray, " n"]:
-    """When the force does not change by more than noise and a bounded creep.
+    """Times at which the force changes by no more than noise and a bounded creep.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def still_force(even: EvenForce, zero: Zero) -> Bool[np.ndarray, " n"]:
 
     Returns
     -------
-    (n,) bool                       at the times of `even`; False within and beside gaps
+    (n,) bool                       at the times of `even`; False within and next to gaps
     """
     half = max(1, round(_HALF / even.step))
     kernel = np.concatenate([np.ones(half), np.zeros(1), -np.ones(half)]) / half
@@ -67,18 +68,18 @@ def still_force(even: EvenForce, zero: Zero) -> Bool[np.ndarray, " n"]:
 def find_plateau(
     even: EvenForce, zero: Zero, touch: Touch, still: Bool[np.ndarray, " n"]
 ) -> tuple[float, float] | None:
-    """The longest time at rest near the largest force of a touch.
+    """The longest span at rest near the peak force of a touch.
 
     Parameters
     ----------
     even : EvenForce
     zero : Zero
     touch : Touch
-    still : (n,) bool               when nothing moves, at the times of `even`
+    still : (n,) bool               at rest, at the times of `even`
 
     Returns
     -------
-    (begin, end) [s], or None where there is none
+    (begin, end) [s] or None        None if there is none
     """
     size = np.linalg.norm(even.force - zero.at(even.time), axis=1)
     inside = (even.time >= touch.begin) & (even.time <= touch.end)
@@ -91,16 +92,16 @@ def find_plateau(
 
 
 def read_force(log: ForceLog, zero: Zero, plateau: tuple[float, float], time: float) -> Reading:
-    """The force at one moment of a plateau, from all its readings.
+    """Force at one moment of a plateau, from all its readings.
 
-    A straight line through the readings less the zero: a slow creep shifts the mean, not the line.
+    Value of a straight line fitted to the readings minus the zero: slow creep would bias the mean.
 
     Parameters
     ----------
     log : ForceLog
     zero : Zero
     plateau : (begin, end) [s]
-    time : float [s]                within it
+    time : float [s]                within the plateau
 
     Returns
     -------
@@ -113,7 +114,7 @@ def read_force(log: ForceLog, zero: Zero, plateau: tuple[float, float], time: fl
     line = np.column_stack([np.ones_like(when), when])
     solution = np.linalg.lstsq(line, force, rcond=None)[0]
     off = force - line @ solution
-    # How much more the line is off at that moment than the mean of the readings is.
+    # Variance of the line at that moment, relative to that of the mean of the readings.
     lever = 1.0 + (when.mean() ** 2) / max(float(when.var()), 1e-12)
     own = np.hypot(mean_std(off) * np.sqrt(lever), zero.bend)
     measured = (log.axes**2).sum(axis=0) > 0.0
@@ -125,7 +126,7 @@ def read_force(log: ForceLog, zero: Zero, plateau: tuple[float, float], time: fl
 
 
 def why_unread(log: ForceLog, plateau: tuple[float, float] | None) -> str:
-    """Why a press cannot be read; empty where it can.
+    """Why the force of a press cannot be read; empty if it can.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ def why_unread(log: ForceLog, plateau: tuple[float, float] | None) -> str:
 
     Returns
     -------
-    str                             the end of a sentence
+    str                             a clause, without capital and full stop
     """
     if plateau is None:
         return (

@@ -1,6 +1,6 @@
-"""When the tool touches the object, and what the gauge reads while it does not: weight and drift.
+"""Contacts of the tool with the object, and the gauge's zero without contact: weight and drift.
 
-Everything here is seen in the force alone.
+Everything here is derived from the force alone.
 """
 
 from dataclasses import dataclass
@@ -11,36 +11,38 @@ from jaxtyping import Bool, Float
 from palpate.errors import RecordError
 from palpate.recording.force.log import ForceLog
 
-# Readings are averaged over this [s] before anything is decided.
+# Readings are averaged over bins of this length [s].
 _BIN = 0.02
-# A touch begins where the force leaves its zero by so many standard deviations, and by this share
-# of the largest force of all; it ends where it is back, or within this share of the touch's peak.
+# A touch begins where the force differs from the zero by so many standard deviations and by this
+# fraction of the largest force of all; it ends below that threshold, or below this fraction of its
+# own peak.
 _SIGMAS, _LEAST_SHARE, _BACK_SHARE = 6.0, 0.01, 0.05
-# The zero is followed this slowly [s], so that a slow push is none of its drift.
+# Time constant with which the zero is tracked [s]: so long that a slow push is not taken for drift.
 _FOLLOWED = 2.0
-# So long [s] the force must be gone, or there, to count; while it goes it changes by less than this
-# share of what makes a touch.
+# Least duration of a state, contact or none, to count [s]; and largest change of the force during
+# that time at the end of a touch, as a fraction of the threshold.
 _SETTLED, _AT_REST = 0.06, 0.5
 # A touch that is shorter [s], or weaker than so many thresholds, is a knock.
 _SHORTEST, _WEAKEST = 0.3, 3.0
-# The zero is read this far from a touch [s], over so much time on either side of a pause.
+# Least distance in time from a touch at which the zero is read, and duration of that reading [s].
 _AWAY, _ZERO_TIME = 0.15, 1.0
-# How long [s] the tool must be off the object in the beginning, and how quiet the force is then.
+# Time without contact required at the beginning [s], and largest scatter of the force in it, as a
+# fraction of the largest force.
 _START, _QUIET = 0.5, 0.1
-# Readings' sigma from second differences; and the root mean square of the length of a normal vector
-# of one, two and three components over its median.
+# Standard deviation of second differences over that of the readings; and the rms length of a normal
+# vector of one, two and three components over its median length.
 _SECOND_DIFFERENCE, _FROM_MEDIAN = np.sqrt(6.0), (1.4826, 1.2011, 1.1260)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvenForce:
-    """Force at even times.
+    """Force resampled at equal time steps.
 
     Attributes
     ----------
     time : (n,) float [s]           gauge's clock
     force : (n, 3) float [N]        mean of the readings around each time; NaN within gaps
-    noise : float [N]               standard deviation of the length of the noise of one of them
+    noise : float [N]               rms length of the noise vector of one of these values
     """
 
     time: Float[np.ndarray, " n"]
@@ -49,7 +51,7 @@ class EvenForce:
 
     @property
     def step(self) -> float:
-        """Time between two of them [s]."""
+        """Time step [s]."""
         return float(self.time[1] - self.time[0])
 
 
@@ -59,9 +61,9 @@ class Touch:
 
     Attributes
     ----------
-    begin, end : float [s]          gauge's clock; end: of the log where it is not seen
-    peak : float [N]                largest force on the way
-    ended : bool                    the tool was seen to leave
+    begin, end : float [s]          gauge's clock; without a seen end, the end of the log
+    peak : float [N]                largest force
+    ended : bool                    the end of the contact is in the log
     """
 
     begin: float
@@ -72,15 +74,16 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Zero:
-    """What the gauge reads without contact: the tool's weight, and a drift.
+    """Zero of the gauge, its reading without contact: weight of the tool and drift.
 
     Attributes
     ----------
-    time : (j,) float [s]           where it was read
-    value : (j, 3) float [N]
-    std : float [N]                 of a component, of one of these values
-    bend : (3,) float [N]           standard deviation from the straight line midway between two of
-                                    them, of a drift that walks at random; a smooth one is nearer
+    time : (j,) float [s]           times at which it was read
+    value : (j, 3) float [N]        readings
+    std : float [N]                 standard deviation of a component of one reading
+    bend : (3,) float [N]           standard deviation of the drift from linear interpolation,
+                                    midway between two readings, if it is a random walk; an upper
+                                    bound for a smooth drift
     """
 
     time: Float[np.ndarray, " j"]
@@ -89,7 +92,7 @@ class Zero:
     bend: Float[np.ndarray, "3"]
 
     def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-        """Zero at any time, on straight lines between the times where it was read.
+        """Zero at given times, by linear interpolation between the readings.
 
         Parameters
         ----------
@@ -103,12 +106,12 @@ class Zero:
 
     @property
     def drift(self) -> float:
-        """Largest difference between two of its values [N]."""
+        """Largest difference between two readings of the zero [N]."""
         return float(np.linalg.norm(self.value[:, None] - self.value[None], axis=2).max())
 
 
 def even_force(log: ForceLog) -> EvenForce:
-    """Force at even times.
+    """Resample a force log at equal time steps.
 
     Parameters
     ----------
@@ -129,7 +132,7 @@ def even_force(log: ForceLog) -> EvenForce:
         total: np.ndarray = np.bincount(number, values, count)[filled]
         return total / readings[filled]
 
-    # The readings' mean time is not the middle: half a reading's step would be half an offset.
+    # The mean time of the readings is not the middle of the bin: correct for it by interpolation.
     when = mean(log.time)
     force = np.column_stack([np.interp(time, when, mean(part)) for part in log.force.T])
     for begin, end in log.gaps:
@@ -140,9 +143,9 @@ def even_force(log: ForceLog) -> EvenForce:
 
 
 def find_touches(even: EvenForce) -> tuple[tuple[Touch, ...], int]:
-    """Contacts of the tool with the object, and how many knocks were passed over.
+    """Find the contacts of the tool with the object, and the number of knocks that were ignored.
 
-    The log begins with the tool off the object.
+    The log must begin with the tool off the object.
 
     Parameters
     ----------
@@ -150,12 +153,12 @@ def find_touches(even: EvenForce) -> tuple[tuple[Touch, ...], int]:
 
     Returns
     -------
-    touches : tuple of Touch        in time
-    knocks : int                    too short or too weak to be presses
+    touches : tuple of Touch        in order of time
+    knocks : int                    number of contacts too short or too weak to be presses
 
     Raises
     ------
-    RecordError                     the force is not quiet in the beginning
+    RecordError                     the force is not quiet at the beginning
     """
     known = np.isfinite(even.force).all(axis=1)
     time, force = even.time[known], even.force[known]
@@ -174,7 +177,7 @@ def find_touches(even: EvenForce) -> tuple[tuple[Touch, ...], int]:
                 zero = zero + share * (value - zero)
             continue
         peak = max(peak, size)
-        # The last of the unloading is no new zero: the force must have come to rest.
+        # The end of the unloading must not be taken for the zero: the force must be at rest.
         moved = float(np.linalg.norm(value - force[max(k - back, 0)]))
         low = size < max(limit, _BACK_SHARE * peak) and moved < _AT_REST * limit
         count = count + 1 if low else 0
@@ -190,7 +193,7 @@ def find_touches(even: EvenForce) -> tuple[tuple[Touch, ...], int]:
 def _start(
     time: Float[np.ndarray, " n"], force: Float[np.ndarray, "n 3"], noise: float
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """Zero in the beginning, and by how much a force must differ from it."""
+    """Zero at the beginning, and the threshold by which a force must differ from it."""
     first = force[time < time[0] + _START]
     zero = np.median(first, axis=0)
     largest = float(np.linalg.norm(force - zero, axis=1).max())
@@ -205,7 +208,7 @@ def _start(
 
 
 def _added(found: list[Touch], touch: Touch, limit: float) -> bool:
-    """Add a touch that is a press; True where it is a knock."""
+    """Add a touch if it is a press; True if it is a knock."""
     if touch.end - touch.begin < _SHORTEST or touch.peak < _WEAKEST * limit:
         return True
     found.append(touch)
@@ -213,7 +216,7 @@ def _added(found: list[Touch], touch: Touch, limit: float) -> bool:
 
 
 def find_zero(log: ForceLog, touches: tuple[Touch, ...]) -> Zero:
-    """What the gauge reads before, between and after the touches.
+    """The gauge's zero before, between and after the touches.
 
     Parameters
     ----------
@@ -250,14 +253,14 @@ def find_zero(log: ForceLog, touches: tuple[Touch, ...]) -> Zero:
 
 
 def mean_std(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
-    """Standard deviation of the mean of readings that follow each other in time.
+    """Standard deviation of the mean of consecutive readings.
 
-    Neighbours may be alike, as behind a filter: as many are counted as a process of the first order
-    with the same correlation of neighbours has independent ones.
+    Neighbouring readings may be correlated, e.g. by a filter: the effective number of independent
+    readings is that of a first-order autoregressive process with the same lag-one correlation.
 
     Parameters
     ----------
-    values : (n, k) float           n >= 2; their mean is what is asked for
+    values : (n, k) float           readings in order of time, n >= 2
 
     Returns
     -------
@@ -271,9 +274,10 @@ def mean_std(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
 
 
 def _bend(time: Float[np.ndarray, " j"], value: Float[np.ndarray, "j 3"]) -> np.ndarray:
-    """How far each component is off the straight line between two zeros, midway between them.
+    """Standard deviation of each component from linear interpolation, midway between two zeros.
 
-    A random walk is off the line across twice that time by twice the variance, which is seen.
+    For a random walk, its variance is half that of a zero from the line through its two neighbours,
+    which is measured.
     """
     if len(time) < 2:
         return np.zeros(3)

@@ -1,6 +1,6 @@
-"""What the cameras recorded, a frame at a time: motion, presses, pictures of single moments.
+"""The cameras' recordings, frame by frame: motion, presses, pictures of single moments.
 
-Purpose    : follow recordings of any length without keeping them.
+Purpose    : evaluate recordings of any length without keeping them in memory.
 Takes      : `Footage`: a video, or pictures with their times.
 Gives      : `CameraMotion`, `Ramp`; PNG files of moments.
 Depends on : `vision`, `records`.

@@ -1,4 +1,4 @@
-"""What a camera recorded: a video, or pictures with the times at which they were taken."""
+"""A camera's recording: a video, or pictures with their times."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,28 +13,28 @@ from palpate.errors import InputError, RecordError
 from palpate.records import read_text_table
 from palpate.vision import open_video, read_grey, video_frames
 
-# Times of a recording run over no more than this [s].
+# Longest recording [s].
 _LONGEST = 86400.0
 _TIMES_CURE = "times of pictures are a table with a heading and a column of seconds, a line each"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footage:
-    """What one camera recorded.
+    """Recording of one camera.
 
     Parameters
     ----------
     camera : str                    name, as in the rig
     video : Path or None
-    pictures : tuple of Path        in time, where there is no video
-    times : (n,) float [s] or None  of the frames, the camera's own clock, increasing; None: as the
-                                    video says
-    offset : float [s] or None      what to add to these times for the gauge's clock; None: unknown
+    pictures : tuple of Path        in order of time, if there is no video
+    times : (n,) float [s] or None  of the frames, the camera's own clock, increasing; None: from
+                                    the video
+    offset : float [s] or None      added to these times gives the gauge's clock; None: unknown
 
     Raises
     ------
     InputError                      neither video nor pictures, or both; pictures without times, or
-                                    another number of them; times that do not increase
+                                    with another number of them; times that do not increase
     """
 
     camera: str
@@ -70,13 +70,13 @@ class Footage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One frame.
+    """One frame of a recording.
 
     Attributes
     ----------
     number : int                    from 0
     time : float [s]                camera's clock
-    grey : (rows, columns)          grey levels, 255 is white; uint8 of a video, else float32
+    grey : (rows, columns)          grey levels, 255 is white; uint8 from a video, else float32
     """
 
     number: int
@@ -85,7 +85,7 @@ class Frame:
 
 
 def read_frames(footage: Footage) -> Iterator[Frame]:
-    """Frames one after the other; no more than one of them is in memory.
+    """Iterate over the frames, with only one of them in memory.
 
     Parameters
     ----------
@@ -93,12 +93,12 @@ def read_frames(footage: Footage) -> Iterator[Frame]:
 
     Yields
     ------
-    Frame                           in time
+    Frame                           in order of time
 
     Raises
     ------
-    RecordError                     a file that cannot be decoded; another number of times than of
-                                    frames; a picture of another size
+    RecordError                     a file that cannot be decoded; different numbers of times and
+                                    frames; pictures of different sizes
     """
     frames = _video_frames(footage) if footage.video else _pictures(footage)
     size: tuple[int, ...] | None = None
@@ -136,15 +136,19 @@ def _video_frames(footage: Footage) -> Iterator[Frame]:
 
 
 def promised_frames(footage: Footage) -> int:
-    """How many frames a file says it has; 0 where it does not say.
+    """Number of frames according to the file's header.
 
     Parameters
     ----------
     footage : Footage
 
+    Returns
+    -------
+    int                             0 if the header does not tell
+
     Raises
     ------
-    RecordError                     as `open_video`
+    RecordError                     as in `open_video`
     """
     if footage.pictures:
         return len(footage.pictures)
@@ -155,7 +159,7 @@ def promised_frames(footage: Footage) -> int:
 
 
 def read_times(path: Path) -> Float[np.ndarray, " n"]:
-    """Times of frames from a table: its column called time or t, or its only one.
+    """Times of frames from a table: its column named time or t, or its only column.
 
     Parameters
     ----------

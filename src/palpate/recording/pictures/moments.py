@@ -1,4 +1,4 @@
-"""Pictures of single moments out of the footage, each the mean of frames while nothing moved."""
+"""Pictures of single moments from the footage, each the mean of several frames at rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from palpate.errors import RecordError
 from palpate.progress import Progress, silent
 from palpate.recording.pictures.footage import Footage, read_frames
 
-# Frames that make a picture: the noise of single ones falls to a third, and a moment stays one.
+# Largest number of averaged frames: it reduces the noise to a third within a short time.
 MOST_FRAMES = 8
 _WHITE_16 = 257.0
 
@@ -23,8 +23,8 @@ class Moment:
 
     Attributes
     ----------
-    file : str                      name in the folder of pictures, `{camera}` for the camera's
-    begin, end : float [s]          nothing moves, the camera's clock
+    file : str                      file name, with `{camera}` in place of the camera's name
+    begin, end : float [s]          time span at rest, camera's clock
     """
 
     file: str
@@ -35,22 +35,23 @@ class Moment:
 def write_moments(
     folder: Path, footage: Footage, moments: Sequence[Moment], *, progress: Progress = silent
 ) -> dict[str, int]:
-    """Write a picture for each moment; the video is decoded once, a frame at a time.
+    """Write a picture for each moment; the video is decoded once, frame by frame.
 
     Parameters
     ----------
-    folder : Path                   exists
+    folder : Path                   an existing folder
     footage : Footage
-    moments : sequence of Moment    in time, not overlapping
-    progress : callable
+    moments : sequence of Moment    not overlapping, in any order
+    progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
     -------
-    dict of file to number of frames
+    dict of str to int              `Moment.file` -> number of averaged frames
 
     Raises
     ------
-    RecordError                     as `read_frames`; a moment without a frame
+    RecordError                     as in `read_frames`; a moment without a frame; a picture that
+                                    cannot be written
     """
     taken: dict[str, int] = {}
     waiting = sorted(moments, key=lambda moment: moment.begin)

@@ -1,6 +1,6 @@
-"""How much a camera's picture changes from frame to frame, and since the beginning.
+"""Change of a camera's picture from frame to frame, and since the first frame.
 
-Measured on a reduced picture, frame by frame: what is kept of a frame are three numbers.
+Computed on reduced pictures; only three numbers are kept of each frame.
 """
 
 from dataclasses import dataclass
@@ -13,29 +13,30 @@ from palpate.errors import RecordError
 from palpate.progress import Progress, silent
 from palpate.recording.pictures.footage import Footage, promised_frames, read_frames
 
-# Pictures are reduced to about so many columns.
+# Approximate number of columns of the reduced pictures.
 _COLUMNS = 240
-# A longer step than so many usual ones is a dropped frame.
+# A time step longer than this many median steps means dropped frames.
 _DROPPED = 1.5
-# Still: changes from frame to frame exceed what is usual on plateaus by less than so many of their
-# scatters, or this share.
+# A frame is still if its change exceeds the median change on plateaus by less than so many robust
+# standard deviations, or this fraction.
 _SCATTERS, _SHARE = 5.0, 0.1
 _FROM_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraMotion:
-    """Changes of a camera's picture.
+    """Changes of a camera's picture over time.
 
     Attributes
     ----------
     camera : str
-    time : (n,) float [s]           of the frames, the camera's clock
-    speed : (n,) float              rms change from the frame before [grey levels]; NaN: first frame
-    change : (n,) float             the same from the first frame
-    dropped : int                   frames missing between the others, by their times
-    repeated : int                  frames that are the one before again, to the last pixel
-    lost : int                      frames that the file promises and that cannot be decoded
+    time : (n,) float [s]           of the frames, camera's clock
+    speed : (n,) float              rms change from the previous frame [grey levels]; NaN for the
+                                    first
+    change : (n,) float             rms change from the first frame [grey levels]
+    dropped : int                   number of missing frames, judged by the times
+    repeated : int                  number of frames identical to the previous one
+    lost : int                      number of frames announced by the file but not decoded
     """
 
     camera: str
@@ -48,7 +49,7 @@ class CameraMotion:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is missing, as ends of sentences."""
+        """Dropped, repeated and lost frames, as sentences without full stop."""
         counts = (
             (self.dropped, "frames were dropped, by their times"),
             (self.repeated, "frames are the one before again"),
@@ -58,12 +59,12 @@ class CameraMotion:
 
     @property
     def interval(self) -> float:
-        """Usual time between two frames [s]."""
+        """Median time between two frames [s]."""
         return float(np.median(np.diff(self.time)))
 
 
 def reduced(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"]:
-    """A picture in fewer pixels, each the mean of those it stands for.
+    """A picture downsampled by averaging blocks of pixels.
 
     Parameters
     ----------
@@ -80,12 +81,12 @@ def reduced(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"
 
 
 def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMotion:
-    """Follow a camera's picture through its recording.
+    """Compute the changes of a camera's picture over its recording.
 
     Parameters
     ----------
     footage : Footage
-    progress : callable
+    progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
     -------
@@ -93,7 +94,8 @@ def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMot
 
     Raises
     ------
-    RecordError                     as `read_frames`
+    RecordError                     as in `read_frames`; fewer than three frames, or times that do
+                                    not increase
     """
     times: list[float] = []
     speeds, changes = [np.nan], [0.0]
@@ -131,12 +133,12 @@ def _rms(change: Float[np.ndarray, "rows columns"]) -> float:
 def still_frames(
     motion: CameraMotion, plateaus: list[tuple[float, float]]
 ) -> Bool[np.ndarray, " n"]:
-    """Frames that show the same as the one before, but for noise.
+    """Frames that differ from the previous one only by noise.
 
     Parameters
     ----------
     motion : CameraMotion
-    plateaus : list of (begin, end) [s]     when the force is at rest, the camera's clock
+    plateaus : list of (begin, end) [s]     plateaus of the force, camera's clock
 
     Returns
     -------
@@ -145,7 +147,7 @@ def still_frames(
     held = np.zeros(len(motion.time), dtype=bool)
     for begin, end in plateaus:
         held |= (motion.time >= begin) & (motion.time <= end)
-    # A repeated frame says nothing about motion.
+    # A repeated frame carries no information on motion.
     speed = np.where(motion.speed > 0.0, motion.speed, np.nan)
     usual = speed[held & np.isfinite(speed)]
     if not len(usual):

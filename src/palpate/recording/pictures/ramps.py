@@ -1,4 +1,4 @@
-"""How far each press has gone in a camera's picture, while the tool goes in and comes out."""
+"""Progress of each press in a camera's picture, during loading and unloading."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ from jaxtyping import Float
 from palpate.recording.pictures.footage import Footage, read_frames
 from palpate.recording.pictures.motion import reduced
 
-# Before and after a ramp [s]: so well the clocks' offset must be known to begin with.
+# Time kept before and after a ramp [s]: largest permitted error of the clocks' coarse offset.
 MARGIN = 1.2
-# Frames of a press that are kept while it is looked at.
+# Largest number of frames of a press in memory.
 _MOST = 160
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ramp:
-    """One press as a camera saw it.
+    """One press as seen by a camera.
 
     Attributes
     ----------
-    time : (n,) float [s]           camera's clock; frames of both ramps
-    share : (n,) float [-]          how far the picture is from that at the first touch (0) to that
-                                    under full load (1); NaN-free, linear in small motions
+    time : (n,) float [s]           of the frames on both ramps, camera's clock
+    share : (n,) float [-]          progress of the picture from first contact (0) to full load (1);
+                                    without NaN, linear in the displacement if that is small
     """
 
     time: Float[np.ndarray, " n"]
@@ -32,7 +32,7 @@ class Ramp:
 
 @dataclass(frozen=True, slots=True)
 class RampTimes:
-    """When a press begins, rests and ends, the camera's clock [s]."""
+    """Begin of a press, begin and end of its plateau, and its end, on the camera's clock [s]."""
 
     begin: float
     rest: float
@@ -40,28 +40,28 @@ class RampTimes:
     end: float
 
     def shows(self, time: float) -> bool:
-        """Whether a frame of that time is on one of the ramps, or close to them."""
+        """Whether a frame at that time is on one of the ramps, or within `MARGIN` of them."""
         loading = self.begin - MARGIN <= time <= self.rest + MARGIN
         return loading or self.leave - MARGIN <= time <= self.end + MARGIN
 
 
 def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | None]:
-    """How far each press has gone in each frame of its ramps.
+    """Progress of each press in the frames of its ramps.
 
-    One press is in memory at a time.
+    Only one press is in memory at a time.
 
     Parameters
     ----------
     footage : Footage
-    presses : sequence of RampTimes     in time, the camera's clock, to within a second
+    presses : sequence of RampTimes     in order of time, accurate to within `MARGIN`
 
     Returns
     -------
-    list of Ramp or None            None where the camera did not see the press
+    list of Ramp or None            None if the camera did not see the press
 
     Raises
     ------
-    RecordError                     as `read_frames`
+    RecordError                     as in `read_frames`
     """
     found: list[Ramp | None] = []
     kept: list[tuple[float, np.ndarray]] = []
@@ -80,12 +80,12 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | 
 
 
 def _thinned(kept: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
-    """Every other frame, once they are too many."""
+    """The frames, reduced to every second one once there are too many."""
     return kept[::2] if len(kept) >= _MOST else kept
 
 
 def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None:
-    """Projection of what changed on what changes from the first touch to full load."""
+    """Projection of each frame's change on the change from first contact to full load."""
     if len(kept) < 8:
         return None
     time = np.array([when for when, _ in kept])
@@ -95,7 +95,8 @@ def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None
         return None
     full = pictures[resting].mean(axis=0, dtype=np.float64)
     first = pictures[np.abs(time - press.begin).argmin()].astype(np.float64)
-    # Brighter light changes a picture along itself, stray light by a constant: neither is motion.
+    # A change of brightness is proportional to the picture, stray light adds a constant: both are
+    # projected out, as they are not motion.
     light = np.linalg.qr(np.stack([first, np.ones_like(first)], axis=1))[0]
     change = full - first
     pattern = change - light @ (light.T @ change)

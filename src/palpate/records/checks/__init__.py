@@ -1,8 +1,8 @@
-"""What a session must satisfy beyond its syntax, and what looks implausible about it.
+"""Checks of a session beyond its syntax: physical consistency and plausibility.
 
-Purpose    : refuse what no experiment gives, and say what is more likely a mistake.
+Purpose    : refuse what no experiment can give, and point out what is probably a mistake.
 Takes      : the records of a session.
-Gives      : nothing, an `InputError`, or sentences.
+Gives      : nothing, an `InputError`, or notes in full sentences.
 Depends on : `geometry`, `shapes`, `errors`.
 Read first : `plausibility.py`.
 """

@@ -1,4 +1,4 @@
-"""What measured displacements cannot be: no motion, places, a copy of others."""
+"""Checks of measured displacements: no motion at all, positions instead, duplicated data."""
 
 import numpy as np
 
@@ -7,13 +7,13 @@ from palpate.geometry import TriangleMesh, bounding_diagonal
 from palpate.records.probing import DisplacementField, Probing, observed_rows
 from palpate.shapes import Flags, Indices
 
-# Displacements that differ from the places by less than this share, and are not small against the
-# body, are the places under load. Of fewer points chance may do it.
+# Displacements are taken for positions under load if they differ from the points by less than this
+# fraction of themselves, exceed this fraction of the body's size, and there are at least so many.
 _SAME, _FAR, _FEW = 0.3, 0.1, 3
 
 
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
-    """Refuse a field that shows no motion: none at all, or only of a support that does not move.
+    """Refuse a field that carries no information: all zero, positions, or only on fixed supports.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
 
     Raises
     ------
-    InputError
+    InputError                      the text says which of these it is
     """
     measured = observed_rows(field)
     if not field.displacement[measured].any():
@@ -43,23 +43,27 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
 
 
 def held_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> Flags:
-    """True for the points of a field that lie on held triangles, (n,) bool.
+    """Which points of a field lie on held triangles.
 
     Parameters
     ----------
     mesh : TriangleMesh
     held : (k,) int                 triangles
     field : DisplacementField       on that mesh
+
+    Returns
+    -------
+    (n,) bool
     """
     corners = mesh.triangles[field.surface.triangle]
     is_held = np.zeros(len(mesh.vertices), dtype=bool)
     is_held[mesh.triangles[held]] = True
-    # A point counts as held where every vertex that carries weight is.
+    # A point is held if every vertex with non-zero barycentric weight is.
     return (is_held[corners] | (field.surface.barycentric < 1e-6)).all(axis=1)
 
 
 def _check_no_places(mesh: TriangleMesh, field: DisplacementField, seen: Flags) -> None:
-    """Refuse places under load where displacements belong."""
+    """Refuse positions under load in place of displacements."""
     moved, rest = field.displacement[seen], field.points[seen]
     length = float(np.sqrt((moved**2).sum(axis=1).mean()))
     left = float(np.sqrt(((moved - rest) ** 2).sum(axis=1).mean()))
@@ -71,7 +75,7 @@ def _check_no_places(mesh: TriangleMesh, field: DisplacementField, seen: Flags) 
 
 
 def check_copies(probings: tuple[Probing, ...]) -> None:
-    """Refuse one measurement that stands for two probings: counted twice, it would look surer.
+    """Refuse the same measurement in two probings: counted twice, it would narrow the intervals.
 
     Parameters
     ----------
@@ -79,7 +83,7 @@ def check_copies(probings: tuple[Probing, ...]) -> None:
 
     Raises
     ------
-    InputError                      two share half of their rows or more; the text names both
+    InputError                      two share at least half of their rows; the text names both
     """
     earlier: list[tuple[Probing, set[bytes]]] = []
     for probing in probings:
@@ -98,21 +102,21 @@ def check_copies(probings: tuple[Probing, ...]) -> None:
 
 
 def copied_rows(rows: set[bytes], others: set[bytes]) -> int:
-    """How many rows two measurements share, digit by digit, where one is a copy of the other.
+    """Number of rows that two measurements share, digit by digit, if one is a copy of the other.
 
     Parameters
     ----------
-    rows, others : set of bytes     one entry a row
+    rows, others : set of bytes     one entry per row
 
     Returns
     -------
-    int                             0 where it is less than half of the rows of the shorter one
+    int                             0 if it is less than half of the rows of the shorter one
     """
     shared = len(rows & others)
     return shared if 2 * shared >= min(len(rows), len(others)) else 0
 
 
 def _moved_rows(field: DisplacementField) -> set[bytes]:
-    """Place and displacement of the points that were seen to move, one entry each."""
+    """Position and displacement of each measured point that moved, as bytes."""
     rows = np.hstack([field.points, field.displacement])[observed_rows(field)]
     return {row.tobytes() for row in rows[rows[:, 3:].any(axis=1)]}

@@ -1,4 +1,4 @@
-"""What the contact and the force of a probing cannot be."""
+"""Checks of a probing's contact and force against the mesh and the displacements."""
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from palpate.records.quantities import HIGHEST_PRESSURE, MODULUS_RANGE, modulus_
 from palpate.shapes import Indices
 
 UNIT_HINT = "is the mesh in another unit, e.g. millimetres? Check length_unit in [object]"
-# Young's modulus of a body of 1 kg/m^3, the lightest solid, that is as high as its own weight lets
-# it be, over its height [Pa/m].
+# Least Young's modulus of a body that does not collapse under its own weight, per metre of height,
+# for the lightest solid (1 kg/m^3) [Pa/m].
 _SOFTEST_PER_METRE = 9.81
 
 
@@ -34,7 +34,8 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
 
     Raises
     ------
-    InputError                      the text gives the distances
+    InputError                      the text gives the distances; also loaded triangles that belong
+                                    to the support
     """
     if contact.triangles is not None:
         shared = np.intersect1d(contact.triangles, held).size
@@ -70,7 +71,7 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
                 " held triangle; probe farther from the support, or refine the mesh there"
             )
         return
-    # Triangles that face the other way are the far side of a thin object, out of the tool's reach.
+    # Triangles that face the other way are on the far side of a thin object, out of reach.
     normals = unit_normals(mesh)
     facing = normals[held] @ normals[int(distance.argmin())] > -0.5
     clear = float(distance[held][facing].min(initial=np.inf))
@@ -83,7 +84,7 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
 
 
 def check_load(mesh: TriangleMesh, probing: Probing) -> None:
-    """Refuse a force that no material answers with the displacement that was measured.
+    """Refuse a force that is incompatible with the measured displacement for any material.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ def check_load(mesh: TriangleMesh, probing: Probing) -> None:
 
     Raises
     ------
-    InputError                      the text tells the modulus, pressure or motion that it means
+    InputError                      the text gives the implied modulus, pressure or displacement
     """
     size, force = bounding_diagonal(mesh), float(np.linalg.norm(probing.force))
     if probing.tip_displacement is not None and not probing.tip_displacement.any():
@@ -126,21 +127,25 @@ def check_load(mesh: TriangleMesh, probing: Probing) -> None:
 
 
 def pascals(value: float) -> str:
-    """A modulus or pressure [Pa] with the unit that suits it, to two digits.
+    """A modulus or pressure as text, to two digits, in Pa, kPa, MPa or GPa.
 
     Parameters
     ----------
     value : float [Pa]
+
+    Returns
+    -------
+    str
     """
     factor, unit = modulus_unit(value)
     return f"{float(f'{value / factor:.2g}'):g} {unit}"
 
 
 def modulus_range(mesh: TriangleMesh, force: float, moved: float) -> tuple[float, float]:
-    """Between which Young's moduli a body lies that a force moves so far, to an order of magnitude.
+    """Bounds on Young's modulus from a force and its displacement, to an order of magnitude.
 
-    A body of thickness t and length L is loaded the stiff way through its thickness, F t / (L^2 u),
-    and the soft way by bending, F L^3 / (t^4 u).
+    For a body of thickness t and length L: the lower bound F t / (L^2 u) assumes compression
+    through the thickness, the upper bound F L^3 / (t^4 u) bending.
 
     Parameters
     ----------
@@ -150,12 +155,12 @@ def modulus_range(mesh: TriangleMesh, force: float, moved: float) -> tuple[float
 
     Returns
     -------
-    (float, float) [Pa]             (0, infinity) where nothing moved
+    (float, float) [Pa]             (0, infinity) if nothing moved
     """
     if moved == 0.0:
         return 0.0, np.inf
     length = bounding_diagonal(mesh)
-    # Exact for a square rod, two thirds of a cube's side, twice a plate's thickness.
+    # The side of a long square rod exactly; two thirds of a cube's side; twice a plate's thickness.
     thickness = 4.0 * enclosed_volume(mesh) / float(triangle_areas(mesh).sum())
     return (
         force * thickness / (length**2 * moved),
@@ -164,11 +169,15 @@ def modulus_range(mesh: TriangleMesh, force: float, moved: float) -> tuple[float
 
 
 def largest_displacement(probing: Probing) -> float:
-    """Length of the longest measured displacement vector, tip included [m].
+    """Length of the longest measured displacement vector, including the tip's.
 
     Parameters
     ----------
     probing : Probing
+
+    Returns
+    -------
+    float [m]                       0 if nothing was measured
     """
     lengths = [0.0]
     if probing.displacement is not None:

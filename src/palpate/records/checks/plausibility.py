@@ -1,4 +1,4 @@
-"""What looks implausible about a session, and errors that exceed it."""
+"""Plausibility of a session: notes on probable mistakes, and refusal of impossible errors."""
 
 import numpy as np
 
@@ -16,27 +16,28 @@ from palpate.records.contact import FIXED
 from palpate.records.error_priors import ErrorPriors
 from palpate.records.session import Session
 
-# Edge over thickness from which a wall bends too little: by at most 3 % at 1.7, by 20 % at 2.8.
+# Edge over wall thickness beyond which bending is modelled too stiff: by 3 % at 1.7, 20 % at 2.8.
 _COARSE_EDGE = 1.7
-# Of the surface; smaller thin parts do not decide how a body bends.
+# Least fraction of the surface on thin walls; smaller thin parts hardly affect bending.
 _THIN_SHARE = 0.02
-# Objects that one can probe on a bench; beyond them the unit is more likely wrong than the object.
+# Range of objects that can be probed on a bench [m]; outside it the unit is probably wrong.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
 _EARTH = 9.81
-# Foams have 10 to 100 kg/m^3.
+# Least plausible density [kg/m^3]; foams have 10 to 100.
 _LIGHTEST = 5.0
-# Over the largest measured displacement: an object that sinks farther was to be seen to sink.
+# Settlement into a support, over the largest measured displacement, that would have been noticed.
 _SINKS = 2.0
-# Of the surface: a smaller support is more likely one that was missed.
+# Least plausible fraction of the surface that is held; with less the selector probably missed.
 _SMALLEST_SUPPORT = 2e-3
-# Of the surface; more is held where an object is cast in, and by a tolerance that is too large.
+# Largest fraction that is held unless an object is embedded; a larger tolerance selects more.
 _MOST_HELD = 0.6
-# Over the median of all displacements, of so many points at least: a support that slipped.
+# A fixed support has slipped if the median displacement of its points, at least so many, exceeds
+# this fraction of the median of all points.
 _SLIPS, _FEW_HELD = 0.5, 4
 
 
 def check_error_lengths(session: Session) -> None:
-    """Refuse standard deviations of lengths that exceed the body: they are in another unit.
+    """Refuse standard deviations of lengths that exceed the size of the body: wrong unit.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def check_error_lengths(session: Session) -> None:
 
 
 def plausibility_notes(session: Session) -> tuple[str, ...]:
-    """Sentences about sizes and signs that are possible but more likely a mistake.
+    """Notes on sizes and signs that are possible but probably a mistake.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
 
 
 def _thin_notes(mesh: TriangleMesh) -> list[str]:
-    """Whether walls are thinner than their triangles can follow, and what mesh would do."""
+    """A note on walls too thin for the size of their triangles, with the mesh that would do."""
     corner = mesh.vertices[mesh.triangles]
     edge = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean(axis=1)
     thickness, area = wall_thickness(mesh), triangle_areas(mesh)
@@ -122,7 +123,7 @@ def _thin_notes(mesh: TriangleMesh) -> list[str]:
 
 
 def _support_notes(session: Session) -> list[str]:
-    """Whether a selector took much less or much more of the surface than stands on something."""
+    """A note on a support that is an implausibly small or large part of the surface."""
     area, held = triangle_areas(session.mesh), session.held_triangles
     share = float(area[held].sum() / area.sum())
     text = f"The support is {100.0 * share:.3g} % of the surface"
@@ -138,7 +139,7 @@ def _support_notes(session: Session) -> list[str]:
 
 
 def _slip_notes(session: Session) -> list[str]:
-    """Points on a support that is said to be fixed and moved with the rest."""
+    """Notes on fixed supports whose points moved like the rest."""
     still = [
         one.triangles
         for one in session.supports
@@ -163,7 +164,7 @@ def _slip_notes(session: Session) -> list[str]:
 
 
 def _settlement_notes(session: Session) -> list[str]:
-    """Supports into whose springs the object would sink farther than anything moved."""
+    """Notes on elastic supports into which the object would sink farther than anything moved."""
     notes = []
     areas = triangle_areas(session.mesh)
     for number, support in enumerate(session.supports, start=1):

@@ -1,4 +1,4 @@
-"""What looks implausible about a probing."""
+"""Plausibility of a single probing: sizes, units and signs."""
 
 import numpy as np
 
@@ -9,28 +9,29 @@ from palpate.records.large_turn import LARGE_TURN, whole_turn
 from palpate.records.probing import Probing, observed_rows
 from palpate.shapes import Vector3
 
-# Beyond these a force in another unit is more likely: brain tissue has 1 kPa, wood along its grain
-# 10 GPa.
+# Range of moduli outside which the unit of the force is doubted [Pa]: brain tissue has 1 kPa, wood
+# along its grain 10 GPa.
 _DOUBTED_MODULUS = (1e2, 1e10)
-# Over the contact radius: the patch lies where the surface is nearer than that to the point.
+# Largest distance of the contact point from the surface, in contact radii.
 _OFF_SURFACE = 0.5
-# Points within so many contact radii, so many of them at least, of which so many move one way.
+# Signs are doubted if, within so many contact radii, with at least so many points, this fraction of
+# them moves against the force, by so many standard deviations of their mean.
 _ABOUT, _FEW, _MOST = 3.0, 4, 0.9
 _SIGMAS = 3.0
 
 
 def probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str]:
-    """Sentences about the sizes and signs of a probing.
+    """Notes on implausible sizes and signs of a probing.
 
     Parameters
     ----------
     mesh : TriangleMesh
     probing : Probing
-    size : float [m]                of the mesh
+    size : float [m]                bounding diagonal of the mesh
 
     Returns
     -------
-    list of str                     without the probing's name, and without a capital
+    list of str                     without the probing's name and without initial capital
     """
     notes = []
     doubt = f"against an object of {size:.3g} m: {UNIT_HINT}."
@@ -102,7 +103,7 @@ def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[s
 
 
 def _counter_notes(probing: Probing, direction: Vector3) -> list[str]:
-    """Whether the surface about the contact moved against the force, as no elastic body does."""
+    """A note if the surface around the contact moved against the force, as no held body does."""
     field, radius = probing.displacement, probing.contact.radius
     if field is None or radius is None:
         return []

@@ -1,8 +1,8 @@
 """Palpate's own files: session.toml, displacement CSV, rig.toml, estimate.json, result folders.
 
-Purpose    : each format in one file, read with messages that name file, table and key.
+Purpose    : read and write each format in one module, with errors that name file, table and key.
 Takes      : paths, and records to write.
-Gives      : records in SI units; files and folders that appear whole or not at all.
+Gives      : records in SI units; files and folders that are written completely or not at all.
 Depends on : `records.checks`, `records.text`, `records.programs`, `geometry`, `shapes`, `errors`.
 Read first : `session.py`, then `results.py`.
 """

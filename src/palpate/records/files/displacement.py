@@ -1,4 +1,4 @@
-"""Measured surface displacements from and to CSV files."""
+"""Reads and writes measured surface displacements as CSV."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,31 +17,33 @@ _STD = ("sx", "sy", "sz")
 _COLUMNS = (*_PLACE, *_MOVE, *_STD, "sigma", "vertex")
 _HEADER = ",".join(_PLACE + _MOVE)
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
-# Over the size of the body: no instrument resolves less, and what errs by more says nothing.
+# Range of standard deviations over the size of the body: no instrument is more accurate, and
+# larger ones carry no information.
 _FINEST, _COARSEST = 1e-12, 1.0
 
 
 def read_displacement(
     path: Path | str, mesh: TriangleMesh, *, metres_per_unit: float = 1.0
 ) -> tuple[DisplacementField, tuple[str, ...]]:
-    """Displacement of surface points from a CSV file, tied to the surface.
+    """Read displacements of surface points from a CSV file and locate them on the surface.
 
     Parameters
     ----------
     path : path                     header x,y,z,ux,uy,uz and optional sx,sy,sz or sigma, vertex
     mesh : TriangleMesh             in metres
-    metres_per_unit : float         of every length in the file
+    metres_per_unit : float         unit of every length in the file
 
     Returns
     -------
     field : DisplacementField       in metres; rows with a NaN or empty displacement are kept
-    notes : tuple of str            columns left out, points that lie off the surface
+    notes : tuple of str            ignored columns, repeated rows, points off the surface
 
     Raises
     ------
-    RecordError                     not there, a column missing or twice, text, no rows, only NaN,
-                                    a point farther from the surface than 2 % of the bounding
-                                    diagonal (or half a mean edge), a bad standard deviation
+    RecordError                     missing file, missing or duplicate column, text in a cell, no
+                                    rows, only NaN, a point farther from the surface than 2 % of the
+                                    bounding diagonal (or half a mean edge), an invalid standard
+                                    deviation
     """
     path = Path(path)
     table = read_text_table(path, cure=f"give a header {_HEADER} and a row per observed point")
@@ -92,13 +94,13 @@ def read_displacement(
 def write_displacement(
     path: Path | str, field: DisplacementField, *, metres_per_unit: float = 1.0
 ) -> None:
-    """Write a displacement field as CSV, every digit kept; NaN rows included.
+    """Write a displacement field as CSV in full precision, including NaN rows.
 
     Parameters
     ----------
     path : path
     field : DisplacementField       in metres
-    metres_per_unit : float [m]     > 0; of every length in the file
+    metres_per_unit : float [m]     > 0; unit of every length in the file
 
     Raises
     ------
@@ -120,8 +122,8 @@ def write_displacement(
 def _without_copies(
     table: TextTable, values: np.ndarray
 ) -> tuple[TextTable, np.ndarray, tuple[str, ...]]:
-    """A table and its numbers without rows that repeat another: a copy is no measurement of its own
-    and would make the result look surer than it is."""
+    """A table and its numbers without repeated rows, which are no independent measurements and
+    would narrow the intervals; with a note."""
     _, first = np.unique(np.nan_to_num(values, nan=np.inf), axis=0, return_index=True)
     if len(first) == len(values):
         return table, values, ()
@@ -135,7 +137,7 @@ def _without_copies(
 
 
 def _check_header(table: TextTable) -> tuple[str, ...]:
-    """Refuse a header that lacks a column or could be misread; say which columns are left out."""
+    """Refuse a header that lacks a column or is ambiguous; a note names ignored columns."""
     path, header = table.path, [column.heading.lower() for column in table.columns]
     if table.delimiter != ",":
         raise RecordError(
@@ -168,7 +170,7 @@ def _check_header(table: TextTable) -> tuple[str, ...]:
 
 
 def _check_distance(table: TextTable, mesh: TriangleMesh, distance: np.ndarray) -> tuple[str, ...]:
-    """Refuse points that cannot belong to this surface; mention those that lie off it."""
+    """Refuse points too far from the surface; a note mentions those slightly off it."""
     diagonal = bounding_diagonal(mesh)
     limit = surface_limit(mesh)
     far = np.flatnonzero(distance > limit)
@@ -191,7 +193,7 @@ def _check_distance(table: TextTable, mesh: TriangleMesh, distance: np.ndarray) 
 
 
 def _std(column: dict[str, np.ndarray], metres_per_unit: float) -> np.ndarray | None:
-    """Standard deviation per component, where the file gives one [m]."""
+    """Standard deviation per component [m], if the file has one."""
     if "sigma" in column:
         return metres_per_unit * np.repeat(column["sigma"][:, None], 3, axis=1)
     if "sx" in column:
@@ -200,7 +202,7 @@ def _std(column: dict[str, np.ndarray], metres_per_unit: float) -> np.ndarray | 
 
 
 def _check_std(table: TextTable, std: np.ndarray, moved: np.ndarray, mesh: TriangleMesh) -> None:
-    """Refuse standard deviations of measured points that no measurement has."""
+    """Refuse impossible standard deviations of measured points."""
     size = bounding_diagonal(mesh)
     bad = ~((std >= _FINEST * size) & (std <= _COARSEST * size)).all(axis=1)
     bad &= measured_rows(moved)
@@ -218,7 +220,7 @@ def _check_std(table: TextTable, std: np.ndarray, moved: np.ndarray, mesh: Trian
 def _vertex(
     table: TextTable, column: dict[str, np.ndarray], mesh: TriangleMesh, points: np.ndarray
 ) -> np.ndarray | None:
-    """Vertex indices, refused where they contradict the coordinates."""
+    """Vertex indices, refused if they contradict the coordinates."""
     if "vertex" not in column:
         return None
     index = column["vertex"]

@@ -1,4 +1,4 @@
-"""Where the frame of another program lies in the object's: a small TOML file."""
+"""Pose of another program's frame in the object frame, from a small TOML file."""
 
 from pathlib import Path
 
@@ -11,14 +11,14 @@ from palpate.records.program import nearest_rotation
 from palpate.records.quantities import LENGTH_UNITS
 from palpate.records.text import TomlTable, read_toml
 
-# Four typed digits leave a rotation this far from orthogonal; more is a slip of the pen.
+# A rotation typed with four digits is this far from orthogonal; a larger error is a mistake.
 _MAX_TYPED_ERROR = 1e-3
 _MAX_ROUNDING_ERROR = 1e-9
 _EXAMPLE = 'length_unit = "mm", R = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], t = [0, 0, 0]'
 
 
 def read_import_pose(path: Path | str) -> tuple[Float[np.ndarray, "4 4"], tuple[str, ...]]:
-    """Rigid motion that takes the points of a file to the object frame.
+    """Rigid motion that maps the points of a file to the object frame.
 
     The file has `length_unit` (of t), and either `R` (3 x 3, rows) and `t`, with
     x_object = R x_file + t, or `T`, the same as one 4 x 4 matrix.
@@ -29,12 +29,13 @@ def read_import_pose(path: Path | str) -> tuple[Float[np.ndarray, "4 4"], tuple[
 
     Returns
     -------
-    T_object_file : (4, 4) float [m]
-    notes : tuple of str            R was made orthogonal
+    T_object_file : (4, 4) float    translation in metres
+    notes : tuple of str            that R was made orthogonal, if so
 
     Raises
     ------
-    RecordError                     not there, not TOML, a key missing or unknown, R no rotation
+    RecordError                     missing file, not TOML, a missing or unknown key, R not a
+                                    rotation
     """
     table = read_toml(Path(path))
     table.check_keys(("length_unit", "R", "t", "T"))
@@ -72,7 +73,7 @@ def _matrix(table: TomlTable, key: str, size: int) -> np.ndarray:
 
 
 def _rotation(table: TomlTable, given: np.ndarray) -> tuple[np.ndarray, float]:
-    """The rotation nearest to a matrix that nearly is one, and how far it was."""
+    """The rotation nearest to an almost orthogonal matrix, and the error of that matrix."""
     error = float(np.abs(given @ given.T - np.eye(3)).max())
     turn = float(np.linalg.det(given))
     if error > _MAX_TYPED_ERROR:

@@ -1,4 +1,4 @@
-"""What pushes and pulls in a probing, and how its supports move, as session.toml says."""
+"""Reads contacts, forces, additional loads and support motions of a probing in session.toml."""
 
 from collections.abc import Sequence
 
@@ -27,12 +27,12 @@ from palpate.shapes import Indices, Vector3
 
 
 def held_triangles(supports: Sequence[Support], *, still: bool = False) -> Indices:
-    """Triangles of all supports together, or of those whose points do not move.
+    """Triangles of all supports together, or only of those whose points do not move.
 
     Parameters
     ----------
     supports : sequence of Support
-    still : bool
+    still : bool                    only fixed supports that are not rollers
 
     Returns
     -------
@@ -54,24 +54,24 @@ def read_push(
     *,
     metres_per_unit: float,
 ) -> tuple[Contact, Vector3]:
-    """Where a probing is pushed, with which force; where it has other loads only, none at the first
-    of these.
+    """Contact and force of a probing; with additional loads only, zero force at the first of them.
 
     Parameters
     ----------
     table : TomlTable               of the probing
     mesh : TriangleMesh
     supports : sequence of Support
-    loads : sequence of Load        of the probing
-    metres_per_unit : float
+    loads : sequence of Load        additional loads of the probing
+    metres_per_unit : float         length unit of the session
 
     Returns
     -------
-    Contact, (3,) float [N]
+    contact : Contact
+    force : (3,) float [N]
 
     Raises
     ------
-    RecordError                     a key is missing or bad
+    RecordError                     a missing or invalid key
     """
     if loads and "contact" not in table.values and "force" not in table.values:
         return loads[0].contact, np.zeros(3)
@@ -89,13 +89,13 @@ def read_push(
 
 
 def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> tuple[Load, ...]:
-    """The tables `[[probe.load]]` of a probing.
+    """Additional loads of a probing, from its tables `[[probe.load]]`.
 
     Parameters
     ----------
     table : TomlTable               of the probing
     mesh : TriangleMesh
-    metres_per_unit : float
+    metres_per_unit : float         length unit of the session
 
     Returns
     -------
@@ -103,7 +103,7 @@ def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) 
 
     Raises
     ------
-    RecordError                     a key is missing, unknown or bad
+    RecordError                     a missing, unknown or invalid key
     """
     loads = []
     for number, load in enumerate(table.optional("load", table.tables) or (), start=1):
@@ -124,17 +124,22 @@ def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) 
 def read_support_field(
     table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float
 ) -> tuple[DisplacementField | None, tuple[str, ...]]:
-    """The displacements that a probing measured on its supports, with notes.
+    """Displacements measured on the supports in a probing, if its table names their file.
 
     Parameters
     ----------
     table : TomlTable               of the probing
     mesh : TriangleMesh
-    metres_per_unit : float
+    metres_per_unit : float         length unit of the session
 
     Returns
     -------
-    DisplacementField or None, tuple of str
+    field : DisplacementField or None
+    notes : tuple of str
+
+    Raises
+    ------
+    RecordError                     as in `read_displacement`
     """
     if "support_displacement" not in table.values:
         return None, ()
@@ -143,12 +148,12 @@ def read_support_field(
 
 
 def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMotion | None:
-    """The rigid motion of the support that a probing gives.
+    """Rigid motion of the support in a probing, if its table gives one.
 
     Parameters
     ----------
     table : TomlTable               of the probing
-    metres_per_unit : float
+    metres_per_unit : float         length unit of the session
 
     Returns
     -------
@@ -156,7 +161,7 @@ def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMot
 
     Raises
     ------
-    RecordError                     a key is missing, unknown or bad
+    RecordError                     a missing, unknown or invalid key
     """
     if "support_motion" not in table.values:
         return None
@@ -171,7 +176,7 @@ def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMot
 
 
 def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
-    """A round patch, or triangles."""
+    """Contact of a circular patch, a tool, or triangles."""
     if "triangles" in contact.values:
         contact.check_keys(("triangles", "traction"))
         chosen = np.unique(listed_triangles(contact, len(mesh.triangles)))
@@ -180,7 +185,7 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
         if "traction" in contact.values:
             contact.choice("traction", (UNIFORM,))
         return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
-    # How well the point is known stands with the other errors: `read_error_priors`.
+    # `point_std` is read along with the other errors, in `read_error_priors`.
     if "tool" in contact.values:
         point = metres * contact.vector("point")
         return _tool(contact, metres).contact(point, bounding_diagonal(mesh))
@@ -203,7 +208,7 @@ def _tool(contact: TomlTable, metres: float) -> Tool:
 
 
 def _middle(mesh: TriangleMesh, triangles: Indices) -> Vector3:
-    """Point of the surface nearest to the centroid of some triangles."""
+    """Point of the surface closest to the centroid of some triangles."""
     area = np.linalg.norm(area_vectors(mesh)[triangles], axis=1)
     centroid = np.average(
         mesh.vertices[mesh.triangles[triangles]].mean(axis=1), axis=0, weights=area

@@ -1,4 +1,4 @@
-"""Result folders and files: what Palpate wrote, it knows again, and replaces nothing else."""
+"""Result folders and files: Palpate recognises its own unchanged results and replaces only them."""
 
 import errno
 import hashlib
@@ -28,9 +28,9 @@ CONTENTS_FILE, INPUTS_FILE = "contents.txt", "inputs.txt"
 RESULT_FORMAT = "palpate-result/1"
 _EARLIER_MARK = "palpate result folder; files:"
 SEAL_NAME = "sha256"
-# Work of so many seconds is worth keeping its finished parts when it is stopped.
+# Finished parts are kept after an interruption if the work took at least this long [s].
 _WORTH_KEEPING = 60.0
-# What a disk says that holds no more, or does not let one write.
+# Errors of a full, read-only or failing file system.
 _DISK = (
     errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG,
     errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE,
@@ -38,16 +38,16 @@ _DISK = (
 
 
 def default_folder(session: Path, what: str) -> Path:
-    """Folder in the current one, named after the session's folder (and its file, if unusual).
+    """Default name of a result folder, after the session's folder (and file, if not session.toml).
 
     Parameters
     ----------
     session : Path                  folder of a session, or a session file in it
-    what : str                      kind of result, the end of the name
+    what : str                      kind of result, with which the name ends
 
     Returns
     -------
-    Path
+    Path                            relative to the current folder
     """
     path = session.resolve()
     folder, file = (path, "session") if path.is_dir() else (path.parent, path.stem)
@@ -56,25 +56,25 @@ def default_folder(session: Path, what: str) -> Path:
 
 @contextmanager
 def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iterator[Path]:
-    """A folder to write into; it takes its final name when the block ends well, else vanishes.
+    """A temporary folder to write into; renamed to the target if the block succeeds, else removed.
 
-    An older result of the same kind is replaced if nothing in it was changed. Anything else stays:
-    it is refused, or kept as NAME.old where `force` is given or it came up meanwhile.
+    An older result of the same kind is replaced if it is unchanged. Anything else at the target is
+    refused, or kept as NAME.old if `force` is given or it appeared while the block was running.
 
     Parameters
     ----------
-    target : path                   final name; its parent must be there
+    target : path                   final name; its parent must exist
     kind : str                      the command that makes it, e.g. "fit"
-    force : bool                    write although something else is there
+    force : bool                    write even if something else lies there
 
     Yields
     ------
-    Path                            folder beside the target, under another name
+    Path                            temporary folder next to the target
 
     Raises
     ------
-    InputError                      the target is something else, is being written by another
-                                    process, or cannot be written; raised before the block runs
+    InputError                      something else lies at the target, another process is writing
+                                    there, or it cannot be written; raised before the block runs
     """
     target = Path(os.path.abspath(target))
     _check_place(target)
@@ -94,7 +94,7 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
 
 @contextmanager
 def _worth_keeping(parts: Path) -> Iterator[None]:
-    """Remove finished parts where the block fails, unless they cost long work."""
+    """Remove finished parts if the block fails, unless they took long to compute."""
     start = time.monotonic()
     try:
         yield
@@ -108,11 +108,11 @@ def _worth_keeping(parts: Path) -> Iterator[None]:
 
 
 def parts_folder(folder: Path) -> Path:
-    """Where finished parts of a result outlive a process that is killed; maybe not there.
+    """Folder in which finished parts of a result survive an interruption; it may not exist.
 
     Parameters
     ----------
-    folder : Path                   as `result_folder` gives it
+    folder : Path                   temporary folder from `result_folder`
 
     Returns
     -------
@@ -122,36 +122,37 @@ def parts_folder(folder: Path) -> Path:
 
 
 def record_inputs(folder: Path, files: Iterable[Path]) -> None:
-    """Note in a result what it is made from, so that `palpate verify` can tell what has changed.
+    """Record the checksums of a result's input files, so that `palpate verify` can detect changes.
 
     Parameters
     ----------
-    folder : Path                   as `result_folder` gives it
-    files : iterable of Path
+    folder : Path                   temporary folder from `result_folder`
+    files : iterable of Path        input files, or folders of such
 
     Raises
     ------
-    RecordError                     one cannot be read, or the note not be written
+    RecordError                     an input cannot be read, or the record cannot be written
     """
     write_text(folder / INPUTS_FILE, sums_text(_sums(files, folder)))
 
 
 @contextmanager
 def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """A JSON file to write; what is there is replaced only if `sealed` made it.
+    """A temporary JSON file to write; an existing target is replaced only if `sealed` made it.
 
     Parameters
     ----------
-    target : Path                   final name; its folder must be there
-    force : bool                    write although something else is there, kept as NAME.old
+    target : Path                   final name; its folder must exist
+    force : bool                    write even if something else lies there, which is then kept as
+                                    NAME.old
 
     Yields
     ------
-    Path                            file beside the target, under another name
+    Path                            temporary file next to the target
 
     Raises
     ------
-    InputError                      as `result_folder`
+    InputError                      as in `result_folder`
     """
     if target.exists() and not target.is_file():
         kind = "a folder" if target.is_dir() else "no regular file"
@@ -165,16 +166,16 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
 
 
 def check_free(target: Path, *, force: bool = False) -> None:
-    """Refuse to replace a file that cannot tell whose it is: a picture, a table, a page.
+    """Refuse to replace a file whose origin cannot be recognised: a picture, a table, a page.
 
     Parameters
     ----------
-    target : Path                   that is to be written
+    target : Path                   file that is to be written
     force : bool                    a regular file may be replaced
 
     Raises
     ------
-    InputError                      something is there
+    InputError                      something already lies there
     """
     if not os.path.lexists(target) or (force and target.is_file()):
         return
@@ -185,13 +186,13 @@ def check_free(target: Path, *, force: bool = False) -> None:
 
 
 def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) -> str:
-    """JSON of a result with the sums of its inputs and, as its last key, its own.
+    """JSON of a result with the checksums of its inputs and, as the last key, its own checksum.
 
     Parameters
     ----------
-    content : mapping               with a `format`
-    inputs : iterable of Path       what it is made from
-    folder : Path                   that the file will lie in
+    content : mapping               with a key `format`
+    inputs : iterable of Path       input files, or folders of such
+    folder : Path                   folder that the file will be in; names of inputs are relative
 
     Returns
     -------
@@ -206,11 +207,15 @@ def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) 
 
 
 def is_sealed(text: str) -> bool:
-    """Whether a text is what `sealed` gave, to the letter.
+    """Whether a text is unchanged output of `sealed`.
 
     Parameters
     ----------
     text : str
+
+    Returns
+    -------
+    bool
     """
     try:
         content = json.loads(text)
@@ -223,7 +228,7 @@ def is_sealed(text: str) -> bool:
 
 
 def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
-    """The kind of a result folder, what in it is not as it was written, and all its sums.
+    """The kind of a result folder, its changes since it was written, and its checksums.
 
     Parameters
     ----------
@@ -231,13 +236,13 @@ def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
 
     Returns
     -------
-    kind : str                      empty: it is no result of this version
-    changes : dict of str to str    name to "changed", "missing" or "not listed"
-    sums : dict of str to str       name to sum, of all that was written
+    kind : str                      command that made it; empty: not a result of this version
+    changes : dict of str to str    name -> "changed", "missing" or "not listed"
+    sums : dict of str to str       name -> checksum, of all files as written
 
     Raises
     ------
-    RecordError                     it cannot be read
+    RecordError                     the folder cannot be read
     """
     kind = _kind(folder)
     if not kind:
@@ -253,7 +258,7 @@ def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
 
 @contextmanager
 def disk_errors(target: Path) -> Iterator[None]:
-    """Turn what a disk refuses within the block into a message.
+    """Turn errors of the file system while a target is written into `RecordError`.
 
     Parameters
     ----------
@@ -261,12 +266,12 @@ def disk_errors(target: Path) -> Iterator[None]:
 
     Raises
     ------
-    RecordError
+    RecordError                     in place of an OSError that concerns writing
     """
     try:
         yield
     except OSError as error:
-        # What was read may be to blame; what is written has the target's name in its path.
+        # An error may concern a file that was read; written files have the target's name in theirs.
         elsewhere = os.path.isabs(str(error.filename)) and target.name not in str(error.filename)
         if error.errno not in _DISK or elsewhere:
             raise
@@ -284,7 +289,7 @@ def _sums(files: Iterable[Path], folder: Path) -> dict[str, str]:
 
 
 def _check_place(target: Path) -> None:
-    """Refuse a place where no folder can be made, or that somebody stands in."""
+    """Refuse a target that cannot be a folder, or that contains the current or home folder."""
     if not target.parent.is_dir():
         raise InputError(
             f"{target}: the result folder cannot be written: {target.parent} is not a folder;"
@@ -309,7 +314,8 @@ def _refuse(target: Path, strange: str, *, force: bool) -> None:
 
 
 def _strange_folder(target: Path, kind: str) -> str:
-    """Why a folder is not an unchanged result of some kind; empty where it is, or is empty."""
+    """Why a folder may not be replaced; empty if it is an unchanged result of that kind, or empty,
+    or missing."""
     if not target.is_dir():
         return ""
     try:
@@ -330,7 +336,7 @@ def _strange_folder(target: Path, kind: str) -> str:
 
 
 def _strange_file(target: Path) -> str:
-    """Why a file is not an unchanged result; empty where it is, or is not there."""
+    """Why a file may not be replaced; empty if it is an unchanged result, or missing."""
     if not os.path.lexists(target):
         return ""
     try:
@@ -344,7 +350,7 @@ def _strange_file(target: Path) -> str:
 
 
 def _kind(folder: Path) -> str:
-    """What the first line of a result folder's contents says of its kind."""
+    """Kind of a result folder according to the first line of its contents; empty if unknown."""
     mark, _, rest = _first_line(folder).removeprefix("# ").partition(" ")
     return rest.partition(";")[0] if mark == RESULT_FORMAT else ""
 
@@ -368,6 +374,6 @@ def _raised(error: OSError) -> None:
 
 
 def _few(names: list[str]) -> str:
-    """The first names of a list, short, and how many there are besides."""
+    """The first names of a list, shortened, and the number of the others."""
     shown = ", ".join(name if len(name) <= 40 else f"{name[:37]}..." for name in names[:3])
     return shown + (f" and {len(names) - 3} more" if len(names) > 3 else "")

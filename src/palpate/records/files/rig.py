@@ -1,4 +1,4 @@
-"""Rigs from files, and into the format `rig.toml`."""
+"""Reads rigs from rig.toml and other calibration files; writes rig.toml."""
 
 import os
 from dataclasses import replace
@@ -26,10 +26,9 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
     Parameters
     ----------
     path : path                     a file, or a folder with rig.toml or a file per camera
-    length_unit : str or None       m, cm, mm or in: the unit of translations in a file that does
-                                    not say its own; None: the usual one of the program (m for
-                                    Kalibr and caliscope; mm for VIC-3D, DICe, MatchID, MATLAB
-                                    and MultiDIC)
+    length_unit : str or None       m, cm, mm or in: unit of translations in a file that states
+                                    none; None: the program's usual one (m for Kalibr and caliscope;
+                                    mm for VIC-3D, DICe, MatchID, MATLAB and MultiDIC)
 
     Returns
     -------
@@ -38,10 +37,9 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
 
     Raises
     ------
-    RecordError                     not there, not readable, of no known kind
-    CalibrationError                contents that are missing or contradictory; the text names the
-                                    file
-    InputError                      length_unit is no known unit
+    RecordError                     missing, not readable, of unknown kind
+    CalibrationError                missing or contradictory content; the text names the file
+    InputError                      length_unit is not a known unit
     """
     path = Path(path)
     if is_file(path / _FILE):
@@ -58,7 +56,7 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
 
 
 def write_rig(path: Path | str, rig: Rig) -> None:
-    """Write a rig as rig.toml, in metres, matrices by rows; reading it gives the same numbers.
+    """Write a rig as rig.toml, in metres, matrices by rows; reading it back gives the same numbers.
 
     Parameters
     ----------
@@ -87,7 +85,7 @@ def write_rig(path: Path | str, rig: Rig) -> None:
 
 
 def _read_toml_rig(root: TomlTable, length_unit: str | None) -> Rig:
-    """A rig in the format of SESSION.md."""
+    """A rig from the root table of a rig.toml."""
     root.check_keys(_ROOT_KEYS)
     if "length_unit" in root.values or length_unit is None:
         length_unit = root.choice("length_unit", tuple(FILE_LENGTH_UNITS))
@@ -121,7 +119,7 @@ def _camera(file: CalibrationFile, table: TomlTable, metres: float) -> Camera:
 
 
 def _size(table: TomlTable, where: str) -> tuple[int, int] | None:
-    """Columns and rows; a rig made from a file without them has none."""
+    """Columns and rows of the pictures, if given."""
     if "size" not in table.values:
         return None
     value = table.values["size"]

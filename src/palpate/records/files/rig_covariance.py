@@ -1,4 +1,4 @@
-"""How well a rig is known: `rig_covariance.npz` beside `rig.toml`."""
+"""Covariance of a rig: `rig_covariance.npz` in the same folder as `rig.toml`."""
 
 import os
 from pathlib import Path
@@ -12,21 +12,21 @@ from palpate.records.rig import RigCovariance
 
 COVARIANCE_FORMAT = "palpate-rig-covariance/1"
 _FILE = "rig_covariance.npz"
-# Three thousand numbers of a rig and how they hang together; four cameras have eighty.
+# Largest size [bytes]: the covariance of three thousand parameters; four cameras have eighty.
 _MOST_BYTES = 2**26
 _CURE = "calibrate again, or remove it: then lengths are known as [errors] says"
 
 
 def covariance_file(rig: Path) -> Path | None:
-    """Where the covariance of a rig lies: beside its file.
+    """File with the covariance of a rig, in the same folder as the rig.
 
     Parameters
     ----------
-    rig : Path                      of the rig; a file, or a folder that holds it
+    rig : Path                      the rig's file, or its folder
 
     Returns
     -------
-    Path or None                    None: there is none; what else lies there is for its reader
+    Path or None                    None if there is none; the file is not checked
     """
     path = (rig if rig.is_dir() else rig.parent) / _FILE
     return path if os.path.lexists(path) else None
@@ -39,9 +39,9 @@ def write_rig_covariance(
 
     Parameters
     ----------
-    folder : Path                   exists
+    folder : Path                   an existing folder
     known : RigCovariance
-    corner_noise : (c,) float [px] or None  of a coordinate of a corner, in every camera
+    corner_noise : (c,) float [px] or None  standard deviation of a corner coordinate, per camera
     """
     content: dict[str, Any] = {
         "format": np.array(COVARIANCE_FORMAT),
@@ -55,7 +55,7 @@ def write_rig_covariance(
 
 
 def read_rig_covariance(path: Path) -> RigCovariance:
-    """Read what `write_rig_covariance` wrote.
+    """Read a `rig_covariance.npz`.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ def read_rig_covariance(path: Path) -> RigCovariance:
 
     Raises
     ------
-    RecordError                     not there, not readable, damaged, too large, of another format
-    CalibrationError                contradictory
+    RecordError                     missing, not readable, damaged, too large, of another format
+    CalibrationError                as in `RigCovariance`
     """
     what = "cannot be read as the covariance of a rig"
     with stored_arrays(path, _CURE, what=what, most=_MOST_BYTES) as stored:

@@ -1,4 +1,4 @@
-"""Sessions from folders in the format `palpate-session/1`."""
+"""Reads sessions from folders in the format `palpate-session/1`."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -39,10 +39,10 @@ from palpate.shapes import Vector3
 
 SESSION_FORMAT = "palpate-session/1"
 _CAMERA_FIELD = "{camera}"
-# A file of another suffix is something else: a mesh, a table, a result. What ends in ".partial" is
-# read before it is put in its place.
+# Files with other suffixes are meshes, tables or results. Files in ".partial" are session files
+# that are checked before they are renamed.
 _SESSION_SUFFIXES = (".toml", ".txt", "", ".partial")
-# What a folder of films and a force log has in place of a session.
+# File in a folder of videos and a force log, in place of a session file.
 _RECORDING_FILE = "recording.toml"
 _ROOT_KEYS = (
     "format", "name", "object", "support", "gravity", "rig", "errors", "probe", "step",
@@ -54,7 +54,7 @@ _PROBE_KEYS.append("tip_displacement_offset_std")
 
 
 def _any_size(n_vertices: int, n_probings: int) -> None:
-    """Every session is allowed."""
+    """Accepts sessions of any size."""
 
 
 def read_session(
@@ -64,27 +64,27 @@ def read_session(
     observations: bool = True,
     allow: Callable[[int, int], object] = _any_size,
 ) -> Session:
-    """Read and check a whole session; everything is in SI units afterwards.
+    """Read and validate a session; all quantities are converted to SI units.
 
     Parameters
     ----------
     path : path                     the session's folder (with a session.toml), or a session file
     probes : names or None          read these probings only; None: all
-    observations : bool             False: leave out the displacements and pictures of the probings,
-                                    which may still be missing, and do not ask yet whether the
-                                    contacts are on the surface
-    allow : callable                told the number of vertices and of probings, where there are
-                                    probings, before anything is done that takes long; raises an
-                                    `InputError` about what is too much
+    observations : bool             False: ignore displacements and pictures of the probings, which
+                                    may still be missing, and do not check that contacts lie on the
+                                    surface
+    allow : callable                called with the numbers of vertices and of probings, if there
+                                    are probings, before anything slow is done; raises an
+                                    `InputError` if they are too many
 
     Returns
     -------
-    Session                         mesh closed and outward, every observed point on the surface;
-                                    with probings, or with the steps of a rigid-motion sequence
+    Session                         closed mesh with outward normals; observed points located on the
+                                    surface; with probings, or with steps of a rigid motion
 
     Raises
     ------
-    RecordError                     anything wrong in session.toml or a displacement file; the text
+    RecordError                     any mistake in session.toml or a displacement file; the text
                                     names file, table and key
     MeshError                       a mesh that cannot be read or is not closed
     """
@@ -133,18 +133,20 @@ def read_session(
 
 
 def session_file(path: Path) -> Path:
-    """The session file that a folder or a file name means.
-
-    A change of it that was interrupted is undone first.
+    """Session file of a folder, or the file itself; an interrupted change is rolled back first.
 
     Parameters
     ----------
-    path : Path
+    path : Path                     folder or file
+
+    Returns
+    -------
+    Path                            the session file
 
     Raises
     ------
-    RecordError                     there is none
-    InUseError                      it is being changed
+    RecordError                     there is no session file
+    InUseError                      another process is changing it
     """
     folder = os.path.isdir(path)
     settle(path / "session.toml" if folder else path)
@@ -175,7 +177,7 @@ def session_file(path: Path) -> Path:
 def _mesh(
     body: TomlTable, metres: float, allow: Callable[[int], object]
 ) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """The object's surface in metres, checked."""
+    """The object's validated surface mesh, in metres, with notes."""
     path = body.existing_file("mesh")
     try:
         mesh = read_mesh(path, metres_per_unit=metres)
@@ -189,7 +191,7 @@ def _mesh(
 
 
 def _only_key(root: TomlTable, name: str, key: str) -> TomlTable | None:
-    """A table of one key that may be missing."""
+    """An optional table with a single key."""
     table = root.optional(name, root.table)
     if table is not None:
         table.check_keys((key,))
@@ -197,7 +199,7 @@ def _only_key(root: TomlTable, name: str, key: str) -> TomlTable | None:
 
 
 def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
-    """The probe tables that were asked for."""
+    """The requested probe tables."""
     tables = _named_tables(root, "probe", _PROBE_KEYS)
     names = [table.text("name") for table in tables]
     for name in probes or ():
@@ -211,7 +213,7 @@ def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
 
 
 def _named_tables(root: TomlTable, key: str, allowed: Sequence[str]) -> list[TomlTable]:
-    """Tables of one kind, known to the reader by their names."""
+    """Tables of one kind; messages call them by their names."""
     tables = []
     for table in root.optional(key, root.tables) or ():
         table.check_keys(allowed)
@@ -220,7 +222,7 @@ def _named_tables(root: TomlTable, key: str, allowed: Sequence[str]) -> list[Tom
 
 
 def _steps(root: TomlTable) -> tuple[Step, ...]:
-    """The steps of a rigid-motion sequence, if it is one."""
+    """The steps of a rigid-motion sequence; empty if it is none."""
     patterns: list[str] = []
     steps = []
     for table in _named_tables(root, "step", _STEP_KEYS):
@@ -237,7 +239,7 @@ def _probing(
     *,
     observations: bool,
 ) -> tuple[Probing, tuple[str, ...]]:
-    """One probing, in SI units, checked against the surface and the supports."""
+    """One probing, in SI units, checked against surface and supports, with notes."""
     held, still = held_triangles(supports), held_triangles(supports, still=True)
     images = _images(table) if observations else None
     field: DisplacementField | None = None
@@ -272,7 +274,7 @@ def _probing(
         if observations:
             for each in (contact, *(load.contact for load in loads)):
                 check_contact(mesh, held, each)
-            # What a moving support adds, or another load, says nothing about this force.
+            # With moving supports or additional loads the displacement is not due to this force.
             if not loads and len(still) == len(held):
                 check_load(mesh, probing)
         if field is not None:
@@ -281,8 +283,8 @@ def _probing(
 
 
 def _tip(table: TomlTable, metres: float) -> tuple[Vector3 | None, Vector3 | None]:
-    """Displacement of the contact point and its standard deviation [m], with that of where the arm
-    first touched."""
+    """Displacement of the contact point and its standard deviation [m], which includes that of the
+    point of first contact."""
     tip = table.optional("tip_displacement", table.vector)
     std = table.optional("tip_displacement_std", table.number_or_vector)
     if "tip_displacement_offset_std" in table.values:
@@ -316,7 +318,7 @@ def _images(table: TomlTable) -> Images | None:
 
 
 def _pattern(table: TomlTable, key: str, earlier: Sequence[str]) -> str:
-    """A file pattern that has a place for the camera's name and was not used before."""
+    """A file pattern that contains `{camera}` and is not among the earlier ones."""
     pattern = table.text(key)
     if _CAMERA_FIELD not in pattern:
         table.fail(

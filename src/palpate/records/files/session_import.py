@@ -1,4 +1,4 @@
-"""Displacements of other programs into a session: which file is whose, and who names it."""
+"""Import of other programs' displacements: assigns files to probings and edits session.toml."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from palpate.records.text import nearest_word, read_text
 
 @dataclass(frozen=True, slots=True)
 class ImportItem:
-    """One result that is to become the displacement of one probing.
+    """One result that is to be imported as the displacement of one probing.
 
     Parameters
     ----------
     file : Path
     probe : str                     name of the probing
-    frame : int or None             state of the file, from 0; None: the last one
+    frame : int or None             state in the file, from 0; None: the last one
     """
 
     file: Path
@@ -36,9 +36,9 @@ def import_plan(
     probes: Sequence[str] | None,
     frames: Sequence[int] | None,
 ) -> tuple[ImportItem, ...]:
-    """The probing of each file: as asked, else of the same name, else the only one.
+    """Assign each file to a probing: as requested, else by equal name, else to the only one.
 
-    One file that holds several states serves several probings, with one frame for each.
+    A file with several states can serve several probings, with one frame for each.
 
     Parameters
     ----------
@@ -47,9 +47,13 @@ def import_plan(
     probes : names or None          in the order of the files, or of the frames
     frames : numbers or None        one for all, or one for each
 
+    Returns
+    -------
+    tuple of ImportItem             one for each probing
+
     Raises
     ------
-    RecordError                     an unknown name, too many or few, two files for one probing
+    RecordError                     an unknown name, wrong counts, two files for one probing
     """
     known = [probing.name for probing in session.probings]
     names = [file.stem for file in files] if probes is None else list(probes)
@@ -82,7 +86,7 @@ def import_plan(
 def _check_names(
     session: Session, names: Sequence[str], files: Sequence[Path], *, asked: bool
 ) -> None:
-    """Refuse probings that are not there, or there twice."""
+    """Refuse unknown and repeated names of probings."""
     known = [probing.name for probing in session.probings]
     there = f"(there are: {', '.join(known)})"
     for name, file in zip(names, files, strict=True):
@@ -115,11 +119,15 @@ def displacement_line(file: str) -> str:
 
 
 def named_displacements(path: Path) -> dict[str, str]:
-    """The displacement files that a session names so far, by probing.
+    """Displacement files that a session names at present, by probing.
 
     Parameters
     ----------
-    path : Path                     of a session.toml that `read_session` accepts
+    path : Path                     a session.toml that `read_session` accepts
+
+    Returns
+    -------
+    dict of str to str              name of the probing -> file
 
     Raises
     ------
@@ -130,15 +138,19 @@ def named_displacements(path: Path) -> dict[str, str]:
 
 
 def with_displacements(text: str, files: Mapping[str, str]) -> str:
-    """A session's text in which some probings name their displacement files.
+    """Text of a session file with the displacement files of some probings set.
 
-    One key per probing is added behind its last one, or its value exchanged; everything else that
-    a person wrote stays: comments, order, blanks, line ends.
+    For each probing one key is added after its last one, or its value replaced; everything else is
+    preserved: comments, order, blanks, line endings.
 
     Parameters
     ----------
     text : str                      valid TOML
-    files : mapping                 name of the probing to file, relative to the session
+    files : mapping                 name of the probing -> file, relative to the session
+
+    Returns
+    -------
+    str
     """
     document = tomlkit.parse(text)
     for probe in _probes(document):
@@ -153,15 +165,15 @@ def with_displacements(text: str, files: Mapping[str, str]) -> str:
 
 
 def _probes(document: Mapping[str, Any]) -> Sequence[Any]:
-    """The probe tables; one alone counts as an array of one."""
+    """The probe tables; a single table counts as an array of one."""
     probes = document["probe"]
     return probes if isinstance(probes, list) else [probes]
 
 
 def _add_behind_last_key(table: Table, key: str, value: str) -> None:
-    """Add a key before the blanks, comments and tables at a table's end.
+    """Add a key before the blank lines, comments and tables at the end of a table.
 
-    `Table.append` alone puts it behind the comment that introduces the next table.
+    `Table.append` alone would put it after the comment that introduces the next table.
     """
     body = table.value.body
     keys = [i for i, (name, item) in enumerate(body) if name and not isinstance(item, (AoT, Table))]

@@ -1,4 +1,4 @@
-"""SHA-256 sums of files, in the format of `sha256sum`, and which files have changed since."""
+"""SHA-256 checksums of files, in the format of `sha256sum`, and detection of changed files."""
 
 import hashlib
 import os
@@ -14,20 +14,24 @@ from palpate.records.files.session import session_file
 from palpate.records.text import read_text, read_toml
 
 CHANGED, MISSING, NOT_LISTED = "changed", "missing", "not listed"
-# What `sha256sum` puts before and into a name that holds a backslash or a line break.
+# Escapes of `sha256sum` in names that contain a backslash or a line break.
 _ESCAPES = {"\\": "\\\\", "\n": "\\n", "\r": "\\r"}
 
 
 def file_sum(path: Path) -> str:
-    """SHA-256 of a file's content, 64 hexadecimal digits.
+    """SHA-256 of a file's content.
 
     Parameters
     ----------
     path : Path
 
+    Returns
+    -------
+    str                             64 hexadecimal digits
+
     Raises
     ------
-    RecordError                     not there, no regular file, too large
+    RecordError                     missing, not a regular file, too large
     OSError                         not readable
     """
     with checked_file(path).open("rb") as file:
@@ -35,20 +39,20 @@ def file_sum(path: Path) -> str:
 
 
 def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
-    """Sums of some files, by their paths from a folder.
+    """Checksums of some files, by their paths relative to a folder.
 
     Parameters
     ----------
-    files : iterable of Path        of a folder the files in it
-    start : Path                    the folder that the paths start from
+    files : iterable of Path        a folder stands for the files in it
+    start : Path                    folder that the paths are relative to
 
     Returns
     -------
-    dict of str to str              sorted; names with `/`
+    dict of str to str              path, with `/`, -> checksum; sorted by path
 
     Raises
     ------
-    OSError                         one cannot be read
+    RecordError, OSError            as in `file_sum`
     """
     single = chain.from_iterable(_files_in(path) for path in files)
     below = {Path(os.path.relpath(file, start)).as_posix(): file for file in single}
@@ -56,15 +60,15 @@ def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
 
 
 def sums_text(sums: Mapping[str, str]) -> str:
-    """Sums as `sha256sum` writes them and `sha256sum -c` reads them.
+    """Checksums as text in the format of `sha256sum`, for `sha256sum -c`.
 
     Parameters
     ----------
-    sums : mapping of name to sum
+    sums : mapping                  name -> checksum
 
     Returns
     -------
-    str                             one line a file
+    str                             one line per file
     """
     lines = []
     for name, value in sums.items():
@@ -74,7 +78,7 @@ def sums_text(sums: Mapping[str, str]) -> str:
 
 
 def parsed_sums(text: str) -> dict[str, str]:
-    """Sums from such a text; lines that are none, as comments, are left out.
+    """Parse checksums in the format of `sha256sum`; other lines, such as comments, are ignored.
 
     Parameters
     ----------
@@ -82,7 +86,7 @@ def parsed_sums(text: str) -> dict[str, str]:
 
     Returns
     -------
-    dict of name to sum
+    dict of str to str              name -> checksum
     """
     real = {escape: character for character, escape in _ESCAPES.items()}
     sums = {}
@@ -92,20 +96,20 @@ def parsed_sums(text: str) -> dict[str, str]:
 
 
 def changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
-    """Files that have changed since their sums were taken.
+    """Files that have changed since their checksums were taken.
 
     Parameters
     ----------
-    folder : Path                   that the names start from
-    sums : mapping of name to sum
+    folder : Path                   folder that the names are relative to
+    sums : mapping                  name -> checksum
 
     Returns
     -------
-    dict of str to str              name to `CHANGED` or `MISSING`; empty where all is as it was
+    dict of str to str              name -> `CHANGED` or `MISSING`; empty if nothing has changed
 
     Raises
     ------
-    OSError                         one cannot be read
+    RecordError, OSError            as in `file_sum`
     """
     found = {}
     for name, value in sums.items():
@@ -118,7 +122,7 @@ def changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
 
 
 def session_files(path: Path | str) -> list[Path]:
-    """All files that a session is made of: itself, and what its texts name.
+    """All files of a session: the session file, every file it names, and the rig's covariance.
 
     Parameters
     ----------
@@ -126,7 +130,7 @@ def session_files(path: Path | str) -> list[Path]:
 
     Returns
     -------
-    list of Path                    sorted; `{camera}` stands for any name
+    list of Path                    sorted; `{camera}` in a name matches anything
 
     Raises
     ------
@@ -156,7 +160,7 @@ def _files_in(path: Path) -> list[Path]:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """All texts in a tree of tables and lists."""
+    """All texts in nested tables and lists."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, (dict, list)):
@@ -165,11 +169,15 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def sums_in(path: Path) -> dict[str, str]:
-    """Sums from a file; none where there is no such file.
+    """Checksums from a file; empty if there is no such file.
 
     Parameters
     ----------
     path : Path
+
+    Returns
+    -------
+    dict of str to str              name -> checksum
 
     Raises
     ------

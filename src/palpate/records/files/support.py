@@ -1,4 +1,4 @@
-"""Which triangles of the surface are held, as session.toml selects them, and how they move."""
+"""Reads supports from session.toml: the selected triangles, and how they are held."""
 
 from dataclasses import replace
 
@@ -22,9 +22,9 @@ def read_supports(
 
     Parameters
     ----------
-    root : TomlTable                of the session
+    root : TomlTable                whole session.toml
     mesh : TriangleMesh
-    metres_per_unit : float
+    metres_per_unit : float         length unit of the session
 
     Returns
     -------
@@ -32,7 +32,7 @@ def read_supports(
 
     Raises
     ------
-    RecordError                     no such table, or a bad one
+    RecordError                     no such table, or an invalid one
     """
     name = None if isinstance(root.get("support"), list) else "[support]"
     supports = []
@@ -66,21 +66,21 @@ def _directions(table: TomlTable) -> Float[np.ndarray, "d 3"]:
 
 
 def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> Indices:
-    """Triangles that any of the selectors of one support takes.
+    """Triangles selected by any of the selectors of one support.
 
     Parameters
     ----------
     support : TomlTable             keys plane, box (a table each, or a list of them), triangles
     mesh : TriangleMesh
-    metres_per_unit : float         of the coordinates and tolerances in the table
+    metres_per_unit : float         unit of the coordinates and tolerances in the table
 
     Returns
     -------
-    (k,) int                        sorted, distinct; neither empty nor everything
+    (k,) int                        sorted, distinct; neither empty nor the whole surface
 
     Raises
     ------
-    RecordError                     a bad selector, an empty support, or the whole surface
+    RecordError                     an invalid selector, an empty support, or the whole surface
     """
     support.check_keys(_SELECTORS)
     if not support.values:
@@ -146,12 +146,12 @@ def _inside_box(box: TomlTable, mesh: TriangleMesh, metres_per_unit: float) -> n
 
 
 def listed_triangles(table: TomlTable, count: int) -> Indices:
-    """Triangle indices from a text file, one a line, from 0; `#` starts a comment.
+    """Triangle indices from a text file, one per line, from 0; `#` starts a comment.
 
     Parameters
     ----------
-    table : TomlTable               whose key triangles names the file
-    count : int                     triangles of the mesh
+    table : TomlTable               its key `triangles` names the file
+    count : int                     number of triangles of the mesh
 
     Returns
     -------
@@ -159,7 +159,7 @@ def listed_triangles(table: TomlTable, count: int) -> Indices:
 
     Raises
     ------
-    RecordError                     no such file, or a line that is no index; names file and line
+    RecordError                     no such file, or a line that is not an index; names file, line
     """
     path = table.existing_file("triangles")
     found = []

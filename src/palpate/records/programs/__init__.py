@@ -1,6 +1,6 @@
-"""Programs of others whose calibrations and displacements Palpate reads, one file each.
+"""Readers of other programs' calibrations and displacements, one file for each program.
 
-Purpose    : every program's names, units, signs of failure and camera conventions in one place.
+Purpose    : each program's names, units, failure marks and camera conventions in one place.
 Takes      : its result and calibration files. To add a program: one new file that ends in a
              `Program`, and one line for it in the list `PROGRAMS` of `registry.py`.
 Gives      : a `Rig`, or `MeasuredPoints` in metres.

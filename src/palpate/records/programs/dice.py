@@ -31,7 +31,7 @@ _MATCH, _SIGMA, _GAMMA = "MATCH", "SIGMA", "GAMMA"
 _USED = (*_PLACE, *_MOVE, _MATCH, _SIGMA, _GAMMA)
 _EXODUS_SUFFIXES = (".e", ".exo", ".ex2", ".exodus")
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
-# DICe's names of lens models whose radial terms act as OpenCV's. Of VIC3D the numbers are VIC-3D's.
+# DICe's names of lens models whose radial terms are OpenCV's; VIC3D has the numbers of VIC-3D.
 _LENSES = (
     "OPENCV_LENS_DISTORTION",
     "K1R3_K2R5_K3R7",
@@ -46,10 +46,11 @@ Columns = dict[str, Float[np.ndarray, " n"]]
 def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a stereo result of DICe: a text file per state, or one Exodus file of all states.
 
-    Read are MODEL_COORDINATES (at rest) and MODEL_DISPLACEMENT. A point failed where MATCH is not
-    0 or SIGMA is negative; its zeros are no measurement. SIGMA is in pixels, no standard deviation
-    of a displacement, and is not used. GAMMA is the sum of squared differences of two windows of
-    zero mean and unit length, so their correlation, the score, is 1 - GAMMA / 2.
+    The columns MODEL_COORDINATES (at rest) and MODEL_DISPLACEMENT are read. A point has failed if
+    MATCH is not 0 or SIGMA is negative; its zeros are not measurements. SIGMA is in pixels, not the
+    standard deviation of a displacement, and is not used. GAMMA is the sum of squared differences
+    of two subsets normalised to zero mean and unit length, so the correlation coefficient, used as
+    score, is 1 - GAMMA / 2.
 
     Parameters
     ----------
@@ -59,14 +60,14 @@ def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
     Raises
     ------
     RecordError                     a 2-D result, displacements of an incremental correlation (from
-                                    picture to picture), a cut file, text, no rows
+                                    picture to picture), a truncated file, text in a cell, no rows
 
     Source
     ------
     DICe (github.com/dicengine/dice): names in src/core/DICe_FieldEnums.h; gold results of
-    tests/regression/stereo_d_spec, where MODEL_COORDINATES stay the same in all states, and failed
-    points have MATCH = SIGMA = -1 and zero displacements. Exodus II: nodal variables name_nod_var,
-    vals_nod_var1, ... or vals_nod_var (SAND92-2137, appendix A).
+    tests/regression/stereo_d_spec, in which MODEL_COORDINATES are the same in all states, and
+    failed points have MATCH = SIGMA = -1 and zero displacements. Exodus II: nodal variables
+    name_nod_var, vals_nod_var1, ... or vals_nod_var (SAND92-2137, appendix A).
     """
     if path.suffix.lower() in _EXODUS_SUFFIXES:
         columns, notes = _exodus_columns(path, frame)
@@ -87,7 +88,7 @@ def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
 
 def _check_names(path: Path, names: list[str]) -> None:
-    """Refuse a result without the lengths of a stereo evaluation."""
+    """Refuse a result without the model coordinates and displacements of a stereo evaluation."""
     if missing := [name for name in _PLACE + _MOVE if name not in names]:
         shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
         raise RecordError(
@@ -99,7 +100,7 @@ def _check_names(path: Path, names: list[str]) -> None:
 
 
 def _text_columns(path: Path) -> Columns:
-    """The columns of a text file that are used."""
+    """The columns of a text file that are needed."""
     table = read_text_table(path, cure="export the points from DICe again, as text")
     if any("incremental correlation: true" in line.lower() for line in table.preamble):
         raise RecordError(
@@ -149,7 +150,8 @@ def _hdf5_arrays(path: Path) -> dict[str, np.ndarray]:
 def _nodal(
     arrays: Mapping[str, np.ndarray],
 ) -> tuple[list[str], dict[str, Float[np.ndarray, "t n"]]]:
-    """Names of all nodal variables; values of those used, from one array each or one for all."""
+    """Names of all nodal variables, and values of those needed; in one array each, or in one array
+    for all."""
     names = [
         b"".join(bytes(letter) for letter in row).split(b"\0")[0].decode("latin-1").strip()
         for row in arrays.get("name_nod_var", ())
@@ -164,13 +166,13 @@ def _nodal(
 
 
 def _holds_rig(file: CalibrationFile) -> bool:
-    """True for a camera system file; DICe's other files are parameter lists too."""
+    """True for a camera system file; DICe's other XML files are parameter lists too."""
     is_list = isinstance(file.content, Element) and file.content.tag == "ParameterList"
     return is_list and bool(_lists(file.content, "CAMERA "))
 
 
 def read_dice_rig(file: CalibrationFile) -> Rig:
-    """Rig of a DICe camera system file (XML); lengths are in mm where the caller says nothing.
+    """Rig of a DICe camera system file (XML); lengths are in mm unless the caller gives a unit.
 
     Parameters
     ----------
@@ -178,14 +180,14 @@ def read_dice_rig(file: CalibrationFile) -> Rig:
 
     Returns
     -------
-    Rig                             in the frame that the first camera's extrinsics refer to (its
-                                    own where it has none); cameras are named by CAMERA_ID, or by
-                                    their number where that is blank
+    Rig                             in the frame to which the first camera's extrinsics refer (its
+                                    own if it has none); cameras are named by CAMERA_ID, or by their
+                                    number if that is blank
 
     Raises
     ------
-    CalibrationError                a value that is missing, a lens model or a transformation that
-                                    is not known, contradictions as `Camera` and `Rig` say
+    CalibrationError                a missing value, an unsupported lens model or transformation, or
+                                    as in `Camera` and `Rig`
     """
     metres, root = file.metres(usual="mm"), file.content
     for name in (node.get("name", "") for node in root):
@@ -230,7 +232,7 @@ def _camera(
 
 
 def _pose(file: CalibrationFile, node: Element, metres: float) -> Float[np.ndarray, "4 4"]:
-    """x_camera from x_world, or from x of the first camera where the file is chained."""
+    """Pose x_camera of x_world, or of x of the first camera if the extrinsics are relative."""
     values, where = _values(node), node.get("name", "")
     shift = [file.number(values, key, where, missing=0.0) for key in ("TX", "TY", "TZ")]
     angles = [file.number(values, key, where, missing=0.0) for key in ("ALPHA", "BETA", "GAMMA")]
@@ -243,7 +245,7 @@ def _pose(file: CalibrationFile, node: Element, metres: float) -> Float[np.ndarr
 
 
 def _lists(node: Element, start: str) -> list[Element]:
-    """Sublists whose name begins so, in the order of their names' numbers."""
+    """Sublists whose names begin with `start`, in the order of the numbers in their names."""
     lists = node.findall("ParameterList")
     found = [child for child in lists if child.get("name", "").startswith(start)]
     return sorted(found, key=lambda child: (len(child.get("name", "")), child.get("name", "")))
@@ -254,7 +256,7 @@ def _values(node: Element) -> dict[str, str]:
 
 
 def _row(text: str) -> list[str]:
-    """Words in the form { 1.0, 0.0, 0.0 }."""
+    """Entries of a text such as { 1.0, 0.0, 0.0 }."""
     return text.strip().strip("{}").split(",")
 
 

@@ -26,13 +26,13 @@ def read_kalibr_rig(file: CalibrationFile) -> Rig:
 
     Raises
     ------
-    CalibrationError                a model other than pinhole with radtan or no distortion, a key
-                                    missing, contradictions as `Camera` says
+    CalibrationError                a model other than pinhole with radtan or no distortion, a
+                                    missing key, or as in `Camera`
 
     Source
     ------
-    Kalibr (github.com/ethz-asl/kalibr), wiki "yaml formats": T_cn_cnm1 takes points of the camera
-    before to this one; radtan is k1 k2 p1 p2 of OpenCV.
+    Kalibr (github.com/ethz-asl/kalibr), wiki "yaml formats": T_cn_cnm1 maps points from the frame
+    of the previous camera to this one; radtan is k1 k2 p1 p2 of OpenCV.
     """
     metres = file.metres(usual="m")
     tables = {name: table for name, table in file.content.items() if isinstance(table, dict)}

@@ -18,7 +18,7 @@ from palpate.records.program import (
 from palpate.records.rig import Camera, Rig
 from palpate.records.text import missing_depth, read_text_table
 
-# Long names without their category and unit, and the short ones of version 2023.
+# Long column names without category and unit, and the short ones of version 2023.
 _COLUMNS = {
     "X": ("x",),
     "Y": ("y",),
@@ -29,17 +29,17 @@ _COLUMNS = {
 }
 _LINE = re.compile(r"\s*([^;:\[\]]+?)\s*(?:\[\s*([^\]]*?)\s*\])?\s*[;:]\s*(.*?)\s*$")
 _WHOLE = "the calibration"
-# A longer line is none of these, and would take the pattern for ever.
+# Longer lines are not of this form, and matching the pattern would take too long.
 _LONGEST_LINE = 200
 
 
 def read_matchid_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of one time step that MatchID exported as CSV, one row per point.
 
-    Read are coor.X [mm], coor.Y, coor.Z, disp.Horizontal Displacement U [mm], disp.Vertical
-    Displacement V and disp.Out-Of-Plane: W, with or without category and unit, or the short names
-    x, y, z, u, v, w; separated by commas, semicolons or tabs; decimal commas too. A cell without a
-    number is a point that was not measured. stats.Sigma is not used.
+    The columns coor.X [mm], coor.Y, coor.Z, disp.Horizontal Displacement U [mm], disp.Vertical
+    Displacement V and disp.Out-Of-Plane: W are read, with or without category and unit, or under
+    the short names x, y, z, u, v, w; separated by commas, semicolons or tabs; decimal commas too. A
+    cell without a number marks a point that was not measured. stats.Sigma is not used.
 
     Parameters
     ----------
@@ -48,13 +48,14 @@ def read_matchid_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
     Raises
     ------
-    RecordError                     a column is missing (2-D results have no Z and W), text, no rows
+    RecordError                     a missing column (2-D results have no Z and W), text in a cell,
+                                    no rows
 
     Source
     ------
-    The names of MatchID 2023 ("x", "u", ...) and 2024.1 ("coor.X [mm]", ...) as the readers of
-    DuoDIC (lib_DuoDIC/ReadMatchIDFile.m: header "[Category].[Long variable name].[units]") and of
-    pyvale's forerunner mt2py list them. That coor.X is the place at rest is taken from their use.
+    Names of MatchID 2023 ("x", "u", ...) and 2024.1 ("coor.X [mm]", ...) as listed in the readers
+    of DuoDIC (lib_DuoDIC/ReadMatchIDFile.m: header "[Category].[Long variable name].[units]") and
+    of pyvale's predecessor mt2py. That coor.X is the position at rest is inferred from their use.
     """
     chosen_frame(path, frame)
     table = read_text_table(path, cure="export the points from MatchID again, as text")
@@ -74,12 +75,12 @@ def _why(missing: list[str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """Name without its category, in small letters: 'coor.X' is 'x'."""
+    """Name without its category, in lower case: 'coor.X' becomes 'x'."""
     return name.rpartition(".")[2].strip().lower()
 
 
 def _lines(file: CalibrationFile) -> list[str]:
-    """Lines of a .caldat file, or of pyvale's YAML of the same keys."""
+    """Lines of a .caldat file, or of pyvale's YAML with the same keys."""
     if isinstance(file.content, dict):
         scalars = (str, int, float)
         return [f"{key};{x}" for key, x in file.content.items() if isinstance(x, scalars)]
@@ -94,23 +95,23 @@ def _holds_rig(file: CalibrationFile) -> bool:
 def read_matchid_rig(file: CalibrationFile) -> Rig:
     """Rig of two cameras in the frame of the first, from lines `Cam0_Fx [pixels];6673.3`.
 
-    The second camera is at x_1 = Rz(Psi) Ry(Phi) Rx(Theta) x_0 + T.
+    Pose of the second camera: x_1 = Rz(Psi) Ry(Phi) Rx(Theta) x_0 + T.
 
     Parameters
     ----------
-    file : CalibrationFile          a .caldat file, or YAML of the same keys
+    file : CalibrationFile          a .caldat file, or YAML with the same keys
 
     Returns
     -------
-    Rig                             cameras '0' and '1', sizes not known
+    Rig                             cameras '0' and '1', picture sizes unknown
 
     Raises
     ------
-    CalibrationError                a key missing or no number, contradictions as `Camera` says
+    CalibrationError                a missing key, not a number, or as in `Camera`
 
     Source
     ------
-    Checked with a picture pair and MatchID's calibration of it: 0.09 px.
+    Verified with a pair of pictures and MatchID's calibration of it: agreement within 0.09 px.
     """
     values, units = {}, {}
     for line in _lines(file):

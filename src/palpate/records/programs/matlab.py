@@ -1,4 +1,4 @@
-"""Stereo calibrations of MATLAB (stereoParameters), which DuoDIC works with."""
+"""Stereo calibrations of MATLAB (stereoParameters), also used by DuoDIC."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -26,19 +26,19 @@ _EXPORT = (
     f" s = toStruct(p); s.{_TURN} = p.{_TURN}; s.{_SHIFT} = p.{_SHIFT};"
     " save('stereo.mat', '-struct', 's')"
 )
-# A structure lies this deep in others at most: DIC3D.stereoParams, calibrationSession.x.y.
+# Deepest nesting at which the structure is sought: DIC3D.stereoParams, calibrationSession.x.y.
 _DEPTH = 4
 
 
 @dataclass(frozen=True, slots=True)
 class _Object:
-    """An object of MATLAB: its class is known, its content only to MATLAB."""
+    """A MATLAB object: its class can be read, its content only by MATLAB."""
 
     kind: str
 
 
 def _is_transformation(path: Path) -> bool:
-    """True for the files of MultiDIC, which are known by their names."""
+    """True for MultiDIC's files, which are recognised by their names."""
     return path.is_dir() or path.name.startswith("DLTstruct")
 
 
@@ -47,15 +47,15 @@ def _holds_rig(file: CalibrationFile) -> bool:
 
 
 def read_matlab_rig(file: CalibrationFile) -> Rig:
-    """Rig of two cameras in the frame of the first, from a structure that toStruct made.
+    """Rig of two cameras in the frame of the first, from a structure made by toStruct.
 
-    MATLAB multiplies row vectors from the left: x_2 = x_1 RotationOfCamera2 + TranslationOfCamera2,
-    and IntrinsicMatrix is the transposed one. It counts pixels from 1. Lens terms are OpenCV's.
-    Lengths are in WorldUnits, else mm.
+    MATLAB uses row vectors: x_2 = x_1 RotationOfCamera2 + TranslationOfCamera2, and IntrinsicMatrix
+    is the transpose of K. Pixels are counted from 1. Distortion terms are OpenCV's. Lengths are in
+    WorldUnits, else in mm.
 
     Parameters
     ----------
-    file : CalibrationFile          .mat, version 5 to 7.3; the structure may lie in others
+    file : CalibrationFile          .mat, version 5 to 7.3; the structure may be nested in others
 
     Returns
     -------
@@ -63,14 +63,14 @@ def read_matlab_rig(file: CalibrationFile) -> Rig:
 
     Raises
     ------
-    RecordError                     a file that cannot be read as such
+    RecordError                     not a readable MATLAB file
     CalibrationError                an object in place of the structure, which only MATLAB can read;
-                                    no such structure, a part missing, contradictions as `Camera`
+                                    no such structure, a missing part, or as in `Camera`
 
     Source
     ------
-    MATLAB's pages on stereoParameters, toStruct and stereoParametersToOpenCV ("the pixel centre at
-    (1, 1)"), and its support's answer on RotationOfCamera2: [x, y, z] * R + t.
+    MATLAB's documentation of stereoParameters, toStruct and stereoParametersToOpenCV ("the pixel
+    centre at (1, 1)"), and MathWorks support on RotationOfCamera2: [x, y, z] * R + t.
     """
     content = _variables(file.path)
     table = next((t for t in _tables(content) if _CAMERAS[0] in t), None)
@@ -96,7 +96,7 @@ def _camera(
     file: CalibrationFile, name: str, values: Mapping[str, Any], pose: np.ndarray
 ) -> Camera:
     key = f"CameraParameters{name}"
-    # Of newer versions K, of older ones its transpose.
+    # Newer versions store K, older ones its transpose.
     old = "IntrinsicMatrix" in values
     found = file.entry(values, "IntrinsicMatrix" if old else "K", key)
     matrix = file.numbers(f"the intrinsic matrix of {key}", found, (3, 3))
@@ -125,7 +125,8 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 def _from_version_5(value: Any) -> Any:
-    """The same; an object is what scipy gives as (variable, system, class, reference)."""
+    """A variable with MATLAB objects replaced by `_Object`; scipy gives them as arrays with the
+    fields variable, system, class and reference."""
     if isinstance(value, dict):
         return {name: _from_version_5(item) for name, item in value.items()}
     is_object = isinstance(value, np.ndarray) and "s2" in (value.dtype.names or ())
@@ -133,7 +134,7 @@ def _from_version_5(value: Any) -> Any:
 
 
 def _tables(content: Any, depth: int = _DEPTH) -> Iterator[dict[str, Any]]:
-    """A dictionary and all in it, outer ones first."""
+    """A dictionary and all dictionaries nested in it, outer ones first."""
     if isinstance(content, dict) and depth:
         yield content
         for value in content.values():
@@ -141,7 +142,7 @@ def _tables(content: Any, depth: int = _DEPTH) -> Iterator[dict[str, Any]]:
 
 
 def _value(item: Any) -> Any:
-    """A variable of a file of version 7.3: structures are groups, arrays are transposed."""
+    """A variable of a version 7.3 file: structures are groups, arrays are transposed."""
     if isinstance(item, Mapping):
         return {name: _value(item[name]) for name in item}
     kind = _text(item.attrs.get("MATLAB_class", b"double"))

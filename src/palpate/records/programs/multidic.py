@@ -29,7 +29,7 @@ _MARK_HDF5 = b"MATLAB 7.3 MAT-file"
 _PATTERN = "DLTstruct_cam_*.mat"
 _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
 
-# Points of a calibration object, and the pixels where one camera sees them.
+# Points of a calibration object, and their positions in the picture of one camera.
 ControlPoints = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]
 
 
@@ -37,20 +37,20 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a 3-D reconstruction by MultiDIC or DuoDIC.
 
     The file holds a struct (DIC3D, DIC3Dcombined, DIC3DPPresults, DIC3DpairResults, ...) with
-    Points3D, a cell of one n x 3 array per picture; the first is the state at rest. The
-    displacement is the difference, as their Disp.DispVec is. NaN marks points that were not
-    matched; where that is so at rest, they have no place either. Where there is corrComb, Ncorr's
-    criterion of the worse camera (the sum of squared differences of two windows of zero mean and
-    unit length), the score is 1 - corrComb / 2.
+    Points3D, a cell array with one n x 3 array per picture, the first at rest. The displacement is
+    the difference of two states, as in Disp.DispVec. NaN marks points that were not matched; if NaN
+    at rest, they have no position either. If there is a field corrComb, Ncorr's criterion of the
+    worse camera (the sum of squared differences of two subsets normalised to zero mean and unit
+    length), the score is 1 - corrComb / 2.
 
     Parameters
     ----------
     path : Path                     .mat, version 5 to 7.3
-    frame : int or None             state, from 0 (the rest); None: the last one
+    frame : int or None             state, from 0 (at rest); None: the last one
 
     Raises
     ------
-    RecordError                     2-D results of step 2, several such structs, a cut file
+    RecordError                     2-D results of step 2, several such structs, a truncated file
 
     Source
     ------
@@ -71,24 +71,24 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
 
 def read_multidic_tracks(path: Path, frame: int | None = None) -> PictureTracks:
-    """Matches of MultiDIC and DuoDIC in the pictures of two cameras, by Ncorr.
+    """Matched points in the pictures of two cameras, by Ncorr, from MultiDIC or DuoDIC.
 
-    The file holds a struct (DIC2DpairResults) with Points, a cell of one n x 2 array per picture,
-    column and row counted from 1: all pictures of the first camera, the first at rest, then all of
-    the second. CorCoeffVec is Ncorr's criterion, as corrComb is.
+    The file holds a struct (DIC2DpairResults) with Points, a cell array with one n x 2 array per
+    picture, column and row counted from 1: all pictures of the first camera, the first at rest,
+    then all of the second. CorCoeffVec is Ncorr's criterion, like corrComb in 3-D results.
 
     Parameters
     ----------
     path : Path                     .mat, version 5 to 7.3
-    frame : int or None             state, from 0 (the rest); None: the last one
+    frame : int or None             state, from 0 (at rest); None: the last one
 
     Returns
     -------
-    PictureTracks                   cameras named by their number, where the file has it
+    PictureTracks                   cameras named by their numbers, if the file has them
 
     Raises
     ------
-    RecordError                     no such struct, or several, a cut file
+    RecordError                     no such struct, or several, a truncated file
 
     Source
     ------
@@ -119,7 +119,7 @@ def read_multidic_tracks(path: Path, frame: int | None = None) -> PictureTracks:
 def _check_arrays(
     path: Path, key: str, arrays: Sequence[np.ndarray], columns: int, cure: str
 ) -> None:
-    """Refuse arrays that do not have one size, n x columns."""
+    """Refuse arrays that do not all have the same shape, n x columns."""
     if len({array.shape for array in arrays}) > 1 or arrays[0].ndim != 2:
         raise RecordError(f"{path}: the arrays of {key} differ in size; evaluate them again")
     if arrays[0].shape[1] != columns:
@@ -132,7 +132,7 @@ def _check_arrays(
 def _score(
     path: Path, criteria: Sequence[np.ndarray], used: Sequence[int], points: Sequence[np.ndarray]
 ) -> Float[np.ndarray, " n"]:
-    """Correlation of the worst of some pictures, of Ncorr's criterion; NaN where there is none."""
+    """Lowest correlation over some pictures, from Ncorr's criterion; NaN where unknown."""
     sizes = {array.size for array in criteria}
     if len(criteria) != len(points) or sizes != {len(points[0])}:
         raise RecordError(
@@ -140,12 +140,12 @@ def _score(
             f" values) do not belong to {len(points)} of {len(points[0])} points; evaluate them"
             " again"
         )
-    # A picture agrees with itself, which is NaN; so the largest of those that are known.
+    # The criterion of a picture with itself is NaN: take the largest of the finite ones.
     return 1.0 - 0.5 * np.fmax.reduce([criteria[i].ravel() for i in used])
 
 
 def _cells(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
-    """Arrays of some cells of the one struct that has the first of them; none where one is not."""
+    """Arrays of some cell arrays, from the only struct that has the first; empty where missing."""
     start = read_bytes(path, 520)
     with damage(path, _CURE):
         if start.startswith(_MARK_HDF5) or HDF5_MARK in (start[:8], start[512:520]):
@@ -156,7 +156,7 @@ def _cells(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]
 
 
 def _cells_of_hdf5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
-    """Cells of a file of version 7.3, which is HDF5: arrays are transposed, cells are links."""
+    """Cell arrays of a version 7.3 file (HDF5): arrays are transposed, cells are references."""
     with open_hdf5(path) as file:
         present = [name for name in file if not name.startswith("#")]
         groups = [name for name in present if isinstance(file[name], Mapping)]
@@ -175,13 +175,13 @@ def _cells_of_hdf5(path: Path, keys: Sequence[str], what: str) -> list[list[np.n
 
 
 def _cells_of_version_5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
-    """Cells of a file of version 5 to 7."""
+    """Cell arrays of a version 5 to 7 file."""
     content = read_mat(path, what="is damaged or cut off", cure=_CURE)
     present = [name for name in content if not name.startswith("__")]
     found = [name for name in present if isinstance(content[name], dict)]
     struct = content[_only_struct(path, keys[0], what, found, present, content)]
     items = [np.asarray(struct[key]) if key in struct else None for key in keys]
-    # A cell of one state comes as that state.
+    # A cell array of one state is simplified to that state.
     return [
         [] if item is None else
         [np.asarray(array, dtype=np.float64) for array in item] if item.dtype == object
@@ -198,7 +198,7 @@ def _only_struct(
     present: Sequence[str],
     content: Mapping[str, Any],
 ) -> str:
-    """The struct with a field; a file with none or with several is refused."""
+    """Name of the only struct with a field; a file with none or several is refused."""
     names = [name for name in structs if key in content[name]]
     if len(names) == 1:
         return names[0]
@@ -225,8 +225,8 @@ def read_multidic_rig(file: CalibrationFile) -> Rig:
     """Rig of all direct linear transformations in a folder, in the frame of the calibration object.
 
     column = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), row with L5 to L8, X in mm,
-    pixels counted from 1 as in MATLAB. Eleven numbers, as many as a pinhole camera with skew has:
-    nothing is lost, but there is no lens.
+    pixels counted from 1 as in MATLAB. The eleven parameters are equivalent to a pinhole camera
+    with skew, without lens distortion.
 
     Parameters
     ----------
@@ -234,19 +234,21 @@ def read_multidic_rig(file: CalibrationFile) -> Rig:
 
     Returns
     -------
-    Rig                             cameras named by their number, sizes not known, no lens
+    Rig                             cameras named by their numbers; no distortion, sizes unknown
 
     Raises
     ------
-    RecordError                     a file that cannot be read as such
-    CalibrationError                numbers of no camera, or one that looks away from the object
+    RecordError                     not a readable file of this kind
+    CalibrationError                parameters of no camera, or a camera that faces away from the
+                                    object
     """
     metres = file.metres(usual="mm")
     return file.rig([_camera(camera, metres) for camera in _transformations(file.path)])
 
 
 def read_control_points(path: Path | str) -> tuple[ControlPoints, ...]:
-    """What the transformations were computed from, so that the lens can be found too.
+    """Control points from which the transformations were computed; they allow for fitting the
+    distortion too.
 
     Parameters
     ----------
@@ -254,20 +256,20 @@ def read_control_points(path: Path | str) -> tuple[ControlPoints, ...]:
 
     Returns
     -------
-    tuple of points, pixels         one pair per camera, in the order of the rig: (n, 3) float [m],
+    tuple of (points, pixels)       one pair per camera, in the order of the rig: (n, 3) float [m],
                                     from MultiDIC's millimetres; (n, 2) float [px], column and row,
                                     the first pixel's centre is (0, 0)
 
     Raises
     ------
-    RecordError, CalibrationError   as `read_multidic_rig`
+    RecordError, CalibrationError   as in `read_multidic_rig`
     """
     pairs = [_control(file) for file in _transformations(Path(path))]
     return tuple((1e-3 * points, pixels) for points, pixels in pairs)
 
 
 def _transformations(path: Path) -> list[CalibrationFile]:
-    """The files of all cameras in a folder, which is given itself or by one of them."""
+    """The files of all cameras in a folder; the path is the folder or one of these files."""
     folder = path if path.is_dir() else path.parent
     files = sorted(folder.glob(_PATTERN), key=lambda file: (len(file.name), file.name))
     if not path.is_dir() and path not in files:
@@ -279,7 +281,7 @@ def _transformations(path: Path) -> list[CalibrationFile]:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """Fields of the one structure in a MATLAB file."""
+    """Fields of the transformation's structure in a MATLAB file."""
     what = "is no MATLAB file of version 5 to 7.2"
     variables = read_mat(path, what=what, cure="save it with '-v7'", squeeze_me=True)
     for value in variables.values():
@@ -295,7 +297,7 @@ def _content(path: Path) -> dict[str, Any]:
 def _camera(file: CalibrationFile, metres: float) -> Camera:
     terms = file.numbers("DLTparams", file.content["DLTparams"], (11,))
     projection = np.append(terms, 1.0).reshape(3, 4)
-    # Of the two signs the one for which the rotation is one.
+    # The projection is defined up to its sign: choose the one that gives a proper rotation.
     projection *= np.sign(np.linalg.det(projection[:, :3])) or 1.0
     if np.linalg.matrix_rank(projection[:, :3]) < 3:
         file.fail(f"DLTparams {terms.tolist()} are of no camera (rank below 3)")
@@ -312,7 +314,7 @@ def _camera(file: CalibrationFile, metres: float) -> Camera:
                 " camera: its coordinates are left-handed, or the picture is mirrored"
             )
     matrix /= matrix[2, 2]
-    # Rounding; K is triangular by construction.
+    # Remove rounding errors: K is triangular by construction.
     matrix[np.tril_indices(3, -1)] = 0.0
     matrix[:2, 2] -= 1.0
     pose = make_pose(rotation, metres * translation)
@@ -320,7 +322,7 @@ def _camera(file: CalibrationFile, metres: float) -> Camera:
 
 
 def _control(file: CalibrationFile) -> ControlPoints:
-    """Points of the columns that the camera saw, in the file's unit, and their pixels from 0."""
+    """Points of the columns seen by the camera, in the file's unit, and their pixels from 0."""
     where = "MultiDIC's transformation"
     table = np.asarray(file.entry(file.content, "C3Dtrue", where), dtype=np.float64)
     columns = np.atleast_1d(file.entry(file.content, "columns", where)).astype(np.int64) - 1

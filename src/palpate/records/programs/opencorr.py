@@ -12,15 +12,15 @@ from palpate.shapes import PointScalars
 
 _COLUMNS = {name: (name,) for name in ("u", "v", "w", "ref_x", "ref_y", "ref_z")}
 _SCORES = ("r1r2 zncc", "r1t1 zncc", "r1t2 zncc")
-# A correlation, and the rounding of single precision.
+# Largest correlation, with a margin for single precision.
 _LARGEST_SCORE = 1.0 + 1e-3
 
 
 def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a stereo table that OpenCorr saved as CSV.
 
-    Read are ref_x, ref_y, ref_z (at rest) and u, v, w. The score is the least of the three
-    correlations (r1r2, r1t1, r1t2 ZNCC), 1 at most; one of zero or less is a code of failure.
+    The columns ref_x, ref_y, ref_z (at rest) and u, v, w are read. The score is the lowest of the
+    three correlations (r1r2, r1t1, r1t2 ZNCC), at most 1; zero or less is an error code.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
     Raises
     ------
     RecordError                     a 2-D or volume table, or one of a reconstruction alone, whose
-                                    u, v, w are places; a score above 1; text, no rows
+                                    u, v, w are positions; a score above 1; text in a cell, no rows
 
     Source
     ------
@@ -53,7 +53,7 @@ def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
 
 def _least_score(table: TextTable, columns: Sequence[Column]) -> PointScalars:
-    """The least correlation of each row."""
+    """The lowest correlation of each row."""
     found = table.values(columns)
     if len(beyond := np.argwhere(found > _LARGEST_SCORE)):
         row, k = beyond[0]
@@ -65,7 +65,7 @@ def _least_score(table: TextTable, columns: Sequence[Column]) -> PointScalars:
 
 
 def _why(missing: list[str], *, is_volume: bool) -> str:
-    """What the table is instead."""
+    """What kind of table it probably is instead, for the error message."""
     if "w" in missing:
         return "it is a 2-D table, and depth is needed: save a stereo result (saveTable2DS)"
     if is_volume:

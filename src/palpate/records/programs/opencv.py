@@ -1,4 +1,4 @@
-"""Calibrations that OpenCV's FileStorage wrote, or that are written like them (YAML, JSON, XML)."""
+"""Calibrations written by OpenCV's FileStorage, or in the same form (YAML, JSON, XML)."""
 
 import re
 from collections.abc import Mapping
@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from palpate.records.program import CalibrationFile, Program, make_pose
 from palpate.records.rig import Camera, Rig
 
-# The letter or word of a quantity, then the number or side of its camera. Beside R and T the
-# rotations R1 and R2 are those of a rectification; they are left alone.
+# The letter or word of a quantity, then the number or side of its camera. Next to R and T, R1 and
+# R2 are rotations of a rectification, and are ignored.
 _WHICH = r"_?(\d+|[Ll]eft|[Rr]ight|[LR])?$"
 _MATRIX = re.compile(r"(?:K|M|[Cc]amera_?[Mm]atrix|[Cc]amera_?[Mm]at|[Ii]ntrinsics?)" + _WHICH)
 _LENS = re.compile(r"(?:D|(?:dist|Dist)(?:ortion)?_?(?:[Cc]oeff?(?:icient)?s?)?)" + _WHICH)
@@ -22,13 +22,14 @@ _TURN = re.compile(r"(?:R|[Rr]vec|(?:rotation|Rotation)(?:_?[Mm]atrix)?)" + _WHI
 _SHIFT = re.compile(r"(?:T|t|[Tt]vec|[Tt]ranslation(?:_?[Vv]ector)?)" + _WHICH)
 _SIZE = re.compile(r"(?:[Ii]ma?ge?_?)?[Ss]ize" + _WHICH)
 _SHAPES = frozenset({"rows", "sizes"})
-# What ROS and others call OpenCV's usual model; `fisheye_model` is of OpenCV's calibration sample.
+# Names of OpenCV's standard lens model in ROS and elsewhere; OpenCV's calibration sample writes
+# `fisheye_model`.
 _LENSES = ("plumb_bob", "rational_polynomial", "radtan", "brown_conrady", "opencv", "none", "")
 _COUNTERPART = {"intrinsic": "extrinsic", "extrinsic": "intrinsic"}
 
 
 def _holds_rig(file: CalibrationFile) -> bool:
-    """True where a file, or one of a folder's, has a camera matrix, or a rotation and a shift."""
+    """True if a file, or one in a folder, has a camera matrix, or a rotation and a translation."""
     if file.path.is_dir():
         return any(_holds_rig(other) for other in file.beside())
     entries = _entries(file)
@@ -38,10 +39,10 @@ def _holds_rig(file: CalibrationFile) -> bool:
 def read_opencv_rig(file: CalibrationFile) -> Rig:
     """Rig of a stereo calibration, of several cameras in one file, or of a folder of such files.
 
-    K1 D1 K2 D2 R T, or M1, cameraMatrix1, camera_matrix_left and the like: the object frame is that
-    of the first camera. K1 D1 R1 T1 (or rvec1 tvec1), K2 ... without R and T: each has its pose.
-    In a folder each file has one camera with its matrix, lens and pose. The unit of length must be
-    said, by the caller or in an entry `length_unit`.
+    With K1 D1 K2 D2 R T, or M1, cameraMatrix1, camera_matrix_left and the like, the object frame is
+    that of the first camera. With K1 D1 R1 T1 (or rvec1 tvec1), K2 ... but without R and T, each
+    camera has its own pose. In a folder each file has one camera with matrix, distortion and pose.
+    The unit of length must be given, by the caller or in an entry `length_unit`.
 
     Parameters
     ----------
@@ -54,8 +55,7 @@ def read_opencv_rig(file: CalibrationFile) -> Rig:
 
     Raises
     ------
-    CalibrationError                a part missing, the unit not known, contradictions as `Camera`
-                                    and `Rig` say
+    CalibrationError                a missing part, no unit of length, or as in `Camera` and `Rig`
     """
     if file.path.is_dir():
         cameras = [other for other in file.beside() if _holds_rig(other)]
@@ -81,7 +81,7 @@ def read_opencv_rig(file: CalibrationFile) -> Rig:
 
 
 def _only_camera(file: CalibrationFile) -> Camera:
-    """The one camera of a file in a folder."""
+    """The camera of a file in a folder, which must hold exactly one."""
     entries = _entries(file)
     matrices = _numbered(entries, _MATRIX)
     if list(matrices) != [""]:
@@ -93,7 +93,7 @@ def _only_camera(file: CalibrationFile) -> Camera:
 
 
 def _counterpart(path: Path) -> Path | None:
-    """The extrinsics file beside an intrinsics file, or the other way round, if there is one."""
+    """The extrinsics file next to an intrinsics file, or vice versa, if there is one."""
     for word, other in _COUNTERPART.items():
         if word in path.name:
             twin = path.with_name(path.name.replace(word, other))
@@ -102,7 +102,7 @@ def _counterpart(path: Path) -> Path | None:
 
 
 def _entries(file: CalibrationFile) -> dict[str, Any]:
-    """Entries of a file by name; of matrices the numbers, by rows, the rest as it is."""
+    """Entries of a file by name; matrices as their numbers, row by row."""
     if isinstance(file.content, Element):
         return {child.tag: _xml_value(child) for child in file.content}
     content = file.content if isinstance(file.content, dict) else {}
@@ -149,20 +149,23 @@ def _metres(file: CalibrationFile, entries: Mapping[str, Any]) -> float:
 def opencv_pose(
     file: CalibrationFile, where: str, turn: Any, shift: Any, metres: float
 ) -> Float[np.ndarray, "4 4"]:
-    """x_camera from x_object, of a rotation and a translation as OpenCV gives them.
+    """Pose x_camera = R x_object + t from OpenCV's rotation and translation.
 
     Parameters
     ----------
     file : CalibrationFile
-    where : str                     whose they are, for the message
-    turn : 3 or 9 numbers           a rotation vector (its direction is the axis, its length the
-                                    angle in radians), or a matrix
-    shift : 3 numbers
+    where : str                     which camera it is, for the message
+    turn : 3 or 9 numbers           rotation vector (axis times angle in radians), or matrix
+    shift : 3 numbers               translation
     metres : float [m]              unit of `shift`
+
+    Returns
+    -------
+    (4, 4) float                    translation in metres
 
     Raises
     ------
-    CalibrationError                other counts, no finite numbers
+    CalibrationError                wrong counts, numbers that are not finite
     """
     rotation = file.numbers(f"{where} rotation", turn, None)
     if rotation.size == 3:
@@ -172,7 +175,7 @@ def opencv_pose(
 
 
 def _size(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> tuple[int, int] | None:
-    """Columns and rows, where the file says them."""
+    """Columns and rows, if the file gives them."""
     sizes = _numbered(entries, _SIZE)
     given = sizes.get(name, sizes.get(""))
     if given is None and "image_width" in entries and "image_height" in entries:
@@ -181,7 +184,7 @@ def _size(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> tuple
 
 
 def _numbered(entries: Mapping[str, Any], pattern: re.Pattern[str]) -> dict[str, Any]:
-    """Entries of one kind by the number or side in their name, '' where there is none."""
+    """Entries of one kind, by the number or side in their names; '' if there is none."""
     found = {}
     for key, value in entries.items():
         if match := pattern.match(key):
@@ -190,13 +193,13 @@ def _numbered(entries: Mapping[str, Any], pattern: re.Pattern[str]) -> dict[str,
 
 
 def _plain(value: Any) -> Any:
-    """The numbers where a table of rows, cols (or sizes) and data stands for a matrix."""
+    """The numbers of a table with rows, cols (or sizes) and data, which represents a matrix."""
     is_matrix = isinstance(value, Mapping) and "data" in value and not _SHAPES.isdisjoint(value)
     return value["data"] if is_matrix else value
 
 
 def _xml_value(node: Element) -> Any:
-    """A matrix, or the words of an entry."""
+    """The numbers of a matrix, or the words of an entry."""
     parts = {child.tag: (child.text or "") for child in node}
     if "data" in parts and not _SHAPES.isdisjoint(parts):
         return parts["data"].split()

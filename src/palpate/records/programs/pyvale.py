@@ -32,10 +32,10 @@ _ROW = np.dtype(
 
 
 def read_pyvale_points(path: Path, frame: int | None = None) -> ProgramPoints:
-    """Points of one stereo result that pyvale wrote, as text or binary, in mm.
+    """Points of one stereo result of pyvale, as text or binary, in mm.
 
-    pyvale writes the place under load, stereo_x_mm = rest + stereo_disp_u_mm; the place at rest is
-    the difference. A point failed where a match did not converge, or where NaN was written.
+    pyvale writes the position under load, stereo_x_mm = rest + stereo_disp_u_mm; the position at
+    rest is the difference. A point has failed if a match did not converge, or if NaN was written.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def read_pyvale_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
     Raises
     ------
-    RecordError                     a 2-D result, a cut file, text, no rows
+    RecordError                     a 2-D result, a truncated file, text in a cell, no rows
 
     Source
     ------
@@ -60,7 +60,7 @@ def read_pyvale_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
 
 def _text(path: Path) -> tuple[Points, Points, Flags]:
-    """Places under load, displacements and failures from text."""
+    """Positions under load, displacements and failure flags, from text."""
     table = read_text_table(path, cure="export the points from pyvale again, as text")
     why = _why(table)
     values = table.values(table.require(_COLUMNS, spelled=str, why=lambda _: why))
@@ -71,7 +71,7 @@ def _text(path: Path) -> tuple[Points, Points, Flags]:
 
 
 def _why(table: TextTable) -> str:
-    """Why the columns of a stereo result may be missing."""
+    """Why the columns of a stereo result may be missing, for the error message."""
     names = [column.name for column in table.columns]
     if "disp_u" in names and not any(name.startswith("stereo_") for name in names):
         return "it is a 2-D result, and depth is needed: give the file of a stereo evaluation"
@@ -79,7 +79,7 @@ def _why(table: TextTable) -> str:
 
 
 def _binary(path: Path) -> tuple[Points, Points, Flags]:
-    """The same from packed rows."""
+    """Positions under load, displacements and failure flags, from packed rows."""
     content = read_bytes(path)
     if not content or len(content) % _ROW.itemsize:
         raise RecordError(

@@ -1,6 +1,6 @@
-"""The list of programs whose files Palpate reads, and who reads a given file.
+"""The list of programs whose files are read, and the choice of the reader for a given file.
 
-Every program has its own conventions; its file says them. In a `Rig` all are the same: metres,
+Each program has its own conventions, described in its file. A `Rig` always uses the same: metres,
 x_camera = R x_object + t, the centre of the first pixel is (0, 0).
 """
 
@@ -26,7 +26,7 @@ from palpate.records.programs.vic3d import VIC3D
 from palpate.records.programs.vtu import VTU
 from palpate.records.rig import PictureTracks, Rig
 
-# To add a program: its file beside these, and one line here.
+# To add a program: a file next to these, and one line here.
 PROGRAMS: tuple[Program, ...] = (
     DICE,
     VIC3D,
@@ -43,12 +43,12 @@ PROGRAMS: tuple[Program, ...] = (
 
 
 def import_kinds() -> dict[str, Program]:
-    """Programs whose displacements can be imported, by the names that the command knows."""
+    """Programs whose displacements can be imported, by their names in `palpate import`."""
     return {kind: program for program in PROGRAMS for kind in program.kinds}
 
 
 def kinds_text() -> str:
-    """The same as a person reads it, with the suffixes of their files."""
+    """The same names as text, with the suffixes of their files."""
     return ", ".join(f"{' or '.join(p.kinds)} ({p.results})" for p in PROGRAMS if p.kinds)
 
 
@@ -67,17 +67,21 @@ def read_measured(
     ----------
     kind : str                      a name of `import_kinds`
     path : path
-    length_unit : str or None       um, mm, cm, m or in, where the file does not say
-    frame : int or None             state, from 0, in files of several; None: the last one
-    min_score : float or None       least correlation of a match that counts, -1 to 1; None: the
-                                    program's own `least_score`
-    in_space : callable or None     triangulates matches in pictures; None: the file has places
+    length_unit : str or None       um, mm, cm, m or in, if the file states none
+    frame : int or None             state, from 0, in files with several; None: the last one
+    min_score : float or None       lowest correlation of a match that is accepted, -1 to 1; None:
+                                    the program's own `least_score`
+    in_space : callable or None     triangulates matches in pixels; None: the file has 3-D points
+
+    Returns
+    -------
+    MeasuredPoints
 
     Raises
     ------
-    RecordError                     unknown kind, or one without matches in pictures; not there,
-                                    damaged, 2-D, nothing measured; a least score that is no
-                                    correlation, or of a file without any
+    RecordError                     unknown kind, or one without matches in pixels; a file that is
+                                    missing, damaged, 2-D or without measured points; a `min_score`
+                                    out of range, or for a file without correlations
     """
     program = import_kinds().get(kind)
     if program is None or program.read_points is None:
@@ -86,7 +90,7 @@ def read_measured(
         raise RecordError(f"--min-score is {min_score:g}; must be a correlation, -1 to 1")
     if in_space is not None and program.read_tracks is None:
         raise RecordError(f"{path}: files of {kind} hold places, no pixels; leave --rig out")
-    # Infinities of a damaged file are refused below, not warned of.
+    # Infinities from a damaged file are refused below; no warnings about them.
     cure = f"export it again from {kind}"
     with damage(Path(path), cure, what="cannot be read"), np.errstate(all="ignore"):
         if in_space is not None and program.read_tracks is not None:
@@ -108,13 +112,13 @@ def read_measured(
 
 
 def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
-    """Rig of a calibration of another program, told apart by its content.
+    """Rig from the calibration of another program, which is recognised by its content.
 
     Parameters
     ----------
     path : Path                     a file; or a folder with a file per camera (MultiDIC, OpenCV)
-    length_unit : str or None       m, cm, mm or in, for files that do not say theirs; None: what
-                                    the program uses
+    length_unit : str or None       m, cm, mm or in, for files that state none; None: the program's
+                                    usual unit
 
     Returns
     -------
@@ -122,8 +126,8 @@ def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
 
     Raises
     ------
-    RecordError                     not there, not readable, of no known program
-    CalibrationError                contents that are missing or contradictory
+    RecordError                     missing, not readable, not of a known program
+    CalibrationError                missing or contradictory content
     """
     file = CalibrationFile.read(path, length_unit)
     with damage(path, "export the calibration again", what="cannot be read as a calibration"):
@@ -137,7 +141,7 @@ def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
 
 
 def _holdings(file: CalibrationFile) -> str:
-    """What a file holds instead, as far as it has names."""
+    """The names of what a file holds instead, if there are any."""
     if file.path.is_dir():
         return ", and it holds none"
     if file.content is None or isinstance(file.content, str):

@@ -9,11 +9,11 @@ from palpate.records.rig import Camera, Rig
 
 
 def holds_camera_tables(content: Any) -> bool:
-    """True where a TOML file has tables of cameras as these programs write them.
+    """True if a TOML file has camera tables in the form of these programs.
 
     Parameters
     ----------
-    content : any                   of the file, parsed
+    content : any                   parsed content of the file
     """
     return isinstance(content, dict) and bool(_tables(content))
 
@@ -21,9 +21,9 @@ def holds_camera_tables(content: Any) -> bool:
 def read_camera_tables(file: CalibrationFile) -> Rig:
     """Rig of tables with matrix, distortions, rotation (Rodrigues vector or matrix), translation.
 
-    x_camera = R x_world + t, lens terms as OpenCV's. A camera with ignore = true is left out.
-    caliscope ([cameras.N], or tables with a port) writes metres; of others the unit of length must
-    be said, by the caller or in a line `length_unit`.
+    x_camera = R x_world + t, with OpenCV's distortion terms. A camera with ignore = true is left
+    out. caliscope ([cameras.N], or tables with a port) writes metres; for the others the unit of
+    length must be given, by the caller or in a line `length_unit`.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def read_camera_tables(file: CalibrationFile) -> Rig:
 
     Raises
     ------
-    CalibrationError                a fisheye lens, a part missing, the unit not known,
-                                    contradictions as `Camera` and `Rig` say
+    CalibrationError                a fisheye lens, a missing part, no unit of length, or as in
+                                    `Camera` and `Rig`
 
     Source
     ------

@@ -25,10 +25,10 @@ _STD = ("sigma_x", "sigma_y", "sigma_z")
 def read_vic3d_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of one data file that VIC-3D exported as CSV.
 
-    Columns X, Y, Z (at rest) and U, V, W, with or without a unit ("X [mm]"); small letters are
-    pixels and are passed over. A row with sigma < 0 was not correlated. Sigma itself is in pixels
-    and no standard deviation of a displacement; Sigma_X, Sigma_Y, Sigma_Z are those of a position
-    in this picture, and the displacement is the difference of two positions: sqrt(2) of them.
+    The columns X, Y, Z (at rest) and U, V, W are read, with or without a unit ("X [mm]"); columns
+    in lower case are pixels and are ignored. A row with sigma < 0 was not correlated. sigma is in
+    pixels, not the standard deviation of a displacement; Sigma_X, Sigma_Y, Sigma_Z are taken as
+    those of a position, so the displacement, a difference of two positions, has sqrt(2) times them.
 
     Parameters
     ----------
@@ -37,18 +37,19 @@ def read_vic3d_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
     Raises
     ------
-    RecordError                     a column is missing (2-D results have no Z and W), text, no rows
+    RecordError                     a missing column (2-D results have no Z and W), text in a cell,
+                                    no rows
 
     Source
     ------
     Correlated Solutions, "Output variables in Vic-2D and Vic-3D" (application note 28): names,
-    units, "sigma [pixel]: the 1-standard deviation confidence in the match"; X + U is the place
-    under load. Sigma_X [mm] as VicPy's SIGMA_X; that it is one standard deviation of the place
-    is taken from its name and unit, no manual was found that says so.
+    units, "sigma [pixel]: the 1-standard deviation confidence in the match"; X + U is the position
+    under load. Sigma_X [mm] corresponds to VicPy's SIGMA_X; that it is one standard deviation of
+    the position is inferred from its name and unit, as no manual was found that states it.
     """
     chosen_frame(path, frame)
     table = read_text_table(path, cure="export the points from VIC-3D again, as text")
-    # Capitals: small letters are pixels.
+    # Upper case only: columns in lower case are pixels.
     wanted = table.require(_COLUMNS, spelled=str, why=_why)
     deviations = [c for name in _STD if (c := table.find([name], spelled=str.lower))]
     values = table.values(wanted)
@@ -80,27 +81,27 @@ def _holds_rig(file: CalibrationFile) -> bool:
 def read_vic3d_rig(file: CalibrationFile) -> Rig:
     """Rig of a VIC-3D project (XML).
 
-    A camera is `cx cy fx fy skew k1 k2 k3`, all in pixels but the radial terms, which act as
-    OpenCV's; `orientation` is the angles about x, y, z in degrees and the translation in mm of
+    A camera is `cx cy fx fy skew k1 k2 k3`, all in pixels except the radial terms, which are
+    OpenCV's; `orientation` holds the angles about x, y, z in degrees and the translation in mm of
     x_camera = Rz Ry Rx x_world + t. The world frame has its z axis towards the cameras and its
-    x axis along the baseline; DICe writes its model coordinates in it too.
+    x axis along the baseline; DICe writes its model coordinates in the same frame.
 
     Parameters
     ----------
-    file : CalibrationFile          a parsed project; lengths in mm if nothing is said
+    file : CalibrationFile          a parsed project; lengths in mm unless a unit is given
 
     Returns
     -------
     Rig                             in the file's world frame; cameras are named by their `id`; the
-                                    size is known of cameras whose pictures carry a mask
+                                    size is known for cameras whose pictures have a mask
 
     Raises
     ------
-    CalibrationError                numbers missing, or contradictory as `Camera` and `Rig` say
+    CalibrationError                missing numbers, or as in `Camera` and `Rig`
 
     Source
     ------
-    Found with the picture pairs and the matches that such files hold: the residual distance from
+    Inferred from the pairs of pictures and the matches in such files: the residual distance from
     epipolar lines is 0.05 px.
     """
     metres, sizes = file.metres(usual="mm"), _sizes(file.content)
@@ -129,7 +130,7 @@ def _camera(
 
 
 def _sizes(root: Element) -> dict[str, tuple[int, int]]:
-    """Size (columns, rows) of pictures with a mask, by the camera's id: pictures end in _id."""
+    """Picture sizes (columns, rows) from masks, by camera id, with which picture names end."""
     sizes: dict[str, tuple[int, int]] = {}
     for area in root.iter("aoinode"):
         mask = area.find("polygonmask")

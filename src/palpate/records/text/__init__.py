@@ -1,6 +1,6 @@
-"""Text files: TOML with messages that name the key, tables, trees; MATLAB's files; file names.
+"""Generic file formats: TOML with errors that name the key, tables, XML and YAML, MATLAB, HDF5.
 
-Purpose    : one reader for each kind of text, whoever wrote it.
+Purpose    : one reader for each file format, whichever program wrote the file.
 Takes      : paths.
 Gives      : `TomlTable`, `TextTable`, whole texts.
 Depends on : `optional_imports`, `shapes`, `files`, `errors`.

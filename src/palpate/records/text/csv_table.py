@@ -1,4 +1,4 @@
-"""Tables of numbers in text files as measuring programs write them: any separator, any locale."""
+"""Tables of numbers in text files of measuring programs, with any separator and locale."""
 
 import csv
 import re
@@ -15,7 +15,7 @@ from palpate.errors import RecordError, quoted
 from palpate.files import read_bytes
 
 _UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
-# How programs and the number formats of .NET and of Visual C++ write "no number".
+# Representations of "not a number" by programs, .NET and Visual C++, in several languages.
 _NO_NUMBER = {
     "",
     "-",
@@ -31,11 +31,11 @@ _NO_NUMBER = {
     "\u221e",
 }
 _NO_NUMBER_START = ("nan", "1.#")
-# Three million rows of six numbers.
+# Largest file [bytes]: three million rows of six numbers.
 _MOST_BYTES = 2**28
-# More characters than a line of any table has, and fewer than the splitting of cells allows.
+# Longest line [characters]: longer than in any table, but within the limit of the csv module.
 _LONGEST_LINE = 100_000
-# The search for a unit takes time with the square of this.
+# Longest heading searched for a unit [characters], which takes quadratic time.
 _LONGEST_HEADING = 200
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
@@ -46,8 +46,8 @@ class Column:
 
     Parameters
     ----------
-    heading : str                   as it stands in the file, without quotes
-    index : int                     from 0
+    heading : str                   as in the file, without quotes
+    index : int                     position in the table, from 0
     """
 
     heading: str
@@ -61,23 +61,23 @@ class Column:
 
     @property
     def unit(self) -> str | None:
-        """What stands in square brackets behind the name."""
+        """The text in square brackets after the name; None if there is none."""
         match = _UNIT.match(self.heading[:_LONGEST_HEADING])
         return match["unit"].strip() if match else None
 
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """A header and the lines below it, not yet turned into numbers.
+    """A header and the rows below it, not yet converted to numbers.
 
     Parameters
     ----------
     path : Path
     delimiter : str                 one character; a blank stands for any run of blanks
     columns : tuple of Column
-    numbers : tuple of int          line of each row in the file, from 1
-    rows : tuple of str
-    preamble : tuple of str         lines above the rows, the header among them
+    numbers : tuple of int          line number of each row in the file, from 1
+    rows : tuple of str             lines of the rows
+    preamble : tuple of str         lines above the rows, including the header
     """
 
     path: Path
@@ -93,11 +93,11 @@ class TextTable:
         Parameters
         ----------
         words : collection of str
-        spelled : callable          what of a column's name is compared with them
+        spelled : callable          column name -> normalised name that is compared with the words
 
         Raises
         ------
-        RecordError                 there are several
+        RecordError                 several columns match
         """
         found = [column for column in self.columns if spelled(column.name) in words]
         if len(found) > 1:
@@ -113,17 +113,17 @@ class TextTable:
         spelled: Callable[[str], str],
         why: Callable[[list[str]], str],
     ) -> list[Column]:
-        """Columns that must be there, in the order of `wanted`.
+        """Required columns, in the order of `wanted`.
 
         Parameters
         ----------
         wanted : mapping            name for messages -> words, as in `find`
-        spelled : callable          what of a column's name is compared with them
-        why : callable              names of the missing ones -> what the file is instead, or a cure
+        spelled : callable          as in `find`
+        why : callable              missing names -> likely reason or remedy, for the message
 
         Raises
         ------
-        RecordError                 one is missing, or there twice
+        RecordError                 a column is missing, or occurs twice
         """
         found = {name: self.find(words, spelled=spelled) for name, words in wanted.items()}
         if missing := [name for name, column in found.items() if column is None]:
@@ -136,7 +136,7 @@ class TextTable:
         return [column for column in found.values() if column]
 
     def unit(self, wanted: Sequence[Column]) -> str | None:
-        """The one unit of some columns, or None where none is named.
+        """The common unit of some columns, or None if they have none.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class TextTable:
 
         Raises
         ------
-        RecordError                 they differ
+        RecordError                 the units differ
         """
         units = {column.unit or None for column in wanted}
         if len(units) > 1:
@@ -155,9 +155,9 @@ class TextTable:
         return units.pop()
 
     def values(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
-        """Numbers of some columns; NaN where a cell is empty or says that it is no number.
+        """Numbers of some columns; NaN where a cell is empty or marked as not a number.
 
-        Infinity stays: whether it is a failure or a mistake is for the caller to judge.
+        Infinities are kept: the caller decides whether they mean a failure or a mistake.
 
         Parameters
         ----------
@@ -165,23 +165,23 @@ class TextTable:
 
         Returns
         -------
-        (n, k) float                    a row per row of the table, in its units
+        (n, k) float                    one row per row of the table, in its units
 
         Raises
         ------
-        RecordError                 text in a cell, a row that is too short or too long, a
-                                    number that nobody measures
+        RecordError                 text in a cell, a row that is too short or too long, a number
+                                    beyond `LARGEST_NUMBER`
         """
         found = self._values(wanted)
         if (beyond := np.argwhere(np.isfinite(found) & (np.abs(found) > LARGEST_NUMBER))).size:
             row, k = beyond[0]
             raise self._refused(self.numbers[row], wanted[k], f"{found[row, k]:g}")
-        # Squares of smaller ones would vanish.
+        # Powers of smaller numbers would underflow.
         found[np.abs(found) < 1.0 / LARGEST_NUMBER] = 0.0
         return found
 
     def _values(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
-        """As `values`, of any size."""
+        """As `values`, without the check of their magnitude."""
         count = len(self.columns)
         use = [column.index for column in wanted]
         if self.delimiter != " " and all(
@@ -194,7 +194,7 @@ class TextTable:
         return self._values_slowly(wanted)
 
     def _values_slowly(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
-        """As `values`, cell by cell: anything wrong has a line and a column."""
+        """As `_values`, cell by cell, so that errors name line and column."""
         count = len(self.columns)
         found = np.full((len(self.rows), len(wanted)), np.nan)
         for i, (number, row) in enumerate(zip(self.numbers, self.rows, strict=True)):
@@ -216,13 +216,13 @@ class TextTable:
         if bare.startswith("inf"):
             return np.inf
         try:
-            # Python would read 1_0 as ten.
+            # Python would accept 1_0 as ten.
             return float(word.replace("_", "?"))
         except ValueError as error:
             raise self._refused(line, column, word) from error
 
     def _refused(self, line: int, column: Column, word: str) -> RecordError:
-        """The complaint about one cell."""
+        """The error about one cell."""
         return RecordError(
             f"{self.path}: line {line}: column {quoted(column.name or column.index + 1)} holds"
             f" {quoted(word)}; must be a number, {LARGEST_NUMBER:g} at most (NaN, or nothing, where"
@@ -231,11 +231,11 @@ class TextTable:
 
 
 def missing_depth(missing: Collection[str]) -> str | None:
-    """What to say where of X, Y, Z, U, V, W only those of depth are missing; None otherwise.
+    """Message for a 2-D result, in which only Z or W is missing; None if any other column is.
 
     Parameters
     ----------
-    missing : collection of str     names among X, Y, Z, U, V, W
+    missing : collection of str     missing names among X, Y, Z, U, V, W
 
     Returns
     -------
@@ -247,18 +247,22 @@ def missing_depth(missing: Collection[str]) -> str | None:
 
 
 def read_text_table(path: Path, *, cure: str) -> TextTable:
-    """Header and rows of a file, with the separator it uses; decimal commas become points.
+    """Read header and rows of a file and detect its separator; decimal commas become points.
 
-    Lines on top that start with '*' or '#' and a line 'sep=;' are passed over, blank lines too.
+    Leading lines that start with '*' or '#', a line 'sep=;' and blank lines are skipped.
 
     Parameters
     ----------
     path : Path
-    cure : str                      what to do about a file without a table, for messages
+    cure : str                      advice for a file without a table, for messages
+
+    Returns
+    -------
+    TextTable
 
     Raises
     ------
-    RecordError                     not there, not text, no header, no rows, a header in the middle
+    RecordError                     missing, not text, no header, no rows, a header among the rows
     """
     lines = text_lines(path, cure=cure)
     top = next((i for i, line in enumerate(lines) if _is_header(line)), None)
@@ -280,17 +284,17 @@ def make_table(
     delimiter: str,
     cure: str,
 ) -> TextTable:
-    """The table that begins at a line of a text; blank lines, and a header that stands there twice
-    at once, are left out.
+    """Table whose rows begin at a given line; blank lines and an immediately repeated header are
+    skipped.
 
     Parameters
     ----------
     path : Path
     lines : sequence of str         of the whole file
-    headings : sequence of str      one for each column; blank where it has no name
-    first : int                     line of the first row, from 0; the preamble is what is above
+    headings : sequence of str      one for each column; blank if it has no name
+    first : int                     index of the first row's line, from 0; lines above are preamble
     delimiter : str                 one character; a blank stands for any run of blanks
-    cure : str                      what to do about a file without rows, for the message
+    cure : str                      advice for a file without rows, for the message
 
     Raises
     ------
@@ -330,22 +334,22 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 
     Returns
     -------
-    list of str                     quotes are taken off
+    list of str                     quotes removed, except with blanks as delimiter
     """
     return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
 
 
 def text_lines(path: Path, *, cure: str) -> list[str]:
-    """Lines of a text in UTF-8, UTF-16 with a mark, or the Western code page of Windows.
+    """Lines of a text file in UTF-8, UTF-16 with byte order mark, or Windows code page 1252.
 
     Parameters
     ----------
     path : Path
-    cure : str                      what to do about a file that is no text, for the message
+    cure : str                      advice for a file that is not text, for the message
 
     Raises
     ------
-    RecordError                     not there, not readable, not text
+    RecordError                     missing, not readable, not text, or with an overlong line
     """
     lines = _decoded(path, read_bytes(path, most=_MOST_BYTES), cure).splitlines()
     for number, line in enumerate(lines, start=1):

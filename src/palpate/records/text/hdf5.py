@@ -1,4 +1,4 @@
-"""HDF5 files: what MATLAB saves from version 7.3 on, and DICe as Exodus."""
+"""HDF5 files: MATLAB files from version 7.3 on, and DICe's Exodus files."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ from palpate.optional_imports import late_import
 
 
 def open_hdf5(path: Path) -> Any:
-    """Open a file of groups, which are mappings, and arrays.
+    """Open an HDF5 file for reading.
 
     Parameters
     ----------
@@ -20,6 +20,6 @@ def open_hdf5(path: Path) -> Any:
     Raises
     ------
     InputError                      h5py is not installed
-    OSError                         no file of this kind
+    OSError                         not an HDF5 file
     """
     return late_import("h5py", extra="hdf5", purpose=f"reading {path.name}").File(path)

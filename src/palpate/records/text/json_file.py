@@ -1,4 +1,4 @@
-"""JSON, read like TOML and written without what it does not know."""
+"""JSON: read through the same table interface as TOML, and written with null for NaN."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from palpate.records.text.toml_table import TomlTable
 
 
 def read_json(path: Path) -> TomlTable:
-    """Root object of a JSON file, read like a table of a TOML file.
+    """Root object of a JSON file, with the interface of a TOML table.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def read_json(path: Path) -> TomlTable:
 
     Raises
     ------
-    RecordError                     not there, not readable, not JSON, or no object
+    RecordError                     missing, not readable, not JSON, not an object, duplicate keys
     """
     text = read_text(path)
 
@@ -45,22 +45,22 @@ def read_json(path: Path) -> TomlTable:
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """JSON of a record, one indent a level; NaN and infinity, which JSON does not know, are null.
+    """JSON text of a record; NaN and infinity, which JSON cannot represent, become null.
 
     Parameters
     ----------
-    content : mapping               NumPy's scalars and arrays become numbers and lists, what JSON
-                                    has no type for becomes text
+    content : mapping               NumPy scalars and arrays become numbers and lists; values of
+                                    other types become text
 
     Returns
     -------
-    str                             ends with a line break
+    str                             indented by one blank a level; ends with a line break
     """
     return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
 
 
 def _plain(value: Any) -> Any:
-    """The same in JSON's own types."""
+    """The value in JSON's own types."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

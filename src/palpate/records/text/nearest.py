@@ -1,20 +1,20 @@
-"""What a person may have meant who wrote a word that is not there."""
+"""Suggestions of the nearest valid name for a misspelt one."""
 
 import os
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
-# Words are compared letter by letter: no name that is meant is longer.
+# Limits on what is compared, as the comparison takes quadratic time.
 _LONGEST_WORD, _MOST_NAMES = 100, 1000
 
 
 def nearest_word(word: str, allowed: Sequence[str]) -> str:
-    """Sentence part that offers the nearest allowed word, or nothing.
+    """Part of an error message that suggests the nearest allowed word, if any.
 
     Parameters
     ----------
-    word : str                      as it was written
+    word : str                      as written by the user
     allowed : sequence of str
 
     Returns
@@ -26,16 +26,16 @@ def nearest_word(word: str, allowed: Sequence[str]) -> str:
 
 
 def nearest_file(path: Path, *, but: str = "") -> str:
-    """Sentence part that offers the file of the nearest name in the same folder, or nothing.
+    """Part of an error message that suggests the file with the nearest name in the same folder.
 
     Parameters
     ----------
-    path : Path                     that is not there
-    but : str                       name of the file that asks, which it cannot mean
+    path : Path                     of the missing file
+    but : str                       name of the referring file, which is never suggested
 
     Returns
     -------
-    str                             as `nearest_word`; empty too where there is no such folder
+    str                             as in `nearest_word`; also empty if there is no such folder
     """
     try:
         beside = [name for name in os.listdir(path.parent) if name not in (path.name, but)]

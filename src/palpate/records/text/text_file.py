@@ -1,4 +1,4 @@
-"""Whole files, read and written with messages that name them."""
+"""Whole text files, read and written with errors that name them."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from palpate.disk import write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
 
-# More than any text that a person writes or a calibration holds: its parsing would take minutes.
+# Larger than any hand-written text or calibration; parsing more would take minutes.
 _MOST_BYTES = 4 * 2**20
 
 
@@ -19,7 +19,7 @@ def read_text(path: Path) -> str:
 
     Raises
     ------
-    RecordError                     not there, not readable, not UTF-8
+    RecordError                     missing, not readable, too large, not UTF-8
     """
     try:
         return read_bytes(path, most=_MOST_BYTES).decode("utf-8-sig")
@@ -37,6 +37,6 @@ def write_text(path: Path | str, text: str) -> None:
 
     Raises
     ------
-    RecordError                     the file cannot be written; it is as it was
+    RecordError                     the file cannot be written; it is then unchanged
     """
     write_bytes(Path(path), text.encode("utf-8", "surrogateescape"))

@@ -1,4 +1,4 @@
-"""Reading TOML with messages that name the file, the table and the key."""
+"""Reading TOML with errors that name the file, the table and the key."""
 
 import os
 import tomllib
@@ -19,19 +19,19 @@ from palpate.shapes import Vector3
 
 T = TypeVar("T")
 
-# Beside `LARGEST_NUMBER`: what is smaller and not zero is a slip.
+# Counterpart of `LARGEST_NUMBER`: a smaller non-zero number is a mistake.
 _SMALLEST_NUMBER = 1 / LARGEST_NUMBER
 _RANGE = f" (0, or {_SMALLEST_NUMBER:g} to {LARGEST_NUMBER:g} in size)"
 
 
 @dataclass(frozen=True, slots=True)
 class TomlTable:
-    """One table of a TOML file, which knows where it stands.
+    """One table of a TOML file, which knows its file and name for error messages.
 
     Parameters
     ----------
     file : Path
-    name : str                      as a reader would write it, e.g. "[object]"
+    name : str                      as in the file, e.g. "[object]"
     values : dict
     """
 
@@ -55,7 +55,7 @@ class TomlTable:
         raise RecordError(": ".join(filter(None, (str(self.file), place, what))))
 
     def check_keys(self, allowed: Sequence[str]) -> None:
-        """Refuse keys that are not of the format, with the nearest one that is.
+        """Refuse unknown keys; the error suggests the nearest allowed one.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     one is not
+        RecordError                     a key that is not allowed
         """
         for key in self.values:
             if key not in allowed:
@@ -71,7 +71,7 @@ class TomlTable:
                 self.fail("", f"unknown key {quoted(key)}{near} (allowed: {', '.join(allowed)})")
 
     def get(self, key: str) -> Any:
-        """Value of a key that must be there.
+        """Value of a required key.
 
         Parameters
         ----------
@@ -86,12 +86,12 @@ class TomlTable:
         return self.values[key]
 
     def optional(self, key: str, read: Callable[[str], T]) -> T | None:
-        """What a method of this table reads at a key, or None where the key is missing.
+        """Value of an optional key, read by a method of this table, or None if it is missing.
 
         Parameters
         ----------
         key : str
-        read : callable                 of a key, e.g. `self.number`
+        read : callable                 key -> value, e.g. `self.number`
 
         Raises
         ------
@@ -101,7 +101,7 @@ class TomlTable:
 
     @contextmanager
     def blamed(self) -> Iterator[None]:
-        """Name this table in the complaints of the records that are made within the block.
+        """Prefix errors that records raise within the block with this file and table.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     missing, no text, or blank
+        RecordError                     missing, not a text, or blank
         """
         value = self.get(key)
         if not isinstance(value, str):
@@ -134,7 +134,7 @@ class TomlTable:
         return value
 
     def label(self, key: str) -> str:
-        """A text that can stand in a table, a picture and the name of a file.
+        """A one-line text for use in tables, pictures and file names.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     as `text`; a line break or what else cannot be printed
+        RecordError                     as `text`; a line break or another unprintable character
         """
         if not (value := self.text(key)).isprintable():
             self.fail(key, f"is {quoted(value)}; must have no line break or control character")
@@ -158,7 +158,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     missing, or none of them; the text offers the nearest
+        RecordError                     missing, or not among them; the error suggests the nearest
         """
         value = self.text(key)
         if value not in allowed:
@@ -179,7 +179,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     missing, no number, or not finite
+        RecordError                     missing, not a number, or not finite
         """
         value = self.get(key)
         if not _is_number(value):
@@ -192,9 +192,9 @@ class TomlTable:
         Parameters
         ----------
         key : str
-        units : unit -> what one of it is in SI units
-        plain : float or None           what a number without a unit is multiplied with; None: only
-                                        zero may stand without one
+        units : mapping                 unit -> its value in SI units
+        plain : float or None           factor for a number without a unit; None: only zero may be
+                                        given without one
 
         Returns
         -------
@@ -202,7 +202,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     missing, no number, not finite, another unit
+        RecordError                     missing, not a number, not finite, an unknown unit
         """
         value = self.get(key)
         factor = plain
@@ -225,7 +225,7 @@ class TomlTable:
         return factor * float(value)
 
     def count(self, key: str) -> int:
-        """A whole number that is not negative.
+        """A non-negative integer.
 
         Parameters
         ----------
@@ -317,7 +317,7 @@ class TomlTable:
         return self.vector(key)
 
     def table(self, key: str, name: str | None = None) -> "TomlTable":
-        """A table inside this one, known to the reader as `[key]` or under `name`.
+        """A table inside this one, called `[key]`, or `name`, in messages.
 
         Parameters
         ----------
@@ -326,7 +326,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     missing, or no table
+        RecordError                     missing, or not a table
         """
         value = self.get(key)
         if not isinstance(value, dict):
@@ -355,7 +355,7 @@ class TomlTable:
         )
 
     def existing_file(self, key: str) -> Path:
-        """Path of a file that is there, relative to the file this table stands in.
+        """Path of an existing file, which is given relative to the folder of this TOML file.
 
         Parameters
         ----------
@@ -363,7 +363,7 @@ class TomlTable:
 
         Raises
         ------
-        RecordError                     missing, or no such file; the text offers the nearest name
+        RecordError                     missing, or no such file; the error suggests the nearest
         """
         path = self.file.parent / self.text(key)
         if not is_file(path):
@@ -386,7 +386,7 @@ def read_toml(path: Path) -> TomlTable:
 
     Raises
     ------
-    RecordError                     not there, not readable, not TOML (with line and column)
+    RecordError                     missing, not readable, not TOML (with line and column)
     """
     text = read_text(path)
     with damage(path, "correct it there", what="is not valid TOML"):
@@ -394,7 +394,7 @@ def read_toml(path: Path) -> TomlTable:
 
 
 def _is_number(value: object) -> bool:
-    """True for a finite int or float of a size that can be measured; a TOML boolean is none."""
+    """True for zero, or a finite int or float of plausible magnitude; False for a boolean."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
     return value == 0 or _SMALLEST_NUMBER <= abs(value) <= LARGEST_NUMBER

@@ -1,4 +1,4 @@
-"""XML, YAML and JSON, told apart by their content."""
+"""XML, YAML and JSON files, distinguished by their content and suffix."""
 
 from pathlib import Path
 from typing import Any
@@ -10,24 +10,28 @@ from palpate.errors import RecordError
 from palpate.files import checked_file, damage, read_bytes
 
 TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
-# YAML is parsed at a tenth of a megabyte a second; a calibration has some kilobytes.
+# Largest YAML file [bytes]: it is parsed at 0.1 megabyte a second; calibrations have kilobytes.
 _MOST_BYTES = 2**20
-# The parser looks through all open brackets at each one: thousands take minutes. Matrices have two.
+# Deepest nesting of brackets: the parser's time grows quadratically; matrices need two.
 _MOST_NESTED = 50
 _CURE = "export the calibration again"
 
 
 def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
-    """Content of a file: XML, YAML or JSON, or text.
+    """Parsed content of an XML, YAML or JSON file; the text of any other.
 
     Parameters
     ----------
-    path : Path                     YAML and JSON have a suffix of `TREE_SUFFIXES`
+    path : Path                     YAML and JSON must have a suffix of `TREE_SUFFIXES`
+
+    Returns
+    -------
+    Element, dict or str            root of XML, mapping of YAML or JSON, else the text
 
     Raises
     ------
-    RecordError                     not there, not text, broken XML or YAML, a key that is twice,
-                                    an alias
+    RecordError                     missing, not text, malformed XML or YAML, a duplicate key, an
+                                    alias
     """
     data = read_bytes(path)
     if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
@@ -41,7 +45,7 @@ def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
         ) from error
     if path.suffix.lower() not in TREE_SUFFIXES:
         return text
-    # OpenCV's first line (%YAML:1.0) is no valid YAML.
+    # OpenCV's first line (%YAML:1.0) is not valid YAML.
     body = text.partition("\n")[2] if text.startswith("%YAML") else text
     checked_file(path, most=_MOST_BYTES)
     with damage(path, _CURE, what="is not valid YAML"):
@@ -50,10 +54,11 @@ def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain values, and OpenCV's matrices as tables; no key twice, no deep nesting, no aliases."""
+    """Plain values, and OpenCV's matrices as mappings; refuses duplicate keys, deep nesting and
+    aliases."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """A value; lists of aliases of lists of aliases would be a billion values."""
+        """A node; aliases are refused, since nested ones can expand to billions of values."""
         if self.check_event(yaml.AliasEvent):
             alias = self.peek_event()
             raise ValueError(
@@ -63,14 +68,14 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def fetch_flow_collection_start(self, token: type[yaml.Token]) -> None:
-        """A bracket that is opened; many open ones are no calibration."""
+        """An opening bracket; refused beyond a nesting depth that no calibration has."""
         if self.flow_level == _MOST_NESTED:
             line = self.get_mark().line + 1
             raise ValueError(f"line {line}: more than {_MOST_NESTED} brackets are open")
         super().fetch_flow_collection_start(token)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """A table; YAML forbids a key that is there twice, the parser lets it pass."""
+        """A mapping; duplicate keys, which YAML forbids but the parser accepts, are refused."""
         seen = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:

@@ -1,4 +1,4 @@
-"""Numbers with their units, as people write them: "50 kPa", "3mm", "0.3 psi"."""
+"""Numbers with units as text: "50 kPa", "3mm", "0.3 psi"."""
 
 import math
 import re
@@ -9,7 +9,7 @@ import numpy as np
 from palpate.errors import InputError
 from palpate.shapes import Vector3
 
-# SI units in one of each; the first is the one that a plain number is in.
+# Value of each unit in SI units; a plain number is in the first.
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
 MODULI = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "psi": 6894.757293168361, "N/mm^2": 1e6}
@@ -20,21 +20,21 @@ Quantity = float | int | str
 
 
 def quantity(value: Quantity, units: Mapping[str, float], name: str = "the number") -> float:
-    """A number in SI units, of a text with its unit or of a plain number, which is in SI units.
+    """Value in SI units of a text with its unit, or of a plain number in SI units.
 
     Parameters
     ----------
     value : float or str
-    units : unit -> what one of it is in SI units       `LENGTHS`, `FORCES` or `MODULI`
+    units : mapping                 unit -> its value in SI units: `LENGTHS`, `FORCES` or `MODULI`
     name : str                      of the number, for messages
 
     Returns
     -------
-    float
+    float                           in SI units
 
     Raises
     ------
-    InputError                      no number, another unit, not finite
+    InputError                      not a number, an unknown unit, not finite
     """
     found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if found:
@@ -50,17 +50,21 @@ def quantity(value: Quantity, units: Mapping[str, float], name: str = "the numbe
 
 
 def quantities(value: Sequence[Quantity], units: Mapping[str, float], name: str) -> Vector3:
-    """Three numbers in SI units, each as `quantity` takes it.
+    """Vector in SI units, from three numbers or texts as in `quantity`.
 
     Parameters
     ----------
     value : three float or str
-    units : unit -> what one of it is in SI units
+    units : mapping                 unit -> its value in SI units
     name : str                      of the vector, for messages
+
+    Returns
+    -------
+    (3,) float                      in SI units
 
     Raises
     ------
-    InputError                      not three, or as `quantity`
+    InputError                      not three, or as in `quantity`
     """
     if isinstance(value, str) or len(value) != 3:
         raise InputError(f"{name} is {value!r}; must be three numbers: x, y, z")

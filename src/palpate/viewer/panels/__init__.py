@@ -1,7 +1,7 @@
-"""The controls beside the object, a file each.
+"""Control panels next to the object, one file each.
 
-Purpose    : what can be chosen and done in one browser tab.
-Takes      : a tab's handles of viser, a `Workshop`, a `Stage`.
+Purpose    : the controls of one browser tab.
+Takes      : a tab's viser handles, a `Workshop`, a `Stage`.
 Gives      : sliders, lists and texts that change the stage.
 Depends on : `estimation`, `pipeline`, `records`, `geometry`; files of its room.
 Read first : `look.py`, then `material.py` and `touching.py`.

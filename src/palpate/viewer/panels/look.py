@@ -1,4 +1,4 @@
-"""What is shown: which probing, which numbers as colours, how far the deformation is stretched."""
+"""Display controls: probing, colour-coded quantity, magnification of the displacement."""
 
 from typing import Any
 
@@ -15,13 +15,13 @@ from palpate.viewer.colours import (
 from palpate.viewer.stage import Stage, length_colours
 from palpate.viewer.workshop import Workshop
 
-# Of the object's size: how far the largest displacement is drawn at first.
+# Initial drawn length of the largest displacement, as a fraction of the object's size.
 _SHOWN = 0.06
 _MOST_STRETCH = 50
 
 
 class LookPanel:
-    """Controls of what is shown.
+    """Display controls.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class LookPanel:
 
     @property
     def shown(self) -> FittedProbing | None:
-        """The probing that is chosen, as the sliders have it."""
+        """The selected probing, with the prediction at the sliders' constants if set."""
         name = self.probing.value
         for one in self._workshop.probings:
             if one.name == name:
@@ -66,7 +66,7 @@ class LookPanel:
         return None
 
     def override(self, probings: dict[str, FittedProbing]) -> None:
-        """Have probings shown as a model predicts them at other constants; none: as fitted."""
+        """Show probings with predictions at other constants; an empty dict: as fitted."""
         self._override = probings
         self.draw()
 
@@ -78,7 +78,7 @@ class LookPanel:
         return int(np.clip(round(_SHOWN * self._stage.size / (1e3 * largest)), 1, _MOST_STRETCH))
 
     def draw(self) -> None:
-        """Draw everything anew."""
+        """Redraw everything."""
         with self._stage.lock:
             self._draw()
 
@@ -98,7 +98,7 @@ class LookPanel:
         self.note.content = "" if known else f"*{_why(what)}*"
 
     def _draw_body(self, one: FittedProbing, what: str, stretch: float) -> None:
-        """The surface, moved as the model says; coloured where colours are lengths of that."""
+        """Draw the surface deformed by the model; coloured if that displacement is selected."""
         if one.surface is None:
             self._stage.draw_body(np.zeros_like(self._stage.subject.session.mesh.vertices), None)
             return
@@ -107,7 +107,7 @@ class LookPanel:
 
 
 def _why(what: str) -> str:
-    """Why a field has no colours."""
+    """Why a field has no values, for the note."""
     if what == MEASURED:
         return "nothing is measured in this probing yet"
     return "not known before the session is fitted; the fit may still be running"

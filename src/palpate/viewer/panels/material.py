@@ -1,4 +1,4 @@
-"""The constants on two sliders: what the model says at them, and how badly it fits."""
+"""Sliders for two constants: the model's prediction at them, and its misfit."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.subject import with_prediction
 from palpate.viewer.workshop import Workshop
 
-# Factors that the shear modulus may be off by, either way, and steps of the slider.
+# Range of the shear modulus, as a factor either way, and number of steps of its slider.
 _FACTOR, _STEPS = 3.0, 300
 _NU_STEP, _LARGEST_NU = 0.001, 0.499
 
@@ -25,7 +25,7 @@ class MaterialPanel:
     ----------
     gui : GuiApi of viser           of the tab
     workshop : Workshop
-    look : LookPanel                that shows what the model says
+    look : LookPanel                shows the model's prediction
     """
 
     def __init__(self, gui: Any, workshop: Workshop, look: LookPanel) -> None:
@@ -37,7 +37,7 @@ class MaterialPanel:
         self._image: Any = None
 
     def update(self) -> None:
-        """Show how far the model is, and the sliders when it is there."""
+        """Show the progress of the model, and the sliders once it is ready."""
         fitted = self._workshop.fitted
         if fitted is None:
             self.text.content = f"*{self._workshop.model_text}*"
@@ -68,13 +68,13 @@ class MaterialPanel:
         self._tell(nu, best, None)
 
     def _back(self, nu: float, modulus: float) -> None:
-        """The constants of the fit themselves, not the sliders' nearest steps."""
+        """Return to the constants of the fit, not to the sliders' nearest steps."""
         self.modulus.value, self.ratio.value = modulus, round(nu, 3)
         self._look.override({})
         self._tell(nu, modulus * self._unit, None)
 
     def _ask(self) -> None:
-        """Have the model say what it predicts at the sliders' constants."""
+        """Compute and show the model's prediction at the sliders' constants."""
         fitted = self._workshop.fitted
         if fitted is None or fitted.model is None:
             return
@@ -91,7 +91,7 @@ class MaterialPanel:
         self._tell(nu, modulus, state)
 
     def _tell(self, nu: float, modulus: float, state: ModelState | None) -> None:
-        """Numbers beside the sliders, and the cross in the plot."""
+        """Update the numbers next to the sliders, and the cross in the plot."""
         young = 2.0 * modulus * (1.0 + nu) / self._unit
         misfit = 0.0 if state is None else max(state.misfit, 0.0)
         name = modulus_unit(self._unit)[1]
@@ -105,12 +105,12 @@ class MaterialPanel:
 
 
 def _short(number: float) -> float:
-    """Four digits: sliders with long numbers are hard to read."""
+    """Round to four digits, for readable sliders."""
     return float(f"{number:.4g}")
 
 
 def rms_text(one: FittedProbing | None) -> str:
-    """Root mean square of what the model leaves of the measured displacement.
+    """Root mean square residual of a probing, without outliers, as text.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def rms_text(one: FittedProbing | None) -> str:
 
     Returns
     -------
-    str                             empty: there is no probing
+    str                             empty if there is no probing
     """
     if one is None:
         return ""

@@ -1,4 +1,4 @@
-"""The pictures of the cameras in time, the measured flow on them."""
+"""The cameras' pictures over time, with the measured flow drawn on them."""
 
 import threading
 from typing import Any
@@ -9,19 +9,19 @@ from palpate.viewer.drawings import camera_picture, frames
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.stage import Stage
 
-# Seconds a picture when they are played.
+# Duration of each picture when played [s].
 _PACE = 0.4
 _MOST_STRETCH = 30
 
 
 class PicturesPanel:
-    """Controls of the sequence.
+    """Controls of the picture sequence.
 
     Parameters
     ----------
     gui : GuiApi of viser           of the tab
     stage : Stage
-    look : LookPanel                whose probing is played
+    look : LookPanel                selects the probing
     """
 
     def __init__(self, gui: Any, stage: Stage, look: LookPanel) -> None:
@@ -46,14 +46,14 @@ class PicturesPanel:
         self._begin()
 
     def _begin(self) -> None:
-        """Another probing is chosen."""
+        """Reset the sequence after another probing was selected."""
         count = len(frames(self._subject.session, self._look.probing.value))
         self.frame.max = max(1, count - 1)
         self.frame.value = max(0, count - 1)
         self.draw()
 
     def draw(self) -> None:
-        """Show the picture that the controls name."""
+        """Show the selected picture."""
         rig, probing = self._subject.rig, self._look.shown
         if rig is None or probing is None:
             return
@@ -79,7 +79,7 @@ class PicturesPanel:
             self.text.content = when + ("; arrows: measured displacement" if drawn else "")
 
     def _play(self) -> None:
-        """Go through the pictures once."""
+        """Play the pictures once."""
         for number in range(int(self.frame.max) + 1):
             if self._stop.wait(_PACE if number else 0.0):
                 return
@@ -87,5 +87,5 @@ class PicturesPanel:
             self.draw()
 
     def close(self) -> None:
-        """The tab is gone: nothing is played any more."""
+        """Stop playing after the tab was closed."""
         self._stop.set()

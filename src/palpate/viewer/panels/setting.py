@@ -1,4 +1,4 @@
-"""Support and contacts set by clicking, and written into session.toml."""
+"""Controls for setting support and contacts by clicking, and writing them to session.toml."""
 
 from typing import Any
 
@@ -15,18 +15,18 @@ PRESS, CONTACT, FACE, HOLD, FREE = WHAT = (
     "presses the object", "sets the contact of the probing", "holds the flat face",
     "holds what is near", "frees what is near",
 )  # fmt: skip
-# Of the object's size.
+# Initial radius of "near", as a fraction of the object's size.
 _NEAR = 0.06
 
 
 class SettingPanel:
-    """What a click means, and the button that writes.
+    """Choice of what a click does, and buttons to write or discard the changes.
 
     Parameters
     ----------
     gui : GuiApi of viser           of the tab
     stage : Stage
-    look : LookPanel                whose probing's contact is set
+    look : LookPanel                selects the probing whose contact is set
     """
 
     def __init__(self, gui: Any, stage: Stage, look: LookPanel) -> None:
@@ -46,11 +46,11 @@ class SettingPanel:
 
     @property
     def presses(self) -> bool:
-        """Whether a click presses."""
+        """Whether a click presses the object."""
         return bool(self.click.value == PRESS)
 
     def clicked(self, point: Vector3) -> None:
-        """Set what a click at a place of the surface [m] means."""
+        """Apply a click at a point of the surface at rest [m]."""
         session, what = self._stage.subject.session, self.click.value
         place = closest_points(session.mesh, point[None])
         if what == CONTACT:

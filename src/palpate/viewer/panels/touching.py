@@ -1,4 +1,4 @@
-"""A click presses a ball into the object, a drag presses deeper; the force is shown."""
+"""Controls of the ball: a click presses it into the object, dragging presses deeper."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from palpate.viewer.stage import Stage, length_colours
 from palpate.viewer.touch import Pressed, force_text, press, put_ball
 from palpate.viewer.workshop import Workshop
 
-# Of the object's size: the ball, how deep a click presses, and the deepest.
+# Radius of the ball, depth of a click, and largest depth, as fractions of the object's size.
 _RADIUS, _DEPTH, _DEEPEST = 0.12, 0.02, 0.1
 
 
@@ -24,7 +24,7 @@ class TouchPanel:
     gui : GuiApi of viser           of the tab
     workshop : Workshop
     stage : Stage
-    look : LookPanel                that is drawn again when the ball goes
+    look : LookPanel                redraws the object when the ball is removed
     """
 
     def __init__(self, gui: Any, workshop: Workshop, stage: Stage, look: LookPanel) -> None:
@@ -46,7 +46,7 @@ class TouchPanel:
         self.update()
 
     def update(self) -> None:
-        """Say whether the object can be touched yet."""
+        """Update the text on whether the object can be touched yet."""
         if self.pressed is None:
             known = self._workshop.green is not None
             how = "Click on the object to press it; drag to press deeper."
@@ -57,7 +57,7 @@ class TouchPanel:
             self.text.content = how if known else f"*{self._workshop.touch_text}*"
 
     def put(self, point: Vector3) -> None:
-        """Press the ball at a place of the surface [m], as deep as the slider says."""
+        """Press the ball at a point of the surface at rest [m], to the slider's depth."""
         green = self._workshop.green
         if green is None:
             self.update()
@@ -72,7 +72,7 @@ class TouchPanel:
             self._show(self.pressed)
 
     def deepen(self, way: float) -> None:
-        """Press so deep as the pointer was dragged [m]."""
+        """Press as deep as the pointer was dragged [m]."""
         deepest = 1e-3 * float(self.depth.max)
         self.depth.value = 1e3 * float(np.clip(way, 0.0, deepest))
         self._press_deeper()
@@ -93,7 +93,7 @@ class TouchPanel:
             self._show(self.pressed)
 
     def _show(self, pressed: Pressed) -> None:
-        """The object as it is deformed, true to scale."""
+        """Show the deformed object, true to scale."""
         colours, _, top = length_colours(pressed.moved)
         self._stage.draw_points(None, 1.0)
         self._stage.show("probings", False)
@@ -107,7 +107,7 @@ class TouchPanel:
         self.scale.content = scale_html(top, "mm", "viridis")
 
     def release(self) -> None:
-        """Take the ball away; the object is shown as before."""
+        """Remove the ball and show the object as before."""
         with self._stage.lock:
             self.pressed = None
             self._stage.clear_ball()
@@ -117,5 +117,5 @@ class TouchPanel:
 
 
 def _round(length: float) -> float:
-    """Two digits: sliders with long numbers are hard to read."""
+    """Round to two digits, for readable sliders."""
     return float(f"{length:.2g}")
