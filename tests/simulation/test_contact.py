@@ -22,6 +22,7 @@ from palpate.simulation import (
 )
 from palpate.simulation.green_functions import hat_load
 from palpate.simulation.kernels import STICKS
+from palpate.simulation.kernels.state import BY_FORCE
 
 RADIUS = 0.03
 BALL = Sphere(RADIUS)
@@ -218,6 +219,31 @@ def test_two_tools_press_as_one_body_whatever_their_order(green):
     one, other = pressed([0, 1]), pressed([1, 0])
     np.testing.assert_allclose(one.on_tool, other.on_tool[::-1], rtol=1e-8)
     assert (one.on_tool[:, 2] > 0.0).all()
+
+
+def test_the_response_is_that_of_the_touching_nodes_however_the_contact_grew(green):
+    """Two tools, one without friction, pressed in and half out: against the compliance itself."""
+    places = [np.array([0.02 + x, 0.02, 0.048]) for x in (-0.01, 0.012)]
+    tools = [PlacedTool(Sphere(0.008), place + np.array([0, 0, 1e-6])) for place in places]
+    state, counts = start_contact(green, tools), set()
+    for depth in [*np.linspace(0, 2e-3, 9), *np.linspace(2e-3, 5e-4, 7)]:
+        now = [
+            PlacedTool(one.tool, place - [0, 0, depth], friction=friction)
+            for one, place, friction in zip(tools, places, (0.0, 0.3), strict=True)
+        ]
+        state = touch(green, now, state)
+        nodes = np.flatnonzero(state.given)
+        counts.add(len(nodes))
+        force = np.random.default_rng(1).normal(size=(len(nodes), 3))
+        moved = np.einsum("iajb,jb->ia", green.compliance[nodes][:, :, nodes], force)
+        by_force = (state.given[nodes] == BY_FORCE)[:, None]
+        found = state.response @ np.where(by_force, force, moved).ravel()
+        wanted = np.where(by_force, moved, force)
+        # Rounding through a condition of 1e2, displacements and forces each by their own size.
+        for kind in (by_force, ~by_force) if len(nodes) else ():
+            off = np.abs(found.reshape(-1, 3) - wanted) * kind
+            assert off.max() <= 1e-10 * np.abs(wanted * kind).max()
+    assert len(counts) > 2
 
 
 def test_a_tool_is_turned_with_the_frame_that_it_is_seen_in(green):

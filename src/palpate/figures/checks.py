@@ -1,5 +1,5 @@
-"""Pictures that check an estimate: what the other probings predict, what the errors came to, what
-the uncertainty comes from."""
+"""Diagnostic figures of an estimate: cross-validated predictions, estimated systematic errors,
+uncertainty budget."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,25 +11,25 @@ from palpate.figures.displacement import OUTLIER_WEIGHT
 from palpate.figures.style import BLUE, GREY, INK, ORANGE, open_frame, styled
 from palpate.records import IMPOSSIBLE, SURPRISING, Estimate, Probing, Session
 
-# More dots than these hide each other.
+# Largest number of dots; more would hide each other.
 _MOST_DOTS = 4000
-# More errors than these, and only those are named that lie farthest off.
+# Largest number of errors shown: those with the most prior standard deviations.
 _MOST_ERRORS = 16
 # Constant, axis label, factor of its standard deviations.
 _BUDGETS = (
     ("young_modulus", "standard deviation of $E$ (%)", 100.0),
     ("poisson_ratio", r"standard deviation of $\nu$", 1.0),
 )
-# Of the largest part.
+# Smallest contribution shown, as a fraction of the largest.
 _SMALLEST_PART = 0.02
 
 
 @styled
 def predictions_figure(session: Session, result: FitResult) -> Figure | None:
-    """Displacement of every point: measured, against what the other probings predict.
+    """Measured displacement of every point against its prediction from the other probings.
 
-    Of what was measured the component along the predicted direction is drawn: noise makes every
-    length longer, and leaves that where it is. Outliers are left out.
+    The component of the measured displacement along the predicted direction is drawn: unlike its
+    length, it is not biased by noise. Outliers are left out.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def predictions_figure(session: Session, result: FitResult) -> Figure | None:
 
     Returns
     -------
-    Figure, or None where there is one probing only
+    Figure or None                  None if there is only one probing
     """
     by_name = {probing.name: probing for probing in session.probings}
     pairs = [_pairs(by_name[one.name], one) for one in result.probes]
@@ -48,13 +48,14 @@ def predictions_figure(session: Session, result: FitResult) -> Figure | None:
     predicted, measured, used = np.concatenate(known, axis=1)
     predicted, measured = 1e3 * predicted[used > 0.0], 1e3 * measured[used > 0.0]
     step = max(1, len(measured) // _MOST_DOTS)
+    size = float(np.clip(60.0 / np.sqrt(len(measured) + 1.0), 2.2, 5.0))
     low = min(float(measured.min(initial=0.0)), 0.0)
     figure = Figure(figsize=(4.6, 3.9))
     axes = figure.add_axes((0.14, 0.12, 0.82, 0.78))
     top = float(max(predicted.max(initial=0.0), measured.max(initial=0.0))) or 1.0
     axes.plot([0.0, top], [0.0, top], color=INK, linewidth=0.8, label="equal")
     axes.plot(
-        predicted[::step], measured[::step], "o", color=BLUE, markersize=2.2, alpha=0.55,
+        predicted[::step], measured[::step], "o", color=BLUE, markersize=size, alpha=0.55,
         markeredgewidth=0, label="a point", zorder=3,
     )  # fmt: skip
     axes.set(
@@ -67,7 +68,8 @@ def predictions_figure(session: Session, result: FitResult) -> Figure | None:
 
 
 def _pairs(probing: Probing, fit: ProbeFit) -> np.ndarray | None:
-    """Predicted lengths [m], what was measured along their directions, and whether it was used."""
+    """Predicted lengths [m], measured components along the predicted directions [m], and 1 for used
+    points, else 0; (3, n)."""
     field = probing.displacement
     if field is None or fit.left_out_predicted is None:
         return None
@@ -80,7 +82,7 @@ def _pairs(probing: Probing, fit: ProbeFit) -> np.ndarray | None:
 
 @styled
 def errors_figure(estimate: Estimate) -> Figure | None:
-    """What was found of each error that points or probings share, in prior standard deviations.
+    """Estimate and posterior deviation of each systematic error, in prior standard deviations.
 
     Parameters
     ----------
@@ -88,7 +90,7 @@ def errors_figure(estimate: Estimate) -> Figure | None:
 
     Returns
     -------
-    Figure, or None where no error was estimated
+    Figure or None                  None if no systematic error was estimated
     """
     every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
     every = [one for one in every if one.prior_std > 0.0]
@@ -97,9 +99,8 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     farthest = sorted(every, key=lambda one: -abs(one.value) / one.prior_std)[:_MOST_ERRORS]
     value = np.array([one.value / one.prior_std for one in farthest])
     std = np.array([one.std / one.prior_std for one in farthest])
-    height = 0.85 + 0.2 * len(farthest)
-    figure = Figure(figsize=(7.0, height))
-    axes = figure.add_axes((0.0, 0.45 / height, 1.0, 1 - 0.8 / height))
+    figure = Figure(figsize=(7.0, 0.85 + 0.2 * len(farthest)), layout="constrained")
+    axes = figure.add_subplot()
     rows = np.arange(len(farthest))
     axes.axvspan(
         -1.0, 1.0, color="#e6e8eb", linewidth=0, zorder=0, label="assumed (prior, 1 sigma)"
@@ -113,19 +114,16 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     reach = max(SURPRISING + 0.4, float(np.abs(value).max() + std.max()) + 0.2)
     axes.set(xlim=(-reach, reach), ylim=(len(farthest) - 0.4, -0.6))
     axes.set_yticks(rows, [_short(one.name) for one in farthest], parse_math=False)
-    left = max(label.get_window_extent().width for label in axes.get_yticklabels())
-    left = left / figure.bbox.width + 0.03
-    axes.set_position((left, 0.45 / height, 0.97 - left, 1 - 0.8 / height))
     axes.set_xlabel("in the assumed standard deviations (prior)")
     axes.tick_params(axis="y", length=0)
     axes.spines[["top", "right", "left"]].set_visible(False)
-    figure.legend(loc="upper center", ncols=2)
+    figure.legend(loc="outside upper center", ncols=2)
     return figure
 
 
 @styled
 def budget_figure(estimate: Estimate) -> Figure | None:
-    """Standard deviations of E and nu, source by source.
+    """Uncertainty budget: contributions to the standard deviations of E and nu, by source.
 
     Parameters
     ----------
@@ -133,7 +131,7 @@ def budget_figure(estimate: Estimate) -> Figure | None:
 
     Returns
     -------
-    Figure, or None where neither is determined, or nothing is known of the sources
+    Figure or None                  None if neither is determined, or there is no budget
     """
     panels = [
         (name, label, factor)
@@ -143,7 +141,7 @@ def budget_figure(estimate: Estimate) -> Figure | None:
     if not panels:
         return None
     parts = np.array([[f * getattr(one, name) for name, _, f in panels] for one in estimate.budget])
-    # Of the smallest nothing would be seen.
+    # The smallest bars would be invisible.
     shown = np.flatnonzero((parts > _SMALLEST_PART * parts.max(axis=0)).any(axis=1))
     sources = [estimate.budget[k].source for k in shown]
     height = 1.05 + 0.22 * len(shown)

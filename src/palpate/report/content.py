@@ -1,4 +1,4 @@
-"""What a report says, as rows of texts."""
+"""The content of a report, as rows of texts."""
 
 import math
 import re
@@ -34,7 +34,7 @@ _WORDS = {
     Status.NOT_CONVERGED: "No estimate",
     Status.NOTHING_IDENTIFIABLE: "Not determined",
 }
-# Of the settings of an estimate: what a person repeats it with, and what has a place of its own.
+# Settings of an estimate that the report shows elsewhere.
 _ELSEWHERE = ("versions", "command")
 _STAGES = {
     "loading": "loading the program",
@@ -55,9 +55,9 @@ class Verdict:
     Attributes
     ----------
     word : str                      "Determined", "Partly determined", ...
-    sentence : str
-    cure : str                      what to do; empty where there is nothing to do
-    good : bool
+    sentence : str                  summary of the estimate
+    cure : str                      what to do; empty if there is nothing to do
+    good : bool                     all constants are determined
     """
 
     word: str
@@ -67,26 +67,34 @@ class Verdict:
 
 
 def verdict(estimate: Estimate) -> Verdict:
-    """What an estimate comes to.
+    """Verdict on an estimate.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    Verdict
     """
     status = estimate.status
     cure = status.cure[:1].upper() + status.cure[1:] + "." if status.cure else ""
     word = _WORDS.get(status, "Partly determined")
-    # A unit stays with its number.
+    # No line break between a number and its unit.
     sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
     return Verdict(word, sentence, cure, status is Status.OK)
 
 
 def constant_rows(estimate: Estimate) -> list[dict[str, str]]:
-    """The constants with their intervals.
+    """Rows of the constants with their intervals.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    list of dict                    label, symbol, value, interval, unit
     """
     rows = []
     for name, (label, symbol) in _LABELS.items():
@@ -98,11 +106,15 @@ def constant_rows(estimate: Estimate) -> list[dict[str, str]]:
 
 
 def probing_rows(estimate: Estimate) -> list[list[str]]:
-    """Each probing alone; moduli in the unit of the joint Young's modulus, lengths in mm.
+    """Rows of each probing alone; moduli in the unit of the joint Young's modulus.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             name, E, G, nu, number of points, rms residual [mm]
     """
     return [
         [
@@ -119,19 +131,24 @@ def _alone(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
     factor = 1.0
     if name != "poisson_ratio":
         factor, _ = modulus_unit(estimate.young_modulus.value)
-    # What all together do not determine, none does.
+    # By default a probing alone determines no more than all together.
     if not probe.identifiable.get(name, estimate.identifiable[name]):
         return "\N{EN DASH}"
     return constant_text(getattr(probe, name), factor=factor)
 
 
 def prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str]]:
-    """How well the other probings predict each one; lengths in mm.
+    """Rows of each probing's prediction from the other probings.
 
     Parameters
     ----------
     estimate : Estimate
     surface : FittedSurface
+
+    Returns
+    -------
+    list of list of str             name, rms displacement, prediction error and noise [mm], and
+                                    prediction error over noise
     """
     rows = []
     measured = {probing.name: probing for probing in surface.probings}
@@ -152,27 +169,36 @@ def prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str
 
 
 def _rms(vectors: Points) -> float:
-    """Root mean square length of those vectors that are known; NaN where there is none."""
+    """Root mean square length of the finite vectors; NaN if there are none."""
     known = np.isfinite(vectors).all(axis=1)
     return float(np.sqrt((vectors[known] ** 2).sum(axis=1).mean())) if known.any() else math.nan
 
 
 def error_rows(estimate: Estimate) -> list[list[str]]:
-    """Errors that points or probings share: assumed, found, and by how many sigmas.
+    """Rows of the systematic errors: prior, estimate, and estimate over prior standard deviation.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             name, prior, estimate, ratio
     """
     return [_error_row(one) for one in every_error(estimate)]
 
 
 def budget_rows(estimate: Estimate) -> list[list[str]]:
-    """What each source adds to the standard deviations: of E and G in per cent, of nu.
+    """Rows of the uncertainty budget.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             source, its contribution to the standard deviations of E [%],
+                                    G [%] and nu
     """
     return [
         [
@@ -188,11 +214,15 @@ def _part(std: float) -> str:
 
 
 def every_error(estimate: Estimate) -> list[ErrorEstimate]:
-    """Errors of the session, then those of its probings.
+    """Systematic errors common to all probings, then those of single probings.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    list of ErrorEstimate
     """
     return [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
 
@@ -206,11 +236,15 @@ def _error_row(error: ErrorEstimate) -> list[str]:
 
 
 def rejection_rows(estimate: Estimate) -> list[list[str]]:
-    """Points of each probing: looked at, not measured, excluded by the robust estimate.
+    """Rows of the points of each probing that were not measured or were rejected.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             name, all points, not measured, rejected as outliers, used
     """
     rows = []
     for probe in estimate.probes:
@@ -229,11 +263,15 @@ def _counted(count: int, every: int) -> str:
 
 
 def second_rows(estimate: Estimate) -> list[list[str]]:
-    """Wall time of every stage [s].
+    """Rows of the wall time of every stage [s].
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             stage, time
     """
     return [
         [_STAGES.get(name, name.replace("_", " ")), f"{seconds:.1f} s"]
@@ -242,11 +280,15 @@ def second_rows(estimate: Estimate) -> list[list[str]]:
 
 
 def setting_rows(estimate: Estimate) -> dict[str, Any]:
-    """What the estimate was made with: `command`, `versions` and all other settings by name.
+    """The settings of an estimate: `command`, `versions`, and all `others` as rows.
 
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    dict
     """
     settings = estimate.settings
     return {
@@ -262,18 +304,22 @@ def setting_rows(estimate: Estimate) -> dict[str, Any]:
 
 def _setting(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key} = {_setting(item)}" for key, item in value.items())
+        return ", ".join(f"{key} = {_setting(item)}" for key, item in value.items()) or "none"
     if isinstance(value, (list, tuple)):
         return ", ".join(map(_setting, value)) or "none"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def input_rows(folder: Path) -> list[list[str]]:
-    """Files that a result was made from, with their SHA-256 sums.
+    """Rows of the input files of a result, with their SHA-256 checksums.
 
     Parameters
     ----------
     folder : Path                   of the result
+
+    Returns
+    -------
+    list of list of str             file name, checksum
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Rigid tools pressed into an object, tick by tick: no penetration, no pulling, friction.
+"""Rigid tools pressed into an object, tick by tick: no penetration, no adhesion, friction.
 
-A state goes in with the tools' new poses, a state comes out. What touched before is where the
-search begins, so that a tick of a haptic loop takes a fraction of a millisecond.
+A tick takes a state and the tools' new poses to the next state. It starts from the contacts of the
+tick before, and so takes a fraction of a millisecond.
 """
 
 from collections.abc import Sequence
@@ -24,17 +24,17 @@ from palpate.simulation.kernels import (
 )
 from palpate.simulation.tools import PlacedTool, tool_arrays
 
-# Of the largest nodal force, and rounds until it is reached.
+# Tolerance relative to the largest nodal force, and largest number of rounds to reach it.
 _SETTLED, _ROUNDS = 1e-9, 120
-# Nodes under a tool: fewer do not resolve its contact (six: a fifth too much force).
+# Fewer nodes under a tool do not resolve its contact (with six, its force is 20 % too high).
 FEW_NODES = 10
-# Turns: a point is inside a closed surface where it sees more than this of it.
+# Winding number above which a point is inside a closed surface.
 _INSIDE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactState:
-    """Tools on an object, at rest.
+    """Tools on an object in equilibrium.
 
     Attributes
     ----------
@@ -44,11 +44,16 @@ class ContactState:
     force : (n, 3) float [N]            of the tools on the nodes of the Green's functions
     moved : (n, 3) float [m]            displacement of these nodes
     tool_of : (n,) int                  tool that each node touches; -1: none
-    face : (n,) int                     face of the tool that it came in by
+    face : (n,) int                     face of the tool through which the node entered
     status : (n,) int                   1: it slides, 2: it sticks
-    anchor : (n, 3) float [m]           where on the tool, in its frame, it sticks or was last
+    given : (n,) int                    what `response` takes of the node: 0: nothing, 1: its force,
+                                        2: its displacement
+    anchor : (n, 3) float [m]           point of the tool, in its frame, at which it sticks or was
+                                        last
     normal : (n, 3) float               of the tool there
-    slide : (n, 3) float                which way it slides under friction; else zero
+    slide : (n, 3) float                direction in which it slides under friction; else zero
+    response : (c, c) float             of the nodes of which something is given: displacement [m]
+                                        for force [N], or force for displacement
     """
 
     tools: tuple[PlacedTool, ...]
@@ -59,9 +64,11 @@ class ContactState:
     tool_of: Int[np.ndarray, " n"]
     face: Int[np.ndarray, " n"]
     status: Int[np.ndarray, " n"]
+    given: Int[np.ndarray, " n"]
     anchor: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
     slide: Float[np.ndarray, "n 3"]
+    response: Float[np.ndarray, "c c"]
 
     @property
     def touching(self) -> Int[np.ndarray, " k"]:
@@ -70,14 +77,14 @@ class ContactState:
 
     @property
     def resolved(self) -> Bool[np.ndarray, " t"]:
-        """Whether each tool touches nothing, or `FEW_NODES` nodes and more: with fewer its force is
-        the mesh's rather than the object's, and too high."""
+        """Whether each tool touches no node, or at least `FEW_NODES`: with fewer, its force depends
+        on the mesh and is too high."""
         count = np.bincount(self.tool_of[self.touching], minlength=len(self.tools))
         return (count == 0) | (count >= FEW_NODES)
 
     @property
     def sticking(self) -> Int[np.ndarray, " k"]:
-        """Those of them that stick."""
+        """Touching nodes that stick."""
         return np.flatnonzero((self.tool_of >= 0) & (self.status == STICKS))
 
 
@@ -111,21 +118,22 @@ def start_contact(green: GreenFunctions, tools: Sequence[PlacedTool]) -> Contact
     none = np.zeros((count, 3))
     still = np.full(count, -1)
     zero = np.zeros((len(tools), 3))
-    nodal = Nodal(none, none, still, still, 0 * still, none, none, none, np.zeros(count))
-    return ContactState(tuple(tools), zero, zero, *nodal[:-1])
+    zeros = 0 * still
+    nodal = Nodal(none, none, still, still, zeros, zeros, none, none, none, np.zeros(count))
+    return ContactState(tuple(tools), zero, zero, *nodal[:-1], np.zeros((0, 0)))
 
 
 def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactState) -> ContactState:
-    """Move the tools to where they are now.
+    """Move the tools to their present poses, and find the equilibrium.
 
-    Friction remembers: move in steps that are small against the contact. Without friction the
-    outcome does not depend on the steps.
+    Friction depends on the path: move in steps that are small compared with the contact. Without
+    friction the result does not depend on the steps.
 
     Parameters
     ----------
     green : GreenFunctions
     tools : sequence of t PlacedTool    the same as before, in new poses
-    before : ContactState               of the tick before
+    before : ContactState               of the previous tick
 
     Returns
     -------
@@ -134,7 +142,7 @@ def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactSta
     Raises
     ------
     InputError                          other tools than before
-    NotConvergedError                   the contact does not settle
+    NotConvergedError                   no equilibrium is found in 120 rounds
     """
     if len(tools) != len(before.tools) or any(
         a.tool is not b.tool for a, b in zip(tools, before.tools, strict=True)
@@ -145,21 +153,22 @@ def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactSta
     kept = [getattr(before, name).copy() for name in Nodal._fields[:-1]]
     nodal = Nodal._make([*kept, np.zeros(len(rest))])
     square = green.compliance.reshape(rest.size, rest.size)
-    rounds = settle(arrays, rest, square, nodal, _SETTLED, _ROUNDS)
+    rounds, response = settle(arrays, rest, square, before.response, nodal, _SETTLED, _ROUNDS)
     if not rounds:
         raise NotConvergedError(
             f"the contact does not settle in {_ROUNDS} rounds; move the tools in smaller steps"
         )
     on_tool, torque = np.zeros((2, len(tools), 3))
     add_resultants(arrays, rest, nodal, on_tool, torque)
-    return ContactState(tuple(tools), on_tool, torque, *nodal[:-1])
+    return ContactState(tuple(tools), on_tool, torque, *nodal[:-1], response)
 
 
 def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndarray, "t 3 3"]:
     """Covariance of the force on each tool, from that of the elastic constants.
 
-    The poses are exact. Forces are proportional to the shear modulus; by Poisson's ratio they
-    change as the equations of the touching nodes say, whose set and directions stay.
+    The poses are exact. Forces are proportional to the shear modulus. Their derivative with respect
+    to Poisson's ratio follows from the equations of the touching nodes, with the set of these nodes
+    and the directions of their forces kept.
 
     Parameters
     ----------
@@ -188,7 +197,8 @@ def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndar
 def _directions(
     state: ContactState,
 ) -> tuple[Float[np.ndarray, "c m"], Float[np.ndarray, "c m"]]:
-    """What of the touching nodes' displacement is given, and which way their forces may change."""
+    """Prescribed directions of the touching nodes' displacement, and directions in which their
+    forces may change."""
     rows, along = [], []
     for i in state.touching:
         normal, friction = state.normal[i], state.tools[state.tool_of[i]].friction
@@ -200,7 +210,7 @@ def _directions(
 
 
 def _depth(mesh: TriangleMesh, arrays: ToolArrays, t: int) -> float:
-    """How deep a tool is in an object at rest [m]; negative: outside."""
+    """Depth of a tool in an object at rest [m]; negative outside."""
     normal = np.empty(3)
     local = (mesh.vertices - arrays.place[t]) @ arrays.turn[t]
     deepest = -min(tool_gap(arrays, t, -1, point, normal)[0] for point in local)
@@ -209,7 +219,7 @@ def _depth(mesh: TriangleMesh, arrays: ToolArrays, t: int) -> float:
 
 
 def winding_number(mesh: TriangleMesh, point: Float[np.ndarray, "3"]) -> float:
-    """How often a closed surface goes round a point: 1 inside, 0 outside.
+    """Winding number of a closed surface about a point: 1 inside, 0 outside.
 
     Parameters
     ----------

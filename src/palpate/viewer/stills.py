@@ -1,4 +1,4 @@
-"""The object as a picture, or as a film that turns it, without a browser or a display."""
+"""Picture and turntable video of the object, without a browser or a display."""
 
 import textwrap
 from collections.abc import Callable, Sequence
@@ -38,21 +38,22 @@ from palpate.viewer.colours import MEASURED, PREDICTED, ColouredField, coloured_
 from palpate.viewer.stage import direction_of
 from palpate.viewer.subject import Subject, shown_probings
 
-# Pictures of one turn, and seconds of a picture.
+# Number of pictures of one revolution, and duration of each [s].
 _VIEWS, _PACE = 72, 0.06
-# Of the object's size: how far the largest displacement is drawn, and the arrow.
+# Drawn length of the largest displacement, and of the force's arrow, as fractions of the object's
+# size.
 _SHOWN, _ARROW = 0.06, 0.22
-# Of the figure: its size [inch], the part of it that shows the object, and what stays free of that.
+# Size of the figure [inch], panel that shows the object, and fraction of the panel left free.
 _FIGURE, _PART, _FREE = np.array([5.6, 5.2]), (0.02, 0.13, 0.96, 0.77), 0.1
 _LINE = 60
 _CLAY = "#d4d7db"
-# A codec that browsers play, and one that every OpenCV has.
+# A codec that browsers play, and one that every build of OpenCV has.
 _CODECS = ("vp09", "mp4v")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shown:
-    """What every view shows of one probing."""
+    """The content of all views: one probing with its field and magnification."""
 
     subject: Subject
     probing: FittedProbing | None
@@ -61,19 +62,19 @@ class _Shown:
 
     @property
     def surface(self) -> np.ndarray | None:
-        """Displacement of the vertices, where the model gives it."""
+        """Displacement of the vertices predicted by the model, if known [m]."""
         return None if self.probing is None else self.probing.surface
 
     @property
     def drawn(self) -> TriangleMesh:
-        """The surface, moved so many times as far."""
+        """The surface with magnified displacement."""
         mesh = self.subject.session.mesh
         moved = np.zeros_like(mesh.vertices) if self.surface is None else self.surface
         return TriangleMesh(mesh.vertices + self.stretch * moved, mesh.triangles)
 
     @property
     def arrow(self) -> np.ndarray | None:
-        """Tail and tip of the force, (2, 3) [m], where there is one."""
+        """Tail and tip of the force's arrow, (2, 3) [m]; None without a force."""
         one = self.probing
         newtons = 0.0 if one is None else float(np.linalg.norm(one.force))
         if one is None or not newtons:
@@ -83,24 +84,24 @@ class _Shown:
 
     @property
     def middle(self) -> Vector3:
-        """What every view has in its middle."""
+        """Centre of every view: the middle of the object's bounding box [m]."""
         vertices = self.subject.session.mesh.vertices
         return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
 
 
 def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) -> None:
-    """Write a picture of an object: moved as the fitted model says, or with what was measured.
+    """Write a picture of an object: deformed by the fitted model, or with the measured points.
 
     Parameters
     ----------
     subject : Subject
-    path : Path                     .png or .jpg; a file of that name is replaced
+    path : Path                     .png or .jpg; an existing file is replaced
     probe : str or None             probing that is shown; None: the first
 
     Raises
     ------
-    InputError                      another kind of file, no such probing
-    RecordError                     it cannot be written
+    InputError                      another suffix, no such probing
+    RecordError                     the file cannot be written
     """
     _check_kind(path, (".png", ".jpg", ".jpeg"))
     shown = _shown(subject, probe)
@@ -114,19 +115,19 @@ def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) 
 def write_turntable(
     subject: Subject, path: Path, *, probe: str | None = None, progress: Progress = silent
 ) -> None:
-    """Write a film in which the object turns once about the vertical.
+    """Write a video in which the object turns once about the vertical.
 
     Parameters
     ----------
     subject : Subject
-    path : Path                     .mp4 or .gif; a file of that name is replaced
+    path : Path                     .mp4 or .gif; an existing file is replaced
     probe : str or None             probing that is shown; None: the first
-    progress : callable             told what is done (text) and how far it is (0 to 1)
+    progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Raises
     ------
-    InputError                      another kind of file, no such probing
-    RecordError                     it cannot be written
+    InputError                      another suffix, no such probing
+    RecordError                     the file cannot be written
     """
     _check_kind(path, (".mp4", ".gif"))
     shown = _shown(subject, probe)
@@ -159,7 +160,7 @@ def _shown(subject: Subject, probe: str | None) -> _Shown:
     moved = field.moved if one.surface is None and field else one.surface
     largest = 0.0 if moved is None else float(np.linalg.norm(moved, axis=1).max())
     if one.surface is not None and field is not None:
-        # The largest that is drawn: no colour stands for more than one number.
+        # The scale ends at the largest drawn value, so that no colour is ambiguous.
         lengths = _face_lengths(subject.session.mesh, one.surface)
         field = replace(field, top=max(float(lengths.max()), 1e-6))
     size = bounding_diagonal(subject.session.mesh)
@@ -167,7 +168,7 @@ def _shown(subject: Subject, probe: str | None) -> _Shown:
 
 
 def _reach(shown: _Shown, directions: Sequence[Vector3]) -> Float[np.ndarray, "2"]:
-    """Half of what a picture is wide and high [mm], so that it holds the object in all views."""
+    """Half width and half height of the pictures [mm], so that the object fits in all views."""
     drawn, room = shown.drawn, (1.0 - _FREE) * _FIGURE * _PART[2:]
     arrow = drawn.vertices[:0] if shown.arrow is None else shown.arrow
     points = np.concatenate([drawn.vertices, arrow]) - shown.middle
@@ -179,7 +180,7 @@ def _reach(shown: _Shown, directions: Sequence[Vector3]) -> Float[np.ndarray, "2
 def _pixels(
     shown: _Shown, direction: Vector3, reach: Float[np.ndarray, "2"]
 ) -> UInt8[np.ndarray, "_ _ 3"]:
-    """One view."""
+    """Pixels of one view."""
     drawn = shown.drawn
     figure = Figure(figsize=tuple(_FIGURE))
     axes = figure.add_axes(_PART)
@@ -193,7 +194,7 @@ def _pixels(
 
 
 def _surface(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
-    """Shaded triangles, coloured by the model's displacement; or clay with measured points."""
+    """Draw shaded triangles, coloured by the model's displacement, or grey with measured points."""
     view = make_view(drawn, direction)
     light = (0.62 + 0.38 * view.brightness)[:, None]
     colours = np.tile(np.array(to_rgb(_CLAY)), (len(view.triangle), 1))
@@ -211,12 +212,12 @@ def _surface(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3)
 
 
 def _face_lengths(mesh: TriangleMesh, moved: Vertices) -> Float[np.ndarray, " m"]:
-    """Length of the displacement, mean of each triangle's corners [mm]."""
+    """Displacement length of each triangle, mean over its corners [mm]."""
     return np.asarray(1e3 * np.linalg.norm(moved, axis=1)[mesh.triangles].mean(axis=1))
 
 
 def _points(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
-    """Measured points on the near side."""
+    """Draw the measured points on the near side."""
     field, view, mesh = shown.field, make_view(drawn, direction), shown.subject.session.mesh
     if field is None:
         return
@@ -233,7 +234,7 @@ def _points(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) 
 
 
 def _force(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
-    """The arrow of the force with its newtons; pale where the object hides its tip."""
+    """Draw the arrow of the force with its magnitude; behind the object if that hides its tip."""
     if shown.arrow is None or shown.probing is None:
         return
     force = shown.probing.force
@@ -252,7 +253,7 @@ def _force(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -
 
 
 def _texts(figure: Figure, shown: _Shown) -> None:
-    """Name, constants, scale."""
+    """Write the title and draw the colour bar."""
     subject, field = shown.subject, shown.field
     name = subject.session.name + (f": {shown.probing.name}" if shown.probing else "")
     title = textwrap.fill(name, _LINE)
@@ -264,19 +265,19 @@ def _texts(figure: Figure, shown: _Shown) -> None:
     beyond = "neither" if shown.surface is not None else "max"
     bar = figure.colorbar(scale, cax=axes, orientation="horizontal", extend=beyond)
     what = "as the fitted model says" if shown.surface is not None else "measured"
-    bar.set_label(f"displacement in mm, {what}; drawn {shown.stretch:.2g} times", labelpad=2)
+    bar.set_label(f"displacement in mm, {what}; magnified {shown.stretch:.2g} times", labelpad=2)
     bar.outline.set_linewidth(0.4)
 
 
 def _turned(direction: Vector3, angle: float) -> Vector3:
-    """A direction turned about the vertical."""
+    """A direction rotated about the vertical by an angle [rad]."""
     cos, sin = np.cos(angle), np.sin(angle)
     x, y, z = direction
     return np.array([cos * x - sin * y, sin * x + cos * y, z])
 
 
 def _write_gif(path: Path, views: list[np.ndarray]) -> None:
-    """A film for every page, of 255 colours a picture."""
+    """Write an animated GIF, with 255 colours per picture."""
     pictures = [Image.fromarray(view).quantize(255) for view in views]
     pictures[0].save(
         path, "GIF", save_all=True, append_images=pictures[1:], duration=round(1e3 * _PACE), loop=0
@@ -284,9 +285,9 @@ def _write_gif(path: Path, views: list[np.ndarray]) -> None:
 
 
 def _write_mp4(path: Path, views: list[np.ndarray]) -> None:
-    """A film for players."""
+    """Write an MP4 video."""
     rows, columns = (2 * (n // 2) for n in views[0].shape[:2])
-    # OpenCV takes the kind of film from the name.
+    # OpenCV chooses the container by the file name.
     film_path = path.with_name(path.name + ".mp4")
     try:
         for codec in _CODECS:

@@ -2,29 +2,33 @@
 
 Source
 ------
-Jean, The non-smooth contact dynamics method, Comput. Methods Appl. Mech. Engrg. 177 (1999) 235: the
-sweeps, node by node. Once these tell which nodes stick and which slide, the equations of all that
-touch are solved together: the capacitance matrix of James and Pai, ArtDefo (SIGGRAPH 1999), section
-4.
+Alart and Curnier, A mixed formulation for frictional contact problems prone to Newton like solution
+methods, Comput. Methods Appl. Mech. Engrg. 92 (1991) 353: the equations of all touching nodes are
+solved together, and nodes whose state the solution contradicts change it. Jean, The non-smooth
+contact dynamics method, ibid. 177 (1999) 235: sweeps, node by node, where that does not settle.
 """
 
 import numba
 import numpy as np
 
-from palpate.simulation.kernels.linear import (
-    add_columns,
-    add_displacement,
-    component,
-    dot,
-    invert,
+from palpate.simulation.kernels.linear import add_columns, component, dot, invert
+from palpate.simulation.kernels.state import (
+    BY_DISPLACEMENT,
+    BY_FORCE,
+    GLUE,
+    OPEN,
+    ROUNDING,
+    SLIDES,
+    STICKS,
 )
-from palpate.simulation.kernels.state import GLUE, OPEN, ROUNDING, SLIDES, STICKS
 
 # Steps of a node's own problem of friction.
 _NODE_STEPS = 12
 # Of the largest force, and of the farthest that a touching node has moved: what is left of the
 # equations counts as nothing.
 _NOTHING = 1e-11
+# Solutions for all nodes at once before sweeps decide which of them stick and which slide.
+_CHANGES = 5
 # Of the way a node slides, in one round [rad].
 _LARGEST_TURN = 0.5
 
@@ -148,51 +152,40 @@ def set_across(normal, slide, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def capacitance(block, frames, friction, residual, force, status, slide):
-    """Equations of the touching nodes, and what of the residual they demand to vanish.
+def unknowns(given, frames, friction, residual, force, status, slide):
+    """Unknowns and equations of the touching nodes.
 
-    Unknown is the whole force of a sticking node, the pressing force of a sliding one, and the
-    angle by which it turns the way it slides. Returns the matrix (m, m), and for every unknown its
-    node, the direction of its force and the row's own direction.
+    A sticking node has none, since its displacement is given. A node that slides under friction has
+    two, its motion along the slide and across it; the equations say that its force has the size of
+    friction and is opposite to the slide. A node whose force is given has the pressing force as its
+    unknown; the equation says that it stays on the tool. Returns, for every unknown, its node, its
+    direction, the direction in which its equation takes the response of the node, and the factor
+    of the unknown itself.
     """
     k = friction.size
     node = np.empty(3 * k, dtype=np.int64)
     along, row, extra = np.zeros((3 * k, 3)), np.zeros((3 * k, 3)), np.zeros(3 * k)
     m = 0
     for i in range(k):
-        if status[i] == STICKS:
-            for a in range(3):
-                node[m], along[m, a], row[m, a] = i, 1.0, 1.0
-                m += 1
-        elif status[i] == SLIDES:
-            rubs = 0.0 < friction[i] < GLUE
-            limit = friction[i] if rubs else 0.0
-            node[m] = i
-            for a in range(3):
-                row[m, a] = frames[i, 0, a]
-                along[m, a] = frames[i, 0, a] - limit * slide[i, a]
+        n, rubs = frames[i, 0], 0.0 < friction[i] < GLUE
+        if given[i] == BY_FORCE and status[i] == SLIDES:
+            node[m], along[m], row[m] = i, n, n
             m += 1
-            if rubs:
-                node[m] = i
-                set_across(frames[i, 0], slide[i], row[m])
-                pull = limit * dot(force[i], frames[i, 0])
-                for a in range(3):
-                    along[m, a] = -pull * row[m, a]
-                extra[m] = -max(0.0, dot(residual[i], slide[i]))
+        elif given[i] == BY_DISPLACEMENT and status[i] == SLIDES and rubs:
+            node[m] = node[m + 1] = i
+            pull, far = friction[i] * dot(force[i], n), max(0.0, dot(residual[i], slide[i]))
+            set_across(n, slide[i], along[m + 1])
+            for a in range(3):
+                along[m, a] = slide[i, a]
+                row[m, a] = slide[i, a] + friction[i] * n[a]
+                row[m + 1, a] = far * along[m + 1, a]
+            extra[m + 1] = pull if far + pull > 0.0 else 1.0
+            m += 2
+        elif given[i] == BY_DISPLACEMENT and status[i] != STICKS:
+            for a in range(1 if status[i] == SLIDES else 0, 3):
+                node[m], along[m], row[m] = i, frames[i, a], frames[i, a]
                 m += 1
-    matrix = np.empty((m, m))
-    part = np.empty(3 * k)
-    for h in range(m):
-        # What each unknown does to every node, then what the rows see of it.
-        j = 3 * node[h]
-        x, y, z = along[h, 0], along[h, 1], along[h, 2]
-        for i in range(3 * k):
-            part[i] = x * block[j, i] + y * block[j + 1, i] + z * block[j + 2, i]
-        for g in range(m):
-            i = 3 * node[g]
-            matrix[g, h] = row[g, 0] * part[i] + row[g, 1] * part[i + 1] + row[g, 2] * part[i + 2]
-        matrix[h, h] += extra[h]
-    return matrix, node[:m], along[:m], row[:m]
+    return node[:m], along[:m], row[:m], extra[:m]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -220,75 +213,127 @@ def at_rest(frames, friction, residual, force, status, slide, depth):
                 left = max(left, abs(dot(across, residual[i])))
         if left > _NOTHING * depth:
             return False
-    return keeps_state(frames, friction, residual, force, status, slide, depth)
+    return contradicted(frames, friction, residual, force, status.copy(), slide, depth) == 0
 
 
 @numba.njit(cache=True, error_model="numpy")
-def solve_together(block, frames, friction, residual, force, status, slide):
-    """The forces of all nodes at once, if none of them changes its state by it.
+def answer(response, given, free, put, force, residual):
+    """Forces and residuals of all nodes from what is given of them, `put`; `free` is the residual
+    without force. All are (k, 3)."""
+    flat = response @ put.reshape(-1)
+    for i in range(len(given)):
+        for a in range(3):
+            asked = flat[3 * i + a]
+            if given[i] == BY_FORCE:
+                force[i, a], residual[i, a] = put[i, a], free[i, a] + asked
+            else:
+                force[i, a], residual[i, a] = asked, free[i, a] + put[i, a]
 
-    Changes residual and force in place and returns True; returns False and changes neither where a
-    node would pull, part, come in, stick or slide.
+
+@numba.njit(cache=True, error_model="numpy")
+def solve_once(response, given, frames, friction, free, residual, force, status, slide):
+    """Forces and residuals of all nodes in their states, in place; friction turns linearly."""
+    node, along, row, extra = unknowns(given, frames, friction, residual, force, status, slide)
+    put, asked, moved = np.zeros((len(given), 3)), force, residual
+    for i in range(len(given)):
+        if given[i] == BY_DISPLACEMENT:
+            for a in range(3):
+                put[i, a] = -free[i, a]
+    answer(response, given, free, put, asked, moved)
+    m = node.size
+    matrix, right, part = np.empty((m, m)), np.empty(m), np.empty(len(response))
+    for g in range(m):
+        j, seen = node[g], moved if given[node[g]] == BY_FORCE else asked
+        right[g] = -dot(row[g], seen[j])
+        part[:] = 0.0
+        first, second, third = response[3 * j], response[3 * j + 1], response[3 * j + 2]
+        for i in range(part.size):
+            part[i] = row[g, 0] * first[i] + row[g, 1] * second[i] + row[g, 2] * third[i]
+        for h in range(m):
+            i = 3 * node[h]
+            matrix[g, h] = (
+                along[h, 0] * part[i] + along[h, 1] * part[i + 1] + along[h, 2] * part[i + 2]
+            )
+        matrix[g, g] += extra[g]
+    found = np.linalg.solve(matrix, right)
+    for g in range(m):
+        for a in range(3):
+            put[node[g], a] += found[g] * along[g, a]
+    answer(response, given, free, put, asked, moved)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def solve_together(response, given, frames, friction, free, residual, force, status, slide):
+    """The forces of all nodes at once; where the solution contradicts states, these change and the
+    equations are solved again.
+
+    Changes residual, force and status in place and returns True when no node is contradicted any
+    more; returns False and changes none of them where that does not happen.
     """
-    k = friction.size
-    if k == 0:
+    if friction.size == 0:
         return True
-    slide_directions(frames, friction, residual, force, status, slide)
-    matrix, node, along, row = capacitance(block, frames, friction, residual, force, status, slide)
-    after = residual.copy()
-    each = np.arange(k)
-    add_displacement(block, each, force, -1.0, after.reshape(-1))
-    right, found, depth = np.empty(node.size), np.zeros((k, 3)), 0.0
-    for g in range(node.size):
-        right[g] = -dot(row[g], after[node[g]])
-        depth = max(depth, abs(right[g]))
-    right = np.linalg.solve(matrix, right)
-    for g in range(node.size):
-        for a in range(3):
-            found[node[g], a] += right[g] * along[g, a]
-    add_displacement(block, each, found, 1.0, after.reshape(-1))
-    turn_friction(frames, friction, node, right, found, status, slide)
-    if not keeps_state(frames, friction, after, found, status, slide, depth):
-        return False
-    for i in range(k):
-        for a in range(3):
-            force[i, a], residual[i, a] = found[i, a], after[i, a]
-    return True
+    found, after, own, depth = force.copy(), residual.copy(), status.copy(), 0.0
+    pull = np.empty(friction.size)
+    for i in range(friction.size):
+        depth = max(depth, abs(dot(free[i], frames[i, 0])))
+    for _ in range(_CHANGES):
+        slide_directions(frames, friction, after, found, own, slide)
+        for i in range(friction.size):
+            pull[i] = friction[i] * dot(found[i], frames[i, 0])
+        solve_once(response, given, frames, friction, free, after, found, own, slide)
+        turn_friction(frames, friction, pull, found, own, slide)
+        if not contradicted(frames, friction, after, found, own, slide, depth):
+            force[:], residual[:], status[:] = found, after, own
+            return True
+        if friction.max() >= GLUE:
+            # A node torn loose stays loose, so that sweeps decide which one it is.
+            return False
+    return False
 
 
 @numba.njit(cache=True, error_model="numpy")
-def keeps_state(frames, friction, residual, force, status, slide, depth):
-    """Whether forces and residuals of all nodes are as their states demand."""
-    strength = 0.0
+def contradicted(frames, friction, residual, force, status, slide, depth):
+    """Number of nodes whose force or residual contradicts their state; these change state.
+
+    A node that sticks whatever its force and was torn loose slides if it comes in again.
+    """
+    strength, count = 0.0, 0
     for i in range(friction.size):
         for a in range(3):
             strength = max(strength, abs(force[i, a]))
     for i in range(friction.size):
-        n = frames[i, 0]
+        n, state = frames[i, 0], status[i]
         p = dot(force[i], n)
-        if status[i] == OPEN and dot(residual[i], n) < -ROUNDING * depth:
-            return False
-        if status[i] != OPEN and p < -ROUNDING * strength:
-            return False
-        if status[i] == STICKS and friction[i] < GLUE:
+        if state == OPEN:
+            if dot(residual[i], n) < -ROUNDING * depth:
+                state = STICKS if 0.0 < friction[i] < GLUE else SLIDES
+        elif p < -ROUNDING * strength:
+            state = OPEN
+        elif state == STICKS and friction[i] < GLUE:
             across = np.sqrt(max(0.0, dot(force[i], force[i]) - p**2))
             if across > friction[i] * p + ROUNDING * strength:
-                return False
-        if status[i] == SLIDES and dot(residual[i], slide[i]) < -ROUNDING * depth:
-            return False
-    return True
+                state = SLIDES
+        elif state == SLIDES and dot(residual[i], slide[i]) < -ROUNDING * depth:
+            state = STICKS
+        if state != status[i]:
+            status[i] = state
+            count += 1
+    return count
 
 
 @numba.njit(cache=True, error_model="numpy")
-def turn_friction(frames, friction, node, found, force, status, slide):
-    """Turn the friction of sliding nodes by the angles that were found; `slide` turns with it."""
+def turn_friction(frames, friction, pull, force, status, slide):
+    """Turn the friction of sliding nodes by the angles found; `slide` turns with it.
+
+    pull (k,) is the size of friction before, by which the angles are measured.
+    """
     across = np.empty(3)
-    for g in range(1, node.size):
-        i = node[g]
-        if status[i] == SLIDES and node[g - 1] == i:
-            n, p = frames[i, 0], found[g - 1]
-            angle = min(max(found[g], -_LARGEST_TURN), _LARGEST_TURN)
+    for i in range(friction.size):
+        if status[i] == SLIDES and 0.0 < friction[i] < GLUE:
+            n, p = frames[i, 0], dot(force[i], frames[i, 0])
             set_across(n, slide[i], across)
+            angle = -dot(force[i], across) / pull[i] if pull[i] > 0.0 else 0.0
+            angle = min(max(angle, -_LARGEST_TURN), _LARGEST_TURN)
             for a in range(3):
                 slide[i, a] = np.cos(angle) * slide[i, a] + np.sin(angle) * across[a]
                 force[i, a] = p * (n[a] - friction[i] * slide[i, a])

@@ -93,7 +93,8 @@ def find_contacts(tools, rest, before, near, nodal):
                 if gap < 0.0 and nodal.tool_of[i] < 0:
                     to_tool(tools.turn_before[t], tools.before[t], x0, y0)
                     nodal.face[i], share = entry(tools, t, y0, y)
-                    nodal.tool_of[i], nodal.status[i] = t, STICKS
+                    nodal.tool_of[i] = t
+                    nodal.status[i] = STICKS if tools.friction[t] > 0.0 else SLIDES
                     for a in range(3):
                         nodal.anchor[i, a] = y0[a] + share * (y[a] - y0[a])
                     joined += 1

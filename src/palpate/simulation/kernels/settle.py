@@ -6,8 +6,9 @@ import numpy as np
 from palpate.simulation.kernels.friction import at_rest, solve_together, sweep
 from palpate.simulation.kernels.linear import add_displacement, displace, dot, gather, set_frame
 from palpate.simulation.kernels.nodes import begin_tick, find_contacts, leave, near_nodes, touching
+from palpate.simulation.kernels.response import up_to_date
 
-# Between two solutions for all nodes at once.
+# Sweeps before a solution, where nodes came in or the last solution did not settle.
 _SWEEPS = 8
 
 
@@ -55,7 +56,7 @@ def farthest(nodes, nodal):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def solve_round(tools, rest, nodes, block, nodal, swept):
+def solve_round(tools, rest, nodes, compliance, response, nodal, swept):
     """One round of all touching nodes; returns whether they settled, the change and the force."""
     k = nodes.size
     frames, residual, now = np.empty((k, 3, 3)), np.empty((k, 3)), np.empty((k, 3))
@@ -64,9 +65,12 @@ def solve_round(tools, rest, nodes, block, nodal, swept):
     if not swept and at_rest(frames, friction, residual, now, own, slide, farthest(nodes, nodal)):
         take_over(nodes, nodal, now, own, slide)
         return True, 0.0, 0.0
+    free = residual - nodal.moved[nodes]
     if swept:
+        block = gather(compliance, nodes, nodes)
         sweep(block, frames, friction, residual, now, own, swept)
-    settled = solve_together(block, frames, friction, residual, now, own, slide)
+    given = nodal.given[nodes]
+    settled = solve_together(response, given, frames, friction, free, residual, now, own, slide)
     change, strength = take_over(nodes, nodal, now, own, slide)
     return settled, change, strength
 
@@ -84,16 +88,18 @@ def smallest_force(tools, compliance):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def settle(tools, rest, compliance, nodal, tolerance, most):
+def settle(tools, rest, compliance, response, nodal, tolerance, most):
     """Bring all touching nodes to rest after the tools have moved; `nodal` changes in place.
 
-    Returns the rounds it took; zero: it did not settle.
+    Returns the rounds it took, zero where it did not settle, and the response of the nodes that
+    touched in the last.
     """
     before = nodal.moved.copy()
     begin_tick(tools, rest, nodal)
     near = near_nodes(tools, rest, nodal)
     nodes = touching(near, nodal.tool_of)
-    block, field = gather(compliance, nodes, nodes), gather(compliance, nodes, near)
+    response = up_to_date(response, compliance, tools, nodal)
+    field = gather(compliance, nodes, near)
     # As long as no node changes its state, the equations of the tick before do.
     settled, fresh = True, False
     rounding = smallest_force(tools, compliance)
@@ -101,9 +107,12 @@ def settle(tools, rest, compliance, nodal, tolerance, most):
         displace(field, nodes, nodal.force, near, nodal.moved)
         if find_contacts(tools, rest, before, near, nodal) > 0:
             nodes, fresh = touching(near, nodal.tool_of), True
-            block, field = gather(compliance, nodes, nodes), gather(compliance, nodes, near)
+            response = up_to_date(response, compliance, tools, nodal)
+            field = gather(compliance, nodes, near)
         swept = 0 if settled and not fresh else _SWEEPS
-        settled, change, strength = solve_round(tools, rest, nodes, block, nodal, swept)
+        settled, change, strength = solve_round(
+            tools, rest, nodes, compliance, response, nodal, swept
+        )
         still = change <= max(tolerance * strength, rounding)
         if not fresh and still and (settled or count > most // 2):
             every = np.arange(len(rest))
@@ -111,12 +120,13 @@ def settle(tools, rest, compliance, nodal, tolerance, most):
             add_displacement(compliance, nodes, nodal.force, 1.0, nodal.moved.reshape(-1))
             if find_contacts(tools, rest, before, every, nodal) == 0:
                 leave(tools, rest, nodes, nodal)
-                return count
+                return count, response
             near, nodes, fresh = every, touching(every, nodal.tool_of), True
-            block, field = gather(compliance, nodes, nodes), gather(compliance, nodes, near)
+            response = up_to_date(response, compliance, tools, nodal)
+            field = gather(compliance, nodes, near)
         else:
             fresh = False
-    return 0
+    return 0, response
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -9,6 +9,8 @@ import numpy as np
 
 # States of a node.
 OPEN, SLIDES, STICKS = 0, 1, 2
+# What is given of a node in the response.
+ABSENT, BY_FORCE, BY_DISPLACEMENT = 0, 1, 2
 # Kinds of tools.
 SPHERE, FACES = 0, 1
 # Of the largest force: what is less than nothing by so little is nothing.
@@ -23,7 +25,7 @@ class Nodal(NamedTuple):
     Attributes
     ----------
     force, moved : (n, 3) float [N], [m]
-    tool_of, face, status : (n,) int        as in `ContactState`
+    tool_of, face, status, given : (n,) int         as in `ContactState`
     anchor, normal, slide : (n, 3) float
     gap : (n,) float [m]
     """
@@ -33,6 +35,7 @@ class Nodal(NamedTuple):
     tool_of: np.ndarray
     face: np.ndarray
     status: np.ndarray
+    given: np.ndarray
     anchor: np.ndarray
     normal: np.ndarray
     slide: np.ndarray
