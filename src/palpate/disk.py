@@ -1,8 +1,8 @@
-"""Files and folders that appear whole or not at all, whatever stops the process in between.
+"""Atomic writing: files and folders appear completely or not at all, even if the process is killed.
 
-While NAME is written there are beside it `.NAME.lock`, who writes it; `.NAME.partial`, what is to
-take its place; `.NAME.older` and `.NAME.journal`, how to undo a change of several files. What a
-process that was killed leaves of them is tidied by the next one that writes there.
+While NAME is being written, these lie next to it: `.NAME.lock`, which process writes it;
+`.NAME.partial`, the new content; `.NAME.older` and `.NAME.journal`, needed to roll back a change of
+several files. If a process is killed, the next one that writes there cleans up what it left.
 """
 
 import ctypes
@@ -26,12 +26,12 @@ from palpate.locks import release_lock, take_lock
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 # linux/fs.h: exchange two names in one step.
 _RENAME_EXCHANGE, _AT_FDCWD = 2, -100
-# What a journal has at most [bytes].
+# Largest size of a journal [bytes].
 _MOST_JOURNAL = 2**20
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file; afterwards it holds what it held before, or the whole new content.
+    """Write a file atomically: it then holds either its old content or all of the new.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
     Raises
     ------
-    RecordError                     it cannot be written
+    RecordError                     the file cannot be written
     InUseError                      another process is writing it
     """
     with placed([path]) as (staged,):
@@ -54,42 +54,44 @@ def placed(
     folder: bool = False,
     aside: Callable[[Path], object] = lambda _: False,
 ) -> Iterator[tuple[Path, ...]]:
-    """Files, or one folder, to write to; they take their places when the block ends well.
+    """Temporary files, or one folder, to write to; renamed to the targets when the block succeeds.
 
-    All of them do, or none: after a kill at any step, the next process that writes there, or
-    calls `settle`, sees to that. Links are followed; files keep their rights.
+    All targets are replaced, or none: after a kill at any step, the next process that writes there
+    or calls `settle` restores a consistent state. Symbolic links are followed; permissions of
+    existing files are kept.
 
     Parameters
     ----------
-    targets : sequence of Path      final names, in folders that are there; the last one stands
-                                    for all where another process asks who is writing
-    folder : bool                   the one target is a folder
-    aside : callable                true for what is to be kept as NAME.old, asked in the end
+    targets : sequence of Path      final names, all in one existing folder; the lock is taken on
+                                    the last one
+    folder : bool                   the single target is a folder
+    aside : callable                called with each existing target before it is replaced; True:
+                                    keep the old one as NAME.old
 
     Yields
     ------
-    tuple of Path                   beside the targets, empty, under other names
+    tuple of Path                   empty temporary files or folder, next to the targets
 
     Raises
     ------
-    RecordError                     one cannot be written; before the block runs where the disk
-                                    does not allow it
-    InUseError                      another process is writing there; before the block runs
+    RecordError                     a target cannot be written; raised before the block runs if the
+                                    file system does not allow it
+    InUseError                      another process is writing there; raised before the block runs
     """
     finals = [Path(os.path.realpath(target)) for target in targets]
     _check_places(finals, folder)
     staged = tuple(_beside(final, "partial") for final in finals)
     with _locked(finals[-1]):
         try:
-            with _refused(finals[-1]):
+            with write_errors(finals[-1]):
                 _tidy(finals)
                 if len(finals) > 1:
                     _write_journal(finals, undo=False)
             for path, final in zip(staged, finals, strict=True):
-                with _refused(final):
+                with write_errors(final):
                     path.mkdir() if folder else path.touch()
             yield staged
-            with _unbroken(), _refused(finals[-1]):
+            with _unbroken(), write_errors(finals[-1]):
                 for path in staged:
                     _sync_all(path)
                 _put_in_place(staged, finals, aside)
@@ -100,30 +102,76 @@ def placed(
                     _remove(path)
 
 
-def settle(target: Path) -> None:
-    """Undo a change of several files that was interrupted, if there is one; say so on stderr.
+@contextmanager
+def folder_made(folder: Path) -> Iterator[None]:
+    """Create a folder, if missing, for the block; if the block fails, folders that were created and
+    are still empty are removed.
 
     Parameters
     ----------
-    target : Path                   the last of these files
+    folder : Path                   missing parents are created too
 
     Raises
     ------
-    RecordError                     the disk does not allow it
-    InUseError                      the change is not interrupted: another process is at it
+    RecordError                     the folder cannot be created
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        with write_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for each in missing:
+            with suppress(OSError):
+                each.rmdir()
+        raise
+
+
+@contextmanager
+def write_errors(final: Path) -> Iterator[None]:
+    """Turn an OSError within the block into a RecordError that names the file or folder.
+
+    Parameters
+    ----------
+    final : Path                    what is being written, for the message
+
+    Raises
+    ------
+    RecordError                     in place of an OSError
+    """
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(
+            f"{final}: cannot be written ({error.strerror or error}); nothing was changed: check"
+            " the folder's rights and the disk's space, or choose another place"
+        ) from error
+
+
+def settle(target: Path) -> None:
+    """Roll back an interrupted change of several files, if there is one; reported on stderr.
+
+    Parameters
+    ----------
+    target : Path                   the last of these files, as given to `placed`
+
+    Raises
+    ------
+    RecordError                     the file system does not allow it
+    InUseError                      the change is still in progress in another process
     """
     final = Path(os.path.realpath(target))
     interrupted = False
-    # Whoever reads the file says what is wrong with its place.
+    # An unreadable location is reported by whoever reads the file itself.
     with suppress(OSError):
         interrupted, _ = _journal(_beside(final, "journal"))
     if interrupted:
-        with _locked(final), _refused(final):
+        with _locked(final), write_errors(final):
             _tidy([final])
 
 
 def _check_places(finals: Sequence[Path], folder: bool) -> None:
-    """Refuse what cannot be replaced, or not together."""
+    """Refuse targets that cannot be replaced, or not together."""
     for final in finals:
         if final.exists() and not (final.is_dir() if folder else final.is_file()):
             wrong = "a folder" if final.is_dir() else "no regular file"
@@ -139,9 +187,9 @@ def _check_places(finals: Sequence[Path], folder: bool) -> None:
 
 @contextmanager
 def _locked(final: Path) -> Iterator[None]:
-    """Hold the right to write a file or folder; a lock dies with its process, however that ends."""
+    """Hold the lock on a file or folder; it is released however the process ends."""
     path = _beside(final, "lock")
-    with _refused(final):
+    with write_errors(final):
         handle = take_lock(path, final)
     try:
         yield
@@ -150,7 +198,7 @@ def _locked(final: Path) -> Iterator[None]:
 
 
 def _tidy(finals: Sequence[Path]) -> None:
-    """Undo, remove or put back what interrupted processes left of these files, and name it."""
+    """Roll back, remove or restore what interrupted processes left, and report each on stderr."""
     journal = _beside(finals[-1], "journal")
     if journal.exists():
         interrupted, _ = _journal(journal)
@@ -158,7 +206,7 @@ def _tidy(finals: Sequence[Path]) -> None:
         _undo(journal)
         _say(f"{finals[-1]}: what an interrupted run had begun {done}")
     for final in finals:
-        # The number of the process is what earlier versions put into these names.
+        # Earlier versions put the process id into these names.
         pattern = re.compile(rf"\.{re.escape(final.name)}\.(\d+\.)?(partial|draft|older)")
         for name in sorted(name for name in os.listdir(final.parent) if pattern.fullmatch(name)):
             left = final.with_name(name)
@@ -179,7 +227,7 @@ def _say(text: str) -> None:
 def _put_in_place(
     staged: Sequence[Path], finals: Sequence[Path], aside: Callable[[Path], object]
 ) -> None:
-    """Give files or a folder their names."""
+    """Rename the temporary files, or the folder, to their final names."""
     for path, final in zip(staged, finals, strict=True):
         if final.is_file():
             shutil.copymode(final, path)
@@ -200,15 +248,15 @@ def _put_in_place(
             raise
         with suppress(OSError):
             _remove(older)
-    # What stands in its place is not taken back any more.
+    # The new content is in place: a failed flush is no reason to fail.
     with suppress(OSError):
         _sync(finals[-1].parent)
 
 
 def _kept_aside(path: Path, final: Path) -> Path:
-    """Give something a free name that a user sees: NAME.old, NAME.old2, and so on.
+    """Keep something under the first free name of NAME.old, NAME.old2, and so on.
 
-    A file keeps its own name as well, so that there is no moment without it.
+    A file also keeps its own name, so that it exists at every moment.
     """
     kept, number = final.with_name(f"{final.name}.old"), 1
     while os.path.lexists(kept):
@@ -222,7 +270,7 @@ def _kept_aside(path: Path, final: Path) -> Path:
 
 
 def _place_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
-    """Give several files their names; until the journal says otherwise, that is to be undone."""
+    """Replace several files; until the final journal entry, an interruption is rolled back."""
     for final in finals:
         if final.exists():
             _copy(final, _beside(final, "older"))
@@ -234,7 +282,7 @@ def _place_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
 
 
 def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
-    """Write which files are being changed, which were there, and whether that is to be undone."""
+    """Record which files are being replaced, which existed, and whether to roll back."""
     journal, draft = _beside(finals[-1], "journal"), _beside(finals[-1], "draft")
     there = {final.name: _beside(final, "older").exists() for final in finals}
     draft.write_text(json.dumps({"undo": undo, "there": there}), encoding="utf-8")
@@ -245,7 +293,7 @@ def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
 
 
 def _journal(path: Path) -> tuple[bool, dict[str, bool]]:
-    """Whether a change of several files is to be undone, and which of them were there before."""
+    """Whether to roll back a change of several files, and which of them existed before."""
     if not path.exists():
         return False, {}
     try:
@@ -255,12 +303,12 @@ def _journal(path: Path) -> tuple[bool, dict[str, bool]]:
             return bool(undo), there
     except (LookupError, ValueError, TypeError, RecursionError):
         pass
-    # It may come from anywhere with a session, and must not reach beyond its folder.
+    # A journal may arrive with someone else's session; it must not act outside its own folder.
     raise RecordError(f"{path}: is not what Palpate leaves of an interrupted run; remove it")
 
 
 def _undo(path: Path) -> None:
-    """Undo what a journal says is to be undone, again if need be; remove what belongs to it."""
+    """Roll back as a journal says and remove its files; safe to repeat after an interruption."""
     undo, there = _journal(path)
     for name, was_there in there.items():
         final = path.with_name(name)
@@ -277,7 +325,7 @@ def _undo(path: Path) -> None:
 
 
 def _exchanged(first: Path, second: Path) -> bool:
-    """Exchange two names in one step; False where the system cannot, or not here."""
+    """Exchange two names atomically; False where the system or file system cannot."""
     if sys.platform != "linux":
         return False
     rename = getattr(ctypes.CDLL(None), "renameat2", None)
@@ -286,7 +334,7 @@ def _exchanged(first: Path, second: Path) -> bool:
 
 
 def _copy(path: Path, other: Path) -> None:
-    """The same file under a second name; a true copy where the disk knows no links."""
+    """Hard link to a file; a real copy where the file system has no hard links."""
     try:
         os.link(path, other)
     except OSError:
@@ -295,20 +343,20 @@ def _copy(path: Path, other: Path) -> None:
 
 
 def _sync_all(path: Path) -> None:
-    """Have the disk keep a file, or a folder with all that is in it."""
+    """Flush a file, or a folder and everything in it, to disk."""
     for each in (*path.rglob("*"), path):
         _sync(each)
 
 
 def _sync(path: Path) -> None:
-    """Have the disk keep a file's content, or the names in a folder."""
+    """Flush a file's content, or a folder's entries, to disk."""
     if path.is_dir() and os.name != "posix":
         return
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(handle)
     except OSError as error:
-        # Some file systems cannot do that for folders.
+        # Some file systems cannot flush folders.
         if error.errno != errno.EINVAL:
             raise
     finally:
@@ -320,7 +368,7 @@ def _beside(final: Path, what: str) -> Path:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there, whatever the rights of what is in it."""
+    """Remove a file or folder if it exists, whatever the permissions of its content."""
     if path.is_dir() and not path.is_symlink():
         with suppress(OSError):
             for folder in chain([path], path.rglob("*/")):
@@ -332,20 +380,8 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def _refused(final: Path) -> Iterator[None]:
-    """Name the file or folder that a disk refuses within the block."""
-    try:
-        yield
-    except OSError as error:
-        raise RecordError(
-            f"{final}: cannot be written ({error.strerror}); nothing was changed: check the"
-            " folder's rights and the disk's space, or choose another place"
-        ) from error
-
-
-@contextmanager
 def _unbroken() -> Iterator[None]:
-    """Have signals that arrive within the block act at its end."""
+    """Defer signals that arrive within the block until its end."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""Files that are read: regular ones of a bounded size, and messages that name what is wrong."""
+"""Safe reading of files: regular files of bounded size only, and errors that say what is wrong."""
 
 import math
 import os
@@ -14,9 +14,11 @@ import numpy as np
 
 from palpate.errors import InputError, PalpateError, RecordError
 
-# Nothing that Palpate reads comes near this [bytes]; a file without an end does.
+# Far larger than any file that Palpate reads [bytes]; stops reading of endless files.
 _MOST_BYTES = 4 * 2**30
-# What stands in the place of a file: reading it would wait for ever, or never end.
+# Largest compression ratio of measurements, and size [bytes] up to which any ratio is accepted.
+_MOST_RATIO, _MOST_UNPACKED = 100, 2**28
+# Things that are not regular files: reading them could block, or never end.
 _KINDS = {
     stat.S_IFDIR: "Is a directory",
     stat.S_IFIFO: "a pipe, no regular file",
@@ -29,21 +31,21 @@ _KINDS = {
 def checked_file(
     path: Path, *, most: int = _MOST_BYTES, kind: type[InputError] = RecordError
 ) -> Path:
-    """A path, if it is that of a regular file of a bounded size.
+    """Return a path after checking that it is a regular file of bounded size.
 
     Parameters
     ----------
     path : Path
-    most : int                      bytes that a file of this kind has at most
-    kind : class                    of the error
+    most : int                      largest permitted size [bytes]
+    kind : class                    class of the error to raise
 
     Returns
     -------
-    Path                            the same
+    Path                            `path`, unchanged
 
     Raises
     ------
-    InputError of that kind         not there, no regular file, too large
+    InputError of that kind         missing, not a regular file, too large
     """
     try:
         found = os.stat(path)
@@ -61,7 +63,7 @@ def checked_file(
 
 
 def is_file(path: Path) -> bool:
-    """Whether something that is no folder lies there; False also where the name cannot be one.
+    """Whether a path exists and is not a folder; False also for an invalid name.
 
     Parameters
     ----------
@@ -95,6 +97,20 @@ def read_bytes(
         raise kind(f"{path}: cannot be read ({_reason(error)})") from error
 
 
+def most_unpacked(size: int) -> int:
+    """Largest permitted uncompressed size of a compressed file, as a guard against zip bombs.
+
+    Parameters
+    ----------
+    size : int                      size of the file [bytes]
+
+    Returns
+    -------
+    int                             [bytes]
+    """
+    return max(_MOST_UNPACKED, _MOST_RATIO * size)
+
+
 @contextmanager
 def damage(
     path: Path,
@@ -103,27 +119,29 @@ def damage(
     what: str = "is damaged or cut off",
     kind: type[InputError] = RecordError,
 ) -> Iterator[None]:
-    """Turn whatever a reader of others runs into within the block into a message.
+    """Convert any error that a third-party reader raises within the block into one of ours.
+
+    Whatever the reader prints is discarded.
 
     Parameters
     ----------
     path : Path                     the file that is read
-    cure : str                      what to do about a file with missing or wrong bytes
-    what : str                      what is wrong with it
-    kind : class                    of the error
+    cure : str                      advice, for the message: what to do about a damaged file
+    what : str                      what is wrong with it, for the message
+    kind : class                    class of the error to raise
 
     Raises
     ------
-    PalpateError                    as it is
-    InputError of that kind         in place of what the reader raised
+    PalpateError                    passed through unchanged
+    InputError of that kind         in place of any other error of the block
     """
     try:
-        # Some print what is wrong before they raise.
+        # Some readers print a message before they raise.
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             yield
     except PalpateError:
         raise
-    # They raise whatever their parsing came across, and one of them ends the process.
+    # Readers raise errors of any class, and one of them calls sys.exit.
     except (Exception, SystemExit) as error:
         raise kind(f"{path}: {what} ({_reason(error)}); {cure}") from error
 
@@ -132,31 +150,32 @@ def damage(
 def stored_arrays(
     path: Path, cure: str, *, what: str = "is damaged or cut off", most: int = _MOST_BYTES
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The arrays of an NPZ file, and messages about whatever is wrong with them within the block.
+    """The arrays of an NPZ file; errors raised while the block uses them become `RecordError`.
 
-    Nothing is read before the sizes are known: a few bytes can be packed gigabytes.
+    Nothing is decompressed before the sizes are checked: a small file can expand to gigabytes.
 
     Parameters
     ----------
     path : Path
-    cure, what : str                as `damage`
-    most : int                      bytes that the arrays of such a file take at most
+    cure, what : str                as in `damage`
+    most : int                      largest permitted size of all arrays together [bytes]
 
     Yields
     ------
-    dict of str to array            by name
+    dict of str to array            arrays by name
 
     Raises
     ------
-    PalpateError                    as the block raises it
-    RecordError                     not there, no regular file, too large, no NPZ file, damaged; in
-                                    place of what the block raised
+    PalpateError                    raised by the block, passed through unchanged
+    RecordError                     missing, not a regular file, too large, not an NPZ file,
+                                    damaged; also in place of any other error of the block
     """
     read_bytes(path, 0, most=most)
     with damage(path, cure, what=what):
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             size = sum(member.file_size for member in members)
+            most = min(most, most_unpacked(path.stat().st_size))
             if size > most:
                 raise RecordError(
                     f"{path}: its arrays take {size} bytes, more than the {most} that are read of"
@@ -170,7 +189,7 @@ def stored_arrays(
 
 
 def parse_array(content: bytes) -> np.ndarray:
-    """The array of an NPY file.
+    """Array from the content of an NPY file.
 
     Parameters
     ----------
@@ -182,13 +201,13 @@ def parse_array(content: bytes) -> np.ndarray:
 
     Raises
     ------
-    ValueError                      no such file, damaged, another length than its head says
+    ValueError                      not an NPY file, damaged, or not as long as its header states
     """
     return _array(BytesIO(content), len(content))
 
 
 def _array(file: IO[bytes] | BufferedIOBase, size: int) -> np.ndarray:
-    """An array in NPY format of so many bytes, which are counted before memory is taken."""
+    """Array from an NPY stream of `size` bytes; the size is checked before memory is allocated."""
     heads = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -205,7 +224,7 @@ def _array(file: IO[bytes] | BufferedIOBase, size: int) -> np.ndarray:
 
 
 def _reason(error: BaseException) -> str:
-    """One short line about an error of another program."""
+    """One short line that describes an error of a third-party library."""
     text = getattr(error, "strerror", None) or " ".join(str(error).split())
     if not text or isinstance(error, (KeyError, RecursionError, SystemExit)):
         text = f"{type(error).__name__} {text}".strip()

@@ -1,4 +1,4 @@
-"""Finished parts of long work, kept on disk until the whole is done, found by what they rest on."""
+"""Checkpoints: finished parts of a long computation, stored on disk by a digest of their inputs."""
 
 import hashlib
 import io
@@ -13,43 +13,45 @@ from typing import Any, TypeVar
 import numpy as np
 
 import palpate
-from palpate.disk import write_bytes
+from palpate.disk import folder_made, write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
 
 T = TypeVar("T")
-# Bytes of the sum that stands before a part.
+# Length of the checksum that precedes a part [bytes].
 _SUM = 32
-# How numpy puts arrays together again.
+# The names that numpy needs to unpickle arrays.
 _NUMPY = ("_reconstruct", "_frombuffer", "scalar", "ndarray", "dtype")
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Where finished parts of one piece of work are kept.
+    """Store for the finished parts of one computation.
 
     Parameters
     ----------
-    folder : Path or None           made when the first part is kept; None: nothing is kept
-    key : str                       digest of all that the work depends on; parts of other work in
-                                    the same folder are not found
+    folder : Path or None           created when the first part is stored; None: nothing is stored
+    key : str                       digest of everything the computation depends on; parts stored
+                                    under another key in the same folder are ignored
     """
 
     folder: Path | None
     key: str = ""
 
     def kept(self, name: str, make: Callable[[], T], known: Mapping[str, Any] | None = None) -> T:
-        """A part as an earlier run kept it, or made now and kept.
+        """A part as stored by an earlier run, or else computed now and stored.
 
         Parameters
         ----------
-        name : str                  no two parts alike
-        make : callable             the part: arrays, Palpate's dataclasses, plain values and texts
-        known : mapping of names to objects     that are there in any run: not kept, put in again
+        name : str                  unique among the parts
+        make : callable             computes the part: arrays, Palpate's dataclasses, plain values
+                                    and texts
+        known : mapping of names to objects     objects that every run has: stored by name only and
+                                    put back on reading
 
         Returns
         -------
-        the part                    the same to the last bit, whether made or read
+        the part                    bit for bit the same, whether computed or read
         """
         if self.folder is None:
             return make()
@@ -60,24 +62,41 @@ class Parts:
             found = (make(),)
             content = io.BytesIO()
             _Writer(content, known).dump(found)
-            # A disk that has room for the result only is no reason to end without one.
-            with suppress(OSError, RecordError):
-                self.folder.mkdir(exist_ok=True)
+            # A full disk must not stop the computation; the part is then simply not stored.
+            with suppress(OSError, RecordError), folder_made(self.folder):
                 write_bytes(path, _sum(content.getvalue()) + content.getvalue())
         part: T = found[0]
         return part
 
 
-def content_digest(value: Any) -> str:
-    """SHA-256 of what a tree of dataclasses, arrays, mappings, sequences and plain values holds.
+def is_whole_part(path: Path) -> bool:
+    """Whether a file is an intact stored part, i.e. its content matches its checksum.
 
     Parameters
     ----------
-    value
+    path : Path
 
     Returns
     -------
-    str                             64 hexadecimal digits; another for another version of Palpate
+    bool
+
+    Raises
+    ------
+    RecordError                     not readable
+    """
+    return _content(read_bytes(path)) is not None
+
+
+def content_digest(value: Any) -> str:
+    """SHA-256 of the content of nested dataclasses, arrays, mappings, sequences and plain values.
+
+    Parameters
+    ----------
+    value : any of these
+
+    Returns
+    -------
+    str                             64 hexadecimal digits; depends on the version of Palpate
     """
     digest = hashlib.sha256(palpate.__version__.encode())
     _feed(digest, value)
@@ -85,13 +104,13 @@ def content_digest(value: Any) -> str:
 
 
 def _feed(digest: "hashlib._Hash", value: Any) -> None:
-    """Add a value to a digest, with its type and size, so that no two look alike."""
+    """Add a value to a digest, with its type and size, so that different values differ."""
     digest.update(f"{type(value).__qualname__} ".encode())
     if is_dataclass(value):
         _feed(digest, {field.name: getattr(value, field.name) for field in fields(value)})
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.shape} {value.dtype.str} ".encode())
-        # As bytes where they lie: a copy of a model's integrals is as large as they are.
+        # The bytes in place, without a copy: a model's integrals are large.
         digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
     elif isinstance(value, Mapping):
         _feed(digest, list(value.items()))
@@ -105,21 +124,21 @@ def _feed(digest: "hashlib._Hash", value: Any) -> None:
 
 
 class _Writer(pickle.Pickler):
-    """Writes names in place of the objects that are known."""
+    """Pickler that writes known objects by name."""
 
     def __init__(self, file: io.BytesIO, known: Mapping[str, Any]) -> None:
         super().__init__(file, protocol=5)
         self.names = {id(item): name for name, item in known.items() if item is not None}
 
     def persistent_id(self, item: Any) -> str | None:
-        """The name of an object that is known."""
+        """Name of a known object, else None."""
         return self.names.get(id(item))
 
 
 class _Reader(pickle.Unpickler):
-    """Puts known objects in place of names; makes nothing but arrays and Palpate's dataclasses.
+    """Unpickler that resolves known names and creates only arrays, Palpate's dataclasses and enums.
 
-    A file can thus do no more than hold other values, whoever wrote it.
+    A forged file can therefore change values, but not run code.
     """
 
     def __init__(self, file: io.BytesIO, known: Mapping[str, Any]) -> None:
@@ -127,11 +146,11 @@ class _Reader(pickle.Unpickler):
         self.known = known
 
     def persistent_load(self, name: str) -> Any:
-        """The object of a name."""
+        """The known object of a name."""
         return self.known[name]
 
     def find_class(self, module: str, name: str) -> Any:
-        """A class that may be made."""
+        """The class of that name, if it may be unpickled."""
         found = super().find_class(module, name)
         is_record = is_dataclass(found) or (isinstance(found, type) and issubclass(found, Enum))
         if module.startswith("palpate.") and is_record:
@@ -145,12 +164,17 @@ def _sum(content: bytes) -> bytes:
     return hashlib.sha256(content).digest()
 
 
+def _content(stored: bytes) -> bytes | None:
+    """Content of a stored part, after its checksum; None if the checksum does not match."""
+    content = stored[_SUM:]
+    return content if stored[:_SUM] == _sum(content) else None
+
+
 def _read(path: Path, known: Mapping[str, Any]) -> tuple[Any] | None:
-    """A part in a file, or None where there is none that is as it was written."""
+    """A stored part, or None if the file is missing or not intact."""
     try:
-        stored = read_bytes(path)
-        content = stored[_SUM:]
-        if stored[:_SUM] != _sum(content):
+        content = _content(read_bytes(path))
+        if content is None:
             return None
         found = _Reader(io.BytesIO(content), known).load()
     except (RecordError, ValueError, LookupError, TypeError, AttributeError, ImportError, EOFError,

@@ -3,6 +3,7 @@
 import csv
 import errno
 import shutil
+import sqlite3
 from dataclasses import replace
 
 import dask
@@ -167,6 +168,21 @@ def test_what_is_no_campaign_is_left_alone(cubes, tmp_path):
         run_campaign(read_items(cubes), cubes)
     with pytest.raises(RecordError, match=r"holds no campaign.sqlite"):
         Store(tmp_path).rows()
+
+
+def test_a_campaign_that_cannot_begin_leaves_nothing(cubes, tmp_path, monkeypatch):
+    items, folder = read_items(cubes), tmp_path / "a" / "campaign"
+    with pytest.raises(InputError, match="no scheduler answers at nonsense"):
+        run_campaign(items, folder, scheduler="nonsense")
+    assert not (tmp_path / "a").exists()
+
+    def full(*_, **__):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(sqlite3, "connect", full)
+    with pytest.raises(RecordError, match="disk is full"):
+        run_campaign(items, folder)
+    assert not (tmp_path / "a").exists()
 
 
 def test_a_disk_that_fills_ends_it(cubes, scheduler, tmp_path, monkeypatch):

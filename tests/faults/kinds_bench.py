@@ -101,6 +101,8 @@ def _three_pictures(folder: Path) -> None:
 
 
 _BOARD = ("calibrate", "board", "made.pdf")
+_POKE = ("poke", "cube", "--force", "0", "0", "-1", "--at", "0.02", "0.02", "0.04",
+         "--young-modulus", "5e4", "--poisson-ratio", "0.3")  # fmt: skip
 _TARGETS = {
     "chessboard": "3 to 1000", "circles": "2 to 1000", "asymmetric-circles": "2 to 1000",
 }  # fmt: skip
@@ -180,6 +182,13 @@ KINDS = [
             ("campaign", "status", "cube", "holds no campaign.sqlite"),
             ("report", "cube", "no result of this version"),
             ("reproduce", "none", "there is no experiment"),
+            ("campaign", "run", "list.txt", "--scheduler", "nonsense", "no scheduler answers"),
+            ("fit", "cube", "--cache", "rig.toml", "rig.toml: the cache cannot be written"),
+            ("view", "cube", "--cache", "rig.toml", "rig.toml: the cache cannot be written"),
+            (*_POKE, "--cache", "rig.toml/below", "rig.toml/below: the cache cannot be written"),
+            ("init", "boards", "--mesh", "mesh.ply", "--name", "", "--name is ''; must be one"),
+            ("init", "boards", "--mesh", "mesh.ply", "--name", "a\nb", "must be one line"),
+            ("init", "boards", "--mesh", "mesh.ply", "--name", "n" * 300, "of 1 to 200"),
         )
     ),
     *(

@@ -9,6 +9,9 @@ from typing import Any
 
 from faults.kind import Kind, replaced, written
 
+from palpate.parts import Parts
+from palpate.records import CONSTANT_NAMES
+
 FIT = ("fit", "cube", "--out", "result")
 POKE = ("poke", "cube", "--force", "0", "0", "-1", "--at", "0.02", "0.02", "0.04", "--result")
 SIZES = ("--diameter", "50mm", "--height", "30mm")
@@ -28,6 +31,10 @@ def _value(*keys: str | int, to: Any) -> Callable[[Path], object]:
         path.write_text(json.dumps(content))
 
     return damage
+
+
+def _both(*damages: Callable[[Path], object]) -> Callable[[Path], object]:
+    return lambda folder: [damage(folder) for damage in damages]
 
 
 def _probing_twice(folder: Path) -> None:
@@ -84,6 +91,18 @@ def _estimate(name: str, damage: Callable[[Path], object], *says: str) -> Kind:
 
 def _refused(name: str, damage: Callable[[Path], object], command: tuple, *says: str) -> Kind:
     return Kind(name, damage, command, says, example="results")
+
+
+def _part(content: bytes) -> Callable[[Path], object]:
+    """Damage: a finished part of an interrupted run lies beside the result, and has other bytes."""
+
+    def damage(folder: Path) -> None:
+        parts = folder / ".result.parts"
+        Parts(parts, "key").kept("a part", lambda: 1)
+        (whole,) = parts.iterdir()
+        whole.write_bytes(whole.read_bytes() + content)
+
+    return damage
 
 
 _FIT_KINDS = [
@@ -182,6 +201,37 @@ _ESTIMATE_KINDS = [
                    "lies outside its ci95, 1 to 2"),
     _estimate("an interval the wrong way round", _value("shear_modulus", "ci95", to=[2, 1]),
                    "lower end"),
+    _estimate("an std wider than its interval", _value("young_modulus", "std", to=2400.0),
+                   "young_modulus has std 2400, but ci95 57600 to 62400"),
+    _estimate("an std of nothing in an interval", _value("poisson_ratio", "std", to=0.0),
+                   "poisson_ratio has std 0, but ci95 0.288 to 0.312"),
+    _estimate("no std of what is told", _value("shear_modulus", "std", to=None),
+                   "shear_modulus is identifiable", "no std"),
+    _estimate("an open interval of what is told", _value("young_modulus", "ci95", to=[None, None]),
+                   "young_modulus is identifiable", "no std"),
+    _estimate("an E that is told better than G and nu",
+                   _value("young_modulus", to={"value": 60000, "std": 20, "ci95": [59960, 60040]}),
+                   "shear_modulus has std", "as E is 2 G (1 + nu)"),
+    _estimate("an E that is told worse than G and nu",
+                   _value("young_modulus", to={"value": 6e4, "std": 1e4, "ci95": [4e4, 8e4]}),
+                   "young_modulus has std 10000", "as E is 2 G (1 + nu)"),
+    _estimate("a negative residual", _value("probes", 0, "rms_residual", to=-1e-4),
+                   "number 1: rms_residual is -0.0001"),
+    _estimate("a negative prediction error", _value("probes", 0, "prediction_error", to=-1),
+                   "prediction_error is -1"),
+    _estimate("a probing that tells one constant of three",
+                   _value("probes", 0, "identifiable", to={"shear_modulus": True}),
+                   "identifiable has the keys"),
+    _estimate("a probing of another E than 2 G (1 + nu)", _both(
+                   _value("probes", 0, "identifiable", to=dict.fromkeys(CONSTANT_NAMES, True)),
+                   _value("probes", 0, "young_modulus",
+                          to={"value": 71234.5, "std": 1, "ci95": [0, 1e5]})),
+                   "number 1: young_modulus is 71234.5 Pa, but 2 G (1 + nu) is"),
+    _estimate("a probing with an std wider than its interval", _both(
+                   _value("probes", 0, "identifiable", to=dict.fromkeys(CONSTANT_NAMES, True)),
+                   _value("probes", 0, "young_modulus", "std", to=2400.0)),
+                   "probing 'n01': young_modulus has std 2400"),
+    _estimate("negative seconds", _value("seconds", to={"total": -1}), "total: is -1"),
     _estimate("an interval of one end", _value("shear_modulus", "ci95", to=[1]), "ci95: is [1]"),
     _estimate("an interval that is a number", _value("shear_modulus", "ci95", to=1), "ci95: is 1"),
     _estimate('"yes" for true', _value("identifiable", "poisson_ratio", to="yes"),
@@ -224,12 +274,16 @@ _VERIFY_KINDS = [
         ("a changed input", replaced("cube/session.toml", "-1.2", "-1.3"),
          ("../cube/session.toml (changed)",)),
         ("a missing input", _gone("cube/n01.csv"), ("../cube/n01.csv (missing)",)),
+        ("a damaged part of an interrupted run", _part(b"x"), (".result.parts/", "(changed)")),
         ("an edited list of inputs", written("result/inputs.txt", ""), ("inputs.txt (changed)",)),
     )
 ] + [
     _refused("verify: a folder of the user's", _nothing, ("verify", "cube"), "cube: is no result"),
     _refused("verify: a file of the user's", _nothing, ("verify", "record.csv"), "is no result"),
     _refused("verify: nothing there", _nothing, ("verify", "none"), "none: cannot be read"),
+    _refused("verify: only parts of an interrupted run",
+             lambda f: (_part(b"")(f), shutil.rmtree(f / "result")), ("verify", "result"),
+             "an interrupted run left 1 finished parts", ".result.parts"),
     _refused("verify: an earlier version", written("result/contents.txt", "palpate result folder"),
              ("verify", "result"), "is no result", "earlier versions"),
     Kind("verify: an edited file of compression", replaced("young.json", "1.0", "2.0"),

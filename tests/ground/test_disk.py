@@ -266,3 +266,24 @@ def test_an_older_folder_without_rights_is_not_left_behind(tmp_path):
     )
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
     assert [path.name for path in older.iterdir()] == ["a"]
+
+
+def test_what_was_made_of_a_folder_goes_again_where_the_block_fails(tmp_path):
+    folder = tmp_path / "a" / "b"
+    with disk.folder_made(folder):
+        pass
+    assert folder.is_dir()
+    with pytest.raises(RecordError, match="full"), disk.folder_made(folder / "c" / "d"):
+        raise RecordError("full")
+    assert list(folder.iterdir()) == []
+    # What was there before stays, and so does what holds something.
+    with pytest.raises(RecordError, match="full"), disk.folder_made(folder):
+        raise RecordError("full")
+    (folder / "c").mkdir()
+    (folder / "c" / "file").touch()
+    with pytest.raises(RecordError, match="full"), disk.folder_made(folder / "c"):
+        raise RecordError("full")
+    assert (folder / "c" / "file").is_file()
+    below = folder / "c" / "file" / "d"
+    with pytest.raises(RecordError, match="d: cannot be written"), disk.folder_made(below):
+        pass

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fault_injection import without_rights
 
+from palpate import files
 from palpate.errors import InputError, MeshError, PalpateError, RecordError, quoted
 from palpate.files import checked_file, damage, is_file, parse_array, read_bytes, stored_arrays
 
@@ -200,3 +201,17 @@ def test_long_values_and_messages_lose_their_middle():
     assert len(text) < 1200
     assert text.startswith("begin")
     assert text.endswith("end")
+
+
+def test_a_small_archive_may_not_hold_much(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_MOST_UNPACKED", 2**16)
+    np.savez_compressed(tmp_path / "a.npz", a=np.zeros(2**20))
+    with (
+        pytest.raises(RecordError, match="its arrays take 8388736 bytes, more than the"),
+        stored_arrays(tmp_path / "a.npz", "cure"),
+    ):
+        pass
+    # What is not packed may be of any size.
+    np.savez(tmp_path / "b.npz", a=np.zeros(2**20))
+    with stored_arrays(tmp_path / "b.npz", "cure") as found:
+        assert found["a"].size == 2**20

@@ -62,6 +62,24 @@ def kernel_cache() -> Iterator[None]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def check_cache(folder: Path | None) -> None:
+    """Refuse a folder that cannot keep anything, before there is something to keep.
+
+    Parameters
+    ----------
+    folder : Path or None           as `--cache` names it; maybe not there yet
+
+    Raises
+    ------
+    InputError                      no folder, or one that cannot be made or written
+    """
+    if folder is not None and not _writable(folder):
+        raise InputError(
+            f"{folder}: the cache cannot be written; give another folder with --cache, or leave the"
+            " cache out"
+        )
+
+
 def _cache_places() -> list[Path]:
     """Where numba keeps compiled kernels: beside the source, else in the user's cache."""
     places = [Path(__file__).parents[1]]

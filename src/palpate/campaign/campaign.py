@@ -1,4 +1,4 @@
-"""Many sessions, worked through by many workers, and gone on with after whatever stops it."""
+"""Runs a campaign: many sessions on many workers, resumable after any interruption."""
 
 import posixpath
 from collections import deque
@@ -15,10 +15,10 @@ from palpate.campaign.rows import DONE, Row
 from palpate.campaign.store import TABLE_TEXT, Store
 from palpate.campaign.table import table_text
 from palpate.campaign.work import FitOptions, Outcome, Work
-from palpate.disk import placed
+from palpate.disk import folder_made, placed
 from palpate.errors import InputError, PalpateError
 from palpate.progress import Progress, silent
-from palpate.records import disk_errors, read_toml
+from palpate.records import read_toml
 
 
 def run_campaign(
@@ -30,38 +30,42 @@ def run_campaign(
     workers: int | None = None,
     progress: Progress = silent,
 ) -> tuple[Row, ...]:
-    """Fit all sessions of a list; what an earlier run of the same campaign did is not done again.
+    """Fit all sessions of a list; results of an earlier run of the same campaign are reused.
 
-    Workers of its own are processes that load the calling script again: in a script, call it below
-    `if __name__ == "__main__":`.
+    Local workers are processes that import the calling script again: in a script, call this
+    function below `if __name__ == "__main__":`.
 
     Parameters
     ----------
     items : sequence of CampaignItem
-    folder : Path                   of the campaign: made, or gone on with
+    folder : Path                   of the campaign: created, or continued
     options : FitOptions
-    scheduler, workers              as `started_engine`
-    progress : callable             told how many sessions have ended (text), and their share
+    scheduler, workers              as in `started_engine`
+    progress : callable             called with the number of sessions that have ended (text), and
+                                    their fraction, 0 to 1
 
     Returns
     -------
-    tuple of Row                    a session that cannot be fitted is a row with its message
+    tuple of Row                    one per session; a session that cannot be fitted has a message
 
     Raises
     ------
-    InputError                      the folder is something else, or another process works on it;
-                                    no workers, or others than these versions need
-    RecordError                     the disk takes no more; what there is stays
+    InputError                      the folder is not a campaign's, or another process works on it;
+                                    no workers, or workers with other versions
+    RecordError                     the disk is full or fails; existing results are kept
     """
     store = Store(folder)
     if not store.may_begin():
         raise InputError(
             f"{folder}: is there and no campaign; choose another place with --out, or remove it"
         )
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    # Whoever holds the place of the table is the one who works on the campaign.
-    with placed([folder / TABLE_TEXT]) as (staged,), ExitStack() as stack:
+    # The lock on the table file is the lock on the whole campaign.
+    with (
+        folder_made(folder),
+        placed([folder / TABLE_TEXT]) as (staged,),
+        ExitStack() as stack,
+    ):
+        stack.callback(store.clear)
         store.begin(items)
         run = _Run(store, options, lambda: stack.enter_context(started_engine(scheduler, workers)))
         run.work_through(items, progress)
@@ -71,7 +75,7 @@ def run_campaign(
 
 
 class _Run:
-    """One run of a campaign: what is in hand, and whose it is."""
+    """One run of a campaign: the work in progress, and the sessions that it belongs to."""
 
     def __init__(self, store: Store, options: FitOptions, start_engine: Any) -> None:
         self.store, self.options = store, options
@@ -82,7 +86,7 @@ class _Run:
         self._known = {row.session: row for row in store.rows()}
 
     def work_through(self, items: Sequence[CampaignItem], progress: Progress) -> None:
-        """Have every session end in a row."""
+        """Process all sessions, until each has its row in the table."""
         waiting = deque(items)
         while waiting or (self._engine is not None and self._engine.is_busy):
             while waiting and (self._engine is None or self._engine.has_room):
@@ -96,7 +100,7 @@ class _Run:
         progress(f"{len(items)} of {len(items)} sessions", 1.0)
 
     def _begin(self, item: CampaignItem) -> None:
-        """Begin with a session, unless its result is there or it cannot even be read."""
+        """Start the work on a session, unless its result exists or it cannot be read."""
         try:
             session = pack_session(item.path)
             blind, body = _described(item.path, session)
@@ -124,7 +128,7 @@ class _Run:
         self._engine.begin(work)
 
     def _take(self, work: Work, outcome: Outcome) -> None:
-        """Keep what a piece of work gave, before anyone is told."""
+        """Store the outcome of a piece of work; a motion is followed by the fit."""
         if not outcome.failure:
             self.store.keep(work, outcome.package)
         if work.kind == "motion" and not outcome.failure:
@@ -136,7 +140,7 @@ class _Run:
 
 
 def _described(path: Path, session: PackedSession) -> tuple[bool, str]:
-    """Whether a session's motion is still to be measured in pictures; digest of its mesh."""
+    """Whether a session's motion must still be measured in pictures; checksum of its mesh."""
     file = path / "session.toml" if path.is_dir() else path
     values = read_toml(file).values
     probes = values.get("probe")

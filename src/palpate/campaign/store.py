@@ -1,9 +1,9 @@
-"""A campaign's folder: a table in SQLite, and every result under the digest of what it rests on."""
+"""A campaign's folder: a table in SQLite, and every result under the digest of its inputs."""
 
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import astuple, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,15 +11,14 @@ from typing import Any
 
 from palpate.campaign.items import CampaignItem
 from palpate.campaign.package import Package, check_package
-from palpate.campaign.rows import COLUMNS, Row, constants_of
+from palpate.campaign.rows import COLUMNS, WAITING, Row, constants_of
 from palpate.campaign.work import ESTIMATE_FILE, Outcome, Work
-from palpate.disk import write_bytes
+from palpate.disk import folder_made, write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
 from palpate.pipeline import MOTION_FILE
 from palpate.records import (
     INPUTS_FILE,
-    disk_errors,
     folder_changes,
     read_estimate,
     result_folder,
@@ -29,9 +28,9 @@ from palpate.records import (
 
 TABLE_FILE, TABLE_TEXT = "campaign.sqlite", "table.csv"
 _RESULTS, _MOTIONS = "results", "motions"
-# Digits of an address that name a file: more than anyone will ever meet two alike in.
+# Digits of an address that are used in file names; collisions are practically impossible.
 _DIGITS = 32
-# Another process may be reading the table [s].
+# Timeout while another process is reading the table [s].
 _PATIENCE = 30.0
 _KINDS = {"seconds": "REAL", **dict.fromkeys((n for n in COLUMNS if "modulus" in n), "REAL")} | {
     name: "REAL" for name in COLUMNS if "poisson" in name
@@ -39,11 +38,11 @@ _KINDS = {"seconds": "REAL", **dict.fromkeys((n for n in COLUMNS if "modulus" in
 
 
 class Store:
-    """What a campaign has found so far.
+    """Table and results of a campaign so far.
 
     Parameters
     ----------
-    folder : Path                   of the campaign; made with its parts by `begin`
+    folder : Path                   of the campaign; created by `begin`
 
     Attributes
     ----------
@@ -54,16 +53,16 @@ class Store:
         self.folder = folder
 
     def may_begin(self) -> bool:
-        """Whether the folder is a campaign's, is not there, or has nothing in it."""
+        """Whether the folder is a campaign's, missing, or empty."""
         if not self.folder.is_dir():
             return not self.folder.exists()
         names = {path.name for path in self.folder.iterdir()}
-        # What an interrupted beginning left does not count.
+        # Ignore temporary files of a run that was interrupted at its beginning.
         own = {name for name in names if name.startswith(f".{TABLE_TEXT}")}
         return names == own or not names.isdisjoint({TABLE_FILE, _RESULTS})
 
     def begin(self, items: Sequence[CampaignItem]) -> None:
-        """Have a row for every session of a list; what is known of them stays.
+        """Create folder and table with a row for every session of a list; known rows are kept.
 
         Parameters
         ----------
@@ -73,11 +72,12 @@ class Store:
         ------
         RecordError                 the folder or the table cannot be written
         """
-        with disk_errors(self.folder):
-            for name in (_RESULTS, _MOTIONS):
-                (self.folder / name).mkdir(parents=True, exist_ok=True)
         columns = ", ".join(f'"{name}" {_KINDS.get(name, "TEXT")}' for name in COLUMNS)
-        with self._table() as table:
+        with (
+            folder_made(self.folder / _RESULTS),
+            folder_made(self.folder / _MOTIONS),
+            self._table() as table,
+        ):
             table.execute(
                 f"CREATE TABLE IF NOT EXISTS sessions (place INTEGER, {columns}, UNIQUE (session))"
             )
@@ -87,12 +87,21 @@ class Store:
                 row = known.get(item.name, Row(item.name, item.group))
                 _put(table, place, replace(row, group=item.group))
 
+    def clear(self) -> None:
+        """Remove what `begin` made, where nothing has come of it: the folder may go, too."""
+        kept = [self.folder / name for name in (_RESULTS, _MOTIONS)]
+        with suppress(OSError, RecordError):
+            if {row.state for row in self.rows()} == {WAITING}:
+                for folder in kept:
+                    folder.rmdir()
+                (self.folder / TABLE_FILE).unlink()
+
     def rows(self) -> tuple[Row, ...]:
-        """The table.
+        """All rows, in the order of the list.
 
         Raises
         ------
-        RecordError                 there is none, or it cannot be read
+        RecordError                 there is no table, or it cannot be read
         """
         if not (self.folder / TABLE_FILE).is_file():
             raise RecordError(
@@ -103,7 +112,7 @@ class Store:
             return tuple(_rows(table))
 
     def set_row(self, row: Row) -> None:
-        """Put a row in place of the one of the same session.
+        """Replace the row of a session.
 
         Parameters
         ----------
@@ -121,7 +130,7 @@ class Store:
             _put(table, place, row)
 
     def result(self, work: Work) -> Path:
-        """Folder of a fit's result, there or not.
+        """Folder of a fit's result, whether it exists or not.
 
         Parameters
         ----------
@@ -130,7 +139,7 @@ class Store:
         return self.folder / _RESULTS / work.address[:_DIGITS]
 
     def is_done(self, work: Work) -> bool:
-        """Whether a fit's result is there as it was written.
+        """Whether a fit's result exists and is unchanged.
 
         Parameters
         ----------
@@ -140,7 +149,7 @@ class Store:
         return folder.is_dir() and folder_changes(folder)[:2] == ("fit", {})
 
     def motion(self, work: Work) -> bytes | None:
-        """The motion that was measured in a session's pictures; None where it is still to be.
+        """The stored motion of a session's pictures; None if it is not measured yet.
 
         Parameters
         ----------
@@ -150,7 +159,7 @@ class Store:
         return read_bytes(path) if path.is_file() else None
 
     def keep(self, work: Work, package: Package) -> None:
-        """Keep what a piece of work gave.
+        """Store the result of a piece of work.
 
         Parameters
         ----------
@@ -159,7 +168,7 @@ class Store:
 
         Raises
         ------
-        RecordError                 damaged on its way, or the disk takes no more
+        RecordError                 damaged in transit, or it cannot be written
         """
         check_package(package)
         if work.kind == "motion":
@@ -169,7 +178,7 @@ class Store:
             for name, content in package.files.items():
                 (folder / name).parent.mkdir(exist_ok=True)
                 (folder / name).write_bytes(content)
-            # As they were when they were packed, whatever has become of them since.
+            # Checksums of the inputs when they were packed, even if they have changed since.
             here = {
                 Path(os.path.relpath(Path(work.session.root) / name, folder)).as_posix(): value
                 for name, value in work.session.package.sums.items()
@@ -182,8 +191,8 @@ class Store:
         Parameters
         ----------
         item : CampaignItem
-        work : Work or None         None: it could not begin
-        outcome : Outcome or None   None: an earlier run ended it
+        work : Work or None         None: the session could not be read
+        outcome : Outcome or None   None: an earlier run completed it
         """
         finished = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         head = Row(item.name, item.group, finished=finished)
@@ -204,16 +213,19 @@ class Store:
 
     @contextmanager
     def _table(self) -> Iterator[sqlite3.Connection]:
-        """The table, for one change that is made whole or not at all."""
+        """Connection to the table, with one transaction."""
         path = self.folder / TABLE_FILE
+        new = not path.exists()
         try:
             with closing(sqlite3.connect(path, timeout=_PATIENCE)) as table:
-                # A crash of the whole machine may cost the table, which the results make again; to
-                # wait for the disk after every row would cost more time than the rest of it.
+                # A crash of the machine may destroy the table, which can be rebuilt from the
+                # results; flushing after every row would take more time than all the rest.
                 table.execute("PRAGMA synchronous = OFF")
                 with table:
                     yield table
         except sqlite3.Error as error:
+            if new:
+                path.unlink(missing_ok=True)
             raise RecordError(
                 f"{path}: cannot be read or written ({error}); what is there stays: make room and"
                 " start again, or remove the file, which is made anew from the results"

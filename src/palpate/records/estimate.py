@@ -1,4 +1,4 @@
-"""What an estimation gives: constants with intervals, per probing and for all of them."""
+"""Results of an estimation: constants with intervals, jointly and for each probing."""
 
 import math
 from collections.abc import Mapping
@@ -9,13 +9,13 @@ from typing import Any
 
 from palpate.errors import InputError
 
-# Rounding of a product in double precision, with room.
+# Relative rounding error of a product in double precision, with a margin.
 _EXACT = 1e-12
-# Prior standard deviations: an error that lies farther off is named as a likely fault.
+# An estimated error of more than this many prior standard deviations is reported as a likely fault.
 SURPRISING = 3.0
-# The same: chance leads so far in one of two million, so that the model contradicts the session.
+# Beyond this many, which happens by chance once in two million, the model is contradicted.
 IMPOSSIBLE = 5.0
-# What notes say of data that lead every constant astray; a verdict quotes such notes.
+# Phrase in notes about data that bias all constants; the verdict quotes such notes.
 BIASED = "the estimate will be biased"
 CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
@@ -29,7 +29,7 @@ _SCALE_CURE = (
     "press harder (within small deformation), measure more points nearer to the contact, or repeat"
     " probings: the displacements hardly exceed their noise"
 )
-# What a status means, and what to do about it.
+# Meaning of each status, and advice what to do about it.
 _FINDINGS = {
     "ok": ("all three constants are determined by the data", ""),
     "poisson_ratio" + _SUFFIX: ("Poisson's ratio is not determined by the data", _TANGENTIAL_CURE),
@@ -76,8 +76,8 @@ _FINDINGS = {
 
 
 class Status(StrEnum):
-    """Outcome of an estimation, its name in small letters as text; a person reads `sentence`, and
-    what to do about it in `cure`."""
+    """Outcome of an estimation; the string value is the name in lower case. `sentence` explains it
+    to a reader, `cure` says what to do about it."""
 
     OK = auto()
     POISSON_RATIO_NOT_IDENTIFIABLE = auto()
@@ -92,17 +92,17 @@ class Status(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """What it means, in words, without capital and full stop."""
+        """Meaning in words, without initial capital and full stop."""
         return _FINDINGS[self.value][0]
 
     @property
     def cure(self) -> str:
-        """What to do about it, in words; empty where there is nothing to do."""
+        """What to do about it, in words; empty if there is nothing to do."""
         return _FINDINGS[self.value][1]
 
     @property
     def advice(self) -> str:
-        """What it means and what to do about it."""
+        """Meaning and, if there is one, the cure, in one text."""
         return f"{self.sentence}: {self.cure}" if self.cure else self.sentence
 
     @classmethod
@@ -111,11 +111,11 @@ class Status(StrEnum):
 
         Parameters
         ----------
-        identifiable : mapping with the keys shear_modulus, poisson_ratio, young_modulus
+        identifiable : mapping      shear_modulus, poisson_ratio, young_modulus -> bool
 
         Raises
         ------
-        InputError                  a key is missing
+        InputError                  not exactly these three keys
         """
         _check_identifiable(identifiable)
         lost = [name for name in CONSTANT_NAMES if not identifiable[name]]
@@ -127,7 +127,7 @@ class Status(StrEnum):
 
 
 def _check_identifiable(identifiable: Mapping[str, bool]) -> None:
-    """Refuse a mapping that does not speak of exactly the three constants."""
+    """Refuse a mapping whose keys are not exactly the three constants."""
     if set(identifiable) != set(CONSTANT_NAMES):
         raise InputError(
             f"identifiable has the keys {sorted(identifiable)}; must be {sorted(CONSTANT_NAMES)}"
@@ -136,7 +136,7 @@ def _check_identifiable(identifiable: Mapping[str, bool]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """An elastic constant with its uncertainty; NaN and infinity mean that it is not known.
+    """An elastic constant with its uncertainty; NaN and infinity mean unknown.
 
     Parameters
     ----------
@@ -161,15 +161,15 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class SupportEstimate:
-    """How a support moved in one probing; NaN where that was not estimated.
+    """Estimated rigid motion of a support in one probing; NaN where it was not estimated.
 
     Parameters
     ----------
-    support : int                       its number, from 1
-    translation : 3 float [m]           of its middle
+    support : int                       number of the support, from 1
+    translation : 3 float [m]           of the middle of the support
     translation_std : 3 float [m]       one standard deviation
-    rotation : 3 float [rad]            axis times angle, about its middle
-    rotation_std : 3 float [rad]
+    rotation : 3 float [rad]            rotation vector about the middle, axis times angle
+    rotation_std : 3 float [rad]        one standard deviation
 
     Raises
     ------
@@ -190,15 +190,15 @@ class SupportEstimate:
 
 @dataclass(frozen=True, slots=True)
 class ErrorEstimate:
-    """An error of the measurement that was estimated along with the constants.
+    """A systematic measurement error (nuisance parameter), estimated along with the constants.
 
     Parameters
     ----------
-    name : str                      "gain of the force sensor"
-    unit : str                      "m", "rad", "m/Pa", or empty for a share
-    value : float                   by how much the measurement is off, in that unit
-    std : float                     one standard deviation, after the fit
-    prior_std : float               one standard deviation, before
+    name : str                      e.g. "gain of the force sensor"
+    unit : str                      "m", "rad", "m/Pa", or empty for a relative error
+    value : float                   estimated error of the measurement, in that unit
+    std : float                     posterior standard deviation
+    prior_std : float               prior standard deviation
 
     Raises
     ------
@@ -219,25 +219,25 @@ class ErrorEstimate:
 
     @property
     def is_surprising(self) -> bool:
-        """Whether it lies more than three prior standard deviations off."""
+        """Whether it exceeds three prior standard deviations."""
         return abs(self.value) > SURPRISING * self.prior_std
 
     @property
     def is_impossible(self) -> bool:
-        """Whether it lies more than five off, which chance does not do."""
+        """Whether it exceeds five prior standard deviations, which is not explained by chance."""
         return abs(self.value) > IMPOSSIBLE * self.prior_std
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetEntry:
-    """What one source adds to the uncertainty of the constants; NaN for those that the data do not
-    determine.
+    """Contribution of one error source to the standard deviations of the constants; NaN for
+    constants that the data do not determine.
 
     Parameters
     ----------
-    source : str                    "gain of the force sensor"
-    shear_modulus, young_modulus : float [-]    standard deviation, relative
-    poisson_ratio : float [-]       standard deviation
+    source : str                    e.g. "gain of the force sensor"
+    shear_modulus, young_modulus : float [-]    relative standard deviation
+    poisson_ratio : float [-]       absolute standard deviation
 
     Raises
     ------
@@ -257,21 +257,25 @@ class BudgetEntry:
 
 @dataclass(frozen=True, slots=True)
 class ProbeEstimate:
-    """The constants as one probing alone determines them, and how well it was explained.
+    """The constants as determined by one probing alone, and the residuals of that probing.
 
     Parameters
     ----------
-    name : str
+    name : str                      of the probing
     shear_modulus, poisson_ratio, young_modulus : Constant
-    observed : int                  points used
-    missing : int                   points looked at and not measured (NaN rows)
-    rejected : int                  points that the robust loss all but switched off
-    rms_residual : float [m]        over the observed points, joint estimate
-    prediction_error : float [m] or None    rms residual when this probing was left out
-    supports : tuple of SupportEstimate     those that move
-    errors : tuple of ErrorEstimate         of the measurement of this probing alone
+    observed : int                  number of points used
+    missing : int                   points that could not be measured (NaN rows)
+    rejected : int                  outliers, with almost no weight in the robust loss
+    rms_residual : float [m]        over the observed points, at the joint estimate
+    prediction_error : float [m] or None    rms residual at the estimate without this probing
+    supports : tuple of SupportEstimate     motions of the supports that move
+    errors : tuple of ErrorEstimate         systematic errors of this probing alone
     identifiable : mapping                  constant's name -> whether this probing alone determines
-                                            it; empty where that was not asked
+                                            it; empty if that was not computed
+
+    Raises
+    ------
+    InputError                      a negative residual; inconsistent or impossible constants
     """
 
     name: str
@@ -287,29 +291,39 @@ class ProbeEstimate:
     errors: tuple[ErrorEstimate, ...] = ()
     identifiable: Mapping[str, bool] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for what, size in (
+            ("rms_residual", self.rms_residual), ("prediction_error", self.prediction_error or 0.0)
+        ):  # fmt: skip
+            if size < 0.0:
+                raise InputError(f"{what} is {size:g}; must not be negative")
+        if self.identifiable:
+            _check_identifiable(self.identifiable)
+            _check_constants(self, self.identifiable)
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The elastic constants of the object, from all its probings.
+    """The elastic constants of the object, estimated from all its probings.
 
     Parameters
     ----------
-    status : Status                 OK, or what is not identifiable, with its cure
+    status : Status                 outcome: OK, or what is not identifiable or went wrong
     shear_modulus, poisson_ratio, young_modulus : Constant
     identifiable : mapping          constant's name -> whether the data determine it
-    probes : tuple of ProbeEstimate
+    probes : tuple of ProbeEstimate one for each probing
     seconds : mapping               stage -> wall time [s]
-    method : str                    how the misfit was minimised
-    settings : mapping              everything chosen, for repeating the run
+    method : str                    method that minimised the misfit
+    settings : mapping              all settings, to repeat the run
     notes : tuple of str            full sentences for the reader of the result
-    errors : tuple of ErrorEstimate     of the measurement, which all probings share
-    budget : tuple of BudgetEntry   what the standard deviations come from, as the root of a sum of
-                                    squares; the largest part of Young's modulus's first
+    errors : tuple of ErrorEstimate     systematic errors common to all probings
+    budget : tuple of BudgetEntry   uncertainty budget, whose squares sum to the variances; largest
+                                    contribution to Young's modulus first
 
     Raises
     ------
-    InputError                      `identifiable` does not name exactly the three constants, or
-                                    something contradicts something else
+    InputError                      `identifiable` does not have exactly the three constants as
+                                    keys; a status, names or constants that contradict each other
     """
 
     status: Status
@@ -327,20 +341,13 @@ class Estimate:
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)
-        # The other words speak of something else than what the data determine.
+        # The other statuses do not depend on which constants are identifiable.
         if self.status != expected and self.status.value.endswith(("ok", "identifiable")):
             raise InputError(f"status is '{self.status}'; `identifiable` asks for '{expected}'")
         names = [probe.name for probe in self.probes]
         if len(set(names)) < len(names):
             raise InputError(f"{len(names)} probings have {len(set(names))} names; each its own")
-        for name in CONSTANT_NAMES:
-            if self.identifiable[name] and not math.isfinite(getattr(self, name).value):
-                raise InputError(f"{name} is identifiable by `identifiable`, but has no value")
-        values = self.shear_modulus.value, self.poisson_ratio.value, self.young_modulus.value
-        _check_ranges(*values)
-        # What the data do not determine is given for all of its range, each constant by itself.
-        if all(self.identifiable.values()):
-            _check_product(*values)
+        _check_constants(self, self.identifiable)
 
     def __repr__(self) -> str:
         parts = []
@@ -352,19 +359,32 @@ class Estimate:
         return f"Estimate: {self.status.sentence}; {', '.join(parts)}"
 
 
+def _check_constants(found: ProbeEstimate | Estimate, identifiable: Mapping[str, bool]) -> None:
+    """Refuse constants that contradict each other, or `identifiable`."""
+    constants: dict[str, Constant] = {name: getattr(found, name) for name in CONSTANT_NAMES}
+    for name, one in constants.items():
+        if identifiable[name] and not math.isfinite(one.value):
+            raise InputError(f"{name} is identifiable by `identifiable`, but has no value")
+    values = [one.value for one in constants.values()]
+    _check_ranges(*values)
+    # A constant that is not determined is given for its whole range, independently of the others.
+    if all(identifiable.values()):
+        _check_product(*values)
+
+
 def _check_ranges(shear: float, ratio: float, young: float) -> None:
-    """Refuse constants that no material has; NaN is unknown."""
+    """Refuse constants out of the range of any material; NaN means unknown."""
     for name, modulus in (("shear_modulus", shear), ("young_modulus", young)):
-        if modulus <= 0.0 or math.isinf(modulus):
-            raise InputError(f"{name} is {modulus:g} Pa; must be positive and finite")
+        if modulus <= 0.0:
+            raise InputError(f"{name} is {modulus:g} Pa; must be positive")
     if ratio <= -1.0 or ratio > 0.5:
         raise InputError(f"poisson_ratio is {ratio:g}; must be above -1, and 0.5 at most")
 
 
 def _check_product(shear: float, ratio: float, young: float) -> None:
-    """Refuse constants that belong to no one material."""
+    """Refuse constants that violate E = 2 G (1 + nu)."""
     expected = 2.0 * shear * (1.0 + ratio)
-    # A person may have rounded all three.
+    # All three may have been rounded by hand.
     room = 2.0 * (1.0 + ratio) * _rounding(shear) + 2.0 * shear * _rounding(ratio)
     if abs(young - expected) > room + _rounding(young) + _EXACT * expected:
         raise InputError(
@@ -374,6 +394,6 @@ def _check_product(shear: float, ratio: float, young: float) -> None:
 
 
 def _rounding(value: float) -> float:
-    """Half a unit of the last digit that a number is written with."""
+    """Half a unit in the last written digit of a number."""
     exponent = Decimal(repr(value)).normalize().as_tuple().exponent
     return 0.5 * 10.0**exponent if isinstance(exponent, int) else math.nan

@@ -1,4 +1,4 @@
-"""What Palpate asks of a program whose files it reads: a calibration, displacements, or both."""
+"""Interface to other programs whose files are read: calibrations, displacements, or both."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -12,31 +12,30 @@ from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
+from palpate.files import most_unpacked
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, PictureTracks, Rig
 from palpate.records.text import TREE_SUFFIXES, nearest_word, read_toml, read_tree
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
-# A printed rotation is this far from one at most; `Camera` refuses what is farther.
+# Largest error of a rotation matrix that counts as rounding in print; `Camera` refuses larger ones.
 _MAX_PRINTED_ERROR = 1e-6
-# Zero-mean normalised correlation below which a match is not believed: of what differs between two
-# windows of this one, noise (or another surface) has a quarter.
+# Zero-mean normalised cross-correlation below which a match is rejected: at this value a quarter of
+# the grey-level variance of the subsets is noise, or another surface.
 LEAST_CORRELATION = 0.75
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-# A billion numbers are eight gigabytes.
-_MOST_NUMBERS = 10**9
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFile:
-    """A calibration of another program: its content, parsed once, and complaints that name it.
+    """Calibration file of another program, parsed once; its errors name the file.
 
     Parameters
     ----------
     path : Path                     a file, or a folder with a file per camera
-    content : Element, dict, str or None    of XML; of YAML or JSON; of any other text; None for a
-                                    folder and for MATLAB's files, which their reader opens itself
-    length_unit : str or None       m, cm, mm or in, as the caller says
+    content : Element, dict, str or None    of XML; of YAML, JSON or TOML; of any other text; None
+                                    for a folder and for MATLAB files, which their reader opens
+    length_unit : str or None       m, cm, mm or in, as given by the caller
     """
 
     path: Path
@@ -45,16 +44,16 @@ class CalibrationFile:
 
     @classmethod
     def read(cls, path: Path, length_unit: str | None = None) -> "CalibrationFile":
-        """A file with its content, whichever program wrote it.
+        """Read and parse a file, whichever program wrote it.
 
         Parameters
         ----------
         path : Path                     a file, or a folder with a file per camera
-        length_unit : str or None       m, cm, mm or in, as the caller says
+        length_unit : str or None       m, cm, mm or in, as given by the caller
 
         Raises
         ------
-        RecordError                 not there, not text, broken XML or YAML
+        RecordError                 missing, not text, malformed XML, YAML, JSON or TOML
         """
         binary = path.is_dir() or path.suffix.lower() == ".mat"
         if path.suffix.lower() == ".toml":
@@ -62,7 +61,7 @@ class CalibrationFile:
         return cls(path, None if binary else read_tree(path), length_unit)
 
     def beside(self) -> "list[CalibrationFile]":
-        """The YAML, JSON and XML files in this folder, by name."""
+        """The YAML, JSON and XML files in this folder, sorted by name."""
         files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in TREE_SUFFIXES)
         return [CalibrationFile(file, read_tree(file), self.length_unit) for file in files]
 
@@ -75,13 +74,13 @@ class CalibrationFile:
 
         Parameters
         ----------
-        usual : str or None         unit of files of this kind; None: they may be in any
-        stated : str or None        unit that the file itself names; it counts before the caller's
+        usual : str or None         unit of files of this kind; None: there is no usual unit
+        stated : str or None        unit stated in the file; takes precedence over the caller's
 
         Raises
         ------
-        InputError                  not a known unit
-        CalibrationError            the unit is not given anywhere
+        InputError                  unknown unit
+        CalibrationError            no unit is given anywhere
         """
         unit = stated or (usual if self.length_unit is None else self.length_unit)
         allowed = ", ".join(FILE_LENGTH_UNITS)
@@ -97,14 +96,14 @@ class CalibrationFile:
         return FILE_LENGTH_UNITS[unit]
 
     def numbers(self, what: str, values: Any, shape: tuple[int, ...] | None) -> np.ndarray:
-        """Finite numbers of the file.
+        """Convert values of the file to an array of finite numbers.
 
         Parameters
         ----------
         what : str                  what they are, for the message
         values : numbers or texts
-        shape : tuple of int or None    wanted; a list of as many numbers is brought to it. None: a
-                                    flat list of any length
+        shape : tuple of int or None    wanted shape, to which a flat list is reshaped; None: flat,
+                                    of any length
 
         Returns
         -------
@@ -112,7 +111,7 @@ class CalibrationFile:
 
         Raises
         ------
-        CalibrationError            not numbers, not finite, another count
+        CalibrationError            not numbers, not finite, wrong count
         """
         try:
             if isinstance(values, bool):
@@ -134,7 +133,7 @@ class CalibrationFile:
         return array.reshape(shape)
 
     def entry(self, table: Mapping[str, Any], key: str, where: str) -> Any:
-        """Value of a key that must be there.
+        """Value of a required key.
 
         Parameters
         ----------
@@ -144,7 +143,7 @@ class CalibrationFile:
 
         Raises
         ------
-        CalibrationError            it is not there
+        CalibrationError            the key is missing
         """
         if key not in table:
             self.fail(f"{where} has no '{key}'; it must be given: export the calibration again")
@@ -157,19 +156,19 @@ class CalibrationFile:
 
         Parameters
         ----------
-        table, key, where           as `entry`
-        missing : float or None     stands in where the key is not there; None: it must be
+        table, key, where           as in `entry`
+        missing : float or None     default if the key is missing; None: the key is required
 
         Raises
         ------
-        CalibrationError            not there and nothing stands in, or no finite number
+        CalibrationError            a required key is missing, or not a finite number
         """
         if missing is not None and key not in table:
             return missing
         return float(self.numbers(f"{key} of {where}", self.entry(table, key, where), ()))
 
     def size(self, given: Any) -> tuple[int, int] | None:
-        """Columns and rows of the pictures [px], where the file says them.
+        """Columns and rows of the pictures [px], if the file gives them.
 
         Parameters
         ----------
@@ -193,15 +192,16 @@ class CalibrationFile:
         pose: Float[np.ndarray, "4 4"],
         size: tuple[int, int] | None = None,
     ) -> Camera:
-        """A camera whose complaints name its file.
+        """Make a camera; errors name this file.
 
         Parameters
         ----------
-        name, matrix, distortion, pose, size    as `Camera`; terms beyond the eighth must be zero
+        name, matrix, distortion, pose, size    as in `Camera`; distortion terms beyond the eighth
+                                    must be zero
 
         Raises
         ------
-        CalibrationError            as `Camera`, or a lens model that is not known
+        CalibrationError            as `Camera`, or an unsupported lens model
         """
         terms = np.asarray(distortion, dtype=np.float64).ravel()
         known = len(DISTORTION_TERMS)
@@ -217,7 +217,7 @@ class CalibrationFile:
             raise CalibrationError(f"{self.path}: {error}") from error
 
     def rig(self, cameras: Sequence[Camera], *, reference: int = 0) -> Rig:
-        """The cameras of this file; the first one is the reference if nothing else is said.
+        """Make a rig of this file's cameras.
 
         Parameters
         ----------
@@ -233,18 +233,18 @@ class CalibrationFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProgramPoints:
-    """Points and displacements as a program wrote them: its unit, its own signs of failure.
+    """Points and displacements as written by a program, in its own unit and frame.
 
     Parameters
     ----------
     points : (n, 3) float           at rest
     displacement : (n, 3) float
-    failed : (n,) bool or None      what the program itself says it could not measure
+    failed : (n,) bool or None      points that the program itself marks as failed
     std : (n, 3) float or None      one standard deviation of the displacement
-    unit : str or None              of length, where the file names it
+    unit : str or None              of length, if the file states it
     notes : tuple of str            what was left out, in sentences about the file
-    score : (n,) float or None      zero-mean normalised correlation of each point's worst match, 1
-                                    at best; NaN where it is not known
+    score : (n,) float or None      zero-mean normalised cross-correlation of each point's worst
+                                    match, at most 1; NaN where unknown
     """
 
     points: Points
@@ -258,22 +258,22 @@ class ProgramPoints:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """One program, and how its files are told apart and read.
+    """One program, and how its files are recognised and read.
 
     Parameters
     ----------
-    kinds : tuple of str            names in `palpate import`; none where it gives no displacements
+    kinds : tuple of str            names in `palpate import`; empty if it gives no displacements
     results : str                   its result files, for the help
-    read_points : callable or None  (path, frame) -> ProgramPoints; frame is the state, from 0, in
-                                    files of several; None: the last one
-    read_tracks : callable or None  (path, frame) -> PictureTracks, of results not yet in space
-    usual_unit : str or None        of results that name none; None: the user must say it
-    least_score : float or None     matches of a lower `ProgramPoints.score` are no measurements;
-                                    None: its files tell no correlation
-    correlates : bool               its displacements come from matched pictures, and a point that
-                                    contradicts all around it is a mistake
+    read_points : callable or None  (path, frame) -> ProgramPoints; frame is the index, from 0, of
+                                    the state in files with several; None: the last one
+    read_tracks : callable or None  (path, frame) -> PictureTracks, for results in pixels
+    usual_unit : str or None        unit of results that state none; None: the user must give it
+    least_score : float or None     matches with a lower `ProgramPoints.score` are rejected; None:
+                                    its files hold no correlation
+    correlates : bool               its displacements come from image correlation, so a point that
+                                    contradicts all its neighbours is a false match
     calibrations : str              its calibration files, for messages
-    holds_rig : callable or None    whether a CalibrationFile is of this program
+    holds_rig : callable or None    whether a CalibrationFile was written by this program
     read_rig : callable or None     CalibrationFile -> Rig
     """
 
@@ -290,13 +290,13 @@ class Program:
 
 
 def chosen_frame(path: Path, frame: int | None, count: int = 1) -> tuple[int, tuple[str, ...]]:
-    """Number of the state to read, from 0; the last one where none is asked for.
+    """Index of the state to read; the last one by default.
 
     Parameters
     ----------
     path : Path                     for messages
-    frame : int or None             negative ones count from the end
-    count : int                     states in the file, at least 1
+    frame : int or None             index from 0, negative from the end; None: the last
+    count : int                     number of states in the file, at least 1
 
     Raises
     ------
@@ -316,23 +316,23 @@ def chosen_frame(path: Path, frame: int | None, count: int = 1) -> tuple[int, tu
 
 
 def checked_size(array: Any) -> Any:
-    """An array of a file that is not yet read, if it can be: a header may claim any size.
+    """Return a data set that is not yet loaded, after checking its size, which a header may forge.
 
     Parameters
     ----------
-    array : with a shape
+    array : h5py.Dataset
 
     Raises
     ------
     ValueError                      more numbers than any measurement has
     """
-    if math.prod(array.shape) > _MOST_NUMBERS:
+    if math.prod(array.shape) * array.dtype.itemsize > most_unpacked(array.id.get_storage_size()):
         raise ValueError(f"it claims an array of {' x '.join(map(str, array.shape))} numbers")
     return array
 
 
 def camera_matrix(inner: Sequence[float] | np.ndarray, skew: float = 0.0) -> Matrix3:
-    """Intrinsic matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] of fx fy cx cy, all in pixels.
+    """Camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] from fx, fy, cx, cy.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def camera_matrix(inner: Sequence[float] | np.ndarray, skew: float = 0.0) -> Mat
 
 
 def rotation_from_angles(degrees: Sequence[float] | Vector3) -> Matrix3:
-    """Rotation Rz Ry Rx from the angles about x, y and z, as VIC-3D, DICe and MatchID give it.
+    """Rotation Rz Ry Rx from angles about x, y and z, the convention of VIC-3D, DICe and MatchID.
 
     Parameters
     ----------
@@ -362,11 +362,11 @@ def rotation_from_angles(degrees: Sequence[float] | Vector3) -> Matrix3:
 
 
 def make_pose(rotation: Matrix3, translation: Vector3) -> Float[np.ndarray, "4 4"]:
-    """Rigid motion x -> rotation x + translation; a rotation rounded in print is made exact.
+    """Homogeneous matrix of x -> rotation x + translation; rounding in the rotation is removed.
 
     Parameters
     ----------
-    rotation : (3, 3) float         left as it is where it is no rotation: `Camera` will say so
+    rotation : (3, 3) float         left unchanged if it is not a rotation: `Camera` refuses it
     translation : (3,) float [m]
 
     Returns
@@ -381,7 +381,7 @@ def make_pose(rotation: Matrix3, translation: Vector3) -> Float[np.ndarray, "4 4
 
 
 def nearest_rotation(matrix: Matrix3) -> Matrix3:
-    """The orthogonal matrix nearest to one that nearly is, by the singular value decomposition.
+    """The rotation nearest to an almost orthogonal matrix, by singular value decomposition.
 
     Parameters
     ----------

@@ -7,6 +7,7 @@ import zlib
 import meshio
 import numpy as np
 import pytest
+from fault_injection import largest_file
 from surfaces import box, sphere
 
 from palpate.errors import InputError, MeshError, RecordError
@@ -243,3 +244,17 @@ def test_shared_meshes_are_closed(shared_data):
     for path in sorted(shared_data.glob("*/mesh*.ply")):
         _, notes = checked_mesh(read_mesh(path))
         assert notes == ()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".msh", ".vtu"])
+def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path, suffix):
+    path = tmp_path / f"ball{suffix}"
+    write_mesh(path, box())
+    before = path.read_bytes()
+    with (
+        largest_file(2000),
+        pytest.raises(RecordError, match=rf"ball\{suffix}: cannot be written \("),
+    ):
+        write_mesh(path, sphere(3))
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]

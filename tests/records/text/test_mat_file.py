@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from palpate import files
 from palpate.errors import RecordError
 from palpate.records.text import read_mat
 
@@ -64,3 +65,15 @@ def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.mat").write_bytes(b"MATLAB 7.3 MAT-file")
     with pytest.raises(RecordError, match=r"it starts with b'MATLAB 7\.3 MAT-file'"):
         _read(tmp_path / "a.mat")
+
+
+def test_a_few_bytes_that_unpack_to_many_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_MOST_UNPACKED", 2**16)
+    path = tmp_path / "a.mat"
+    savemat(path, {"a": np.zeros(2**18)}, do_compression=True)
+    with pytest.raises(RecordError, match="cut off, or too large"):
+        _read(path)
+    # Nor may many elements together, none of which is too large.
+    savemat(path, {f"a{k}": np.zeros(2**12) for k in range(40)}, do_compression=True)
+    with pytest.raises(RecordError, match="cut off, or too large"):
+        _read(path)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from palpate.app.environment import check_cache
 from palpate.app.exit_codes import NOT_OK
 from palpate.app.terminal import (
     StageLog,
@@ -99,6 +100,7 @@ def fit(
     log = StageLog()
     log.add("reading")
     loading = log.seconds
+    check_cache(cache)
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from jaxtyping import Float
 from rich.table import Table
 
+from palpate.app.environment import check_cache
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.app.units import Force, Length, Modulus, Place
 from palpate.bem import InteriorState, SurfaceSettings, check_memory
@@ -89,6 +90,7 @@ def poke(
     shear, ratio = _material(result, young_modulus, shear_modulus, poisson_ratio)
     if not any(force):
         raise InputError("--force is zero; give the force of the tool in newtons: --force 0 0 -1")
+    check_cache(cache)
     if np.abs(force).max() > _STRONGEST:
         raise InputError(f"--force is {_numbers(force)}; must be newtons, at most {_STRONGEST:g}")
     if fit is not None:

@@ -1,6 +1,7 @@
 """`palpate verify`: whether a result is as it was written, and its inputs as they were."""
 
 import sys
+from collections import Counter
 from pathlib import Path
 
 from palpate.app.exit_codes import NOT_OK
@@ -30,7 +31,11 @@ def verify(result: Path, /) -> int:
         more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         print(f"palpate: {result}: not as it was: {shown}{more}", file=sys.stderr)
         return NOT_OK
-    own = sum(finding.role == "result" for finding in found)
-    inputs = f"the {len(found) - own} files that it was made from"
-    print_text(f"{result}: its {own} files are as they were written, {inputs} as they were read")
+    count = Counter(finding.role for finding in found)
+    inputs = f"the {count['input']} files that it was made from"
+    parts = f"; beside it {count['part']} finished parts of an interrupted run, as they were kept"
+    print_text(
+        f"{result}: its {count['result']} files are as they were written, {inputs} as they were"
+        f" read{parts if count['part'] else ''}"
+    )
     return 0

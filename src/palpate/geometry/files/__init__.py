@@ -13,3 +13,4 @@ from palpate.geometry.files.mesh_files import (
     welded as welded,
     write_mesh as write_mesh,
 )
+from palpate.geometry.files.vtp_file import check_packed_arrays as check_packed_arrays

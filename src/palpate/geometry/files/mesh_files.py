@@ -1,4 +1,4 @@
-"""Triangle surfaces from and to files: PLY, OBJ, STL, OFF, MSH, VTU, VTP; and from STEP."""
+"""Reading and writing of triangle surfaces: PLY, OBJ, STL, OFF, MSH, VTU; reading of VTP, STEP."""
 
 import re
 from io import BytesIO
@@ -9,21 +9,22 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from palpate.disk import write_bytes
+from palpate.disk import placed, write_bytes, write_errors
 from palpate.errors import InputError, MeshError
 from palpate.files import damage, read_bytes
+from palpate.geometry.files.corners import check_text_msh, check_text_ply, whole_numbers
 from palpate.geometry.files.obj_file import parse_obj
 from palpate.geometry.files.step_file import STEP_SUFFIXES, read_step
-from palpate.geometry.files.vtp_file import parse_vtp
-from palpate.geometry.triangle_mesh import TriangleMesh, connected_groups
+from palpate.geometry.files.vtp_file import check_packed_arrays, parse_vtp
+from palpate.geometry.triangle_mesh import TriangleMesh, connected_components
 from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
 
 _TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
-# And the format of meshio that is meant: for .msh it would try a reader that may never end.
+# With the format's name in meshio: by the suffix .msh alone it tries a reader that may never end.
 _MESHIO_SUFFIXES = {".msh": "gmsh", ".vtu": "vtu"}
 MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
-# Drawings are no meshes yet, but can be covered with one.
+# CAD files hold no mesh, but are converted to triangles.
 _READ = (*MESH_SUFFIXES, *STEP_SUFFIXES)
 
 # Flat triangles of each cell of a surface, in the cell's own numbering (VTK and gmsh agree here).
@@ -33,51 +34,52 @@ _FACETS = {
     "quad": [[0, 1, 2], [0, 2, 3]],
 }
 _TETRAHEDRON_FACES = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
-# The checks of a surface take seconds at this many, the model would take all memory long before.
+# The checks of a surface take seconds at this many; the model runs out of memory long before.
 MOST_TRIANGLES = 100_000
-# Solids and text take more bytes than the triangles that come of them.
+# Volume meshes and text formats take more bytes than the triangles that they yield.
 _MOST_BYTES = 10_000 * MOST_TRIANGLES
-# A solid has some cells for each triangle of its surface.
+# A volume mesh has several cells for each triangle of its surface.
 _CELLS_PER_TRIANGLE = 5
-# Where files say, or show, how many cells they have.
+# Patterns that capture the declared number of cells, and strings that occur once per cell.
 _CELLS = {
     ".ply": re.compile(rb"element\s+face\s+(\d+)"),
     ".off": re.compile(rb"^OFF\s+(?:#.*\s+)*\d+\s+(\d+)"),
     ".vtp": re.compile(rb'NumberOfPolys="\s*(\d+)'),
     ".vtu": re.compile(rb'NumberOfCells="\s*(\d+)'),
-    # One number in version 2 of the format; in version 4 that of the groups is before it.
+    # The only number in version 2 of the format; in version 4 that of the blocks precedes it.
     ".msh": re.compile(rb"\$Elements\s+(?:\d+[ \t]+)?(\d+)"),
 }
 _CELL_STARTS = {".obj": b"\nf ", ".stl": b"endfacet"}
-# A binary STL: 80 bytes of anything, the number of triangles, 50 bytes for each.
+# A binary STL: an arbitrary header of 80 bytes, the number of triangles, 50 bytes for each.
 _STL_HEAD, _STL_TRIANGLE = 84, 50
 # A text STL has a facet within so many bytes; a binary one may begin with the same word.
 _STL_TEXT = 2000
-# Sizes of objects [m]: from the largest cell to a mountain. Beyond, a unit is wrong, and squares
-# and cubes of lengths would leave the range of numbers.
+# Sizes of objects [m], from a cell to a mountain. Beyond these a unit is wrong, and squares and
+# cubes of lengths may overflow.
 _SPAN = (1e-6, 1e4)
 
 
 def read_mesh(
     path: Path | str, *, metres_per_unit: float = 1.0, most: int = MOST_TRIANGLES
 ) -> TriangleMesh:
-    """Surface of an object from a file, in metres, with vertices that coincide welded into one.
+    """Read the surface of an object, in metres, with coinciding vertices merged.
 
-    Vertices that no triangle uses are left out; the others keep their order. Quadrangles are cut
-    in two, quadratic triangles in four; a file that holds tetrahedra and no triangles gives their
-    boundary. Faces of a STEP file are covered with triangles. Whether the surface is closed is not
-    asked here: see `checked_mesh`.
+    Unused vertices are removed; the others keep their order. Quadrangles are cut in two, quadratic
+    triangles in four; a file that holds tetrahedra and no triangles gives their boundary. Faces of
+    a STEP file are converted to triangles. Whether the surface is closed is not checked here: see
+    `checked_mesh`.
 
     Parameters
     ----------
     path : path                     suffix .ply .obj .stl .off .msh .vtu .vtp .step .stp
     metres_per_unit : float         length of the file's unit, e.g. 0.001 for millimetres; > 0;
-                                    not asked of a STEP file, which says its own
-    most : int                      triangles; a file with more is refused
+                                    ignored for a STEP file, which states its own
+    most : int                      largest number of triangles
 
     Raises
     ------
-    MeshError                       no such file, unknown suffix, unreadable, no triangles, too many
+    MeshError                       no such file, unknown suffix, unreadable, no triangles or too
+                                    many, vertices that are not finite, implausible size
     InputError                      unit not positive; the optional package for MSH, VTU or STEP is
                                     missing
     """
@@ -121,7 +123,9 @@ def read_mesh(
 
 
 def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
-    """Write a surface in metres; PLY and VTU keep every digit, OBJ and OFF eight decimals or more.
+    """Write a surface in metres, atomically: the file holds all of it or its old content.
+
+    PLY and VTU keep every digit, OBJ and OFF eight decimals or more.
 
     Parameters
     ----------
@@ -131,10 +135,16 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
     Raises
     ------
     MeshError                       unknown suffix
-    RecordError                     the file cannot be written; it is as it was
+    InputError                      the optional package for MSH or VTU is missing
+    RecordError                     the file cannot be written; an existing one is unchanged
     """
     path = Path(path)
-    suffix = path.suffix.lower()
+    with write_errors(path):
+        _write_surface(path, path.suffix.lower(), mesh)
+
+
+def _write_surface(path: Path, suffix: str, mesh: TriangleMesh) -> None:
+    """Write a surface in the format of its suffix."""
     if suffix == ".ply":
         _write_ply(path, mesh)
     elif suffix in _TRIMESH_SUFFIXES:
@@ -144,19 +154,19 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
         write_bytes(path, content if isinstance(content, bytes) else content.encode())
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
-        meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]).write(
-            path, file_format=_MESHIO_SUFFIXES[suffix]
-        )
+        content = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
+        with placed([path]) as (staged,):
+            content.write(staged, file_format=_MESHIO_SUFFIXES[suffix])
     else:
         writable = " ".join((*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES))
         raise MeshError(f"{path}: cannot write '{suffix}'; choose one of {writable}")
 
 
 def welded(mesh: TriangleMesh) -> TriangleMesh:
-    """The same surface with coinciding vertices made one and unused ones left out.
+    """The same surface with coinciding vertices merged and unused ones removed.
 
-    Vertices closer than 1e-7 of the bounding box, or than the last digits of single precision,
-    coincide. The first of each group stands for it; the order of the others is kept.
+    Vertices coincide that are closer than 1e-7 of the longest side of the bounding box, or than
+    single precision resolves. The first of each group is kept, and the order of vertices.
 
     Parameters
     ----------
@@ -170,7 +180,7 @@ def welded(mesh: TriangleMesh) -> TriangleMesh:
     span = float(np.ptp(vertices, axis=0).max())
     near = max(1e-7 * span, 4.0 * float(np.finfo(np.float32).eps) * float(abs(vertices).max()))
     pairs = cKDTree(vertices).query_pairs(near, output_type="ndarray")
-    _, group = connected_groups(pairs, len(vertices))
+    _, group = connected_components(pairs, len(vertices))
     _, first = np.unique(group, return_index=True)
     triangles = first[group][mesh.triangles]
     used, compact = np.unique(triangles, return_inverse=True)
@@ -178,7 +188,7 @@ def welded(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _claimed(content: bytes, suffix: str) -> int:
-    """Triangles or polygons that a file says it has, before anything is made of them."""
+    """Number of triangles or polygons that a file declares, found before it is parsed."""
     if suffix in _CELLS:
         return sum(map(int, _CELLS[suffix].findall(content)))
     if suffix == ".stl" and (len(content) - _STL_HEAD) % _STL_TRIANGLE == 0:
@@ -189,15 +199,22 @@ def _claimed(content: bytes, suffix: str) -> int:
 
 
 def _check_whole(content: bytes, suffix: str) -> None:
-    """Refuse a file that holds less, or more, than it says: it was cut off, or edited by hand."""
+    """Refuse a file that holds less, or more, than it declares: truncated, or edited by hand."""
     if suffix == ".ply":
         head, _, rows = content.partition(b"end_header")
         counts = re.findall(rb"element\s+\w+\s+(\d+)", head)
+        if re.search(rb"property\s+list\s+\w+\s+(float|double)\w*\s+vertex_ind", head):
+            raise ValueError("its faces name vertices by numbers that need not be whole")
         if b"format ascii" in head and counts:
             _check_said(sum(map(int, counts)), sum(bool(row.strip()) for row in rows.splitlines()))
+            check_text_ply(content)
+    elif suffix == ".msh":
+        check_text_msh(content)
+    elif suffix == ".vtu":
+        check_packed_arrays(content)
     elif suffix == ".off":
         words = [line for row in content.splitlines() if (line := row.partition(b"#")[0].split())]
-        # Some write the counts behind the word OFF.
+        # Some programs write the counts on the line of the word OFF.
         counted, *faces = [words[0][1:], *words[1:]] if words[0][1:] else words[1:]
         _check_said(int(counted[0]) + int(counted[1]), len(faces))
     elif suffix == ".stl" and content.startswith(b"solid") and b"facet" in content[:_STL_TEXT]:
@@ -226,7 +243,7 @@ def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> N
 
 
 def _check_span(path: Path, vertices: Vertices) -> None:
-    """Refuse what no object measures, before lengths are squared."""
+    """Refuse implausible dimensions, before lengths are squared."""
     span, place = float(np.ptp(vertices, axis=0).max()), float(abs(vertices).max())
     if not (_SPAN[0] <= span and place <= _SPAN[1]):
         raise MeshError(
@@ -236,7 +253,7 @@ def _check_span(path: Path, vertices: Vertices) -> None:
 
 
 def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
-    """Vertices and triangles as the file holds them."""
+    """Vertices and triangles as they are in the file."""
     suffix = path.suffix.lower()
     if suffix in STEP_SUFFIXES:
         vertices, triangles = read_step(path)
@@ -257,19 +274,23 @@ def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
         )
     return (
         np.array(vertices, dtype=np.float64).reshape(-1, 3),
-        np.array(triangles, dtype=np.int64).reshape(-1, 3),
+        whole_numbers(np.asarray(triangles)).reshape(-1, 3),
     )
 
 
 def _surface_of_cells(content: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "m 3"]]:
-    """Triangles of a mesh with cells of any kind: its surface cells, else its tetrahedra's skin."""
+    """Triangles of a mesh of any cells: its surface cells, else its tetrahedra's boundary."""
     facets = [
-        block.data[:, corners]
+        whole_numbers(block.data[:, corners])
         for block in content.cells
         if block.type in _FACETS
         for corners in _FACETS[block.type]
     ]
-    solids = [block.data[:, :4] for block in content.cells if block.type in ("tetra", "tetra10")]
+    solids = [
+        whole_numbers(block.data[:, :4])
+        for block in content.cells
+        if block.type in ("tetra", "tetra10")
+    ]
     if not facets and solids:
         faces = np.concatenate(solids)[:, _TETRAHEDRON_FACES].reshape(-1, 3)
         _, where, count = np.unique(

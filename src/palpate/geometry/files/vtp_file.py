@@ -1,23 +1,29 @@
-"""Polygon surfaces in VTK's XML format (.vtp)."""
+"""Polygon surfaces in VTK's XML format (.vtp), and a check of compressed arrays in such files."""
 
 import base64
+import lzma
 import xml.etree.ElementTree as ElementTree
 import zlib
-from typing import Literal
+from collections.abc import Callable
+from typing import Any, Literal
 
 import numpy as np
 
+from palpate.files import most_unpacked
+from palpate.geometry.files.corners import whole_numbers
 from palpate.shapes import Triangles, Vertices
 
 _MARKER = b"<AppendedData"
-# Bytes of one block, a thousand times what VTK puts into it.
-_MOST_INFLATED = 2**25
+_UNPACKERS: dict[str, Callable[[], Any]] = {
+    "vtkZLibDataCompressor": zlib.decompressobj,
+    "vtkLZMADataCompressor": lzma.LZMADecompressor,
+}
 
 
 def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
     """Vertices and triangles of a .vtp file, in its own unit; polygons are cut into fans.
 
-    Text, base64 and raw appended arrays are read, with or without zlib compression.
+    Text, base64 and raw appended arrays are read, compressed (zlib, LZMA) or not.
 
     Parameters
     ----------
@@ -25,8 +31,8 @@ def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
 
     Raises
     ------
-    ValueError, TypeError, LookupError, SyntaxError, zlib.error     not a PolyData file, an array is
-                                    missing or malformed
+    ValueError, TypeError, LookupError, SyntaxError, zlib.error, lzma.LZMAError     not a PolyData
+                                    file, an array is missing or malformed
 
     Source
     ------
@@ -42,14 +48,37 @@ def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
         xyz = _array(piece.find("Points/DataArray"), root, appended).reshape(-1, 3)
         ring = _array(piece.find("Polys/DataArray[@Name='connectivity']"), root, appended)
         ends = _array(piece.find("Polys/DataArray[@Name='offsets']"), root, appended)
-        sizes = np.diff(ends.astype(np.int64), prepend=0)
+        sizes = np.diff(whole_numbers(ends), prepend=0)
         if (sizes < 0).any() or sizes.sum() > len(ring):
             raise ValueError("its offsets do not fit its polygons")
+        corners = whole_numbers(ring)
+        # An index outside this piece would be taken for a vertex of another one.
+        if len(corners) and not 0 <= corners.min() <= corners.max() < len(xyz):
+            raise ValueError(f"a polygon names a vertex that is none of {len(xyz)} in its piece")
         points.append(xyz.astype(np.float64))
         offsets.append(sizes)
-        connectivity.append(ring.astype(np.int64) + first_point)
+        connectivity.append(corners + first_point)
         first_point += len(xyz)
     return np.concatenate(points), _fans(np.concatenate(connectivity), np.concatenate(offsets))
+
+
+def check_packed_arrays(content: bytes) -> None:
+    """Refuse a VTK XML file whose compressed arrays are damaged or expand to more than is allowed.
+
+    Parameters
+    ----------
+    content : bytes                 the whole file, of any kind of grid; an uncompressed one passes
+
+    Raises
+    ------
+    ValueError, LookupError, SyntaxError, zlib.error, lzma.LZMAError    it is refused
+    """
+    root, appended = _parsed(content)
+    if root.get("compressor") is None:
+        return
+    for node in root.iter("DataArray"):
+        if node.get("format") in ("binary", "appended") and node.get("type") != "String":
+            _array(node, root, appended)
 
 
 def _fans(ring: np.ndarray, sizes: np.ndarray) -> Triangles:
@@ -77,7 +106,7 @@ def _parsed(content: bytes) -> tuple[ElementTree.Element, bytes]:
 def _array(
     node: ElementTree.Element | None, root: ElementTree.Element, appended: bytes
 ) -> np.ndarray:
-    """Numbers of one DataArray, in whichever of the four ways they are stored."""
+    """Numbers of one DataArray, in any of the four ways of storing them."""
     if node is None:
         raise ValueError("an array of points or polygons is missing")
     order: Literal["<", ">"] = "<"
@@ -88,7 +117,7 @@ def _array(
         return np.array((node.text or "").split(), dtype=kind)
     header = np.dtype(root.get("header_type", "UInt32").lower()).newbyteorder(order)
     compressor = root.get("compressor")
-    if compressor not in (None, "vtkZLibDataCompressor"):
+    if compressor not in (None, *_UNPACKERS):
         raise ValueError(f"compressor {compressor} is not read")
     block = root.find("AppendedData")
     inline = node.get("format") == "binary"
@@ -97,32 +126,28 @@ def _array(
         stored = appended[int(node.attrib["offset"]) :]
     if inline or (block is not None and block.get("encoding") == "base64"):
         stored = _from_base64(stored, header, zipped=compressor is not None)
-    return np.frombuffer(_payload(stored, header, zipped=compressor is not None), dtype=kind)
+    return np.frombuffer(_payload(stored, header, compressor), dtype=kind)
 
 
-def _payload(block: bytes, header: np.dtype, *, zipped: bool) -> bytes:
-    """Bytes of an array behind its header: the size, or the table of compressed blocks."""
+def _payload(block: bytes, header: np.dtype, compressor: str | None) -> bytes:
+    """Bytes of an array after its header: the size, or the table of compressed blocks."""
     first = int(np.frombuffer(block, header, 1)[0])
-    if not zipped:
+    if compressor is None:
         return block[header.itemsize : header.itemsize + first]
     sizes = np.frombuffer(block, header, first, offset=3 * header.itemsize).astype(np.int64)
     ends = (3 + first) * header.itemsize + np.cumsum(sizes)
-    return b"".join(
-        _inflated(block[end - size : end]) for end, size in zip(ends, sizes, strict=True)
-    )
-
-
-def _inflated(block: bytes) -> bytes:
-    """A compressed block, which VTK makes of 32 kB; much more is no block but a trap."""
-    unpacker = zlib.decompressobj()
-    plain = unpacker.decompress(block, _MOST_INFLATED)
-    if not unpacker.eof:
-        raise ValueError("a compressed block is cut off, or too large")
-    return plain
+    parts, room = [], most_unpacked(len(block))
+    for end, size in zip(ends, sizes, strict=True):
+        unpacker = _UNPACKERS[compressor]()
+        parts.append(unpacker.decompress(block[end - size : end], room + 1))
+        room -= len(parts[-1])
+        if not unpacker.eof or room < 0:
+            raise ValueError("a compressed block is cut off, or too large")
+    return b"".join(parts)
 
 
 def _from_base64(text: bytes, header: np.dtype, *, zipped: bool) -> bytes:
-    """Header and data as `_payload` takes them; a compressed array encodes them separately."""
+    """Header and data in the form of `_payload`; a compressed array encodes them separately."""
 
     def decoded(begin: int, size: int) -> bytes:
         return base64.b64decode(text[begin : begin + 4 * -(-size // 3)])[:size]

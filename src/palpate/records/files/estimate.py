@@ -1,12 +1,13 @@
-"""Estimates to and from JSON in the format `palpate-estimate/1`."""
+"""Reads and writes estimates as JSON in the format `palpate-estimate/1`."""
 
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palpate.errors import quoted
+from palpate.errors import InputError, quoted
 from palpate.records.estimate import (
     CONSTANT_NAMES,
     BudgetEntry,
@@ -20,10 +21,18 @@ from palpate.records.estimate import (
 from palpate.records.text import TomlTable, json_text, read_json, write_text
 
 ESTIMATE_FORMAT = "palpate-estimate/1"
+# Range of half a 95 % interval in standard deviations: Student's quantiles for a known variance and
+# for half a degree of freedom, with a margin.
+_QUANTILES = (1.9, 200.0)
+# As E = 2 G (1 + nu), no relative standard deviation exceeds the sum of the other two; the margin
+# is for the scatter between probings, which is estimated for each constant separately.
+_MOST_OF_SUM = 3.0
+# Relative rounding error in double precision, with a margin: an interval may be as narrow.
+_EXACT = 1e-12
 
 
 def write_estimate(path: Path | str, estimate: Estimate) -> None:
-    """Write an estimate as JSON; what is not known (NaN, infinity) becomes null.
+    """Write an estimate as JSON; unknown values (NaN, infinity) become null.
 
     Parameters
     ----------
@@ -40,17 +49,21 @@ def write_estimate(path: Path | str, estimate: Estimate) -> None:
 
 
 def read_estimate(path: Path | str) -> Estimate:
-    """Read an estimate back; null becomes NaN, and infinity at the ends of an interval.
+    """Read an estimate; null becomes NaN, or infinity at the ends of an interval.
 
     Parameters
     ----------
     path : path
 
+    Returns
+    -------
+    Estimate
+
     Raises
     ------
-    RecordError                     not there, not JSON, another format, a key missing or of the
-                                    wrong type, or an estimate that contradicts itself; the text
-                                    names the key
+    RecordError                     missing, not JSON, another format, a missing key or one of the
+                                    wrong type, an estimate that contradicts itself; the text names
+                                    the key
     """
     root = read_json(Path(path))
     found = root.values.get("format")
@@ -58,7 +71,7 @@ def read_estimate(path: Path | str) -> Estimate:
         root.fail("format", f"is {quoted(found)}; this version reads '{ESTIMATE_FORMAT}'")
     flags = root.table("identifiable")
     with root.blamed():
-        return Estimate(
+        estimate = Estimate(
             status=Status(root.choice("status", tuple(Status))),
             identifiable={name: flags.boolean(name) for name in CONSTANT_NAMES},
             probes=tuple(map(_read_probe, root.tables("probes"))),
@@ -70,10 +83,44 @@ def read_estimate(path: Path | str) -> Estimate:
             budget=_read_budget(root),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
+        _check_spreads("", estimate, estimate.identifiable)
+        for probe in estimate.probes:
+            _check_spreads(f"probing {probe.name!r}: ", probe, probe.identifiable)
+    return estimate
+
+
+def _check_spreads(
+    where: str, found: Estimate | ProbeEstimate, identifiable: Mapping[str, bool]
+) -> None:
+    """Refuse standard deviations that contradict their intervals, or each other."""
+    told = {name: getattr(found, name) for name, known in identifiable.items() if known}
+    for name, one in told.items():
+        low, high = one.ci95
+        half = 0.5 * (high - low)
+        if not math.isfinite(half + one.std):
+            raise InputError(f"{where}{name} is identifiable by `identifiable`, but has no std")
+        least, most = (quantile * one.std for quantile in _QUANTILES)
+        # If Poisson's ratio is unknown, the interval of the other constant covers its whole range.
+        wide = half > most + _EXACT * abs(one.value) and "poisson_ratio" in told
+        if wide or half < least - _EXACT * abs(one.value):
+            raise InputError(
+                f"{where}{name} has std {one.std:g}, but ci95 {low:g} to {high:g}; of a 95 %"
+                f" interval the half is {_QUANTILES[0]:g} std or more, {_QUANTILES[1]:g} at most"
+            )
+    if len(told) < len(CONSTANT_NAMES):
+        return
+    share = {n: one.std / (one.value + (n == "poisson_ratio")) for n, one in told.items()}
+    for name, own in share.items():
+        others = sum(share.values()) - own
+        if own > _MOST_OF_SUM * others:
+            raise InputError(
+                f"{where}{name} has std {told[name].std:g}, {100 * own:.3g} %, but the others leave"
+                f" it {100 * others:.3g} %, as E is 2 G (1 + nu)"
+            )
 
 
 def _number(table: TomlTable, key: str) -> float:
-    """Any number: what is estimated may be as small or as large as a number gets."""
+    """A finite number of any magnitude, as estimates may have."""
     value = table.get(key)
     plain = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not plain or not abs(value) <= sys.float_info.max:
@@ -82,7 +129,12 @@ def _number(table: TomlTable, key: str) -> float:
 
 
 def _numbers(table: TomlTable) -> dict[str, float]:
-    return {key: _number(table, key) for key in table.values}
+    """Numbers that are not negative."""
+    found = {key: _number(table, key) for key in table.values}
+    for key, value in found.items():
+        if value < 0.0:
+            table.fail(key, f"is {quoted(value)}; must not be negative")
+    return found
 
 
 def _values(table: TomlTable | None) -> dict[str, Any]:
@@ -90,7 +142,7 @@ def _values(table: TomlTable | None) -> dict[str, Any]:
 
 
 def _known(table: TomlTable, key: str, unknown: float = math.nan) -> float:
-    """A number, or what null stands for."""
+    """A number, or `unknown` in place of null."""
     return unknown if table.get(key) is None else _number(table, key)
 
 
@@ -149,15 +201,16 @@ def _read_probe(table: TomlTable) -> ProbeEstimate:
     constants = {
         name: _read_constant(table.table(name, f"{table.name} [{name}]")) for name in CONSTANT_NAMES
     }
-    return ProbeEstimate(
-        name=table.text("name"),
-        observed=table.count("observed"),
-        missing=table.optional("missing", table.count) or 0,
-        rejected=table.count("rejected"),
-        rms_residual=_known(table, "rms_residual"),
-        prediction_error=None if error is None else _number(table, "prediction_error"),
-        supports=tuple(map(_read_support, table.optional("supports", table.tables) or ())),
-        errors=_read_errors(table),
-        identifiable=_flags(table.optional("identifiable", table.table)),
-        **constants,
-    )
+    with table.blamed():
+        return ProbeEstimate(
+            name=table.text("name"),
+            observed=table.count("observed"),
+            missing=table.optional("missing", table.count) or 0,
+            rejected=table.count("rejected"),
+            rms_residual=_known(table, "rms_residual"),
+            prediction_error=None if error is None else _number(table, "prediction_error"),
+            supports=tuple(map(_read_support, table.optional("supports", table.tables) or ())),
+            errors=_read_errors(table),
+            identifiable=_flags(table.optional("identifiable", table.table)),
+            **constants,
+        )

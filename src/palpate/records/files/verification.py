@@ -1,13 +1,15 @@
-"""Whether a result is as it was written, says no contradiction, and is made from what is there."""
+"""Verification of results: unchanged since written, consistent, and made from the present input."""
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from palpate.errors import RecordError
+from palpate.parts import is_whole_part
 from palpate.records.files.estimate import read_estimate
 from palpate.records.files.results import INPUTS_FILE, SEAL_NAME, folder_changes, is_sealed
-from palpate.records.files.sums import changes, sums_in
+from palpate.records.files.sums import CHANGED, changes, sums_in
 from palpate.records.text import read_text
 
 WHOLE = "as it was"
@@ -15,12 +17,13 @@ WHOLE = "as it was"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is known of one file of a result, or of one that it was made from.
+    """State of one file of a result, or of one of its inputs.
 
     Attributes
     ----------
-    file : str                      name, from the result
-    role : str                      "result" or "input"
+    file : str                      path relative to the result
+    role : str                      "result", "input", or "part": a finished part that an
+                                    interrupted run left
     state : str                     `WHOLE`, or what is wrong
     """
 
@@ -30,16 +33,16 @@ class Finding:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether the file is unchanged and consistent."""
         return self.state == WHOLE
 
 
 def verify_result(path: Path) -> tuple[Finding, ...]:
-    """Compare a result with the sums that it carries of itself and of its inputs.
+    """Verify a result, its inputs, and finished parts of an interrupted run by their checksums.
 
     Parameters
     ----------
-    path : Path                     a result folder, or a JSON file that a command left
+    path : Path                     a result folder, or a JSON result file
 
     Returns
     -------
@@ -47,17 +50,39 @@ def verify_result(path: Path) -> tuple[Finding, ...]:
 
     Raises
     ------
-    RecordError                     no result of Palpate's, or not readable
+    RecordError                     not a result of Palpate, or not readable
     """
-    return _folder_findings(path) if path.is_dir() else _file_findings(path)
+    parts = _parts(path)
+    if parts and not path.exists():
+        raise RecordError(
+            f"{path}: is not there; an interrupted run left {len(parts)} finished parts of it in"
+            f" {parts[0].file.rpartition('/')[0]}: run it again to go on"
+        )
+    return (*(_folder_findings(path) if path.is_dir() else _file_findings(path)), *parts)
+
+
+def _parts(path: Path) -> list[Finding]:
+    """The finished parts stored next to a result."""
+    whole = Path(os.path.abspath(path))
+    folder = whole.parent / f".{whole.name}.parts"
+    try:
+        names = sorted(os.listdir(folder)) if folder.is_dir() else []
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be read ({error.strerror})") from error
+    return [
+        Finding(f"{folder.name}/{name}", "part", WHOLE if is_whole_part(folder / name) else CHANGED)
+        for name in names
+        # Temporary files of a part that was being written; the next run removes them.
+        if not name.startswith(".")
+    ]
 
 
 def _folder_findings(folder: Path) -> tuple[Finding, ...]:
     kind, changed, sums = folder_changes(folder)
     if not kind:
         raise RecordError(
-            f"{folder}: is no result that can be verified: there is no contents.txt with sums in"
-            " it; results of earlier versions have none"
+            f"{folder}: is no result that can be verified: it has no contents.txt with sums, as"
+            " this version writes it; results of earlier versions have none"
         )
     states = dict.fromkeys(sums, WHOLE) | changed
     if states.get("estimate.json") == WHOLE:
@@ -74,7 +99,7 @@ def _file_findings(path: Path) -> tuple[Finding, ...]:
     if f'"{SEAL_NAME}": "' not in text:
         raise RecordError(f"{path}: is no result that can be verified: it has no {SEAL_NAME}")
     if not is_sealed(text):
-        return (Finding(path.name, "result", "changed"),)
+        return (Finding(path.name, "result", CHANGED),)
     return (
         Finding(path.name, "result", WHOLE),
         *_inputs(path.parent, json.loads(text)["inputs"]),

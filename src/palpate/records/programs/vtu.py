@@ -1,4 +1,4 @@
-"""Displacements of surface points from VTK's unstructured grids."""
+"""Displacements of surface points from VTK unstructured grids."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import RecordError
-from palpate.files import checked_file, damage
+from palpate.files import damage, read_bytes
+from palpate.geometry import check_packed_arrays
 from palpate.optional_imports import late_import
 from palpate.records.program import Program, ProgramPoints, chosen_frame
 from palpate.records.text import nearest_word
 from palpate.shapes import Points
 
 _SUFFIXES = (".vtu", ".vtk")
+# A million points with all that a program says of them.
+_MOST_BYTES = 2**30
 _MOVE = ("displacement", "displacements", "disp", "u")
 _PARTS = (("ux", "uy", "uz"), ("displacement_x", "displacement_y", "displacement_z"))
 _STD = ("displacement_std", "displacement_sigma", "std", "sigma")
@@ -23,10 +26,10 @@ _SURFACE_CELLS = ("vertex", "line", "triangle", "quad", "polygon")
 def read_vtu_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """Points of a grid with a displacement at each, through meshio.
 
-    The points are the places at rest. The displacement is the point data `displacement`,
+    The points are positions at rest. The displacement is the point data `displacement`,
     `Displacement`, `U`, `u` or `disp` with three components, or `ux`, `uy`, `uz`; its standard
-    deviation, if any, `displacement_std`, `std` or `sigma` with three components or one. NaN
-    marks points that were not measured. The format names no unit.
+    deviation, if any, `displacement_std`, `std` or `sigma` with three components or one. NaN marks
+    points that were not measured. The format has no unit of length.
 
     Parameters
     ----------
@@ -35,12 +38,12 @@ def read_vtu_points(path: Path, frame: int | None = None) -> ProgramPoints:
 
     Raises
     ------
-    RecordError                     no such data, a 2-D vector, solid cells, unreadable
+    RecordError                     no such data, a 2-D vector, volume cells, unreadable
     InputError                      the optional package meshio is missing
 
     Source
     ------
-    VTK file formats, "XML file formats", https://docs.vtk.org; the names are a habit (ParaView,
+    VTK file formats, "XML file formats", https://docs.vtk.org; the names are customary (ParaView,
     FEniCS, pyvista), not a standard.
     """
     chosen_frame(path, frame)
@@ -64,10 +67,12 @@ def _content(path: Path) -> Any:
         raise RecordError(
             f"{path}: is no .vtu file; save it as an unstructured grid of VTK (.vtu or .vtk)"
         )
-    checked_file(path)
+    content = read_bytes(path, most=_MOST_BYTES)
     meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
     what = f"cannot be read as {path.suffix[1:].upper()}"
     with damage(path, "open it in ParaView and save it again", what=what):
+        if path.suffix.lower() == ".vtu":
+            check_packed_arrays(content)
         return meshio.read(path)
 
 

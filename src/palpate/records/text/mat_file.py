@@ -1,6 +1,6 @@
-"""MATLAB's files of version 5 to 7.2: read only if their structure is sound.
+"""MATLAB files of version 5 to 7.2, whose structure is validated before they are read.
 
-SciPy's reader trusts the numbers in a file: one wrong byte can end the process.
+SciPy's reader trusts the sizes in a file: one wrong byte can crash the process.
 """
 
 import math
@@ -12,17 +12,16 @@ from typing import Any
 
 from scipy.io import loadmat
 
-from palpate.files import damage, read_bytes
+from palpate.files import damage, most_unpacked, read_bytes
 
 MAT_MARK = b"MATLAB 5.0 MAT-file"
 _HEADER = 128
-# Types of data elements: numbers with their bytes, matrices, compressed elements.
+# Types of data elements: numbers with their sizes in bytes, matrices, compressed elements.
 _NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 # Classes of arrays.
 _CELL, _STRUCT, _OBJECT, _CHAR, _PLAIN = 1, 2, 3, 4, range(6, 16)
 _COMPLEX = 0x800
-_MOST_INFLATED = 2**30
 Elements = list[tuple[int, memoryview]]
 
 
@@ -32,12 +31,12 @@ def read_mat(path: Path, *, what: str, cure: str, **options: Any) -> dict[str, A
     Parameters
     ----------
     path : Path
-    what, cure : str                as `damage`
-    **options                       of `loadmat`
+    what, cure : str                as in `damage`
+    **options                       passed on to `loadmat`
 
     Raises
     ------
-    RecordError                     not there, of another version, damaged
+    RecordError                     missing, of another version, damaged
 
     Source
     ------
@@ -48,8 +47,15 @@ def read_mat(path: Path, *, what: str, cure: str, **options: Any) -> dict[str, A
         if not content.startswith(MAT_MARK):
             raise ValueError(f"it starts with {content[:19]!r}")
         order = {b"IM": "<", b"MI": ">"}[content[126:_HEADER]]
-        for element in _elements(memoryview(content)[_HEADER:], order):
-            _check(*element, order)
+        room = most_unpacked(len(content))
+        for kind, data in _elements(memoryview(content)[_HEADER:], order):
+            if kind == _COMPRESSED:
+                plain = _inflated(data, room)
+                room -= len(plain)
+                for inner in _elements(plain, order):
+                    _check(*inner, order)
+            else:
+                _check(kind, data, order)
         return loadmat(path, simplify_cells=True, **options)
 
 
@@ -60,7 +66,7 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
         kind, size = struct.unpack_from(order + "II", data, place)
         start = place + 8
         place = start + size + (0 if kind == _COMPRESSED else -size % 8)
-        # Up to four bytes stand in the tag itself.
+        # Small data element format: up to four bytes of data are in the tag itself.
         if kind >> 16:
             kind, size, start = kind & 0xFFFF, kind >> 16, start - 4
             place = start + 4
@@ -69,16 +75,20 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
         yield kind, data[start : start + size]
 
 
+def _inflated(data: memoryview, most: int) -> memoryview:
+    """Decompressed content of an element, refused if larger than `most` bytes."""
+    unpacker = zlib.decompressobj()
+    plain = unpacker.decompress(data, most + 1)
+    if not unpacker.eof or len(plain) > most:
+        raise ValueError("a compressed element is cut off, or too large")
+    return memoryview(plain)
+
+
 def _check(kind: int, data: memoryview, order: str) -> None:
-    """Refuse an element whose parts do not belong together."""
+    """Refuse an element whose parts are inconsistent."""
     if kind == _COMPRESSED:
-        unpacker = zlib.decompressobj()
-        plain = unpacker.decompress(data, _MOST_INFLATED)
-        if not unpacker.eof:
-            raise ValueError("a compressed element is cut off, or too large")
-        for element in _elements(memoryview(plain), order):
-            _check(*element, order)
-    elif kind == _MATRIX and len(data):
+        raise ValueError("an element is compressed within another one")
+    if kind == _MATRIX and len(data):
         parts = list(_elements(data, order))
         if not _fits(parts, order):
             raise ValueError("the parts of an array do not belong together")
@@ -87,7 +97,7 @@ def _check(kind: int, data: memoryview, order: str) -> None:
 
 
 def _fits(parts: Elements, order: str) -> bool:
-    """Whether an array has as many parts, of the right types, as its class and size ask for."""
+    """Whether an array has the number and types of parts that its class and size require."""
     if [kind for kind, _ in parts[:3]] != [_UINT32, _INT32, _INT8] or len(parts[0][1]) != 8:
         return parts[:1] != [] and parts[0][0] == _UINT32 and parts[0][1][0] not in (
             _CELL, _STRUCT, _OBJECT, _CHAR, *_PLAIN
@@ -114,7 +124,7 @@ def _fits(parts: Elements, order: str) -> bool:
 
 
 def _whole(data: memoryview, order: str) -> Sequence[int]:
-    """Numbers of four bytes; none of a size is negative."""
+    """Four-byte integers of a size; negative ones are refused."""
     numbers = struct.unpack(f"{order}{len(data) // 4}i", data)
     if min(numbers, default=-1) < 0:
         raise ValueError("a size is negative")

@@ -9,7 +9,7 @@ from typing import Literal, cast
 from rich.prompt import Prompt
 
 from palpate.app.terminal import print_text
-from palpate.errors import InputError, RecordError
+from palpate.errors import InputError, RecordError, quoted
 from palpate.recording import (
     TEMPLATES,
     FolderSurvey,
@@ -99,7 +99,7 @@ def init(
     if held is None and flat:
         held = _choice("side that is held", flat[0], flat, asked=asked)  # type: ignore[assignment]
     outline = Outline(
-        cast(Template, kind), name or folder.resolve().name, file, length,
+        cast(Template, kind), _checked_name(name) or folder.resolve().name, file, length,
         chosen_side(sides, held), _checked("radius", radius) or usual_radius(surface),
         radius is not None, _checked("tool-radius", tool_radius),
     )  # fmt: skip
@@ -125,6 +125,13 @@ def _from(folder: Path, file: Path) -> str:
     if not file.exists():
         raise RecordError(f"{file}: no such file, nor is it in {folder}; check the name")
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+
+
+def _checked_name(name: str | None) -> str | None:
+    most = 200
+    if name is not None and not (name.strip() and name.isprintable() and len(name) <= most):
+        raise InputError(f"--name is {quoted(name)}; must be one line of 1 to {most} characters")
+    return name
 
 
 def _checked(option: str, radius: float | None) -> float | None:

@@ -120,5 +120,5 @@ def _refinement(view: ObjectView) -> str:
         )
     return (
         f"The rig is refined from {made.points} points, {made.rejected} left out: {held}; what"
-        f" changed most is {made.moved}\n"
+        f" changed most is {made.largest_change}\n"
     )

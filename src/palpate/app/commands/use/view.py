@@ -3,6 +3,7 @@
 import time
 from pathlib import Path
 
+from palpate.app.environment import check_cache
 from palpate.app.terminal import print_text, progress_bar
 from palpate.errors import InputError
 from palpate.records import check_free
@@ -56,6 +57,7 @@ def view(
     for target in (screenshot, turntable):
         if target is not None:
             check_free(target, force=force)
+    check_cache(cache)
     found = read_subject(subject, session)
     if screenshot is not None:
         write_screenshot(found, screenshot, probe=probe)
