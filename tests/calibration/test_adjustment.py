@@ -18,10 +18,10 @@ def _start(truth: Bundle, rng: np.random.Generator) -> Bundle:
     turn = Rotation.from_rotvec(0.02 * rng.normal(size=(len(view), 3))).as_matrix()
     view[:, :3, :3] = turn @ view[:, :3, :3]
     view[:, :3, 3] += 0.005 * rng.normal(size=(len(view), 3))
-    inner = truth.inner.copy()
-    inner[:, :4] *= 1.0 + 0.02 * rng.normal(size=(len(inner), 4))
-    inner[:, 4:] = 0.0
-    return Bundle(inner, truth.camera, view)
+    intrinsics = truth.intrinsics.copy()
+    intrinsics[:, :4] *= 1.0 + 0.02 * rng.normal(size=(len(intrinsics), 4))
+    intrinsics[:, 4:] = 0.0
+    return Bundle(intrinsics, truth.camera, view)
 
 
 def test_pixels_are_those_of_the_camera_model() -> None:
@@ -29,28 +29,28 @@ def test_pixels_are_those_of_the_camera_model() -> None:
     rng = np.random.default_rng(0)
     truth = true_bundle(rng)
     camera = Camera(
-        "c", SIZE, camera_matrix(truth.inner[1, :4]), truth.inner[1, 4:], truth.camera[1]
+        "c", SIZE, camera_matrix(truth.intrinsics[1, :4]), truth.intrinsics[1, 4:], truth.camera[1]
     )
     points = rng.uniform(-0.05, 0.05, (50, 3)) + np.array([0.0, 0.0, 0.3])
     place = points @ truth.camera[1, :3, :3].T + truth.camera[1, :3, 3]
-    pixel, _, _ = seen_points(np.tile(truth.inner[1], (50, 1)), place)
+    pixel, _, _ = seen_points(np.tile(truth.intrinsics[1], (50, 1)), place)
     np.testing.assert_allclose(pixel, project(camera, points), atol=1e-9)
 
 
 def test_derivatives_are_differences() -> None:
     rng = np.random.default_rng(1)
-    inner = np.tile(true_bundle(rng).inner[0], (20, 1))
+    intrinsics = np.tile(true_bundle(rng).intrinsics[0], (20, 1))
     points = rng.uniform(-0.05, 0.05, (20, 3)) + np.array([0.0, 0.0, 0.3])
-    _, by_inner, by_point = seen_points(inner, points)
+    _, by_intrinsics, by_point = seen_points(intrinsics, points)
     for k in range(9):
-        step = np.eye(9)[k] * 1e-6 * max(abs(inner[0, k]), 1.0)
-        ends = [seen_points(inner + side * step, points)[0] for side in (1.0, -1.0)]
+        step = np.eye(9)[k] * 1e-6 * max(abs(intrinsics[0, k]), 1.0)
+        ends = [seen_points(intrinsics + side * step, points)[0] for side in (1.0, -1.0)]
         slope = (ends[0] - ends[1]) / (2.0 * step[k])
         # Rounding of pixels near 1e3 over the step.
-        np.testing.assert_allclose(by_inner[:, :, k], slope, atol=1e-5)
+        np.testing.assert_allclose(by_intrinsics[:, :, k], slope, atol=1e-5)
     for k in range(3):
         step = 1e-7 * np.eye(3)[k]
-        ends = [seen_points(inner, points + side * step)[0] for side in (1.0, -1.0)]
+        ends = [seen_points(intrinsics, points + side * step)[0] for side in (1.0, -1.0)]
         np.testing.assert_allclose(
             by_point[:, :, k], (ends[0] - ends[1]) / 2e-7, rtol=1e-6, atol=1e-2
         )
@@ -63,7 +63,7 @@ def test_exact_corners_give_the_rig() -> None:
     found = adjust(_start(truth, rng), corners)
     # The last step is short against the noise, which is none: 1e-9 px.
     assert np.abs(found.residual).max() < 1e-6
-    np.testing.assert_allclose(found.bundle.inner[:, :4], truth.inner[:, :4], rtol=1e-7)
+    np.testing.assert_allclose(found.bundle.intrinsics[:, :4], truth.intrinsics[:, :4], rtol=1e-7)
     np.testing.assert_allclose(found.bundle.camera, truth.camera, atol=1e-8)
 
 
@@ -107,7 +107,7 @@ def test_boards_that_all_face_the_camera_are_refused() -> None:
     truth = true_bundle(rng, cameras=1, views=6)
     view = truth.view.copy()
     view[:, :3, :3] = np.eye(3)
-    truth = Bundle(truth.inner, truth.camera, view)
+    truth = Bundle(truth.intrinsics, truth.camera, view)
     corners = seen_corners(truth, board_points(), rng, noise=0.0)
     with pytest.raises(CalibrationError, match="too alike"):
         adjust(truth, corners)

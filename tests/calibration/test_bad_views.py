@@ -27,7 +27,7 @@ from palpate.calibration import (
 )
 from palpate.calibration.adjustment import Bundle
 from palpate.calibration.lens_model import seen_points
-from palpate.errors import CalibrationError
+from palpate.errors import CalibrationError, RecordError
 
 _BOARD = Chessboard(9, 7, 0.012)
 
@@ -62,13 +62,13 @@ def test_a_blurred_picture_is_named_and_left_out(tmp_path: Path) -> None:
     """Five pictures as sharp as a sensor draws them, noisy, and one that was moved by 12 px."""
     board = Charuco(7, 5, 0.016, 0.012)
     truth = true_bundle(np.random.default_rng(7), cameras=1, views=6)
-    inner = truth.inner[0] * [0.5, 0.5, 0.5, 0.5, 1, 1, 1, 1, 1]
+    intrinsics = truth.intrinsics[0] * [0.5, 0.5, 0.5, 0.5, 1, 1, 1, 1, 1]
     (tmp_path / "c0").mkdir()
     for v, view in enumerate(truth.view):
         pose = view.copy()
         pose[:3, 3] = [0.0, 0.0, 0.36] - view[:3, :3] @ board.points.mean(axis=0)
         picture = draw_board(
-            board.drawing(40), (7 * 0.016, 5 * 0.016), inner, pose, (640, 512),
+            board.drawing(40), (7 * 0.016, 5 * 0.016), intrinsics, pose, (640, 512),
             rng=np.random.default_rng(v), noise=8.0,
         )  # fmt: skip
         moved = cv2.blur(picture, (12, 1)) if v == 3 else picture
@@ -77,6 +77,24 @@ def test_a_blurred_picture_is_named_and_left_out(tmp_path: Path) -> None:
     assert found.views == ("00", "01", "02", "04", "05")
     assert len(found.notes) == 1
     assert "03.png: no board found, or blurred: its edges are" in found.notes[0]
+
+
+def test_a_camera_whose_folder_is_empty_is_left_out_and_said(tmp_path: Path) -> None:
+    """Pictures not copied, or of a kind that is not read; a hidden folder is no camera's."""
+    board = Charuco(7, 5, 0.016, 0.012)
+    drawn = cv2.copyMakeBorder(board.drawing(40), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    for name in ("c0", "c1", "c2", ".cache"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "c2" / "01.heic").write_bytes(b"not read")
+    with pytest.raises(RecordError, match="has no pictures"):
+        find_pictures(tmp_path)
+    cv2.imwrite(str(tmp_path / "c0" / "01.png"), drawn)
+    found = find_boards(find_pictures(tmp_path), [board])
+    assert found.cameras == ("c0",)
+    assert found.views == ("01",)
+    assert len(found.notes) == 2
+    for note, camera in zip(found.notes, ("c1", "c2"), strict=True):
+        assert f"camera '{camera}': its folder has no pictures (.png" in note
 
 
 def test_swapped_pictures_of_one_view_are_named() -> None:
@@ -110,10 +128,12 @@ def test_a_board_of_another_size_is_told_by_the_baseline() -> None:
 
 def _shifted(found: Sightings, truth: Bundle, shift: np.ndarray) -> np.ndarray:
     """How far pixels move when marks do, (m, 2) [px]; the shift is in the board's frame."""
-    corners, inner = found.corners, truth.inner[found.corners.camera]
+    corners, intrinsics = found.corners, truth.intrinsics[found.corners.camera]
     whole = truth.camera[corners.camera] @ truth.view[corners.view]
     ends = [
-        seen_points(inner, np.einsum("nij,nj->ni", whole[:, :3, :3], mark) + whole[:, :3, 3])[0]
+        seen_points(intrinsics, np.einsum("nij,nj->ni", whole[:, :3, :3], mark) + whole[:, :3, 3])[
+            0
+        ]
         for mark in (corners.point, corners.point + shift)
     ]
     return ends[1] - ends[0]

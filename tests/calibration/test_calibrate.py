@@ -37,21 +37,23 @@ _SIZE = (640, 512)
 def _scene(rng: np.random.Generator, board: Chessboard | Charuco, views: int) -> Bundle:
     """Two cameras of 640 x 512 pixels that see the whole board in every view."""
     truth = true_bundle(rng, cameras=2, views=views)
-    inner = truth.inner.copy()
-    inner[:, :4] *= 0.5
+    intrinsics = truth.intrinsics.copy()
+    intrinsics[:, :4] *= 0.5
     view = truth.view.copy()
     middle = board.points.mean(axis=0)
     view[:, :3, 3] = [0.03, 0.0, 0.36] - np.einsum("vij,j->vi", view[:, :3, :3], middle)
     view[:, :3, 3] += rng.uniform(-0.015, 0.015, (views, 3))
-    return Bundle(inner, truth.camera, view)
+    return Bundle(intrinsics, truth.camera, view)
 
 
 def _write(folder: Path, truth: Bundle, texture: np.ndarray, extent: tuple[float, float]) -> None:
     rng = np.random.default_rng(8)
-    for c, inner in enumerate(truth.inner):
+    for c, intrinsics in enumerate(truth.intrinsics):
         (folder / f"c{c}").mkdir(parents=True)
         for v, view in enumerate(truth.view):
-            picture = draw_board(texture, extent, inner, truth.camera[c] @ view, _SIZE, rng=rng)
+            picture = draw_board(
+                texture, extent, intrinsics, truth.camera[c] @ view, _SIZE, rng=rng
+            )
             cv2.imwrite(str(folder / f"c{c}" / f"c{c}_{v:02d}.png"), picture)
 
 
@@ -74,9 +76,9 @@ def test_charuco_from_pictures_to_rig(
         sigma = every[:18].reshape(2, 9)
         # Four rays a pixel and noise of 2 grey levels.
         assert stored["corner_noise"].max() < 0.15
-    for camera, inner, std in zip(rig.cameras, truth.inner, sigma, strict=True):
+    for camera, intrinsics, std in zip(rig.cameras, truth.intrinsics, sigma, strict=True):
         k = camera.matrix
-        error = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]]) - inner[:4]
+        error = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]]) - intrinsics[:4]
         assert np.abs(error / std[:4]).max() < 4.0
         # The board fills a third of the picture in six views.
         assert std[:4].max() < 5.0
@@ -111,7 +113,13 @@ def test_several_boards_in_one_picture_are_views_of_their_own(tmp_path: Path) ->
             pose[0, 3] += side
             pictures.append(
                 draw_board(
-                    board.drawing(48), (0.08, 0.08), truth.inner[0], pose, _SIZE, rng=rng, noise=0.0
+                    board.drawing(48),
+                    (0.08, 0.08),
+                    truth.intrinsics[0],
+                    pose,
+                    _SIZE,
+                    rng=rng,
+                    noise=0.0,
                 )
             )
         # White wherever no board is.
@@ -120,7 +128,7 @@ def test_several_boards_in_one_picture_are_views_of_their_own(tmp_path: Path) ->
     assert set(result.found.views) == {f"{v} board {k}" for v in range(5) for k in range(2)}
     assert len(result.corners.pixel) > 0.9 * 5 * 2 * 16
     sigma = np.sqrt(np.diag(result.covariance))[0]
-    assert abs(result.cameras[0].matrix[0, 0] - truth.inner[0, 0]) < 4.0 * sigma < 20.0
+    assert abs(result.cameras[0].matrix[0, 0] - truth.intrinsics[0, 0]) < 4.0 * sigma < 20.0
     assert result.adjusted.noise[0] < 0.15
 
 
@@ -153,7 +161,7 @@ def test_the_board_on_the_table_is_the_frame() -> None:
 )
 def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles) -> None:
     rng = np.random.default_rng(4)
-    inner = np.array([900.0, 900.0, 319.5, 255.5, -0.1, 0.05, 0.0, 0.0, 0.0])
+    intrinsics = np.array([900.0, 900.0, 319.5, 255.5, -0.1, 0.05, 0.0, 0.0, 0.0])
     pixels_per_metre, margin = 10000, 0.02
     points = target.points
     width, height = points[:, :2].max(axis=0) + 2 * margin
@@ -183,10 +191,10 @@ def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles
     shifted = pose.copy()
     shifted[:3, 3] += pose[:3, :3] @ [-margin, -margin, 0.0]
     extent = (texture.shape[1] / pixels_per_metre, texture.shape[0] / pixels_per_metre)
-    picture = draw_board(texture, extent, inner, shifted, _SIZE, rng=rng, parts=3)
+    picture = draw_board(texture, extent, intrinsics, shifted, _SIZE, rng=rng, parts=3)
     found = target.find(picture)
     assert len(found.mark) == len(points)
-    bundle = Bundle(inner[None], np.eye(4)[None], pose[None])
+    bundle = Bundle(intrinsics[None], np.eye(4)[None], pose[None])
     truth = seen_corners(bundle, points, rng, noise=0.0).pixel
     turned = np.arange(len(points)) if target.turned is None else target.turned
     errors = [np.linalg.norm(found.pixel - truth[order[found.mark]], axis=1) for order in
@@ -202,14 +210,14 @@ def test_corners_at_the_rim_need_one_marker() -> None:
     """A board that reaches out of the picture on all sides: of a square that the rim cuts, the
     marker is lost, and the corner that it shares with a whole one is not."""
     board = Charuco(12, 9, 0.02, 0.015)
-    inner = np.array([900.0, 900.0, 319.5, 255.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    intrinsics = np.array([900.0, 900.0, 319.5, 255.5, 0.0, 0.0, 0.0, 0.0, 0.0])
     pose = np.eye(4)
     pose[:3, 3] = [-0.12, -0.09, 0.3]
     extent = (board.columns * board.square, board.rows * board.square)
     rng = np.random.default_rng(5)
-    picture = draw_board(board.drawing(60), extent, inner, pose, _SIZE, rng=rng)
+    picture = draw_board(board.drawing(60), extent, intrinsics, pose, _SIZE, rng=rng)
     found = board.find(picture)
-    place = inner[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + inner[2:4]
+    place = intrinsics[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + intrinsics[2:4]
     # A corner needs a few pixels around it, and a whole marker of 45 on one side.
     visible = ((place > 8.0) & (place < np.array(_SIZE) - 9.0)).all(axis=1)
     assert visible.sum() == 88

@@ -19,8 +19,8 @@ _SIGMA = (*[np.deg2rad(0.2)] * 3, *[3e-4] * 3)
 def _rig(rng: np.random.Generator, cameras: int = 3) -> Rig:
     truth = true_bundle(rng, cameras=cameras, views=1)
     made = [
-        Camera(f"c{c}", SIZE, camera_matrix(inner[:4]), inner[4:], pose)
-        for c, (inner, pose) in enumerate(zip(truth.inner, truth.camera, strict=True))
+        Camera(f"c{c}", SIZE, camera_matrix(intrinsics[:4]), intrinsics[4:], pose)
+        for c, (intrinsics, pose) in enumerate(zip(truth.intrinsics, truth.camera, strict=True))
     ]
     return Rig(tuple(made), 0, "test")
 
@@ -115,6 +115,19 @@ def test_a_rig_that_cannot_be_made_better_is_left() -> None:
     for one in left:
         assert one.rig is truth
         assert one.known is known
+
+
+def test_unusable_points_are_counted_where_the_rig_is_left_too() -> None:
+    """Five points that the reference alone sees."""
+    rng = np.random.default_rng(3)
+    truth = _rig(rng)
+    known = _known(truth)
+    tight = RigCovariance(known.names, known.value, 1e-12 * known.covariance, "test")
+    ties = _ties(truth, rng, noise=0.5, points=80)
+    ties.pixels[1:, :5] = np.nan
+    made = refined_rig(truth, tight, ties)
+    assert not made.better
+    assert (made.points, made.rejected) == (75, 5)
 
 
 def test_gross_matches_have_no_say() -> None:

@@ -30,14 +30,21 @@ def _films(folder: Path) -> np.ndarray:
     truth = true_bundle(rng, cameras=2, views=_PLACES)
     texture, extent = _texture()
     folder.mkdir()
-    for c, inner in enumerate(truth.inner):
-        inner = np.array([*(0.25 * inner[:4]), *inner[4:]])
+    for c, intrinsics in enumerate(truth.intrinsics):
+        intrinsics = np.array([*(0.25 * intrinsics[:4]), *intrinsics[4:]])
         film = []
         for view in truth.view:
             view = view.copy()
             view[:3, 3] = [0.03, 0.0, 0.36] - view[:3, :3] @ [*(0.5 * np.array(extent)), 0.0]
             picture = draw_board(
-                texture, extent, inner, truth.camera[c] @ view, _SIZE, rng=rng, noise=0.0, parts=2
+                texture,
+                extent,
+                intrinsics,
+                truth.camera[c] @ view,
+                _SIZE,
+                rng=rng,
+                noise=0.0,
+                parts=2,
             )
             for k in range(_MOVING):
                 away = cv2.GaussianBlur(np.roll(picture, 4 * (k + 1), axis=1), (0, 0), 3.0)

@@ -38,9 +38,14 @@ def test_errors_of_overlapping_windows_are_in_the_sigma() -> None:
         )
         normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
         sigma = np.full(len(points), _SIGMA)
-        for shared in (float(_WINDOW), 0.0):
+        for correlation_length in (float(_WINDOW), 0.0):
             made = fitted(
-                mesh, points, normals, sigma, view=view, shared=np.full(len(points), shared)
+                mesh,
+                points,
+                normals,
+                sigma,
+                view=view,
+                correlation_length=np.full(len(points), correlation_length),
             )
             known = np.isfinite(made.sigma)
             assert known.mean() > 0.8

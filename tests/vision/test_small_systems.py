@@ -1,9 +1,11 @@
-"""Cholesky for small systems within kernels, against LAPACK."""
+"""Cholesky and products for small systems within kernels, against LAPACK and BLAS."""
 
 import numpy as np
 import pytest
 
 from palpate.vision.small_systems import (
+    add_congruence_kernel,
+    add_transposed_kernel,
     cholesky_inverse_kernel,
     cholesky_kernel,
     cholesky_solve_kernel,
@@ -66,3 +68,15 @@ def test_one_direction_without_information_is_refused_at_any_scale(n):
         assert not cholesky_kernel(scaled.T @ scaled)
     columns[:, -1] += 0.01 * rng.normal(size=4 * n)
     assert cholesky_kernel(columns.T @ columns)
+
+
+@pytest.mark.parametrize(("k", "m"), [(1, 1), (2, 3), (6, 9), (12, 18)])
+def test_products_are_added_to_what_is_there(k, m):
+    rng = np.random.default_rng(k)
+    matrix, inner, vector = rng.normal(size=(k, m)), rng.normal(size=(k, k)), rng.normal(size=k)
+    column, square = np.ones(m), np.ones((m, m))
+    add_transposed_kernel(matrix, vector, 0.5, column)
+    add_congruence_kernel(inner, matrix, 0.5, square)
+    # Rounding of sums of at most 144 products of size one.
+    np.testing.assert_allclose(column, 1.0 + 0.5 * matrix.T @ vector, atol=1e-12)
+    np.testing.assert_allclose(square, 1.0 + 0.5 * matrix.T @ inner @ matrix, atol=1e-12)

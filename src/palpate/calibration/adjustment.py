@@ -36,7 +36,7 @@ _GROSS = 5.3
 # Minimum tilt that separates focal length from distance.
 _MIN_TILT = np.deg2rad(12.0)
 # Minimum eigenvalue of the normal matrix, scaled to unit diagonal, for all to be determined.
-_LEAST_INFORMATION = 1e-12
+_MIN_EIGENVALUE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,12 +75,12 @@ class Bundle:
 
     Attributes
     ----------
-    inner : (c, 9) float            `LENS_TERMS` of every camera
+    intrinsics : (c, 9) float       `LENS_TERMS` of every camera
     camera : (c, 4, 4) float [m]    pose: x_camera = camera x, x in the frame of the first camera
     view : (v, 4, 4) float [m]      pose of every board: x = view x_board
     """
 
-    inner: Float[np.ndarray, "c 9"]
+    intrinsics: Float[np.ndarray, "c 9"]
     camera: Float[np.ndarray, "c 4 4"]
     view: Float[np.ndarray, "v 4 4"]
 
@@ -125,7 +125,7 @@ def adjust(bundle: Bundle, corners: Corners) -> Adjusted:
     CalibrationError                the views are too alike to determine all unknowns, or the
                                     iteration did not converge
     """
-    noise = np.ones(len(bundle.inner))
+    noise = np.ones(len(bundle.intrinsics))
     good = np.ones(len(corners.pixel), dtype=bool)
     for _ in range(_MAX_ROUNDS):
         weight = good / noise[corners.camera] ** 2
@@ -150,7 +150,7 @@ class _Equations:
     """
 
     residual: Float[np.ndarray, "m 2"]
-    slope: Float[np.ndarray, "m 2 21"]
+    jacobian: Float[np.ndarray, "m 2 21"]
     group: Int[np.ndarray, " m"]
     unknowns: Int[np.ndarray, "g 21"]
     free: Int[np.ndarray, " p"]
@@ -160,23 +160,23 @@ class _Equations:
         matrix = np.zeros((len(self.free) + _POSE,) * 2)
         for g, unknowns in enumerate(self.unknowns):
             rows = self.group == g
-            slope = self.slope[rows].reshape(-1, unknowns.size)
-            both = slope.T @ (np.repeat(weight[rows], 2)[:, None] * slope)
+            jacobian = self.jacobian[rows].reshape(-1, unknowns.size)
+            both = jacobian.T @ (np.repeat(weight[rows], 2)[:, None] * jacobian)
             matrix[np.ix_(unknowns, unknowns)] += both
         return matrix[np.ix_(self.free, self.free)]
 
-    def right_side(self, weight: Float[np.ndarray, " m"]) -> Float[np.ndarray, " p"]:
+    def right_hand_side(self, weight: Float[np.ndarray, " m"]) -> Float[np.ndarray, " p"]:
         """Right-hand side of the normal equations."""
-        pull = np.einsum("m,mai,ma->mi", weight, self.slope, self.residual)
-        place = self.unknowns[self.group].ravel()
-        return np.bincount(place, pull.ravel(), len(self.free) + _POSE)[self.free]
+        gradient = np.einsum("m,mai,ma->mi", weight, self.jacobian, self.residual)
+        index = self.unknowns[self.group].ravel()
+        return np.bincount(index, gradient.ravel(), len(self.free) + _POSE)[self.free]
 
     def explained(self, inverse: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "m 2"]:
         """Variance of every corner's projection, propagated from the unknowns' covariance."""
         whole = np.zeros((len(self.free) + _POSE,) * 2)
         whole[np.ix_(self.free, self.free)] = inverse
         part = whole[self.unknowns[:, :, None], self.unknowns[:, None, :]][self.group]
-        return np.einsum("mai,mij,maj->ma", self.slope, part, self.slope, optimize=True)
+        return np.einsum("mai,mij,maj->ma", self.jacobian, part, self.jacobian, optimize=True)
 
 
 def _least_squares(
@@ -193,7 +193,7 @@ def _least_squares(
         matrix = here.normal_matrix(weight)
         size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
         unit = matrix / np.outer(size, size) + damping * np.eye(len(size))
-        step = np.linalg.solve(unit, here.right_side(weight) / size) / size
+        step = np.linalg.solve(unit, here.right_hand_side(weight) / size) / size
         trial = moved(bundle, step)
         # Too long a step may give overflow or NaN; it is then rejected.
         with np.errstate(all="ignore"):
@@ -205,7 +205,7 @@ def _least_squares(
         damping = 0.1 * damping if damping > 1e-10 else 0.0
         if float(step @ matrix @ step) < _SMALL_STEP**2:
             return bundle, here
-    if missing := _wanting(bundle, corners):
+    if missing := _missing_tilts(bundle, corners):
         raise CalibrationError(_TOO_ALIKE.format(", ".join(missing)))
     raise CalibrationError(
         f"the cameras did not settle in {_MAX_STEPS} steps; are the board's dimensions right, and"
@@ -229,8 +229,8 @@ def _without_gross_errors(
         ]
     )
     near = length <= _GROSS * width[corners.camera]
-    share = np.bincount(corners.view, near) / np.maximum(np.bincount(corners.view), 1)
-    return near | (share[corners.view] < 0.5)
+    fraction = np.bincount(corners.view, near) / np.maximum(np.bincount(corners.view), 1)
+    return near | (fraction[corners.view] < 0.5)
 
 
 def _inverse(
@@ -239,13 +239,13 @@ def _inverse(
     """Inverse of the normal matrix; raises if a combination of unknowns is undetermined."""
     size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
-    if values[0] < _LEAST_INFORMATION:
-        missing = _wanting(bundle, corners) or list(_SIDES)
+    if values[0] < _MIN_EIGENVALUE:
+        missing = _missing_tilts(bundle, corners) or list(_SIDES)
         raise CalibrationError(_TOO_ALIKE.format(", ".join(missing)))
     return (vectors / values) @ vectors.T / np.outer(size, size)
 
 
-def _wanting(bundle: Bundle, corners: Corners) -> list[str]:
+def _missing_tilts(bundle: Bundle, corners: Corners) -> list[str]:
     """Directions in which some camera saw no board tilted."""
     found: set[str] = set()
     for c, pose in enumerate(bundle.camera):
@@ -254,7 +254,7 @@ def _wanting(bundle: Bundle, corners: Corners) -> list[str]:
     return [side for side in _SIDES if side in found]
 
 
-def view_slopes(bundle: Bundle, corners: Corners) -> Float[np.ndarray, "m 2 6"]:
+def view_jacobians(bundle: Bundle, corners: Corners) -> Float[np.ndarray, "m 2 6"]:
     """Derivative of every corner's pixel with respect to the pose of its board.
 
     Parameters
@@ -267,7 +267,7 @@ def view_slopes(bundle: Bundle, corners: Corners) -> Float[np.ndarray, "m 2 6"]:
     (m, 2, 6) float                 by a rotation about the board's origin [px/rad] and a shift
                                     [px/m], both in the common frame of the cameras
     """
-    return _linearised(bundle, corners).slope[:, :, -_POSE:]
+    return _linearised(bundle, corners).jacobian[:, :, -_POSE:]
 
 
 def missing_tilts(pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
@@ -302,10 +302,10 @@ def _noise(
 ) -> Float[np.ndarray, " c"]:
     """Noise of each camera from its residuals, corrected for the degrees of freedom of the fit."""
     used = weight > 0.0
-    left = np.where(used, 2.0 - weight * equations.explained(inverse).sum(axis=1), 0.0)
+    redundancy = np.where(used, 2.0 - weight * equations.explained(inverse).sum(axis=1), 0.0)
     square = np.where(used, (equations.residual**2).sum(axis=1), 0.0)
     count = len(noise)
-    freedom = np.bincount(camera, left, count)
+    freedom = np.bincount(camera, redundancy, count)
     new = np.bincount(camera, square, count) / np.where(freedom > 0.0, freedom, np.inf)
     # Only simulated corners have no noise.
     return np.maximum(np.sqrt(new), 1e-9)
@@ -318,12 +318,12 @@ def _linearised(bundle: Bundle, corners: Corners) -> _Equations:
     turned = np.einsum("mij,mj->mi", board[:, :3, :3], corners.point)
     place = turned + board[:, :3, 3]
     pose = bundle.camera[c]
-    swung = np.einsum("mij,mj->mi", pose[:, :3, :3], place)
-    pixel, by_inner, by_point = seen_points(bundle.inner[c], swung + pose[:, :3, 3])
-    by_camera = np.concatenate([by_point @ _crossed(-swung), by_point], axis=2)
+    rotated = np.einsum("mij,mj->mi", pose[:, :3, :3], place)
+    pixel, by_intrinsics, by_point = seen_points(bundle.intrinsics[c], rotated + pose[:, :3, 3])
+    by_camera = np.concatenate([by_point @ _skew_matrices(-rotated), by_point], axis=2)
     by_place = by_point @ pose[:, :3, :3]
-    by_view = np.concatenate([by_place @ _crossed(-turned), by_place], axis=2)
-    count, views = len(bundle.inner), len(bundle.view)
+    by_view = np.concatenate([by_place @ _skew_matrices(-turned), by_place], axis=2)
+    count, views = len(bundle.intrinsics), len(bundle.view)
     groups, group = np.unique(c * views + v, return_inverse=True)
     of_camera, of_view = groups[:, None] // views, groups[:, None] % views
     start_pose, start_view = _LENS * count, (_LENS + _POSE) * count
@@ -337,18 +337,18 @@ def _linearised(bundle: Bundle, corners: Corners) -> _Equations:
     )
     return _Equations(
         corners.pixel - pixel,
-        np.concatenate([by_inner, by_camera, by_view], axis=2),
+        np.concatenate([by_intrinsics, by_camera, by_view], axis=2),
         group.ravel(),
         unknowns,
         np.delete(np.arange(start_view + _POSE * views), start_pose + np.arange(_POSE)),
     )
 
 
-def _crossed(vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
+def _skew_matrices(vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
     """Skew-symmetric matrices [v]x of the cross product with each vector."""
     x, y, z = vector.T
-    nil = np.zeros_like(x)
-    rows = [[nil, -z, y], [z, nil, -x], [-y, x, nil]]
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
@@ -364,12 +364,12 @@ def moved(bundle: Bundle, step: Float[np.ndarray, " p"]) -> Bundle:
     -------
     Bundle
     """
-    count = len(bundle.inner)
+    count = len(bundle.intrinsics)
     lens, rest = np.split(step, [_LENS * count])
     pose, view = np.split(rest.reshape(-1, _POSE), [count - 1])
     return replace(
         bundle,
-        inner=bundle.inner + lens.reshape(count, _LENS),
+        intrinsics=bundle.intrinsics + lens.reshape(count, _LENS),
         camera=_turned(bundle.camera, np.vstack([np.zeros(_POSE), pose])),
         view=_turned(bundle.view, view),
     )

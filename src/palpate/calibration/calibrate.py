@@ -69,14 +69,14 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
     CalibrationError                too few views; cameras that share none; views too alike; more
                                     than a third of the views contradict the others
     """
-    bundle, corners, odd = start_bundle(found, targets)
+    bundle, corners, inconsistent = start_bundle(found, targets)
     cameras = cameras_of(found, bundle)
     notes = list(found.notes)
-    for v in np.flatnonzero(odd).tolist():
+    for v in np.flatnonzero(inconsistent).tolist():
         cause = _cause(corners.chosen(corners.view == v), cameras)
         notes.append(f"view '{found.views[v]}' has its board at two places; left out: {cause}")
-    views = np.flatnonzero(~odd)
-    bundle, corners = without_views(bundle, corners, odd)
+    views = np.flatnonzero(~inconsistent)
+    bundle, corners = without_views(bundle, corners, inconsistent)
     while True:
         adjusted = adjust(bundle, corners)
         excess = view_errors(adjusted, corners, len(bundle.view))
@@ -184,10 +184,10 @@ def view_errors(adjusted: Adjusted, corners: Corners, count: int) -> Float[np.nd
     -------
     (v,) float [-]                  1 for normal errors; 0 for a view without corners
     """
-    away = np.linalg.norm(adjusted.residual, axis=1) / adjusted.noise[corners.camera]
+    distance = np.linalg.norm(adjusted.residual, axis=1) / adjusted.noise[corners.camera]
     worst = np.zeros(count)
     for camera, view in set(zip(corners.camera.tolist(), corners.view.tolist(), strict=True)):
-        seen = away[(corners.camera == camera) & (corners.view == view)]
+        seen = distance[(corners.camera == camera) & (corners.view == view)]
         worst[view] = max(worst[view], float(np.median(seen)) / _RAYLEIGH_MEDIAN)
     return worst
 
@@ -210,17 +210,17 @@ def _cause(corners: Corners, cameras: Sequence[Camera]) -> str:
 def _swapped(corners: Corners, cameras: Sequence[Camera], a: int, b: int) -> bool:
     """Whether two cameras agree on the board's pose only after swapping their pictures."""
 
-    def apart(first: int, second: int) -> float:
-        ways = [
+    def difference(first: int, second: int) -> float:
+        poses = [
             board_pose(cameras[camera], corners.chosen(corners.camera == picture))
             for camera, picture in ((a, first), (b, second))
         ]
-        between = ways[0] @ np.linalg.inv(ways[1])
-        turn = np.arccos(np.clip((np.trace(between[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
-        shift = np.linalg.norm(ways[0][:3, 3] - ways[1][:3, 3]) / np.linalg.norm(ways[0][:3, 3])
-        return float(turn + shift)
+        between = poses[0] @ np.linalg.inv(poses[1])
+        angle = np.arccos(np.clip((np.trace(between[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+        shift = np.linalg.norm(poses[0][:3, 3] - poses[1][:3, 3]) / np.linalg.norm(poses[0][:3, 3])
+        return float(angle + shift)
 
-    return apart(b, a) < _AGREED < apart(a, b)
+    return difference(b, a) < _AGREED < difference(a, b)
 
 
 def board_pose(camera: Camera, corners: Corners) -> Float[np.ndarray, "4 4"]:
@@ -259,8 +259,8 @@ def without_views(
     """
     keep = ~bad
     number = np.cumsum(keep) - 1
-    left = corners.chosen(keep[corners.view])
-    return replace(bundle, view=bundle.view[keep]), replace(left, view=number[left.view])
+    remaining = corners.chosen(keep[corners.view])
+    return replace(bundle, view=bundle.view[keep]), replace(remaining, view=number[remaining.view])
 
 
 def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
@@ -276,9 +276,9 @@ def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
     tuple of Camera
     """
     return tuple(
-        Camera(name, size, camera_matrix(inner[:4]), inner[4:], pose)
-        for name, size, inner, pose in zip(
-            found.cameras, found.sizes, bundle.inner, bundle.camera, strict=True
+        Camera(name, size, camera_matrix(intrinsics[:4]), intrinsics[4:], pose)
+        for name, size, intrinsics, pose in zip(
+            found.cameras, found.sizes, bundle.intrinsics, bundle.camera, strict=True
         )
     )
 

@@ -17,7 +17,7 @@ _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "centre", "right")
 # Minimum number of corners for a region to count as covered.
 _MIN_CORNERS = 10
 # Largest relative error of a baseline measured from outside; a larger one means a wrong board size.
-_MOST_OFF = 0.05
+_MAX_BASELINE_ERROR = 0.05
 # One view in this many is held out to check lengths.
 _FOLD = 4
 
@@ -91,8 +91,8 @@ def _missing_regions(name: str, seen: Int[np.ndarray, "3 3"]) -> list[str]:
 
 
 def _tilt_texts(name: str, pose: Float[np.ndarray, "v 4 4"]) -> list[str]:
-    wanting = missing_tilts(pose)
-    return [f"{name}: tilt the board {', '.join(wanting)}, by 20 to 45 degrees"] if wanting else []
+    missing = missing_tilts(pose)
+    return [f"{name}: tilt the board {', '.join(missing)}, by 20 to 45 degrees"] if missing else []
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,8 +227,8 @@ def length_sigma(calibration: Calibration) -> float:
         points,
     )
     # Relative change of the rms extent of all corners under each strain.
-    spread = np.cov(points.T)
-    return float(np.linalg.norm(np.einsum("ij,mij->m", spread, strains)) / np.trace(spread))
+    covariance = np.cov(points.T)
+    return float(np.linalg.norm(np.einsum("ij,mij->m", covariance, strains)) / np.trace(covariance))
 
 
 def baseline_text(calibration: Calibration, baseline: float) -> str:
@@ -257,7 +257,7 @@ def baseline_text(calibration: Calibration, baseline: float) -> str:
         f" {1e3 * baseline:.2f} mm as was measured"
     )
     ratio = baseline / found
-    if abs(ratio - 1.0) > _MOST_OFF:
+    if abs(ratio - 1.0) > _MAX_BASELINE_ERROR:
         raise CalibrationError(
             f"{text}: the board has another size than was said, by a factor of {ratio:.3f}; measure"
             " a row of its squares and give their true side to --square, or correct --baseline"

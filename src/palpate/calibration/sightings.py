@@ -40,7 +40,7 @@ class Sightings:
     targets : tuple of v int        index of each view's board
     corners : Corners               of all views, with positions on the board and in the picture
     mark : (m,) int                 number of each corner's mark on its board
-    notes : tuple of str            sentences about pictures that were left out, and why
+    notes : tuple of str            sentences about cameras and pictures that were left out, and why
     """
 
     cameras: tuple[str, ...]
@@ -63,7 +63,8 @@ def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
 
     Returns
     -------
-    dict of camera to dict of instant to Path   both sorted
+    dict of camera to dict of instant to Path   both sorted; a camera whose folder has no pictures
+                                    has none, which `find_boards` notes
 
     Raises
     ------
@@ -76,9 +77,10 @@ def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
     for folder in folders or [place]:
         files = sorted(folder.iterdir())
         pictures = [path for path in files if path.suffix.lower() in PICTURE_SUFFIXES]
-        if pictures:
+        # An empty hidden folder is some program's, not a camera's.
+        if pictures or not folder.name.startswith("."):
             found[folder.name] = {_instant(path.stem, folder.name): path for path in pictures}
-    if not found:
+    if not any(found.values()):
         raise RecordError(
             f"{place}: has no pictures ({', '.join(PICTURE_SUFFIXES)}), neither itself nor in the"
             " folders within it; expected is a folder for every camera"
@@ -102,7 +104,8 @@ def find_boards(
 
     Parameters
     ----------
-    pictures : mapping of camera to mapping of instant to Path
+    pictures : mapping of camera to mapping of instant to Path      a camera without pictures is
+                                    left out, with a note
     targets : sequence of Target    boards that may be visible, each with its own pose
     progress : callable
 
@@ -130,8 +133,18 @@ def find_boards(
     sizes = _sizes(jobs, [size for size, _, _ in results])
     blurred = _blurred(jobs, [seen for _, seen, _ in results], [width for _, _, width in results])
     sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]
-    found = _gathered(list(pictures), sizes, sharp, targets)
-    return replace(found, notes=(*blurred.values(), *found.notes))
+    found = _gathered([name for name, by in pictures.items() if by], sizes, sharp, targets)
+    return replace(found, notes=(*_without_pictures(pictures), *blurred.values(), *found.notes))
+
+
+def _without_pictures(pictures: Mapping[str, Mapping[str, Path]]) -> list[str]:
+    """Notes on cameras whose folders have no pictures."""
+    return [
+        f"camera '{camera}': its folder has no pictures ({', '.join(PICTURE_SUFFIXES)}); the camera"
+        " is left out: were they copied, and are they of one of these kinds?"
+        for camera, by in pictures.items()
+        if not by
+    ]
 
 
 def _edge_width(grey: UInt8[np.ndarray, "rows columns"], seen: Sequence[Sighting]) -> float:
@@ -217,9 +230,9 @@ def _gathered(
     views: dict[tuple[str, int], int] = {}
     parts, notes = [], []
     for camera, instant, path, boards in pictures:
-        most = max((len(found.mark) for found in boards), default=0)
-        if most < _MIN_MARKS:
-            what = f"{most} marks of a board" if most else "no board"
+        count = max((len(found.mark) for found in boards), default=0)
+        if count < _MIN_MARKS:
+            what = f"{count} marks of a board" if count else "no board"
             notes.append(f"{path}: {what} found; left out")
         for k, found in enumerate(boards):
             if len(found.mark) < _MIN_MARKS:

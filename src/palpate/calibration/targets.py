@@ -13,11 +13,11 @@ from palpate.shapes import Points
 Grey = UInt8[np.ndarray, "rows columns"]
 # Half side of the window for refining a corner: fraction of the free distance to other corners, and
 # limits [px].
-_FREE_SHARE, _MIN_WINDOW_PX, _MAX_WINDOW_PX = 0.9, 2, 11
+_FREE_FRACTION, _MIN_WINDOW_PX, _MAX_WINDOW_PX = 0.9, 2, 11
 # Larger pictures are searched at reduced size, and the corners refined at full size.
 _MAX_SEARCHED_PX = 1600
 # Largest number of marks in each direction.
-_MOST_MARKS = 1000
+_MAX_MARKS = 1000
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 DICTIONARIES = {
     name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name)
@@ -65,11 +65,11 @@ class Target(Protocol):
         """
 
 
-def _check_grid(columns: int, rows: int, spacing: float, *, fewest: int = 2) -> None:
-    if min(columns, rows) < fewest or max(columns, rows) > _MOST_MARKS or not spacing > 0.0:
+def _check_grid(columns: int, rows: int, spacing: float, *, minimum: int = 2) -> None:
+    if min(columns, rows) < minimum or max(columns, rows) > _MAX_MARKS or not spacing > 0.0:
         raise InputError(
-            f"a target of {columns} x {rows} marks {spacing:g} m apart; must have {fewest} to"
-            f" {_MOST_MARKS} each way, at a distance above 0"
+            f"a target of {columns} x {rows} marks {spacing:g} m apart; must have {minimum} to"
+            f" {_MAX_MARKS} each way, at a distance above 0"
         )
 
 
@@ -100,7 +100,7 @@ class Chessboard:
 
     def __post_init__(self) -> None:
         # OpenCV's detector needs at least three.
-        _check_grid(self.columns, self.rows, self.square, fewest=3)
+        _check_grid(self.columns, self.rows, self.square, minimum=3)
 
     @property
     def points(self) -> Points:
@@ -366,7 +366,7 @@ def _refined(
     flat = points[:, :2] - points[:, :2].mean(axis=0)
     slope = np.linalg.lstsq(flat, pixel - pixel.mean(axis=0), rcond=None)[0]
     pixels_per_metre = float(np.linalg.svd(slope, compute_uv=False)[-1])
-    half = int(np.clip(_FREE_SHARE * free * pixels_per_metre, _MIN_WINDOW_PX, _MAX_WINDOW_PX))
+    half = int(np.clip(_FREE_FRACTION * free * pixels_per_metre, _MIN_WINDOW_PX, _MAX_WINDOW_PX))
     start = np.array(pixel, dtype=np.float32, order="C").reshape(-1, 1, 2)
     refined = cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _STOP)
     return refined.reshape(-1, 2).astype(np.float64)

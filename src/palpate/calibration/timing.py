@@ -8,7 +8,7 @@ it is read; if a camera is late, all its corners are shifted.
 import numpy as np
 from jaxtyping import Float
 
-from palpate.calibration.adjustment import view_slopes
+from palpate.calibration.adjustment import view_jacobians
 from palpate.calibration.calibrate import Calibration
 
 # Minimum fraction of the residual variance explained by velocities, adjusted for their number; and
@@ -16,11 +16,11 @@ from palpate.calibration.calibrate import Calibration
 _MUCH, _MORE = 0.3, 0.1
 _POSE, _VELOCITY = 6, 3
 _ROLLS = (
-    "boards that move while rows are read one after another explain {share:.0%} of the variance of"
-    " the corners: a shutter rolls; hold the board still for a second in each place"
+    "boards that move while rows are read one after another explain {fraction:.0%} of the variance"
+    " of the corners: a shutter rolls; hold the board still for a second in each place"
 )
 _LATE = (
-    "boards that move between the cameras' pictures explain {share:.0%} of the variance of the"
+    "boards that move between the cameras' pictures explain {fraction:.0%} of the variance of the"
     " corners: {who} not at one instant; start the cameras by one trigger, or hold the board still"
     " for a second in each place"
 )
@@ -41,19 +41,19 @@ def timing_note(calibration: Calibration) -> str:
     corners = calibration.corners
     late = corners.pixel / np.array(sizes, dtype=np.float64)[corners.camera] - 0.5
     by_column, by_row = (explained_by_velocity(calibration, late[:, k]) for k in range(2))
-    shares = [by_row if by_row - by_column > _MORE else 0.0]
+    fractions = [by_row if by_row - by_column > _MORE else 0.0]
     if len(names) > 1:
-        shares += [
+        fractions += [
             explained_by_velocity(calibration, (corners.camera == c).astype(np.float64))
             for c in range(len(names))
         ]
-    best = int(np.argmax(shares))
-    if not shares[best] > _MUCH:
+    best = int(np.argmax(fractions))
+    if not fractions[best] > _MUCH:
         return ""
     who = f"'{names[best - 1]}' and the others take theirs"
     if len(names) == 2:
         who = f"'{names[0]}' and '{names[1]}' take theirs"
-    return (_LATE if best else _ROLLS).format(share=shares[best], who=who)
+    return (_LATE if best else _ROLLS).format(fraction=fractions[best], who=who)
 
 
 def explained_by_velocity(calibration: Calibration, late: Float[np.ndarray, " m"]) -> float:
@@ -72,21 +72,21 @@ def explained_by_velocity(calibration: Calibration, late: Float[np.ndarray, " m"
     """
     adjusted, corners = calibration.adjusted, calibration.corners
     unit = 1.0 / adjusted.noise[corners.camera]
-    slope = unit[:, None, None] * view_slopes(adjusted.bundle, corners)
+    jacobian = unit[:, None, None] * view_jacobians(adjusted.bundle, corners)
     residual = unit[:, None] * adjusted.residual
     squares, freedom = np.zeros(2), np.zeros(2)
     for view in range(len(adjusted.bundle.view)):
         rows = (corners.view == view) & adjusted.good
         if rows.sum() <= _POSE + _VELOCITY:
             continue
-        pose = slope[rows].reshape(-1, _POSE)
-        moved = (late[rows, None, None] * slope[rows, :, -_VELOCITY:]).reshape(-1, _VELOCITY)
+        pose = jacobian[rows].reshape(-1, _POSE)
+        moved = (late[rows, None, None] * jacobian[rows, :, -_VELOCITY:]).reshape(-1, _VELOCITY)
         for k, terms in enumerate((pose, np.hstack([pose, moved]))):
             base = _independent(terms)
-            left = residual[rows].ravel()
-            left = left - base @ (base.T @ left)
-            squares[k] += left @ left
-            freedom[k] += len(left) - base.shape[1]
+            remainder = residual[rows].ravel()
+            remainder = remainder - base @ (base.T @ remainder)
+            squares[k] += remainder @ remainder
+            freedom[k] += len(remainder) - base.shape[1]
     if not (freedom > 0.0).all():
         return 0.0
     before, after = squares / freedom

@@ -19,7 +19,7 @@ from palpate.progress import Progress, silent
 from palpate.vision import VIDEO_SUFFIXES, video_frames
 
 # Maximum number of sections, and minimum number of frames in each.
-_STRETCHES, _FEWEST_FRAMES = 60, 5
+_MAX_SECTIONS, _MIN_FRAMES = 60, 5
 # Width to which frames are reduced for comparison [px].
 _SMALL = 160
 # Largest difference in length, as a fraction; videos with one trigger differ by a frame or two.
@@ -85,10 +85,10 @@ def still_frames(
         motion[camera] = _motion(video)
     _check_lengths(videos, {camera: len(one) for camera, one in motion.items()})
     count = min(len(one) for one in motion.values())
-    most = np.max([one[:count] / max(np.median(one), 1e-9) for one in motion.values()], axis=0)
-    stretches = min(_STRETCHES, max(count // _FEWEST_FRAMES, 1))
+    largest = np.max([one[:count] / max(np.median(one), 1e-9) for one in motion.values()], axis=0)
+    sections = min(_MAX_SECTIONS, max(count // _MIN_FRAMES, 1))
     chosen = [
-        int(part[most[part].argmin()]) for part in np.array_split(np.arange(count), stretches)
+        int(part[largest[part].argmin()]) for part in np.array_split(np.arange(count), sections)
     ]
     files: dict[str, dict[str, Path]] = {}
     for k, (camera, video) in enumerate(videos.items()):
@@ -159,19 +159,19 @@ def without_repeats(found: Sightings) -> Sightings:
         if not any(_same(seen, other, found.sizes) for other in kept):
             keep.append(v)
             kept.append(seen)
-    gone = len(found.views) - len(keep)
-    if gone == 0:
+    dropped = len(found.views) - len(keep)
+    if dropped == 0:
         return found
     stays = np.isin(np.arange(len(found.views)), keep)
     rows = stays[corners.view]
     number = np.cumsum(stays) - 1
-    left = corners.chosen(rows)
-    note = f"{gone} of {len(found.views)} frames show the board where another does; left out"
+    remaining = corners.chosen(rows)
+    note = f"{dropped} of {len(found.views)} frames show the board where another does; left out"
     return replace(
         found,
         views=tuple(found.views[v] for v in keep),
         targets=tuple(found.targets[v] for v in keep),
-        corners=replace(left, view=number[left.view]),
+        corners=replace(remaining, view=number[remaining.view]),
         mark=found.mark[rows],
         notes=(*found.notes, note),
     )
@@ -186,5 +186,5 @@ def _same(
     common = first.keys() & second.keys()
     if 2 * len(common) < max(len(first), len(second)):
         return False
-    away = [np.linalg.norm(first[key] - second[key]) / sizes[key[0]][0] for key in common]
-    return bool(np.median(away) < _NEWS)
+    motion = [np.linalg.norm(first[key] - second[key]) / sizes[key[0]][0] for key in common]
+    return bool(np.median(motion) < _NEWS)

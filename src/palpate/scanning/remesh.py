@@ -27,7 +27,7 @@ _GROWTH = 0.25
 _OVERSAMPLING = 4.0
 _TRIES, _CLOSE = 6, 0.03
 _OTHERWISE = (0.97, 1.03, 0.92)
-_FEWEST, _MOST = 50, 50_000
+_MIN_VERTICES, _MAX_VERTICES = 50, 50_000
 # A wall thinner than this, in edges of its own triangles, cannot be distinguished from a sheet.
 _THINNEST = 0.5
 
@@ -66,8 +66,10 @@ def remeshed(
     Dapogny, Dobrzynski, Frey, Three-dimensional adaptive domain remeshing, implicit domain meshing
     and applications to free and moving boundary problems, J. Comput. Phys. 262 (2014): Mmg.
     """
-    if not _FEWEST <= vertices <= _MOST:
-        raise InputError(f"{vertices} vertices are asked for; must be {_FEWEST} to {_MOST}")
+    if not _MIN_VERTICES <= vertices <= _MAX_VERTICES:
+        raise InputError(
+            f"{vertices} vertices are asked for; must be {_MIN_VERTICES} to {_MAX_VERTICES}"
+        )
     if near is not None:
         _check_near(near, mesh)
     # Edge of equilateral triangles, with two triangles per vertex.
@@ -76,7 +78,7 @@ def remeshed(
     base = _base(mesh, edge, near, keep)
     tries, scale = [], 1.0
     for _ in range(_TRIES):
-        found = adapted(base, scale * _sizes(base.vertices, edge, near), onto=mesh, **keep)
+        found = adapted(base, scale * _sizes(base.vertices, edge, near), surface=mesh, **keep)
         off = len(found.vertices) / vertices
         tries.append((abs(off - 1.0), found))
         if abs(off - 1.0) < _CLOSE:
@@ -89,7 +91,9 @@ def remeshed(
         reason = error
     # A slightly finer or coarser mesh may not have the fold.
     for factor in _OTHERWISE:
-        found = adapted(base, factor * scale * _sizes(base.vertices, edge, near), onto=mesh, **keep)
+        found = adapted(
+            base, factor * scale * _sizes(base.vertices, edge, near), surface=mesh, **keep
+        )
         with suppress(MeshError):
             return _accepted(found)
     raise reason
@@ -122,7 +126,7 @@ def _base(
     even = adapted(mesh, np.full(len(mesh.vertices), edge / fine), **keep)
     if near is None:
         return even
-    return adapted(even, _sizes(even.vertices, edge, near) / fine, onto=mesh, **keep)
+    return adapted(even, _sizes(even.vertices, edge, near) / fine, surface=mesh, **keep)
 
 
 def _sizes(place: Vertices, edge: float, near: Points | None) -> Float[np.ndarray, " v"]:
@@ -149,7 +153,7 @@ def _accepted(mesh: TriangleMesh) -> TriangleMesh:
     k = int(ratio.argmin())
     if ratio[k] < _THINNEST:
         more = len(sound.vertices) * (_THINNEST / ratio[k]) ** 2
-        cure = f"ask for {1.2 * more:.2g} vertices" if more < _MOST else "thicken it"
+        cure = f"ask for {1.2 * more:.2g} vertices" if more < _MAX_VERTICES else "thicken it"
         place = place_text(corner[k].mean(axis=0))
         raise MeshError(
             f"the body is {1e3 * thickness[k]:.2g} mm thin near {place}, where"

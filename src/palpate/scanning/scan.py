@@ -25,7 +25,7 @@ from palpate.scanning.views import View
 from palpate.shapes import Points
 
 # Largest fraction of the surface that may be guessed without a support.
-_MOST_GUESSED = 0.10
+_MAX_GUESSED = 0.10
 # A triangle counts as measured if a point is within this fraction of its edge, or of the object's
 # size.
 _NEAR_EDGE, _NEAR_SIZE = 0.5, 0.01
@@ -94,7 +94,7 @@ def scan_surface(
     normals = np.concatenate([view.normals for view in views])
     sigma = np.concatenate([view.sigma for view in views])
     number = np.repeat(np.arange(len(views)), [len(view.points) for view in views])
-    shared = np.array([view.shared for view in views])
+    correlation_length = np.array([view.correlation_length for view in views])
     if support is not None:
         if np.median(support.heights(points)) < 0.0:
             support = Plane(support.point, -support.normal)
@@ -110,7 +110,10 @@ def scan_surface(
     if support is not None:
         fixed = abs(support.heights(even.vertices)) < 1e-4 * bounding_diagonal(even)
     progress("fitting", 0.9)
-    result = fitted(even, points, normals, sigma, view=number, shared=shared[number], fixed=fixed)
+    result = fitted(
+        even, points, normals, sigma, view=number, correlation_length=correlation_length[number],
+        fixed=fixed,
+    )  # fmt: skip
     mesh = checked_mesh(result.mesh)[0]
     gap = distances(points, mesh)
     return ScannedSurface(
@@ -140,20 +143,20 @@ def _check_closed(skin: TriangleMesh, points: Points, support: Plane | None) -> 
         return
     guessed = _guessed(skin, points)
     areas = triangle_areas(skin)
-    share = float(areas[guessed].sum() / areas.sum())
-    if share > _MOST_GUESSED:
+    fraction = float(areas[guessed].sum() / areas.sum())
+    if fraction > _MAX_GUESSED:
         centre = skin.vertices[skin.triangles[guessed]].mean(axis=1)
         middle = np.average(centre, axis=0, weights=areas[guessed])
         raise MeshError(
-            f"the surface does not close: no view shows {100.0 * share:.0f} % of it, around"
-            f" {place_text(middle)}, and at most {100.0 * _MOST_GUESSED:.0f} % is guessed; add"
+            f"the surface does not close: no view shows {100.0 * fraction:.0f} % of it, around"
+            f" {place_text(middle)}, and at most {100.0 * _MAX_GUESSED:.0f} % is guessed; add"
             ' views of that side, or say support = "..." if the object stood there'
         )
 
 
 def _volume_std(mesh: TriangleMesh, sigma: Float[np.ndarray, " v"]) -> float:
     """Standard deviation of the volume, from independent errors of the vertices."""
-    share = np.zeros(len(mesh.vertices))
-    np.add.at(share, mesh.triangles.ravel(), np.repeat(triangle_areas(mesh) / 3.0, 3))
+    area = np.zeros(len(mesh.vertices))
+    np.add.at(area, mesh.triangles.ravel(), np.repeat(triangle_areas(mesh) / 3.0, 3))
     known = np.isfinite(sigma)
-    return float(np.sqrt(((share * sigma)[known] ** 2).sum()))
+    return float(np.sqrt(((area * sigma)[known] ** 2).sum()))

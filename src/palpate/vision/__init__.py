@@ -58,17 +58,17 @@ from palpate.vision.range_flow import (
     measured_vertices as measured_vertices,
 )
 from palpate.vision.stereo import (
-    LEAST_POINTS as LEAST_POINTS,
+    MIN_POSE_POINTS as MIN_POSE_POINTS,
     RigCheck as RigCheck,
     StereoMatches as StereoMatches,
     StereoPoints as StereoPoints,
     StereoSettings as StereoSettings,
     check_rig as check_rig,
-    joined_matches as joined_matches,
     near_object as near_object,
     object_frame as object_frame,
     register_object as register_object,
     smooth_surface as smooth_surface,
     stereo_matches as stereo_matches,
     stereo_points as stereo_points,
+    triangulated_matches as triangulated_matches,
 )

@@ -8,11 +8,11 @@ _MIN_PIVOT = 1e-9
 
 
 @njit(cache=True, error_model="numpy")
-def cholesky_kernel(a, least=_MIN_PIVOT):
+def cholesky_kernel(a, min_pivot=_MIN_PIVOT):
     """Overwrite the lower triangle with the Cholesky factor; False if not positive definite.
 
-    `a` (n, n) float is symmetric; only its lower triangle is read. A pivot below `least` (0 to 1)
-    times its original diagonal entry counts as zero.
+    `a` (n, n) float is symmetric; only its lower triangle is read. A pivot below `min_pivot` (0 to
+    1) times its original diagonal entry counts as zero.
 
     Source: Golub and Van Loan, Matrix Computations (2013), chapter 4.
     """
@@ -21,7 +21,7 @@ def cholesky_kernel(a, least=_MIN_PIVOT):
         pivot = a[j, j]
         for k in range(j):
             pivot -= a[j, k] * a[j, k]
-        if not pivot > least * a[j, j]:
+        if not pivot > min_pivot * a[j, j]:
             return False
         root = np.sqrt(pivot)
         a[j, j] = root
@@ -57,3 +57,26 @@ def cholesky_inverse_kernel(factor, inverse):
         inverse[j, :] = 0.0
         inverse[j, j] = 1.0
         cholesky_solve_kernel(factor, inverse[j])
+
+
+@njit(cache=True, error_model="numpy")
+def add_transposed_kernel(matrix, vector, factor, total):
+    """Add factor * matrix^T vector to `total`; `matrix` is (k, m) float, `vector` (k,).
+
+    For so small matrices faster than numpy.dot, which also takes seconds to compile.
+    """
+    for k in range(len(vector)):
+        for m in range(len(total)):
+            total[m] += factor * matrix[k, m] * vector[k]
+
+
+@njit(cache=True, error_model="numpy")
+def add_congruence_kernel(inner, matrix, factor, total):
+    """Add factor * matrix^T inner matrix to `total`, (m, m); `inner` is (k, k), `matrix` (k, m)."""
+    for k in range(len(inner)):
+        for m in range(len(total)):
+            product = 0.0
+            for h in range(len(inner)):
+                product += inner[k, h] * matrix[h, m]
+            for n in range(len(total)):
+                total[n, m] += factor * matrix[k, n] * product

@@ -10,7 +10,7 @@ from palpate.records import Camera, Rig
 from palpate.vision.cameras.lens import jacobian_kernel, project_kernel
 from palpate.vision.cameras.projection import (
     camera_sigma,
-    lens_reach,
+    lens_radius_limit,
     normalised,
     packed_camera,
     packed_rig,
@@ -126,11 +126,11 @@ def test_moving_the_object_frame_changes_nothing():
 def test_reach_of_a_barrel_is_the_closed_form():
     """r + k1 r^3 stops to rise at r^2 = 1 / (3 |k1|), where it is 2 r / 3."""
     for k1 in (-0.5, -0.07):
-        assert lens_reach(terms((k1,))) == pytest.approx((-3.0 * k1) ** -0.5)
+        assert lens_radius_limit(terms((k1,))) == pytest.approx((-3.0 * k1) ** -0.5)
     # 1 / (1 + k4 r^2) with k4 < 0 has its pole at r^2 = 1 / |k4|.
-    assert lens_reach(np.array([0, 0, 0, 0, 0, -0.04, 0, 0.0])) == pytest.approx(5.0)
-    assert lens_reach(np.zeros(8)) == np.inf
-    assert lens_reach(np.array([0.2, 0.1, 0, 0, 0.1, 0, 0, 0])) == np.inf
+    assert lens_radius_limit(np.array([0, 0, 0, 0, 0, -0.04, 0, 0.0])) == pytest.approx(5.0)
+    assert lens_radius_limit(np.zeros(8)) == np.inf
+    assert lens_radius_limit(np.array([0.2, 0.1, 0, 0, 0.1, 0, 0, 0])) == np.inf
 
 
 def test_beyond_the_fold_there_is_no_ray_and_no_pixel():
@@ -152,7 +152,7 @@ def test_beyond_the_fold_there_is_no_ray_and_no_pixel():
 def test_inverse_stays_on_the_branch_of_the_axis():
     """k1 < 0 < k2 folds twice: the same radius is reached on two rising branches."""
     lens = np.array([-0.9, 0.35, 0, 0, 0, 0, 0, 0.0])
-    reach = lens_reach(lens)
+    reach = lens_radius_limit(lens)
     camera = Camera("c0", None, np.diag([500.0, 500.0, 1.0]), lens, np.eye(4))
     radius = np.linspace(0.0, 0.99 * reach, 40)
     place = 500.0 * radius * (1.0 - 0.9 * radius**2 + 0.35 * radius**4)

@@ -11,7 +11,7 @@ from palpate.vision.images.normalisation import (
     cropped,
     make_normalised_image,
     moments,
-    point_spread,
+    point_spread_variance,
 )
 
 SHAPE = (150, 170)
@@ -122,11 +122,11 @@ def test_spread_of_a_sharp_edge(sigma, noise):
     edge = 30.0 + 180.0 * ndtr((0.996 * column + 0.087 * row) / sigma)
     expected = (sigma**2 - 1.0 / 12.0) / np.log(12.0 * sigma**2)
     # Pixels a whole step apart and noise make an edge look a tenth wider than it is.
-    found = point_spread(noisy(edge, noise, 1))
+    found = point_spread_variance(noisy(edge, noise, 1))
     assert found == pytest.approx(expected, rel=0.25)
 
 
 def test_no_camera_is_sharper_than_its_pixels():
     flat = np.full((50, 60), 7.0)
     for picture in (flat, noisy(flat, 2.0, 1), np.where(np.arange(60) < 30, 10.0, 200.0) + flat):
-        assert point_spread(picture) == pytest.approx(1.0 / 12.0, rel=0.15)
+        assert point_spread_variance(picture) == pytest.approx(1.0 / 12.0, rel=0.15)

@@ -9,7 +9,7 @@ from palpate.vision.images.spline import (
     PADDING,
     interpolate,
     make_spline_picture,
-    noise_share_kernel,
+    noise_fraction_kernel,
     smoothing_gain,
 )
 
@@ -120,11 +120,11 @@ def test_share_of_noise_is_the_sum_of_squares_of_the_cardinal_spline():
     part = np.linspace(0.0, 1.0, 21)
     place = np.stack([20.0 + (part[:, None] + shift).ravel(), np.full(21 * 29, 20.0)], axis=1)
     line = (interpolate(picture, place).reshape(21, 29) ** 2).sum(axis=1)
-    found = np.array([noise_share_kernel(np.float32(7.0 + t), np.float32(3.0)) for t in part])
+    found = np.array([noise_fraction_kernel(np.float32(7.0 + t), np.float32(3.0)) for t in part])
     np.testing.assert_allclose(found, line, atol=0.009)
     # Half way, where the formula is fitted, it is exact; both directions multiply.
     np.testing.assert_allclose(found[10], line[10], atol=2e-5)
-    both = noise_share_kernel(np.float32(4.3), np.float32(-2.4))
+    both = noise_fraction_kernel(np.float32(4.3), np.float32(-2.4))
     np.testing.assert_allclose(
         both, np.interp(0.3, part, found) * np.interp(0.6, part, found), atol=1e-5
     )

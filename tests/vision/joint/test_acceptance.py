@@ -133,17 +133,17 @@ def test_what_cameras_contradict_each_other_by_beyond_noise_is_their_bias(camera
     # What a fit of three unknowns leaves of 2 c numbers.
     design = slope.reshape(2 * cameras, 3)
     rest = np.eye(2 * cameras) - design @ np.linalg.pinv(design)
-    own = (word.reshape(n, -1) @ rest).reshape(n, cameras, 2)
+    own_step = (word.reshape(n, -1) @ rest).reshape(n, cameras, 2)
     nothing = np.zeros((n, cameras))
     used = np.ones((n, cameras), dtype=bool)
     match = Match(
-        np.zeros((n, 6, 3)), np.zeros((n, 3, 3)), nothing, nothing, own,
+        np.zeros((n, 6, 3)), np.zeros((n, 3, 3)), nothing, nothing, own_step,
         np.full((n, cameras), noise**2), np.zeros(n), used, np.zeros(n, dtype=np.int64),
     )  # fmt: skip
     # The rest is not the same in all cameras, and its median not quite that of two degrees of
     # freedom: a sixth. Twice the share taken up by the fit would be off by a third and more.
     assert _matching_bias(match, used) == pytest.approx(bias, rel=0.17 if cameras > 2 else 0.5)
-    quiet = match._replace(own=0.3 * own)
+    quiet = match._replace(own_step=0.3 * own_step)
     assert _matching_bias(quiet, used) == 0.002
 
 

@@ -101,8 +101,8 @@ def test_without_noise_linear_motions_of_a_curved_surface_are_exact(still, name,
     for a in range(2):
         side = still.point + h * still.tangent[:, a]
         slope = (motion(side) - motion(still.point)) / h
-        off = (found.motion[:, 1 + a] / still.extent[:, None] - slope)[keep]
-        assert np.sqrt((off**2).mean()) * still.extent.mean() < 5e-3 * PITCH
+        off = (found.motion[:, 1 + a] / still.half_window[:, None] - slope)[keep]
+        assert np.sqrt((off**2).mean()) * still.half_window.mean() < 5e-3 * PITCH
 
 
 def test_quadratic_windows_follow_a_bump_that_linear_ones_blur(still):
@@ -124,7 +124,7 @@ def test_second_derivatives_that_are_known_take_the_blur_away(still):
     motion = MOTIONS["bump"]
     start = _start(still, motion)
     t, s = still.tangent[:, 0], still.tangent[:, 1]
-    h = still.extent[:, None]
+    h = still.half_window[:, None]
     u = motion(still.point)
 
     def away(a, b):
@@ -192,19 +192,19 @@ def test_three_cameras_beat_the_best_pair_by_the_bound(repeated):
 def test_noise_left_over_is_that_of_the_pixels_and_white(repeated):
     for cameras, draws in repeated.items():
         for _, _, found in draws[:2]:
-            left = found.left[found.good][:, cameras]
+            left = found.residual_variance[found.good][:, cameras]
             np.testing.assert_allclose(left.mean(axis=0), 2.0 * NOISE**2, rtol=0.03)
             # From 18 or 27 blocks a window; the correction for so few overdoes it by up to a third.
-            assert 0.9 < found.rough[found.good].mean() < 1.4
+            assert 0.9 < found.variance_ratio[found.good].mean() < 1.4
             other = [c for c in range(3) if c not in cameras]
             assert np.isnan(found.score[:, other]).all()
-            assert np.isnan(found.own[:, other]).all()
+            assert np.isnan(found.own_step[:, other]).all()
 
 
 def test_what_each_camera_alone_would_add_is_as_large_as_claimed(repeated):
     """Where one of three cameras has a third of the say, it keeps two thirds of its own error."""
     found = repeated[(0, 1, 2)][0][2]
-    ratio = found.own[found.good] ** 2 / found.own_variance[found.good][..., None]
+    ratio = found.own_step[found.good] ** 2 / found.own_variance[found.good][..., None]
     assert 0.2 < ratio.mean() < 1.0
 
 
@@ -229,7 +229,7 @@ def test_a_camera_that_slipped_is_identified_by_what_it_alone_would_add(still):
     matrix = np.einsum("cnai,cnaj->nij", slope, slope)
     mean = np.linalg.solve(matrix, np.einsum("cnai,cna->ni", slope, word)[..., None])[..., 0]
     expected = word - np.einsum("cnai,ni->cna", slope, mean)
-    own = np.moveaxis(found.own[keep], 1, 0)
+    own = np.moveaxis(found.own_step[keep], 1, 0)
     # Textures weigh the directions, by a quarter or so.
     assert np.sqrt(((own - expected) ** 2).mean()) < 0.25 * np.sqrt((expected**2).mean())
     shift = (found.displacement - plain.displacement)[keep]
@@ -246,7 +246,9 @@ def test_light_of_one_camera_is_no_matter(still):
     good = plain.good
     # Single precision and the last step.
     assert np.abs(other.displacement - plain.displacement)[good].max() < 1e-3 * PITCH
-    np.testing.assert_allclose(other.left[good], plain.left[good], rtol=1e-3, equal_nan=True)
+    np.testing.assert_allclose(
+        other.residual_variance[good], plain.residual_variance[good], rtol=1e-3, equal_nan=True
+    )
 
 
 def test_a_shadow_s_edge_moves_nothing():
@@ -262,7 +264,7 @@ def test_a_shadow_s_edge_moves_nothing():
     start = _start(scene, MOTIONS["still"])
     drawn = {}
     for spread in (0.0, 0.8**2):
-        found = Found(replace(scene, spread=np.full(3, spread)), later, start, shading=True)
+        found = Found(replace(scene, blur_variance=np.full(3, spread)), later, start, shading=True)
         assert found.good.mean() > 0.7  # the others lie where no window has room
         drawn[spread] = found.displacement[found.good, 0].mean() / PITCH
     assert drawn[0.0] == pytest.approx(0.8**2 * 0.01, rel=0.1)
@@ -273,7 +275,7 @@ def test_a_shadow_s_edge_moves_nothing():
 def _reordered(scene, order):
     pick = {
         name: tuple(getattr(scene, name)[k] for k in order)
-        for name in ("pictures", "surface", "inner")
+        for name in ("pictures", "surface", "interior")
     }
     return replace(
         scene, packed=scene.packed[order], seen=np.ascontiguousarray(scene.seen[:, order]), **pick
@@ -354,7 +356,14 @@ def test_each_reason_for_nothing(still):
         Outcome.HIDDEN, Outcome.LOST, Outcome.LOST, *[Outcome.VALID] * 5
     ]  # fmt: skip
     lost = ~found.good
-    for value in (found.motion, found.covariance, found.score, found.left, found.own, found.rough):
+    for value in (
+        found.motion,
+        found.covariance,
+        found.score,
+        found.residual_variance,
+        found.own_step,
+        found.variance_ratio,
+    ):
         assert np.isnan(value[lost].reshape(lost.sum(), -1)).all()
     assert np.isfinite(found.motion[found.good]).all()
     one = Found(still, views, start, iterations=1)

@@ -20,7 +20,7 @@ from palpate.vision.cameras.projection import pixel_sizes
 from palpate.vision.cameras.surface_map import SurfaceMap
 from palpate.vision.joint.scene import (
     advanced_scene,
-    inner_pixels,
+    interior_pixels,
     make_scene,
     scene_rows,
 )
@@ -64,15 +64,17 @@ def test_tangents_are_orthonormal_and_in_the_surface(scene):
     assert np.abs(normal - true).max() < 0.02
 
 
-def test_extent_is_half_a_window_on_the_surface(scene):
+def test_the_half_window_is_one_on_the_surface(scene):
     camera = scene.rig.cameras[0]
     pose = camera.T_camera_object
     side = np.einsum("i,ni->n", pose[2, :3], scene.point) + pose[2, 3]
-    np.testing.assert_allclose(scene.extent, 10.0 * side / camera.matrix[0, 0], rtol=1e-12)
-    np.testing.assert_allclose(pixel_sizes(camera, scene.point), scene.extent / 10.0, rtol=1e-12)
-    assert np.median(scene.extent) == pytest.approx(10.0 * PITCH, rel=0.05)
-    # Moving a point sideways by its extent moves its pixel by half a window.
-    away = scene.point + scene.extent[:, None] * pose[0, :3]
+    np.testing.assert_allclose(scene.half_window, 10.0 * side / camera.matrix[0, 0], rtol=1e-12)
+    np.testing.assert_allclose(
+        pixel_sizes(camera, scene.point), scene.half_window / 10.0, rtol=1e-12
+    )
+    assert np.median(scene.half_window) == pytest.approx(10.0 * PITCH, rel=0.05)
+    # Moving a point sideways by that moves its pixel by half a window.
+    away = scene.point + scene.half_window[:, None] * pose[0, :3]
     moved = projected(camera, away) - scene.pixel
     # Through a lens that bends by 1.5 px of 90.
     np.testing.assert_allclose(moved[:, 0], 10.0, atol=0.6)
@@ -90,33 +92,35 @@ def test_cameras_see_the_points_that_fall_into_their_picture(scene):
 
 
 def test_surface_of_every_camera_projects_to_its_pixels(scene):
-    for camera, surface, inner in zip(scene.rig.cameras, scene.surface, scene.inner, strict=True):
+    for camera, surface, interior in zip(
+        scene.rig.cameras, scene.surface, scene.interior, strict=True
+    ):
         assert surface.dtype == np.float32
-        row, column = np.nonzero(inner)
+        row, column = np.nonzero(interior)
         pixel = projected(camera, surface[row, column].astype(np.float64))
         # Single precision of 60 mm: 4 nm.
         np.testing.assert_allclose(pixel, np.stack([column, row], axis=1), atol=1e-4)
 
 
-def test_pixels_near_an_outline_are_not_inner():
+def test_pixels_near_an_outline_are_not_interior():
     """A sheet that ends within the picture: two pixels beside its edge are left out."""
     stage = Stage(make_rig(2), tilted((0.1, 0.0)))
     vertices, triangles = stage.mesh(1e-3, 0.012)
     scene = _scene(stage.rig, [np.zeros(SHAPE, dtype=np.float32)] * 2, (vertices, triangles))
-    for camera, inner in zip(stage.rig.cameras, scene.inner, strict=True):
+    for camera, interior in zip(stage.rig.cameras, scene.interior, strict=True):
         corner = projected(camera, vertices)
-        row, column = np.nonzero(inner)
+        row, column = np.nonzero(interior)
         low, high = corner.min(axis=0), corner.max(axis=0)
         kept = np.stack([column, row], axis=1)
         assert (kept > low + 1.0).all()
         assert (kept < high - 1.0).all()
         # A square turned by up to 3 degrees: no more than the rim is lost.
-        assert inner.sum() > 0.85 * (np.prod(high - low - 5.0) - 0.1 * np.prod(high - low))
-    inside = inner_distance(scene)
+        assert interior.sum() > 0.85 * (np.prod(high - low - 5.0) - 0.1 * np.prod(high - low))
+    inside = interior_distance(scene)
     assert inside.min() >= 2.0
 
 
-def inner_distance(scene):
+def interior_distance(scene):
     """Distance of each point's pixel from the nearest pixel that does not show the surface."""
     shows = np.isfinite(scene.surface[0][..., 0])
     row, column = np.nonzero(~shows)
@@ -137,15 +141,15 @@ def test_a_step_in_depth_is_an_outline():
         return SurfaceMap(point, np.zeros((40, 60), dtype=np.int64))
 
     step = np.where(column < 30, 0.0, 10.0 * PITCH)
-    inner = inner_pixels(surface(step), camera)
-    assert inner.dtype == np.float32
-    assert not inner[:, 27:33].any()
-    assert inner[2:-2, 2:27].all()
-    assert inner[2:-2, 33:-2].all()
-    assert not inner[:2].any()
-    assert not inner[:, -2:].any()
-    assert inner_pixels(surface(column * PITCH), camera)[2:-2, 2:-2].all()
-    assert not inner_pixels(surface(column * 8.0 * PITCH), camera).any()
+    interior = interior_pixels(surface(step), camera)
+    assert interior.dtype == np.float32
+    assert not interior[:, 27:33].any()
+    assert interior[2:-2, 2:27].all()
+    assert interior[2:-2, 33:-2].all()
+    assert not interior[:2].any()
+    assert not interior[:, -2:].any()
+    assert interior_pixels(surface(column * PITCH), camera)[2:-2, 2:-2].all()
+    assert not interior_pixels(surface(column * 8.0 * PITCH), camera).any()
 
 
 def test_a_scene_that_the_reference_does_not_see_has_no_points():
@@ -161,7 +165,7 @@ def test_a_scene_that_the_reference_does_not_see_has_no_points():
 def test_rows_of_a_scene_are_points_and_nothing_else(scene):
     rows = np.array([5, 3, 100])
     part = scene_rows(scene, rows)
-    for name in ("pixel", "point", "tangent", "extent", "seen"):
+    for name in ("pixel", "point", "tangent", "half_window", "seen"):
         np.testing.assert_array_equal(getattr(part, name), getattr(scene, name)[rows])
     assert part.pictures is scene.pictures
     assert part.surface is scene.surface
@@ -188,7 +192,7 @@ def test_an_advanced_scene_is_the_moved_surface(scene):
     turn = cv2.Rodrigues(np.array([0.01, -0.02, 0.03]))[0]
     move = np.zeros((len(scene.point), 6, 3))
     move[:, 0] = motion(scene.point)
-    move[:, 1:3] = scene.extent[:, None, None] * (scene.tangent @ turn.T - scene.tangent)
+    move[:, 1:3] = scene.half_window[:, None, None] * (scene.tangent @ turn.T - scene.tangent)
     valid = np.ones(len(scene.point), dtype=bool)
     valid[7] = False
     move[7] = np.nan
@@ -200,8 +204,8 @@ def test_an_advanced_scene_is_the_moved_surface(scene):
     assert not later.seen[7].any()
     assert later.seen[valid].sum() > 0.95 * scene.seen[valid].sum()
     assert not (later.seen & ~scene.seen).any()
-    for surface, inner in zip(later.surface, later.inner, strict=True):
-        seen = surface[inner > 0].astype(float)
+    for surface, interior in zip(later.surface, later.interior, strict=True):
+        seen = surface[interior > 0].astype(float)
         back = (seen - [8e-4, -5e-4, 4e-4]) @ turn
         # Facets of 5 px, a diagonal of up to 2.3 mm, hang 2.3^2 / 8 / 60 mm below the arch; their
         # corners hang up to 4.5 um below it themselves.

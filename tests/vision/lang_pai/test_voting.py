@@ -64,7 +64,7 @@ def test_whole_pixels_are_found_exactly(motion, noise):
     # levels beside a contrast of 45.
     assert np.median(found.score) > 0.95
     if not noise:
-        assert not found.apart.any()
+        assert not found.distance.any()
 
 
 @pytest.mark.parametrize(("fraction", "whole"), [(0.3, 0), (0.7, 1), (-0.3, 0), (-0.7, -1)])
@@ -94,7 +94,7 @@ def test_one_camera_that_contradicts_is_enough_to_reject(camera, extra):
     winner = (found.pixel - pixel == [3, 1]).all(axis=1)
     assert winner.mean() > 0.2
     assert (found.agreed[winner] == 2).all()
-    np.testing.assert_allclose(found.apart[winner], np.hypot(*extra) / np.sqrt(3.0), atol=1e-12)
+    np.testing.assert_allclose(found.distance[winner], np.hypot(*extra) / np.sqrt(3.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("camera", [0, 1, 2])
@@ -107,8 +107,8 @@ def test_the_eight_pixels_around_the_best_count_as_agreement(camera, extra):
     )
     good = found.outcome == Outcome.VALID
     assert good.mean() > 0.95
-    assert (found.apart[good] <= np.sqrt(2.0)).all()
-    assert (found.apart[good] > 0.5).all()
+    assert (found.distance[good] <= np.sqrt(2.0)).all()
+    assert (found.distance[good] > 0.5).all()
 
 
 def test_it_is_the_vote_that_plain_loops_hold():
@@ -131,11 +131,13 @@ def _agree_with_loops(before, after, pixel, subset, search):
     """Compare a vote with that of plain loops; the outcomes that occurred."""
     found = _vote(before, after, pixel, subset=subset, search=search)
     brute = [_brute_vote(before, after, place, subset // 2, search // 2) for place in pixel]
-    for k, (place, score, apart, agreed, outcome) in enumerate(brute):
+    for k, (place, score, distance, agreed, outcome) in enumerate(brute):
         assert found.pixel[k].tolist() == list(place)
         assert found.outcome[k] == outcome
         assert found.agreed[k] == agreed
-        np.testing.assert_allclose([found.score[k], found.apart[k]], [score, apart], atol=1e-6)
+        np.testing.assert_allclose(
+            [found.score[k], found.distance[k]], [score, distance], atol=1e-6
+        )
     return {Outcome(k) for k in found.outcome}
 
 
@@ -158,8 +160,8 @@ def _brute_vote(before, after, pixel, half, reach):
     outcome = Outcome.VALID if agreed == 3 else Outcome.REPROJECTION
     if table[:, best].mean() < 0.0:
         outcome = Outcome.SCORE
-    apart = np.sqrt((away**2).sum(axis=1).mean())
-    return pixel + offsets[best], table[:, best].min(), apart, agreed, outcome
+    distance = np.sqrt((away**2).sum(axis=1).mean())
+    return pixel + offsets[best], table[:, best].min(), distance, agreed, outcome
 
 
 def _moved(pixel, camera, disparity):
@@ -211,5 +213,5 @@ def test_the_number_of_threads_does_not_matter():
         second = _vote(before, after, _pixels(3))
     finally:
         numba.set_num_threads(threads)
-    for name in ("pixel", "score", "apart", "agreed", "outcome"):
+    for name in ("pixel", "score", "distance", "agreed", "outcome"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))

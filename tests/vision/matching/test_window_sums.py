@@ -1,4 +1,4 @@
-"""Sums over one window, against plain least squares with a column for each change of the light."""
+"""Sums over a window, against plain least squares with a column per change of illumination."""
 
 import numpy as np
 import pytest
@@ -8,14 +8,14 @@ from palpate.vision.matching.window_sums import (
     EXPONENTS,
     load_window_kernel,
     window_blocks_kernel,
+    window_coupling_sums_kernel,
     window_hessian_kernel,
     window_right_kernel,
-    window_side_sums_kernel,
 )
 
 HALF = 5
-# By so much is the light spread in the windows [px^2].
-SPREAD = 1.4
+# By so much is the illumination blurred in the windows [px^2].
+BLUR_VARIANCE = 1.4
 SIDE = 2 * HALF + 1
 SHAPES = sorted(BASES)
 # Sums of a hundred single-precision products against the same in double precision.
@@ -44,8 +44,8 @@ class Window:
         planes = _picture()
         self.window = np.full((6, SIDE, SIDE), np.nan, dtype=np.float32)
         self.window[3] = self.weight
-        self.inside, self.mean, self.square = load_window_kernel(
-            *planes, column, row, HALF, shading, SPREAD, self.window
+        self.count, self.mean, self.square = load_window_kernel(
+            *planes, column, row, HALF, shading, BLUR_VARIANCE, self.window
         )
         self.kept = self.weight > 0
         cut = np.s_[row - HALF : row + HALF + 1, column - HALF : column + HALF + 1]
@@ -54,46 +54,50 @@ class Window:
         eta, xi = np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1] / HALF
         powers = [(xi**i * eta**j)[self.kept] for i, j in EXPONENTS[: self.bases]]
         self.columns = np.stack([d * p for d in slopes for p in powers], axis=1)
-        light = [np.ones_like(self.grey), self.grey]
+        illumination = [np.ones_like(self.grey), self.grey]
         if shading:
-            # Light that varies is spread with the picture: x times it, and its derivative.
+            # Illumination that varies is blurred with the picture: x times it, and its derivative.
             for place, slope in zip((xi, eta), slopes, strict=True):
-                light.append(self.grey * place[self.kept] + SPREAD / HALF * slope)
-        self.light = np.stack(light, axis=1)
+                illumination.append(self.grey * place[self.kept] + BLUR_VARIANCE / HALF * slope)
+        self.illumination = np.stack(illumination, axis=1)
         self.sums, self.moments = np.zeros((8, 6)), np.zeros((5, 5))
-        window_side_sums_kernel(self.window, HALF, self.sums, self.moments)
+        window_coupling_sums_kernel(self.window, HALF, self.sums, self.moments)
 
     def hessian(self):
         result = np.full((2 * self.bases, 2 * self.bases), np.nan)
         window_hessian_kernel(
-            self.window, HALF, self.bases, self.inside, self.square, self.sums, self.moments,
+            self.window, HALF, self.bases, self.count, self.square, self.sums, self.moments,
             result,
         )  # fmt: skip
         return result
 
     def right(self, sampled):
-        """Right-hand side, gain, and all five numbers of the light."""
-        result, light = np.full(2 * self.bases, np.nan), np.full(5, np.nan)
+        """Right-hand side, gain, and all five numbers of the illumination."""
+        result, illumination = np.full(2 * self.bases, np.nan), np.full(5, np.nan)
         gain = window_right_kernel(
-            self.window, sampled, HALF, self.bases, self.inside, self.mean, self.square, self.sums,
-            result, light,
+            self.window, sampled, HALF, self.bases, self.count, self.mean, self.square, self.sums,
+            result, illumination,
         )  # fmt: skip
-        return result, gain, light
+        return result, gain, illumination
 
-    def blocks(self, sampled, light):
+    def blocks(self, sampled, illumination):
         result = np.full((9, 2 * self.bases), np.nan)
-        window_blocks_kernel(self.window, sampled, HALF, self.bases, self.mean, light, result)
+        window_blocks_kernel(
+            self.window, sampled, HALF, self.bases, self.mean, illumination, result
+        )
         return result
 
-    def without_light(self, values):
-        """What is left of columns after a least-squares fit of what the light may do."""
-        return values - self.light @ np.linalg.lstsq(self.light, values, rcond=None)[0]
+    def without_illumination(self, values):
+        """What is left of columns after a least-squares fit of what the illumination may do."""
+        return (
+            values - self.illumination @ np.linalg.lstsq(self.illumination, values, rcond=None)[0]
+        )
 
 
 @pytest.mark.parametrize("kind", ["whole", "masked"])
 def test_a_window_is_loaded_about_its_mean_and_zero_outside(kind):
     one = Window(kind, "affine")
-    assert one.inside == one.weight.sum()
+    assert one.count == one.weight.sum()
     np.testing.assert_allclose(one.mean, one.grey.mean(), rtol=1e-6)
     np.testing.assert_allclose(one.square, ((one.grey - one.grey.mean()) ** 2).sum(), rtol=1e-5)
     kept = one.kept
@@ -111,7 +115,7 @@ WINDOWS = [
 ]
 
 
-def test_planes_of_the_light_are_orthonormal_and_span_a_linear_gain():
+def test_planes_of_the_illumination_are_orthonormal_and_span_a_linear_gain():
     one = Window("masked", "affine", shading=True)
     planes = one.window[[4, 5]].reshape(2, -1)
     np.testing.assert_allclose(planes @ planes.T, np.eye(2), atol=1e-6)
@@ -119,15 +123,15 @@ def test_planes_of_the_light_are_orthonormal_and_span_a_linear_gain():
     np.testing.assert_allclose(planes @ known.T, 0.0, atol=2e-5)
     assert not planes[:, ~one.kept.ravel()].any()
     # Nothing of them is left once grey and the two linear gains are taken out.
-    left = one.without_light(planes[:, one.kept.ravel()].T.astype(float))
+    left = one.without_illumination(planes[:, one.kept.ravel()].T.astype(float))
     np.testing.assert_allclose(left, 0.0, atol=1e-5)
     assert not Window("masked", "affine").window[4:].any()
 
 
 @pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
-def test_the_matrix_is_that_of_least_squares_without_the_light(kind, shape, shading):
+def test_the_matrix_is_that_of_least_squares_without_illumination(kind, shape, shading):
     one = Window(kind, shape, shading=shading)
-    rest = one.without_light(one.columns)
+    rest = one.without_illumination(one.columns)
     expected = rest.T @ rest
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(one.hessian() / scale, expected / scale, **CLOSE)
@@ -145,14 +149,14 @@ def _later(one, seed=3):
 def test_right_hand_side_gain_and_rest_are_those_of_least_squares(kind, shape, shading):
     one = Window(kind, shape, shading=shading)
     sampled = _later(one)
-    right, gain, light = one.right(sampled)
+    right, gain, illumination = one.right(sampled)
     value = sampled[one.kept].astype(float)
     slope = np.polyfit(one.grey, value, 1)[0]
-    rest = one.without_light(value)
+    rest = one.without_illumination(value)
     np.testing.assert_allclose(gain, slope, rtol=1e-5)
-    np.testing.assert_allclose(light[1], gain)
-    np.testing.assert_allclose(light[0], value.mean() - one.mean, rtol=1e-4)
-    np.testing.assert_allclose(light[4], (rest**2).sum() / slope**2, rtol=1e-4)
+    np.testing.assert_allclose(illumination[1], gain)
+    np.testing.assert_allclose(illumination[0], value.mean() - one.mean, rtol=1e-4)
+    np.testing.assert_allclose(illumination[4], (rest**2).sum() / slope**2, rtol=1e-4)
     expected = one.columns.T @ rest / slope
     size = np.linalg.norm(one.columns, axis=0) * np.linalg.norm(rest)
     np.testing.assert_allclose(right / size, expected / size, **CLOSE)
@@ -160,17 +164,17 @@ def test_right_hand_side_gain_and_rest_are_those_of_least_squares(kind, shape, s
 
 @pytest.mark.parametrize("kind", ["whole", "masked"])
 @pytest.mark.parametrize("shading", [False, True])
-def test_a_change_of_light_leaves_nothing(kind, shading):
+def test_a_change_of_illumination_leaves_nothing(kind, shading):
     one = Window(kind, "quadratic", shading=shading)
-    weights = np.array([-30.0, 1.6, 0.3, -0.2])[: one.light.shape[1]]
+    weights = np.array([-30.0, 1.6, 0.3, -0.2])[: one.illumination.shape[1]]
     sampled = np.zeros((SIDE, SIDE), dtype=np.float32)
-    sampled[one.kept] = one.light @ weights
-    right, _, light = one.right(sampled)
+    sampled[one.kept] = one.illumination @ weights
+    right, _, illumination = one.right(sampled)
     # Rounding of single precision, of the square of what was taken away.
-    assert light[4] < 1e-5 * one.square
+    assert illumination[4] < 1e-5 * one.square
     size = np.linalg.norm(one.columns, axis=0) * np.sqrt(one.square)
     assert np.abs(right / size).max() < 1e-5
-    np.testing.assert_allclose(one.blocks(sampled, light) / size, 0.0, atol=1e-5)
+    np.testing.assert_allclose(one.blocks(sampled, illumination) / size, 0.0, atol=1e-5)
 
 
 def test_a_linear_gain_is_left_where_it_is_not_allowed():
@@ -184,9 +188,9 @@ def test_a_linear_gain_is_left_where_it_is_not_allowed():
 def test_a_negative_picture_has_no_gain():
     one = Window("whole", "affine")
     sampled = (200.0 - one.grey).reshape(SIDE, SIDE).astype(np.float32)
-    _, gain, light = one.right(sampled)
+    _, gain, illumination = one.right(sampled)
     assert gain == 0.0
-    assert light[4] == np.inf
+    assert illumination[4] == np.inf
 
 
 @pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
@@ -194,13 +198,13 @@ def test_blocks_are_the_sums_of_their_pixels(kind, shape, shading):
     """Nine cells, each with its pixels' share in gradient times what is left."""
     one = Window(kind, shape, shading=shading)
     sampled = _later(one, 4)
-    right, gain, light = one.right(sampled)
-    rest = one.without_light(sampled[one.kept].astype(float)) / gain
+    right, gain, illumination = one.right(sampled)
+    rest = one.without_illumination(sampled[one.kept].astype(float)) / gain
     row, column = np.nonzero(one.kept)
     cell = (row * 3 // SIDE) * 3 + column * 3 // SIDE
     expected = np.stack([(one.columns * rest[:, None])[cell == k].sum(axis=0) for k in range(9)])
     size = np.linalg.norm(one.columns, axis=0) * np.linalg.norm(rest)
-    found = one.blocks(sampled, light)
+    found = one.blocks(sampled, illumination)
     np.testing.assert_allclose(found / size, expected / size, **CLOSE)
     # Together they are the right-hand side.
     np.testing.assert_allclose(found.sum(axis=0) / size, right / size, **CLOSE)

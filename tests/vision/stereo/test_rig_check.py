@@ -16,7 +16,7 @@ from palpate.vision.stereo.rig_check import (
     RigCheck,
     _consistent,
     _epipolar_distance,
-    _own_error,
+    _feature_error,
     check_rig,
 )
 
@@ -144,7 +144,7 @@ def test_own_error_of_features_is_not_that_of_the_rig():
     noise = 0.1
     second += rng.normal((0.0, 3.0), noise, size=second.shape)
     pairs = {(0, 1): Matches(first, second)}
-    error = _own_error(rig, pairs, (0, 1))
+    error = _feature_error(rig, pairs, (0, 1))
     # The median of a normal distribution's absolute values is 0.67 sigma; a fit of seven of 200
     # numbers takes little of it.
     assert error == pytest.approx(0.67 * noise, rel=0.4)

@@ -31,6 +31,7 @@ from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.stereo import (
     StereoPoints,
     StereoSettings,
+    stereo_matches,
     stereo_points,
 )
 
@@ -119,6 +120,18 @@ def test_a_camera_that_shows_something_else_drops_out():
     height, _ = _above(kept)
     assert len(kept.pixel) >= 0.98 * len(two.pixel)
     assert np.sqrt(np.mean(height**2)) < 2e-5
+
+
+def test_a_point_that_one_camera_matches_is_valid_whatever_the_others_say():
+    """The right half of one picture of three shows nothing."""
+    rig, views = example(3).rig, _views(3)
+    views[2] = views[2].copy()
+    views[2][:, SHAPE[1] // 2 :] = 80.0
+    found = stereo_matches(prepare_pictures(rig, views))
+    matched = np.isfinite(found.pixels[1:]).all(axis=2)
+    assert (matched[0] & ~matched[1]).sum() > 100
+    assert (~matched.any(axis=0)).any()
+    np.testing.assert_array_equal(found.outcome == Outcome.VALID, matched.any(axis=0))
 
 
 def test_a_wrong_match_of_one_camera_is_left_out():

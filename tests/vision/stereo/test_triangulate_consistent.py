@@ -4,7 +4,7 @@ import numpy as np
 from vision.scenes import example, projected
 
 from palpate.vision.cameras.triangulation import triangulate
-from palpate.vision.stereo.stereo import _excess, joined_cameras
+from palpate.vision.stereo.stereo import _excess, triangulate_consistent
 
 
 def _seen(count: int = 4, points: int = 60, noise: float = 0.01):
@@ -22,7 +22,7 @@ def test_the_camera_that_contradicts_the_others_is_left_out():
     rig, space, pixels, covariance = _seen()
     pixels[2, :9] += [0.4, 0.3]
     pixels[3, 20:24] = np.nan
-    found, used = joined_cameras(rig, pixels, covariance, reprojection=2.0)
+    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
     assert not used[2, :9].any()
     assert used[[0, 1, 3], :9].all()
     assert not used[3, 20:24].any()
@@ -36,7 +36,7 @@ def test_two_cameras_that_contradict_each_other_are_both_left_out():
     rig, _, pixels, covariance = _seen(2)
     # Across the epipolar lines, which run along the rows.
     pixels[1, :5, 1] += 0.6
-    found, used = joined_cameras(rig, pixels, covariance, reprojection=2.0)
+    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
     assert not used[:, :5].any()
     assert used[:, 5:].all()
     assert np.isnan(found.point[:5]).all()
@@ -46,7 +46,7 @@ def test_half_of_each_matchs_variance_is_the_references():
     """The joint point is that of triangulation with these shares; the reference has their mean."""
     rig, _, pixels, covariance = _seen()
     covariance *= np.array([np.nan, 1.0, 2.0, 3.0])[:, None, None, None]
-    found, used = joined_cameras(rig, pixels, covariance, reprojection=2.0)
+    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
     assert used.all()
     covariance[0] = covariance[1:].mean(axis=0)
     expected = triangulate(rig, pixels, 0.5 * covariance)
@@ -59,7 +59,7 @@ def test_what_all_points_share_is_the_rig_and_only_limited():
     rig, _, pixels, covariance = _seen(2)
     pixels[1, :, 1] += 1.5
     for limit, count in ((2.0, 60), (0.5, 0)):
-        _, used = joined_cameras(rig, pixels, covariance, reprojection=limit)
+        _, used = triangulate_consistent(rig, pixels, covariance, reprojection=limit)
         assert used[0].sum() == count
 
 

@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from palpate.calibration.known_object.ties import Ties, places, shared_factor, slopes
+from palpate.calibration.known_object.ties import Ties, jacobians, tie_points, variance_inflation
 from palpate.geometry import TriangleMesh, closest_points, compact_groups, unit_normals
 from palpate.records import Rig, RigCovariance
 from palpate.shapes import Vector3
 
 # Prior standard deviation of the mesh's relative size; and the distance from the mesh, in robust
 # standard deviations, beyond which points belong to something else.
-_MESH_SIZE, _OFF = 0.003, 4.0
+_SIZE_SIGMA, _MAX_DEVIATIONS = 0.003, 4.0
 # Number of compact groups of points; points that share matching errors lie in the same group.
 GROUPS = 64
 
@@ -42,12 +42,12 @@ class Body:
     ----------
     surface : KnownSurface
     pose : (4, 4) float [m]         as in `KnownSurface`
-    larger : float [-]              relative size of the object to its mesh, minus one
+    relative_size : float [-]       relative size of the object to its mesh, minus one
     """
 
     surface: KnownSurface
     pose: Float[np.ndarray, "4 4"]
-    larger: float
+    relative_size: float
 
     def equations(
         self, rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"]
@@ -68,12 +68,13 @@ class Body:
         """
         ties, mesh = self.surface.ties, self.surface.mesh
         offset, centre = self._offsets(rig)
-        found = closest_points(mesh, centre + offset / (1.0 + self.larger))
+        place = centre + offset / (1.0 + self.relative_size)
+        found = closest_points(mesh, place)
         normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
-        gap = np.einsum("na,na->n", normal, centre + offset / (1.0 + self.larger) - found.position)
+        gap = np.einsum("na,na->n", normal, place - found.position)
         inside = (found.barycentric > 0.0).all(axis=1)
         noise = 1.4826 * float(np.median(np.abs(gap[inside])))
-        _, shift = slopes(rig, prior, scale, ties)
+        _, shift = jacobians(rig, prior, scale, ties)
         rows = np.concatenate(
             [
                 np.einsum("na,ab,nbk->nk", normal, self.pose[:3, :3], shift),
@@ -82,14 +83,14 @@ class Body:
             ],
             axis=1,
         )  # fmt: skip
-        weight = (inside & (np.abs(gap) < _OFF * noise)) / noise**2
+        weight = (inside & (np.abs(gap) < _MAX_DEVIATIONS * noise)) / noise**2
         score = (weight * gap)[:, None] * rows
         # Neighbouring points share errors, from overlapping windows and from the mesh.
-        weight /= max(shared_factor(score[:, -7:], compact_groups(offset, GROUPS)), 1.0)
+        weight /= max(variance_inflation(score[:, -7:], compact_groups(offset, GROUPS)), 1.0)
         matrix = rows.T @ (weight[:, None] * rows)
         right = -rows.T @ (weight * gap)
-        matrix[-1, -1] += _MESH_SIZE**-2
-        right[-1] -= self.larger / _MESH_SIZE**2
+        matrix[-1, -1] += _SIZE_SIGMA**-2
+        right[-1] -= self.relative_size / _SIZE_SIGMA**2
         return matrix, right
 
     def moved(self, rig: Rig, change: Float[np.ndarray, "7"]) -> "Body":
@@ -108,10 +109,11 @@ class Body:
         step = np.eye(4)
         step[:3, :3] = Rotation.from_rotvec(change[:3]).as_matrix()
         step[:3, 3] = centre - step[:3, :3] @ centre + change[3:6]
-        return replace(self, pose=step @ self.pose, larger=self.larger + float(change[6]))
+        size = self.relative_size + float(change[6])
+        return replace(self, pose=step @ self.pose, relative_size=size)
 
     def _offsets(self, rig: Rig) -> tuple[Float[np.ndarray, "n 3"], Vector3]:
         """Points relative to their centroid, and the centroid, in the frame of the mesh [m]."""
-        place = places(rig, self.surface.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
+        place = tie_points(rig, self.surface.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
         centre = place.mean(axis=0)
         return place - centre, centre

@@ -16,7 +16,13 @@ from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
 from palpate.calibration.known_object.body import GROUPS, Body, KnownSurface
-from palpate.calibration.known_object.ties import Ties, places, residuals, shared_factor, slopes
+from palpate.calibration.known_object.ties import (
+    Ties,
+    jacobians,
+    residuals,
+    tie_points,
+    variance_inflation,
+)
 from palpate.errors import CalibrationError
 from palpate.geometry import compact_groups
 from palpate.records import Rig, RigCovariance
@@ -31,7 +37,7 @@ _GROSS = 1e-6
 # Held-out points must improve by this many standard errors of the difference.
 _SIGNIFICANT = 2.0
 # Fewer points add nothing to a calibration with boards.
-_FEWEST = 60
+_MIN_POINTS = 60
 # Prior standard deviations without a covariance: rotation [rad], shift as a fraction of the
 # camera's distance from the first.
 _TURN, _SHIFT = np.deg2rad(0.5), 0.01
@@ -46,10 +52,11 @@ class Refined:
     rig : Rig
     known : RigCovariance           of its parameters
     better : bool                   False: `rig` is the given one
-    points, rejected : int          points used, and points rejected
+    points, rejected : int          points used, and points rejected: gross errors and those seen by
+                                    fewer than two cameras
     before, after : float [px]      rms residual per coordinate of held-out points: with the given
                                     rig, and with one refined without them
-    moved : str                     the parameter that changed most, e.g. "c1.ry by -2.1 of its
+    largest_change : str            the parameter that changed most, e.g. "c1.ry by -2.1 of its
                                     standard deviations"; empty if `better` is False
     """
 
@@ -60,7 +67,7 @@ class Refined:
     rejected: int
     before: float
     after: float
-    moved: str
+    largest_change: str
 
 
 def refined_rig(
@@ -88,30 +95,31 @@ def refined_rig(
     ------
     CalibrationError                fewer than 60 points; a covariance of another rig
     """
-    prior = _vague(rig) if known is None else known
-    scale = _roots(prior.covariance)
+    prior = _default_prior(rig) if known is None else known
+    scale = _square_root(prior.covariance)
     usable = np.isfinite(residuals(rig, ties)).all(axis=1)
     ties, count = ties.chosen(usable), len(usable)
-    if usable.sum() < _FEWEST:
+    if usable.sum() < _MIN_POINTS:
         raise CalibrationError(
-            f"{int(usable.sum())} points of the object are seen by two cameras; {_FEWEST} are"
+            f"{int(usable.sum())} points of the object are seen by two cameras; {_MIN_POINTS} are"
             " needed to refine a rig: give pictures of more instants, with a *, and see whether the"
             " object is textured and large in the pictures of two cameras"
         )
-    label = compact_groups(places(rig, ties), GROUPS)
+    label = compact_groups(tie_points(rig, ties), GROUPS)
     half = label % 2 == 0
     trial = _fit(rig, prior, scale, ties.chosen(half), label[half], surface)
     held = ties.chosen(~half)
-    before, after, gain = _left(rig, trial.rig, held, label[~half])
+    before, after, gain = _improvement(rig, trial.rig, held, label[~half])
     if gain < _SIGNIFICANT:
-        return Refined(rig, prior, False, int(usable.sum()), 0, before, after, "")
+        used = int(usable.sum())
+        return Refined(rig, prior, False, used, count - used, before, after, "")
     whole = _fit(rig, prior, scale, ties, label, surface)
     value = calibration_numbers(whole.rig.cameras, prior.names)
     covariance = 0.5 * (whole.covariance + whole.covariance.T)
     return Refined(
         whole.rig, RigCovariance(prior.names, value, covariance, "refinement"), True,
         int(whole.good.sum()), count - int(whole.good.sum()), before, after,
-        _moved_most(whole.step, prior),
+        _largest_change(whole.step, prior),
     )  # fmt: skip
 
 
@@ -136,29 +144,29 @@ def _fit(
     """Gauss-Newton iteration from a rig, in units of the prior's standard deviations."""
     count = scale.shape[1]
     # Unknowns: steps of the rig; rotation, shift and relative size of the object.
-    total, shared, step = np.zeros(count), 1.0, np.full(count, np.inf)
+    total, inflation, step = np.zeros(count), 1.0, np.full(count, np.inf)
     body = None if surface is None else Body(surface, surface.pose, 0.0)
     for _ in range(_MAX_STEPS):
         here = moved_rig(rig, prior.names, scale @ total)
         residual = residuals(here, ties)
         good, noise = _good(residual, _freedom(ties))
         if np.abs(step).max() > _NEAR_STEP:
-            slope, _ = slopes(here, prior, scale, ties)
-        weight = good / (shared * noise**2)
-        score = np.einsum("n,nr,nrk->nk", weight, residual, slope)
+            jacobian, _ = jacobians(here, prior, scale, ties)
+        weight = good / (inflation * noise**2)
+        score = np.einsum("n,nr,nrk->nk", weight, residual, jacobian)
         # Without a surface the last seven unknowns stay zero.
         matrix, right = np.eye(count + 7), np.zeros(count + 7)
-        matrix[:count, :count] += np.einsum("n,nrk,nrl->kl", weight, slope, slope)
+        matrix[:count, :count] += np.einsum("n,nrk,nrl->kl", weight, jacobian, jacobian)
         right[:count] = -score.sum(axis=0) - total
         if body is not None:
-            more, pull = body.equations(here, prior, scale)
+            more_matrix, more_right = body.equations(here, prior, scale)
             matrix[count:, count:] = 0.0
-            matrix, right = matrix + more, right + pull
+            matrix, right = matrix + more_matrix, right + more_right
         change = np.linalg.solve(matrix, right)
         step = change[:count]
         total = total + step
         body = None if body is None else body.moved(here, change[count:])
-        shared = max(shared_factor(score * np.sqrt(shared), label), 1.0)
+        inflation = max(variance_inflation(score * np.sqrt(inflation), label), 1.0)
         if np.abs(step).max() < _SMALL_STEP:
             break
     covariance = scale @ np.linalg.inv(matrix)[:count, :count] @ scale.T
@@ -181,7 +189,7 @@ def _good(
     return square < noise**2 * chdtri(freedom, _GROSS), noise
 
 
-def _left(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[float, float, float]:
+def _improvement(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[float, float, float]:
     """Rms residuals of points with two rigs [px], and the improvement in standard errors.
 
     Gross errors with the second rig are left out of both. The standard error is from sums over
@@ -201,7 +209,7 @@ def _left(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[float, f
     return before, after, gain
 
 
-def _roots(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p k"]:
+def _square_root(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p k"]:
     """Square root of a covariance: independent steps of one standard deviation each, as columns.
 
     Parameters without variance get zero rows; directions without variance are dropped.
@@ -211,12 +219,12 @@ def _roots(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p k"]:
     unit = covariance[np.ix_(free, free)] / np.outer(size[free], size[free])
     value, vector = np.linalg.eigh(unit)
     keep = value > 1e-12 * value[-1]
-    roots = np.zeros((len(size), int(keep.sum())))
-    roots[free] = size[free, None] * vector[:, keep] * np.sqrt(value[keep])
-    return roots
+    root = np.zeros((len(size), int(keep.sum())))
+    root[free] = size[free, None] * vector[:, keep] * np.sqrt(value[keep])
+    return root
 
 
-def _vague(rig: Rig) -> RigCovariance:
+def _default_prior(rig: Rig) -> RigCovariance:
     """Prior of a rig without a covariance: exact lenses, and poses that may have shifted."""
     terms = ("rx", "ry", "rz", "tx", "ty", "tz")
     first = rig.cameras[rig.reference]
@@ -226,14 +234,14 @@ def _vague(rig: Rig) -> RigCovariance:
     for camera in rig.cameras:
         if camera is first:
             continue
-        away = float(np.linalg.norm((camera.T_camera_object @ back)[:3, 3]))
+        distance = float(np.linalg.norm((camera.T_camera_object @ back)[:3, 3]))
         names += [f"{camera.name}.{term}" for term in terms]
-        sigma += [_TURN] * 3 + [_SHIFT * away] * 3
+        sigma += [_TURN] * 3 + [_SHIFT * distance] * 3
     value = calibration_numbers(rig.cameras, names)
     return RigCovariance(tuple(names), value, np.diag(np.square(sigma)), rig.source)
 
 
-def _moved_most(step: Float[np.ndarray, " p"], prior: RigCovariance) -> str:
+def _largest_change(step: Float[np.ndarray, " p"], prior: RigCovariance) -> str:
     """The parameter with the largest change in prior standard deviations, in words."""
     sigma = np.sqrt(np.diag(prior.covariance))
     unit = np.divide(step, sigma, out=np.zeros_like(step), where=sigma > 0.0)

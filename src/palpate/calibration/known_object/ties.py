@@ -39,7 +39,7 @@ class Ties:
         return Ties(self.pixels[:, rows], self.covariance[:, rows])
 
 
-def slopes(
+def jacobians(
     rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"], ties: Ties
 ) -> tuple[Float[np.ndarray, "n r k"], Float[np.ndarray, "n 3 k"]]:
     """Derivatives of the residuals and of the triangulated points with respect to steps of the rig.
@@ -54,9 +54,9 @@ def slopes(
     Returns
     -------
     (n, r, k) float [-]             of `residuals`
-    (n, 3, k) float [m]             of `places`
+    (n, 3, k) float [m]             of `tie_points`
     """
-    point = places(rig, ties)
+    point = tie_points(rig, ties)
     by_point = _white(
         np.stack([project_jacobian(camera, point)[1] for camera in rig.cameras]), ties
     )
@@ -71,10 +71,10 @@ def slopes(
             for side in (1.0, -1.0)
         ]
         by_number[c, :, :, k] = (ends[1] - ends[0]) / (2.0 * sizes[k])
-    slope = _white(by_number, ties) @ scale
+    jacobian = _white(by_number, ties) @ scale
     base, upper = np.linalg.qr(by_point)
-    along = base.transpose(0, 2, 1) @ slope
-    return slope - base @ along, np.linalg.solve(upper, along)
+    along = base.transpose(0, 2, 1) @ jacobian
+    return jacobian - base @ along, np.linalg.solve(upper, along)
 
 
 def _white(values: Float[np.ndarray, "c n 2 k"], ties: Ties) -> Float[np.ndarray, "n r k"]:
@@ -86,7 +86,7 @@ def _white(values: Float[np.ndarray, "c n 2 k"], ties: Ties) -> Float[np.ndarray
     return white.transpose(1, 0, 2, 3).reshape(white.shape[1], -1, white.shape[3])
 
 
-def places(rig: Rig, ties: Ties) -> Float[np.ndarray, "n 3"]:
+def tie_points(rig: Rig, ties: Ties) -> Float[np.ndarray, "n 3"]:
     """Triangulate the points from all cameras.
 
     Parameters
@@ -114,12 +114,12 @@ def residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
     (n, 2 c) float [-]              0 where a camera does not see the point; NaN if fewer than two
                                     do
     """
-    point = places(rig, ties)
-    away = ties.pixels - np.stack([project(camera, point) for camera in rig.cameras])
-    return _white(away[..., None], ties)[..., 0]
+    point = tie_points(rig, ties)
+    error = ties.pixels - np.stack([project(camera, point) for camera in rig.cameras])
+    return _white(error[..., None], ties)[..., 0]
 
 
-def shared_factor(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, " n"]) -> float:
+def variance_inflation(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, " n"]) -> float:
     """Variance inflation by errors that neighbouring points share.
 
     It is the variance of sums of the score over groups, relative to that of independent points.
@@ -133,8 +133,10 @@ def shared_factor(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, " n"])
     -------
     float [-]                       about 1 if the errors of neighbours are independent
     """
-    alone = score.T @ score
+    independent = score.T @ score
     sums = np.stack([np.bincount(label, column) for column in score.T], axis=1)
-    kept = np.linalg.pinv(alone, rcond=1e-8, hermitian=True)
-    rank = max(np.linalg.matrix_rank(alone, tol=1e-8 * np.trace(alone), hermitian=True), 1)
+    kept = np.linalg.pinv(independent, rcond=1e-8, hermitian=True)
+    rank = max(
+        np.linalg.matrix_rank(independent, tol=1e-8 * np.trace(independent), hermitian=True), 1
+    )
     return float(np.trace(kept @ (sums.T @ sums))) / rank

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.calibration.known_object.body import KnownSurface
 from palpate.calibration.known_object.refine import Refined, refined_rig
-from palpate.calibration.known_object.ties import Ties, places
+from palpate.calibration.known_object.ties import Ties, tie_points
 from palpate.errors import CalibrationError, RecordError
 from palpate.geometry import (
     Registration,
@@ -24,7 +24,7 @@ from palpate.geometry import (
     check_registration,
     closest_points,
     free_motions_text,
-    rough_pose,
+    initial_pose,
     triangle_areas,
 )
 from palpate.progress import Progress, silent
@@ -39,23 +39,23 @@ from palpate.records import (
 )
 from palpate.shapes import Points, Vector3
 from palpate.vision import (
-    LEAST_POINTS,
+    MIN_POSE_POINTS,
     StereoMatches,
     StereoSettings,
     check_rig,
-    joined_matches,
     object_frame,
     prepare_pictures,
     read_pictures,
     register_object,
     smooth_surface,
     stereo_matches,
+    triangulated_matches,
 )
 
 POSE_FORMAT = "palpate-object-pose/1"
 _SETTINGS = StereoSettings()
 # Grid steps between windows that do not overlap, so that their noise is independent.
-_APART = -(-_SETTINGS.subset // _SETTINGS.step)
+_INDEPENDENT_STEP = -(-_SETTINGS.subset // _SETTINGS.step)
 # If the rig's frame is not the object's, the rotations of a cube are tried, each with a search over
 # this angle: no rotation is farther than 63 degrees from one of them, few are farther than this.
 _ANGLE = np.deg2rad(45.0)
@@ -65,7 +65,7 @@ _KEPT = 4
 # Median distance from the mesh above which the frame is not the object's [diagonals].
 _FAR = 0.1
 # Largest ratio of a refined rig's registration residual to that of the given one.
-_NO_WORSE = 1.02
+_MAX_RESIDUAL_RATIO = 1.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,11 +175,11 @@ def view_object(
     refined = None
     if refine:
         progress("refinement", 0.9)
-        surface = _surface(rig, mesh, registration, _ties(rig, found[:1], apart=1))
-        refined = refined_rig(rig, known, _ties(rig, found, apart=_APART), surface)
+        surface = _surface(rig, mesh, registration, _ties(rig, found[:1], step=1))
+        refined = refined_rig(rig, known, _ties(rig, found, step=_INDEPENDENT_STEP), surface)
         if refined.better:
             trial, trial_points = _registered(refined.rig, mesh, found[0])
-            if trial.residual < _NO_WORSE * registration.residual:
+            if trial.residual < _MAX_RESIDUAL_RATIO * registration.residual:
                 rig, registration, points = refined.rig, trial, trial_points
             else:
                 refined = replace(refined, rig=rig, better=False)
@@ -192,12 +192,12 @@ def view_object(
     )  # fmt: skip
 
 
-def _ties(rig: Rig, found: Sequence[StereoMatches], *, apart: int) -> Ties:
-    """Tie points from matches, `apart` grid steps apart, with a covariance for each camera."""
+def _ties(rig: Rig, found: Sequence[StereoMatches], *, step: int) -> Ties:
+    """Tie points from matches, `step` grid steps apart, with a covariance for each camera."""
     pixels, covariance = [], []
     for one in found:
         cell = np.rint((one.pixel - one.pixel.min(axis=0, initial=np.inf)) / _SETTINGS.step)
-        chosen = (cell % apart == 0).all(axis=1)
+        chosen = (cell % step == 0).all(axis=1)
         pixels.append(one.pixels[:, chosen])
         covariance.append(one.covariance[:, chosen])
     every, noise = np.concatenate(pixels, axis=1), np.concatenate(covariance, axis=1)
@@ -213,11 +213,11 @@ def _ties(rig: Rig, found: Sequence[StereoMatches], *, apart: int) -> Ties:
 def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Registration, int]:
     """Register the points of an instant to the mesh, from the rig's frame or from many rotations;
     also returns their number."""
-    stereo = joined_matches(rig, found, settings=_SETTINGS)
+    stereo = triangulated_matches(rig, found, settings=_SETTINGS)
     points = stereo.point
-    if len(points) < LEAST_POINTS:
+    if len(points) < MIN_POSE_POINTS:
         raise CalibrationError(
-            f"{len(points)} points of the object are seen by two cameras; {LEAST_POINTS} are"
+            f"{len(points)} points of the object are seen by two cameras; {MIN_POSE_POINTS} are"
             " needed: is the object textured, and do the cameras see it together?"
         )
     smooth = smooth_surface(mesh)
@@ -227,8 +227,9 @@ def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Reg
     made = [one for one in tried if one is not None]
     if not made:
         raise CalibrationError(
-            f"of {len(points)} points that two cameras see, fewer than {LEAST_POINTS} lie together"
-            " as the object's would; is it in the pictures, and is the unit of the mesh right?"
+            f"of {len(points)} points that two cameras see, fewer than {MIN_POSE_POINTS} lie"
+            " together as the object's would; is it in the pictures, and is the unit of the mesh"
+            " right?"
         )
     best = min(made, key=lambda one: one.residual / one.inliers)
     try:
@@ -244,7 +245,7 @@ def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Reg
 def _surface(rig: Rig, mesh: TriangleMesh, registration: Registration, ties: Ties) -> KnownSurface:
     """The mesh with the tie points that lie near it."""
     smooth, pose = smooth_surface(mesh), registration.T_mesh_points
-    point = places(rig, ties) @ pose[:3, :3].T + pose[:3, 3]
+    point = tie_points(rig, ties) @ pose[:3, :3].T + pose[:3, 3]
     known = np.isfinite(point).all(axis=1)
     gap = closest_points(smooth, np.where(known[:, None], point, 0.0)).distance
     return KnownSurface(smooth, pose, ties.chosen(known & (gap < _FAR * bounding_diagonal(smooth))))
@@ -266,8 +267,14 @@ def _searched(mesh: TriangleMesh, points: Points, eye: Vector3) -> list[Float[np
         start = np.eye(4)
         start[:3, :3] = turn
         start[:3, 3] = _front(mesh, turn @ (eye - middle)) - turn @ middle
-        pose = rough_pose(
-            points, mesh, start=start, eye=eye, angle=_ANGLE, distance=away, count=_SEARCH_POINTS
+        pose = initial_pose(
+            points,
+            mesh,
+            start=start,
+            viewpoint=eye,
+            angle=_ANGLE,
+            distance=away,
+            count=_SEARCH_POINTS,
         )
         gap = closest_points(mesh, few @ pose[:3, :3].T + pose[:3, 3]).distance
         tries.append((float(np.median(gap)), pose))

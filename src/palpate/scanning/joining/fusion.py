@@ -29,7 +29,7 @@ _DEPTH = 0.12
 _SECTORS, _LOW = 96, (0.015, 0.03, 0.06, 0.12, 0.25)
 # Points below this fraction of the height are extended to the support along their tangent planes;
 # otherwise an overhanging object would get too large a base. Normals must point outward enough.
-_TANGENT, _LEAST_OUTWARD = 0.05, 0.3
+_TANGENT, _MIN_OUTWARD = 0.05, 0.3
 # Points from the centre of the floor to each side.
 _FLOOR = 30
 
@@ -71,8 +71,10 @@ def fused(points: Points, normals: Points, *, support: Plane | None = None) -> T
     inside = _winding(points, normals, area, low, cell, count)
     field = _field(points, normals, node, inside, cell)
     # If the surface passed through a node, triangles there would have no area.
-    least = 0.02 * cell
-    field = np.where(abs(field) < least, np.where(field < 0.0, -least, least), field)
+    min_distance = 0.02 * cell
+    field = np.where(
+        abs(field) < min_distance, np.where(field < 0.0, -min_distance, min_distance), field
+    )
     igl = late_import("igl", extra="surface", purpose="joining scans")
     found = igl.marching_cubes(field, node, *count, 0.0)
     if len(found[1]) == 0:
@@ -187,15 +189,15 @@ def _outline(
     offset = flat - centre
     radius = np.linalg.norm(offset, axis=1)
     outward = np.einsum("ni,ni->n", across, offset) / np.maximum(radius, 1e-300)
-    faces = outward > _LEAST_OUTWARD
+    faces = outward > _MIN_OUTWARD
     leans = faces & (height < _TANGENT * float(height.max()))
-    radius += np.where(leans, height * upward / np.maximum(outward, _LEAST_OUTWARD), 0.0)
+    radius += np.where(leans, height * upward / np.maximum(outward, _MIN_OUTWARD), 0.0)
     angle = np.arctan2(offset[:, 1], offset[:, 0])
     sector = np.floor((angle / (2.0 * np.pi) % 1.0) * _SECTORS).astype(np.int64) % _SECTORS
     reach = np.full(_SECTORS, np.nan)
     # From the highest fraction to the lowest, so that the lowest points override.
-    for share in reversed(_LOW):
-        low = faces & (height <= share * float(height.max()))
+    for fraction in reversed(_LOW):
+        low = faces & (height <= fraction * float(height.max()))
         for one in np.unique(sector[low]):
             reach[one] = np.median(radius[low & (sector == one)])
     known = np.flatnonzero(np.isfinite(reach))
@@ -221,7 +223,7 @@ def _tray(
     centre = outline.mean(axis=0)
     # The floor is divided into triangles about its centre, with a row of points in each.
     weights = (np.arange(_FLOOR) + 0.5) / _FLOOR
-    share = (2.0 * np.arange(_FLOOR) + 1.0) / _FLOOR**2
+    area_fraction = (2.0 * np.arange(_FLOOR) + 1.0) / _FLOOR**2
     middle = ends.mean(axis=1)
     floor = (centre + weights[:, None, None] * (middle - centre)).reshape(-1, 2)
     first, second = (ends - centre).swapaxes(0, 1)
@@ -244,6 +246,6 @@ def _tray(
         ]
     )
     areas = np.concatenate(
-        [(share[:, None] * triangle).ravel(), np.repeat(length * step, len(levels))]
+        [(area_fraction[:, None] * triangle).ravel(), np.repeat(length * step, len(levels))]
     )
     return places, facing, areas

@@ -30,7 +30,7 @@ _COARSE_STEPS, _FINE_STEPS, _ROUNDS = 25, 40, 30
 # Final width of the robust weights for distances from tangent planes, in standard deviations.
 _WIDTH = 4.0
 # Views overlap if this fraction of one's points lie on the other.
-_SHARED = 0.4
+_MIN_OVERLAP = 0.4
 # Test of determinacy: rms motion as a fraction of the size; if this fraction of the overlapping
 # points still lie on the other view afterwards, the shape does not determine the pose.
 _TRIAL, _STILL = 0.03, 0.8
@@ -110,12 +110,12 @@ def _pair_pose(first: View, second: View, a: _Cloud, b: _Cloud, *, guess: Pose) 
     pose = found[int(np.argmin(costs))]
     for width in np.geomspace(0.01 * size, _WIDTH * max(a.sigma, b.sigma), _FINE_STEPS):
         pose = _stepped(a, b, pose, width)
-    shared = _shared(a, b, pose)
-    if shared < _SHARED:
+    overlap = _overlap(a, b, pose)
+    if overlap < _MIN_OVERLAP:
         raise InputError(
-            f"views '{first.name}' and '{second.name}' do not overlap: {100.0 * shared:.0f} % of"
-            f" the points of one lie on the other, {100.0 * _SHARED:.0f} % are needed; take views"
-            " between, not more than 40 degrees apart, or give their poses"
+            f"views '{first.name}' and '{second.name}' do not overlap: {100.0 * overlap:.0f} % of"
+            f" the points of one lie on the other, {100.0 * _MIN_OVERLAP:.0f} % are needed; take"
+            " views between, not more than 40 degrees apart, or give their poses"
         )
     return pose
 
@@ -177,7 +177,7 @@ def _cost(a: _Cloud, b: _Cloud, pose: Pose, width: float) -> float:
     return 1.0 - float(weight.mean())
 
 
-def _shared(a: _Cloud, b: _Cloud, pose: Pose) -> float:
+def _overlap(a: _Cloud, b: _Cloud, pose: Pose) -> float:
     """Fraction of the points of b that lie on a."""
     place = b.points @ pose[:3, :3].T + pose[:3, 3]
     gap, index = a.tree.query(place)
@@ -223,7 +223,7 @@ def _overlapping(clouds: Sequence[_Cloud], poses: list[Pose]) -> list[tuple[int,
                 continue
             between = np.linalg.inv(poses[i]) @ poses[j]
             wide = _cost(clouds[i], clouds[j], between, 0.01 * _size(clouds[i]))
-            if abs(i - j) == 1 or wide < 1.0 - _SHARED:
+            if abs(i - j) == 1 or wide < 1.0 - _MIN_OVERLAP:
                 pairs.append((i, j))
     return pairs
 
@@ -258,10 +258,10 @@ def _check_fixed(views: Sequence[View], clouds: Sequence[_Cloud], poses: list[Po
         moved = np.cross(weakest[:3], (place - centre) / scale) + weakest[3:]
         length = _TRIAL * _size(b) / float(np.sqrt((moved**2).sum(axis=1).mean()))
         still = [
-            _shared(a, b, _motion(s * weakest[:3] / scale, s * weakest[3:], centre) @ pose)
+            _overlap(a, b, _motion(s * weakest[:3] / scale, s * weakest[3:], centre) @ pose)
             for s in (length, -length)
         ]
-        if min(still) > _STILL * _shared(a, b, pose):
+        if min(still) > _STILL * _overlap(a, b, pose):
             raise InputError(
                 f"the shape does not fix how view '{views[k].name}' lies against"
                 f" '{views[k - 1].name}': moved by {1e3 * _TRIAL * _size(b):.2g} mm its points lie"

@@ -10,7 +10,7 @@ from palpate.geometry import TriangleMesh, half_edges, vertex_normals
 from palpate.shapes import PointIndices, Points, PointScalars
 
 # Largest and smallest number of points for the fit of a quadratic surface.
-_NEIGHBOURS, _FEWEST = 60, 15
+_MAX_NEIGHBOURS, _MIN_NEIGHBOURS = 60, 15
 # Constant of Tukey's biweight: 95 % efficiency for normal noise.
 _TUKEY = 4.685
 _ROUNDS = 3
@@ -40,7 +40,7 @@ def fitted(
     sigma: PointScalars,
     *,
     view: PointIndices,
-    shared: Float[np.ndarray, " n"],
+    correlation_length: Float[np.ndarray, " n"],
     fixed: Bool[np.ndarray, " v"] | None = None,
 ) -> FittedSurface:
     """Move vertices along their normals onto a smooth surface fitted to the surrounding points.
@@ -54,9 +54,9 @@ def fitted(
     points, normals : (n, 3) float  positions [m], unit normals
     sigma : (n,) float [m]          standard deviation of the points along their normals
     view : (n,) int                 index of each point's view
-    shared : (n,) float [m]         distance within which errors of points of a view are correlated,
-                                    fully at distance 0; if residuals show more correlation, all
-                                    standard deviations are inflated
+    correlation_length : (n,) float [m]     distance within which errors of points of a view are
+                                    correlated, fully at distance 0; if residuals show more
+                                    correlation, all standard deviations are inflated
     fixed : (v,) bool or None       vertices not to be moved
 
     Returns
@@ -66,7 +66,7 @@ def fitted(
     normal = vertex_normals(mesh.vertices, mesh.triangles)
     ends = half_edges(mesh.triangles).ends
     edge = float(np.linalg.norm(np.diff(mesh.vertices[ends], axis=1)[:, 0], axis=1).mean())
-    k = min(_NEIGHBOURS, len(points))
+    k = min(_MAX_NEIGHBOURS, len(points))
     gap, index = cKDTree(points).query(mesh.vertices, k=k, distance_upper_bound=edge)
     near = np.isfinite(gap)
     index = np.where(near, index, 0)
@@ -78,13 +78,15 @@ def fitted(
     radius = np.maximum(np.where(near, gap, 0.0).max(axis=1), 1e-12)[:, None]
     weight = np.where(near, (1.0 - (np.where(near, gap, 0.0) / (1.0001 * radius)) ** 2) ** 2, 0.0)
     weight /= sigma[index] ** 2
-    move, error, pull = _solved(base, height, weight, sigma[index])
-    std = _deviation(error, points[index], view[index], shared[index])
+    move, error, contribution = _solved(base, height, weight, sigma[index])
+    std = _deviation(error, points[index], view[index], correlation_length[index])
     # Inflate by the correlation seen in residuals; a lower bound, for the fit absorbs part of it.
-    alone = float((error**2).sum())
-    if alone > 0.0:
-        std *= max(1.0, _correlation(pull, view[index]) / np.sqrt((std**2).sum() / alone))
-    known = (near.sum(axis=1) >= _FEWEST) & (abs(move) < 0.5 * edge)
+    independent = float((error**2).sum())
+    if independent > 0.0:
+        std *= max(
+            1.0, _correlation(contribution, view[index]) / np.sqrt((std**2).sum() / independent)
+        )
+    known = (near.sum(axis=1) >= _MIN_NEIGHBOURS) & (abs(move) < 0.5 * edge)
     # With points on one side only, the fit would extrapolate.
     middle = np.linalg.norm((weight[..., None] * offset).sum(axis=1), axis=1)
     known &= middle < 0.6 * radius[:, 0] * np.maximum(weight.sum(axis=1), 1e-300)
@@ -142,27 +144,28 @@ def _deviation(
     error: Float[np.ndarray, "v k"],
     place: Float[np.ndarray, "v k 3"],
     view: Int[np.ndarray, "v k"],
-    shared: Float[np.ndarray, "v k"],
+    correlation_length: Float[np.ndarray, "v k"],
 ) -> Float[np.ndarray, " v"]:
     """Standard deviation of sums of errors, correlated between nearby points of the same view.
 
-    The correlation decreases linearly to zero at distance `shared`, as the overlap of windows does.
+    The correlation decreases linearly to zero at distance `correlation_length`, as the overlap of
+    windows does.
     """
     variance = np.empty(len(error))
     for rows in np.array_split(np.arange(len(error)), len(error) // _AT_ONCE + 1):
-        apart = np.linalg.norm(place[rows, :, None] - place[rows, None], axis=3)
-        width = np.maximum(shared[rows][:, :, None], 1e-12)
+        distance = np.linalg.norm(place[rows, :, None] - place[rows, None], axis=3)
+        width = np.maximum(correlation_length[rows][:, :, None], 1e-12)
         same = view[rows][:, :, None] == view[rows][:, None]
-        common = np.where(same, np.maximum(1.0 - apart / width, 0.0), 0.0)
+        common = np.where(same, np.maximum(1.0 - distance / width, 0.0), 0.0)
         common[:, np.arange(error.shape[1]), np.arange(error.shape[1])] = 1.0
         variance[rows] = np.einsum("vi,vij,vj->v", error[rows], common, error[rows])
     return np.sqrt(np.maximum(variance, 0.0))
 
 
-def _correlation(pull: Float[np.ndarray, "v k"], view: Int[np.ndarray, "v k"]) -> float:
+def _correlation(contribution: Float[np.ndarray, "v k"], view: Int[np.ndarray, "v k"]) -> float:
     """Rms of the residuals' sums over each view relative to that of independent ones, >= 1."""
-    alone = float((pull**2).sum())
+    independent = float((contribution**2).sum())
     together = 0.0
     for one in range(int(view.max()) + 1):
-        together += float((np.where(view == one, pull, 0.0).sum(axis=1) ** 2).sum())
-    return max(float(np.sqrt(together / alone)), 1.0) if alone > 0.0 else 1.0
+        together += float((np.where(view == one, contribution, 0.0).sum(axis=1) ** 2).sum())
+    return max(float(np.sqrt(together / independent)), 1.0) if independent > 0.0 else 1.0

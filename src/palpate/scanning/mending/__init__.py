@@ -15,7 +15,7 @@ from palpate.scanning.mending.deviation import (
     Deviation as Deviation,
     deviation as deviation,
     distances as distances,
-    spread as spread,
+    surface_samples as surface_samples,
 )
 from palpate.scanning.mending.mend import Mended as Mended, mend as mend
 from palpate.scanning.mending.solid import (

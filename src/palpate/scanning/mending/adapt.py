@@ -22,7 +22,7 @@ def adapted(
     mesh: TriangleMesh,
     size: Float[np.ndarray, " v"],
     *,
-    onto: TriangleMesh | None = None,
+    surface: TriangleMesh | None = None,
     creases: bool = True,
     support: Plane | None = None,
 ) -> TriangleMesh:
@@ -32,7 +32,7 @@ def adapted(
     ----------
     mesh : TriangleMesh             closed, manifold
     size : (v,) float [m]           wanted edge length at each vertex
-    onto : TriangleMesh or None     surface to project the vertices onto; None: `mesh`
+    surface : TriangleMesh or None  surface to project the vertices onto; None: `mesh`
     creases : bool                  keep edges where triangles turn by more than 40 degrees
     support : Plane or None         plane whose boundary edges with the surface are kept; for
                                     `creases` False
@@ -76,7 +76,7 @@ def adapted(
         triangles=np.array(body.get_triangles(), dtype=np.int64),
     )
     # Mmg's own smooth surface deviates by up to an edge where sizes change quickly.
-    return _put_on(free, onto or mesh)
+    return _projected(free, surface or mesh)
 
 
 def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:
@@ -85,9 +85,9 @@ def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:
     return half_edges(mesh.triangles).rim(flat[mesh.triangles].all(axis=1))
 
 
-def _put_on(free: TriangleMesh, onto: TriangleMesh) -> TriangleMesh:
+def _projected(free: TriangleMesh, surface: TriangleMesh) -> TriangleMesh:
     """Project vertices onto a surface, except where that would flatten or invert triangles."""
-    _, place = nearest(free.vertices, onto)
+    _, place = nearest(free.vertices, surface)
     before = _smallest_angles(free.vertices, free.triangles)
     normal = area_vectors(free)
     for _ in range(_ROUNDS):

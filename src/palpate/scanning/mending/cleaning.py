@@ -10,7 +10,7 @@ from palpate.errors import MeshError
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
-    connected_groups,
+    connected_components,
     half_edges,
     triangle_areas,
 )
@@ -148,7 +148,7 @@ def _sewn(vertices: Vertices, triangles: Triangles, reach: float, actions: list[
     pairs = pairs[~is_edge]
     if len(pairs) == 0:
         return triangles
-    _, group = connected_groups(pairs, len(vertices))
+    _, group = connected_components(pairs, len(vertices))
     _, first = np.unique(group, return_index=True)
     joined = first[group][triangles]
     place = vertices[pairs[0, 0]]

@@ -76,9 +76,9 @@ def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
     """
     gap = np.concatenate(
         [
-            distances(spread(other, _SAMPLES), true),
+            distances(surface_samples(other, _SAMPLES), true),
             distances(other.vertices, true),
-            distances(spread(true, _SAMPLES), other),
+            distances(surface_samples(true, _SAMPLES), other),
         ]
     )
     return Deviation(
@@ -89,7 +89,7 @@ def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
     )
 
 
-def spread(mesh: TriangleMesh, count: int) -> Points:
+def surface_samples(mesh: TriangleMesh, count: int) -> Points:
     """Random points uniform over the area of a surface, the same at every call.
 
     Parameters

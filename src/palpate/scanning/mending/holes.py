@@ -13,7 +13,7 @@ from palpate.shapes import Points, Triangles, Vector3, Vertices
 
 # Largest hole that is closed, as a fraction of the surface's area, except at the support. A flat
 # patch deviates by about its size squared over the object's.
-_MOST_CAP = 0.05
+_MAX_PATCH = 0.05
 # Rims within this fraction of the diagonal from the support belong to it: a camera does not see the
 # object just above a table.
 SUPPORT_REACH = 0.1
@@ -173,11 +173,11 @@ def _newell(ring: Points) -> Float[np.ndarray, "3"]:
 def _check_size(ring: Points, whole: float) -> None:
     """Raise if a hole is not a gap in a surface but the missing side of a body."""
     area = _newell(ring)
-    share = float(np.linalg.norm(area)) / whole
+    fraction = float(np.linalg.norm(area)) / whole
     centred = ring - ring.mean(axis=0)
     # The area vector underestimates a bent rim or a slit: at least a quarter of its disc counts.
-    round_share = float((centred**2).sum(axis=1).max()) * np.pi / whole
-    if max(share, round_share / 4.0) <= _MOST_CAP:
+    disc_fraction = float((centred**2).sum(axis=1).max()) * np.pi / whole
+    if max(fraction, disc_fraction / 4.0) <= _MAX_PATCH:
         return
     direction = np.linalg.svd(centred)[2][2]
     rim_plane = Plane(ring.mean(axis=0), direction)
@@ -188,6 +188,6 @@ def _check_size(ring: Points, whole: float) -> None:
     is_flat = off < 0.02 * np.sqrt(whole)
     raise MeshError(
         f"the surface does not close: {len(ring)} edges around {place_text(rim_plane.point)} are"
-        f" open, {100.0 * max(share, round_share / 4.0):.0f} % of its area is missing, and at most"
-        f" {100.0 * _MOST_CAP:.0f} % is guessed; {flat if is_flat else bent}"
+        f" open, {100.0 * max(fraction, disc_fraction / 4.0):.0f} % of its area is missing, and at"
+        f" most {100.0 * _MAX_PATCH:.0f} % is guessed; {flat if is_flat else bent}"
     )

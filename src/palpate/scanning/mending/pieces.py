@@ -7,7 +7,7 @@ from palpate.errors import MeshError
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
-    connected_groups,
+    connected_components,
     enclosed_volume,
     half_edges,
     triangle_areas,
@@ -37,7 +37,7 @@ def pieces(triangles: Triangles) -> Int[np.ndarray, " m"]:
     (m,) int                        number of each triangle's piece, from 0
     """
     links = np.concatenate([triangles[:, :2], triangles[:, 1:]])
-    _, group = connected_groups(links, int(triangles.max()) + 1)
+    _, group = connected_components(links, int(triangles.max()) + 1)
     _, label = np.unique(group[triangles[:, 0]], return_inverse=True)
     return label.astype(np.int64)
 
@@ -64,7 +64,7 @@ def oriented(mesh: TriangleMesh) -> tuple[TriangleMesh, Bool[np.ndarray, " m"]]:
         part = compacted(mesh.vertices, triangles[mine])
         if enclosed_volume(part) < 0.0:
             triangles[mine] = triangles[mine][:, ::-1]
-    turned = _is_odd(mesh.triangles, triangles)
+    turned = _is_reversed(mesh.triangles, triangles)
     return TriangleMesh(vertices=mesh.vertices, triangles=triangles), turned
 
 
@@ -86,7 +86,7 @@ def _consistent(mesh: TriangleMesh) -> tuple[Triangles, Int[np.ndarray, " m"]]:
     return triangles, patch.ravel().astype(np.int64)
 
 
-def _is_odd(before: Triangles, after: Triangles) -> Bool[np.ndarray, " m"]:
+def _is_reversed(before: Triangles, after: Triangles) -> Bool[np.ndarray, " m"]:
     """True where the same three vertices are in reverse cyclic order."""
     first = (before[:, :1] == after).argmax(axis=1)
     following = after[np.arange(len(after)), (first + 1) % 3]

@@ -23,7 +23,7 @@ _NODES = 4e5
 # Edge length of the resulting triangles, in cells.
 _EDGE = 2.5
 # Minimum distance of a node from the surface, in cells.
-_LEAST = 0.02
+_MIN_DISTANCE = 0.02
 # Margin of the grid around the surface, in cells.
 _MARGIN = 3
 # Edges beside a cut that are shorter than this fraction of the diagonal are collapsed.
@@ -91,7 +91,7 @@ def wrapped(mesh: TriangleMesh) -> TriangleMesh:
     # A part that is inside out has winding number -1 and does not count as a body.
     inside = np.asarray(igl.fast_winding_number(mesh.vertices, mesh.triangles, place)).ravel() > 0.5
     # If the surface passed through a node, triangles there would have no area.
-    gap = np.maximum(distances(place, mesh), _LEAST * cell)
+    gap = np.maximum(distances(place, mesh), _MIN_DISTANCE * cell)
     signed = np.where(inside, -1.0, 1.0) * gap
     found = igl.marching_cubes(signed, place, *(len(side) for side in sides), 0.0)
     skin = compacted(np.asarray(found[0]), found[1].astype(np.int64))

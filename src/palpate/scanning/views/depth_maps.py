@@ -13,11 +13,11 @@ from palpate.shapes import Points
 from palpate.vision import normalised, picture_count
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
-_MOST_BYTES = 2**28
+_MAX_BYTES = 2**28
 # Plausible range of depth [m].
 _NEAREST, _FARTHEST = 0.02, 30.0
 # More points per view add nothing for a mesh of some thousand vertices.
-_MOST_POINTS = 20_000
+_MAX_POINTS = 20_000
 # Neighbouring pixels whose depths differ by more than this fraction lie on two surfaces.
 _JUMP = 0.01
 
@@ -60,7 +60,7 @@ def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Poin
             " write millimetres: 0.001 m)"
         )
     seen &= ~_beside_jump(depth, seen)
-    step = max(1, int(np.ceil(np.sqrt(seen.sum() / _MOST_POINTS))))
+    step = max(1, int(np.ceil(np.sqrt(seen.sum() / _MAX_POINTS))))
     rows, columns = np.nonzero(seen[::step, ::step])
     pixels = step * np.stack([columns, rows], axis=1).astype(np.float64)
     z = depth[::step, ::step][rows, columns]
@@ -68,7 +68,7 @@ def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Poin
 
 
 def _levels(path: Path) -> Float[np.ndarray, "rows columns"]:
-    content = read_bytes(path, most=_MOST_BYTES)
+    content = read_bytes(path, most=_MAX_BYTES)
     with damage(path, "write it again", what="cannot be read as a depth map"):
         levels: np.ndarray | None
         if path.suffix.lower() == ".npy":

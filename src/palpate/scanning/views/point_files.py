@@ -12,7 +12,7 @@ from palpate.optional_imports import late_import
 from palpate.shapes import Points
 
 POINT_SUFFIXES = (".ply", ".pcd", ".e57", ".npy", ".xyz", ".txt", ".csv", ".asc")
-_MOST_BYTES = 2**30
+_MAX_BYTES = 2**30
 # Smallest plausible extent and largest plausible coordinate [m]; otherwise the unit is wrong.
 _SPAN = (1e-6, 1e4)
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
@@ -43,7 +43,7 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
             f"{path}: point files of type '{suffix}' are not read; convert it to one of"
             f" {' '.join(POINT_SUFFIXES)}"
         )
-    content = read_bytes(path, most=_MOST_BYTES)
+    content = read_bytes(path, most=_MAX_BYTES)
     if suffix == ".e57":
         late_import("pye57", extra="e57", purpose=f"reading {path.name}")
         metres_per_unit = 1.0

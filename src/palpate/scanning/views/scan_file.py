@@ -196,4 +196,4 @@ def _stereo_view(table: TomlTable, setup: _Setup, pose: Pose | None) -> tuple[Vi
     along = np.einsum("na,nab,nb->n", view.normals, found.covariance, view.normals)
     # The noise of overlapping windows is correlated up to their width.
     width = StereoSettings().subset * float(np.median(found.spacing)) / found.step
-    return replace(view, sigma=np.sqrt(along), shared=width), files
+    return replace(view, sigma=np.sqrt(along), correlation_length=width), files

@@ -13,7 +13,7 @@ from palpate.shapes import Points, PointScalars, Vector3
 Pose = Float[np.ndarray, "4 4"]
 # Neighbours in its own view, itself included, that define a point's tangent plane.
 _NEIGHBOURS = 24
-_FEWEST = 50
+_MIN_POINTS = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +28,7 @@ class View:
     sigma : (n,) float [m]          standard deviation along the normal, > 0
     eye : (3,) float [m]            viewpoint, frame of the view
     T_object_view : (4, 4) float [m] or None    None if unknown
-    shared : float [m]              distance within which errors of points are correlated; 0: they
+    correlation_length : float [m]  distance within which errors of points are correlated; 0: they
                                     are independent
     """
 
@@ -38,7 +38,7 @@ class View:
     sigma: PointScalars
     eye: Vector3
     T_object_view: Pose | None = None
-    shared: float = 0.0
+    correlation_length: float = 0.0
 
     def placed(self, pose: Pose) -> "View":
         """Transform points, normals and viewpoint by a pose.
@@ -90,8 +90,8 @@ def make_view(
     InputError                      fewer than 50 points; collinear points; sigma not positive
     """
     points = fixed_array(points, name=f"points of view '{name}'", shape=(None, 3))
-    if len(points) < _FEWEST:
-        raise InputError(f"view '{name}' has {len(points)} points; it needs {_FEWEST} or more")
+    if len(points) < _MIN_POINTS:
+        raise InputError(f"view '{name}' has {len(points)} points; it needs {_MIN_POINTS} or more")
     eye = np.zeros(3) if eye is None else np.asarray(eye, dtype=np.float64)
     _, near = cKDTree(points).query(points, k=_NEIGHBOURS)
     offset = points[near] - points[near].mean(axis=1, keepdims=True)

@@ -7,7 +7,7 @@ column = fx x' + skew y' + cx, row = fy y' + cy. In the kernels `c` is a camera 
 fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, R by rows, t.
 
 Far from the axis the distortion is not invertible: two rays map to one pixel. Only the branch that
-contains the axis describes the lens; `lens_reach` gives its radius.
+contains the axis describes the lens; `lens_radius_limit` gives its radius.
 
 No `fastmath` here: NaN means "not seen" and must propagate.
 
@@ -106,7 +106,7 @@ def jacobian_kernel(c, x, y, z, out):
     column, row : float [px]
     depth : float [m]               positive in front of the camera
     square : float [-]              squared distance from the axis in the plane z = 1: below the
-                                    square of `lens_reach` on the valid branch of the lens
+                                    square of `lens_radius_limit` on the valid branch of the lens
     area : float [-]                determinant of the distortion's Jacobian: positive there
     """
     a, b, zc = _pinhole_kernel(c, x, y, z)
@@ -123,13 +123,13 @@ def jacobian_kernel(c, x, y, z, out):
 
 
 @njit(cache=True, error_model="numpy")
-def jacobians_kernel(c, reach, points, pixels, jacobians):
+def jacobians_kernel(c, radius_limit, points, pixels, jacobians):
     """Pixels of points and their Jacobians, NaN where the camera does not see the point.
 
     Parameters
     ----------
     c : (25,) float                 `packed_camera`
-    reach : float [-]               `lens_reach`
+    radius_limit : float [-]        `lens_radius_limit`
     points : (n, 3) float [m]       object frame
     pixels : (n, 2) float [px]      filled; NaN behind the camera and off the valid branch of the
                                     lens
@@ -139,18 +139,18 @@ def jacobians_kernel(c, reach, points, pixels, jacobians):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         column, row, depth, square, area = jacobian_kernel(c, x, y, z, jacobians[i])
         pixels[i, 0], pixels[i, 1] = column, row
-        if not (depth > 0.0 and square < reach * reach and area > 0.0):
+        if not (depth > 0.0 and square < radius_limit * radius_limit and area > 0.0):
             pixels[i, :] = np.nan
             jacobians[i, :, :] = np.nan
 
 
 @njit(cache=True, error_model="numpy")
-def _radial_start(c, distorted, reach):
+def _radial_start(c, distorted, radius_limit):
     """Undistorted radius for a distorted one, by the radial terms alone, on the valid branch.
 
     If no radius is mapped that far out, the limit of the branch. By bisection.
     """
-    low, high = 0.0, min(reach, _MAX_RADIUS)
+    low, high = 0.0, min(radius_limit, _MAX_RADIUS)
     for _ in range(_MAX_STEPS):
         radius = 0.5 * (low + high)
         radial, _ = _radial_kernel(c, radius * radius)
@@ -162,9 +162,9 @@ def _radial_start(c, distorted, reach):
 
 
 @njit(cache=True, error_model="numpy")
-def _newton_kernel(c, reach, x, y, a, b):
+def _newton_kernel(c, radius_limit, x, y, a, b):
     """Solve for the point near (a, b) that is distorted to (x, y); NaN where Newton fails."""
-    limit = reach * reach
+    limit = radius_limit * radius_limit
     allowed = _MAX_ERROR * (1.0 + np.hypot(x, y))
     for _ in range(_MAX_STEPS):
         u, v, xa, xb, yb = distort_kernel(c, a, b)
@@ -186,24 +186,24 @@ def _newton_kernel(c, reach, x, y, a, b):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def normalised_kernel(begin, end, c, reach, pixels, out):
+def normalised_kernel(begin, end, c, radius_limit, pixels, out):
     """x / z and y / z of the rays through pixels.
 
     Parameters
     ----------
     begin, end : int                range of rows of `pixels` to process
     c : (25,) float                 `packed_camera`
-    reach : float [-]               `lens_reach`
+    radius_limit : float [-]        `lens_radius_limit`
     pixels : (n, 2) float [px]
     out : (n, 2) float [-]          filled; NaN where no ray maps to the pixel
     """
     for i in range(begin, end):
         y = (pixels[i, 1] - c[3]) / c[1]
         x = (pixels[i, 0] - c[2] - c[4] * y) / c[0]
-        a, b = _newton_kernel(c, reach, x, y, x, y)
+        a, b = _newton_kernel(c, radius_limit, x, y, x, y)
         if np.isnan(a):
             # Strong distortion, or near its fold: the radial terms alone give a better start.
             distorted = np.hypot(x, y)
-            scale = _radial_start(c, distorted, reach) / distorted
-            a, b = _newton_kernel(c, reach, x, y, scale * x, scale * y)
+            scale = _radial_start(c, distorted, radius_limit) / distorted
+            a, b = _newton_kernel(c, radius_limit, x, y, scale * x, scale * y)
         out[i, 0], out[i, 1] = a, b

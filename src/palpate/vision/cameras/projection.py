@@ -29,8 +29,8 @@ def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
     """
     k = camera.matrix
     pose = camera.T_camera_object
-    inner = [k[0, 0], k[1, 1], k[0, 2], k[1, 2], k[0, 1]]
-    return np.concatenate([inner, camera.distortion, pose[:3, :3].ravel(), pose[:3, 3]])
+    intrinsics = [k[0, 0], k[1, 1], k[0, 2], k[1, 2], k[0, 1]]
+    return np.concatenate([intrinsics, camera.distortion, pose[:3, :3].ravel(), pose[:3, 3]])
 
 
 def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
@@ -47,7 +47,7 @@ def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
     return np.stack([packed_camera(camera) for camera in rig.cameras])
 
 
-def lens_reach(distortion: Float[np.ndarray, "8"]) -> float:
+def lens_radius_limit(distortion: Float[np.ndarray, "8"]) -> float:
     """Radius in the plane z = 1 up to which the radial distortion is invertible.
 
     Parameters
@@ -84,7 +84,7 @@ def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:
     -------
     (n, 2) float [px]               column and row, inside or outside the picture; NaN for a point
                                     at or behind the camera's centre, or so far off the axis that
-                                    the lens model is no longer invertible (`lens_reach`)
+                                    the lens model is no longer invertible (`lens_radius_limit`)
     """
     return project_jacobian(camera, points)[0]
 
@@ -108,8 +108,8 @@ def project_jacobian(
     # A copy is writable, so the kernel is compiled for one array type only.
     points = np.array(points, dtype=np.float64, order="C")
     pixels, jacobian = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
-    reach = lens_reach(camera.distortion)
-    jacobians_kernel(packed_camera(camera), reach, points, pixels, jacobian)
+    radius_limit = lens_radius_limit(camera.distortion)
+    jacobians_kernel(packed_camera(camera), radius_limit, points, pixels, jacobian)
     return pixels, jacobian
 
 
@@ -130,8 +130,8 @@ def normalised(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.nda
     """
     pixels = np.ascontiguousarray(pixels, dtype=np.float64)
     directions = np.empty_like(pixels)
-    reach = lens_reach(camera.distortion)
-    normalised_kernel(0, len(pixels), packed_camera(camera), reach, pixels, directions)
+    radius_limit = lens_radius_limit(camera.distortion)
+    normalised_kernel(0, len(pixels), packed_camera(camera), radius_limit, pixels, directions)
     return directions
 
 
@@ -176,7 +176,7 @@ def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 r
     pixels = np.column_stack([column, row])
     flat = np.empty_like(pixels)
     in_threads(
-        normalised_kernel, len(pixels), packed_camera(camera), lens_reach(camera.distortion),
+        normalised_kernel, len(pixels), packed_camera(camera), lens_radius_limit(camera.distortion),
         pixels, flat, fewest=_MIN_PIXELS_PER_THREAD,
     )  # fmt: skip
     return np.ascontiguousarray(flat.T).reshape(2, *shape)

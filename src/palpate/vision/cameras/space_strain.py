@@ -15,16 +15,16 @@ from palpate.vision.cameras.triangulation import triangulate
 
 _LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 # Indices of the first four of them in the camera matrix.
-_INNER = np.array([0, 1, 0, 1]), np.array([0, 1, 2, 2])
+_INTRINSICS = np.array([0, 1, 0, 1]), np.array([0, 1, 2, 2])
 _POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
 # Number of given points used, and the offset of further points around them as a fraction of extent.
 _MAX_POINTS, _AROUND = 100, 0.05
 # Minimum number of points that must be seen.
-_FEWEST = 12
+_MIN_POINTS = 12
 # Central differences over this many standard deviations on each side.
 _STEP = 0.5
 # Principal strains whose variance is below this fraction of the largest are dropped.
-_LEAST_VARIANCE = 1e-3
+_MIN_VARIANCE = 1e-3
 
 
 def calibration_numbers(cameras: Sequence[Camera], names: Sequence[str]) -> Float[np.ndarray, " p"]:
@@ -48,7 +48,7 @@ def calibration_numbers(cameras: Sequence[Camera], names: Sequence[str]) -> Floa
     first = _first(cameras, names)
     found: dict[str, float] = {}
     for name, camera in by_name.items():
-        lens = (*camera.matrix[_INNER], *camera.distortion[:5])
+        lens = (*camera.matrix[_INTRINSICS], *camera.distortion[:5])
         found |= zip((f"{name}.{term}" for term in _LENS), lens, strict=True)
         pose = camera.T_camera_object @ np.linalg.inv(first.T_camera_object)
         turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
@@ -104,7 +104,7 @@ def space_strains(rig: Rig, known: RigCovariance, points: Points) -> Float[np.nd
     steps = (np.sqrt(np.maximum(value, 0.0)) * vector).T
     every = np.array([stretch(step) for step in steps if step.any()]).reshape(-1, 9)
     _, size, strain = np.linalg.svd(every, full_matrices=False)
-    keep = size**2 > _LEAST_VARIANCE * size[0] ** 2
+    keep = size**2 > _MIN_VARIANCE * size[0] ** 2
     return (size[keep, None] * strain[keep]).reshape(-1, 3, 3)
 
 
@@ -123,7 +123,7 @@ def _cloud(rig: Rig, points: Points) -> Float[np.ndarray, "m 3"]:
         with np.errstate(invalid="ignore"):
             count += ((pixel >= 0.0) & (pixel <= end)).all(axis=1)
     seen = count >= 2
-    if seen.sum() < _FEWEST:
+    if seen.sum() < _MIN_POINTS:
         raise CalibrationError(
             f"{rig.source}: two cameras together see {int(seen.sum())} of {len(points)} points on"
             " and about the object; check its pose, and the length units of rig and mesh"
@@ -188,7 +188,7 @@ def moved_rig(rig: Rig, names: Sequence[str], step: Float[np.ndarray, " p"]) -> 
         pose[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
         pose[:3, 3] += shift
         matrix = camera.matrix.copy()
-        matrix[_INNER] += lens[:4]
+        matrix[_INTRINSICS] += lens[:4]
         distortion = camera.distortion.copy()
         distortion[:5] += lens[4:]
         cameras.append(

@@ -177,10 +177,10 @@ def _hit_bands(begin, end, grid, bounds, corner, boxes, inverse_depth, triangle)
             whole[0, a] = np.nanmin(bounds[0, a, band])
             whole[1, a] = np.nanmax(bounds[1, a, band])
         for e in range(len(corner)):
-            if _is_apart(boxes[:, :, e], whole):
+            if _is_disjoint(boxes[:, :, e], whole):
                 continue
             for tile in range(tiles):
-                if _is_apart(boxes[:, :, e], bounds[:, :, band, tile]):
+                if _is_disjoint(boxes[:, :, e], bounds[:, :, band, tile]):
                     continue
                 left = tile * _TILE
                 right = min(grid.shape[2], left + _TILE)
@@ -188,7 +188,7 @@ def _hit_bands(begin, end, grid, bounds, corner, boxes, inverse_depth, triangle)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _is_apart(box, other):
+def _is_disjoint(box, other):
     """True for disjoint boxes (2, 2), given by minimum and maximum x and y."""
     return (
         box[0, 0] > other[1, 0]

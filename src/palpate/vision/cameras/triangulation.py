@@ -220,5 +220,5 @@ def _is_regular(matrix: Float[np.ndarray, "*n k k"]) -> Bool[np.ndarray, "*n"]:
     diagonal = np.einsum("...ii->...i", matrix)
     with np.errstate(invalid="ignore"):
         determinant = np.linalg.det(matrix)
-    least = _MIN_DETERMINANT * diagonal.prod(axis=-1)
-    return (diagonal > 0.0).all(axis=-1) & (determinant > least)
+    threshold = _MIN_DETERMINANT * diagonal.prod(axis=-1)
+    return (diagonal > 0.0).all(axis=-1) & (determinant > threshold)

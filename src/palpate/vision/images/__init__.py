@@ -21,7 +21,7 @@ from palpate.vision.images.normalisation import (
     cropped as cropped,
     make_normalised_image as make_normalised_image,
     moments as moments,
-    point_spread as point_spread,
+    point_spread_variance as point_spread_variance,
 )
 from palpate.vision.images.picture_size import picture_count as picture_count
 from palpate.vision.images.pictures import (
@@ -33,7 +33,7 @@ from palpate.vision.images.spline import (
     SplinePicture as SplinePicture,
     interpolate as interpolate,
     make_spline_picture as make_spline_picture,
-    noise_share_kernel as noise_share_kernel,
+    noise_fraction_kernel as noise_fraction_kernel,
     sample_kernel as sample_kernel,
     smoothing_gain as smoothing_gain,
     spline_pictures as spline_pictures,

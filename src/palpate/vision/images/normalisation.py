@@ -16,7 +16,7 @@ _EDGE_CONTRAST = 30.0
 # Quantile of slope over contrast in such windows that is taken as the middle of a sharp edge.
 _SOFT = 0.95
 # Blur variance of a pixel's own area, a lower bound for any camera [px^2].
-_PIXEL_SPREAD = 1.0 / 12.0
+_PIXEL_VARIANCE = 1.0 / 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,7 @@ def _width(
     return float(np.sqrt(strong / steep)) if steep > 0.0 else 0.0
 
 
-def point_spread(grey: Float[np.ndarray, "rows columns"]) -> float:
+def point_spread_variance(grey: Float[np.ndarray, "rows columns"]) -> float:
     """Variance of the point spread function of lens and sensor, estimated from a picture.
 
     No edge is sharper than the camera, but all may be softer. So the width of the sharpest edges is
@@ -139,16 +139,16 @@ def point_spread(grey: Float[np.ndarray, "rows columns"]) -> float:
     across = 0.5 * (np.roll(grey, -1, axis=1) - np.roll(grey, 1, axis=1))
     down = 0.5 * (np.roll(grey, -1, axis=0) - np.roll(grey, 1, axis=0))
     slope = np.maximum(np.abs(across), np.abs(down))
-    inner = (slice(_EDGE_WINDOW, -_EDGE_WINDOW),) * 2
-    strong = contrast[inner] > _EDGE_CONTRAST * _noise(grey)
+    interior = (slice(_EDGE_WINDOW, -_EDGE_WINDOW),) * 2
+    strong = contrast[interior] > _EDGE_CONTRAST * _noise(grey)
     if not strong.any():
-        return _PIXEL_SPREAD
+        return _PIXEL_VARIANCE
     # Slope (half the difference over two pixels) over step height, of the sharpest edges.
-    sharp = np.quantile(slope[inner][strong] / contrast[inner][strong], _SOFT)
-    share = min(float(sharp), 0.499)
-    widest = 0.5 / float(erfinv(2.0 * share)) ** 2
-    ratio = widest / _PIXEL_SPREAD
-    return _PIXEL_SPREAD * (ratio - 1.0) / np.log(ratio) if ratio > 1.001 else _PIXEL_SPREAD
+    sharp = np.quantile(slope[interior][strong] / contrast[interior][strong], _SOFT)
+    steepest = min(float(sharp), 0.499)
+    max_variance = 0.5 / float(erfinv(2.0 * steepest)) ** 2
+    ratio = max_variance / _PIXEL_VARIANCE
+    return _PIXEL_VARIANCE * (ratio - 1.0) / np.log(ratio) if ratio > 1.001 else _PIXEL_VARIANCE
 
 
 def cropped(picture: NormalisedImage, box: tuple[slice, slice]) -> NormalisedImage:

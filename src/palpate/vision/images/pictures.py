@@ -26,7 +26,7 @@ _MAX_CONSTANT_RANGE = 2
 _WHITE_16 = [2**k - 1 for k in (10, 12, 14, 16)] + [2**16 - 2 ** (16 - k) for k in (10, 12, 14)]
 _MAX_NAMES = 8
 # The largest sensors have 150 million pixels.
-_MOST_PIXELS = 2e8
+_MAX_PIXELS = 2e8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,9 +84,9 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
     for camera in rig.cameras:
         path = _picture_file(camera, pattern, folder, what)
         place = f"{what}, camera '{camera.name}'"
-        levels, share, remarks = _read_picture(camera, path, place)
+        levels, fraction, remarks = _read_picture(camera, path, place)
         grey.append(levels)
-        saturated.append(share)
+        saturated.append(fraction)
         for remark in remarks:
             cameras_of.setdefault(remark, []).append(camera.name)
     notes = [
@@ -128,7 +128,7 @@ def _read_picture(
     """Grey levels, saturated fraction and remarks of one file."""
     stored, place = _stored(path, place, camera)
     levels, remarks = _grey_levels(stored, place)
-    return levels, _saturated_share(stored), remarks
+    return levels, _saturated_fraction(stored), remarks
 
 
 def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
@@ -170,7 +170,7 @@ def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, 
 
 def _check_size(camera: Camera | None, size: tuple[int, int], place: str) -> None:
     columns, rows = size
-    if columns * rows > _MOST_PIXELS:
+    if columns * rows > _MAX_PIXELS:
         raise RecordError(
             f"{place}: has {columns} x {rows} pixels, more than any camera; is it a picture of one?"
         )
@@ -235,7 +235,7 @@ def _single(stored: np.ndarray) -> Float[np.ndarray, "..."]:
         return stored.astype(np.float32)
 
 
-def _saturated_share(stored: np.ndarray) -> float:
+def _saturated_fraction(stored: np.ndarray) -> float:
     """Fraction of pixels at the white level; NaN for floating-point files."""
     if not np.issubdtype(stored.dtype, np.integer):
         return float("nan")

@@ -20,7 +20,7 @@ PADDING = 4
 # q: fraction of the variance of white noise left by interpolation at t = 1/2, i.e. the sum over k
 # of L(t - k)^2 with the cardinal cubic spline L. For other t, 1 - (1 - q)(4 t (1 - t))^2 is within
 # 0.006 of it.
-_SHARE_HALF_WAY = 0.75613
+_FRACTION_HALF_WAY = 0.75613
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,13 +62,14 @@ def make_spline_picture(
     grey = np.ascontiguousarray(grey, dtype=np.float32)
     if smoothing > 0.0:
         grey = cv2.GaussianBlur(grey, (0, 0), smoothing, borderType=cv2.BORDER_REFLECT_101)
-    inner = spline_filter(grey, order=3, output=np.float32, mode="mirror")
+    coefficients = spline_filter(grey, order=3, output=np.float32, mode="mirror")
     blur = np.array([1.0, 4.0, 1.0]) / 6.0
     slope = np.array([-0.5, 0.0, 0.5])
     # OpenCV's default border mirrors at the edge, as do the coefficients.
-    along_column = cv2.sepFilter2D(inner, -1, slope, blur)
-    along_row = cv2.sepFilter2D(inner, -1, blur, slope)
-    return SplinePicture(grey, along_column, along_row, np.pad(inner, PADDING, mode="reflect"))
+    along_column = cv2.sepFilter2D(coefficients, -1, slope, blur)
+    along_row = cv2.sepFilter2D(coefficients, -1, blur, slope)
+    padded = np.pad(coefficients, PADDING, mode="reflect")
+    return SplinePicture(grey, along_column, along_row, padded)
 
 
 def spline_pictures(
@@ -163,19 +164,17 @@ def sample_kernel(coefficients, column, row):
     ix, iy = np.int32(x), np.int32(y)
     a0, a1, a2, a3 = _weights_kernel(x - np.float32(ix))
     b = _weights_kernel(y - np.float32(iy))
-    total = zero
+    t0 = t1 = t2 = t3 = zero
     for i in range(4):
-        total += b[i] * (
-            a0 * coefficients[iy + i, ix]
-            + a1 * coefficients[iy + i, ix + 1]
-            + a2 * coefficients[iy + i, ix + 2]
-            + a3 * coefficients[iy + i, ix + 3]
-        )
-    return total
+        t0 += b[i] * coefficients[iy + i, ix]
+        t1 += b[i] * coefficients[iy + i, ix + 1]
+        t2 += b[i] * coefficients[iy + i, ix + 2]
+        t3 += b[i] * coefficients[iy + i, ix + 3]
+    return a0 * t0 + a1 * t1 + a2 * t2 + a3 * t3
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def noise_share_kernel(column, row):
+def noise_fraction_kernel(column, row):
     """Fraction of the variance of white noise that interpolation at a position leaves.
 
     Parameters
@@ -188,7 +187,7 @@ def noise_share_kernel(column, row):
                                     the exact value
     """
     one = np.float32(1.0)
-    drop = np.float32(16.0 * (1.0 - _SHARE_HALF_WAY))
+    drop = np.float32(16.0 * (1.0 - _FRACTION_HALF_WAY))
     t = column - np.floor(column)
     s = row - np.floor(row)
     t = t * (one - t)

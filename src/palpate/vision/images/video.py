@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -44,7 +45,7 @@ def open_video(path: Path) -> "cv2.VideoCapture":
 
 
 def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
-    """Iterate over all frames of a video, holding only one in memory.
+    """Iterate over all frames of a video, holding no more than two in memory.
 
     Parameters
     ----------
@@ -57,18 +58,28 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
     Raises
     ------
     RecordError                     as `open_video`; or fewer than two frames can be decoded, which
-                                    is raised after the last one
+                                    is raised before the first one is yielded
     """
-    capture, number = open_video(path), 0
+    capture = open_video(path)
     try:
-        while True:
-            good, picture = capture.read()
-            if not good:
-                break
-            number += 1
-            grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, np.asarray(grey)
+        frames = _decoded(capture)
+        begun = list(islice(frames, 2))
+        if not begun:
+            raise RecordError(f"{path}: not one frame can be decoded; {_CURE}")
+        if len(begun) == 1:
+            raise RecordError(f"{path}: only one frame can be decoded, two are needed; {_CURE}")
+        while begun:
+            yield begun.pop(0)
+        yield from frames
     finally:
         capture.release()
-    if number < 2:
-        raise RecordError(f"{path}: not one frame can be decoded; {_CURE}")
+
+
+def _decoded(capture: "cv2.VideoCapture") -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
+    """Time stamp and grey levels of every frame up to the first that cannot be decoded."""
+    while True:
+        good, picture = capture.read()
+        if not good:
+            return
+        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, np.asarray(grey)

@@ -50,13 +50,13 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
     RangeFlow
     """
     used = used_cameras(match)
-    rough = _roughness(scene, match)
-    match = match._replace(own_variance=match.own_variance * rough[:, None])
-    by_noise = match.covariance * (_CARRIED_NOISE * rough)[:, None, None]
+    inflation = _variance_inflation(scene, match)
+    match = match._replace(own_variance=match.own_variance * inflation[:, None])
+    by_noise = match.covariance * (_CARRIED_NOISE * inflation)[:, None, None]
     bias_px = _matching_bias(match, used)
     outcome = _outcome(scene, match, by_noise, noise, bias_px)
     beside = np.where(_beside_change(scene, outcome), _BIAS_BESIDE_CHANGE_PX, 0.0)
-    bias = _bias_covariance(scene, match.use, np.maximum(bias_px, beside))
+    bias = _bias_covariance(scene, match.cameras, np.maximum(bias_px, beside))
     covariance = by_noise + bias
     valid = outcome == Outcome.VALID
     score = np.where(used, match.score, np.inf).min(axis=1)
@@ -66,12 +66,12 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
         tangent=scene.tangent,
         displacement=np.where(valid[:, None], match.motion[:, 0], np.nan),
         gradient=np.where(
-            valid[:, None, None], match.motion[:, 1:3] / scene.extent[:, None, None], np.nan
+            valid[:, None, None], match.motion[:, 1:3] / scene.half_window[:, None, None], np.nan
         ),
         covariance=np.where(valid[:, None, None], covariance, np.nan),
         bias=np.where(valid[:, None, None], bias, np.nan),
         score=np.where(np.isfinite(score), score, np.nan),
-        reprojection=np.sqrt(mean_over((match.own**2).sum(axis=2), used)),
+        reprojection=np.sqrt(mean_over((match.own_step**2).sum(axis=2), used)),
         cameras=np.where(valid, used.sum(axis=1), 0),
         outcome=outcome.astype(np.int64),
         through_last=np.zeros(len(outcome), dtype=bool),
@@ -94,8 +94,8 @@ def _matching_bias(match: Match, used: Bool[np.ndarray, "n c"]) -> float:
     if not some.any():
         return _MATCHING_BIAS_PX
     # Of the 2 count residual components, the common displacement takes up three.
-    share = np.broadcast_to(1.0 - 1.5 / np.maximum(count, 2), used.shape)
-    square = (match.own**2).mean(axis=2)[some] / share[some]
+    fraction = np.broadcast_to(1.0 - 1.5 / np.maximum(count, 2), used.shape)
+    square = (match.own_step**2).mean(axis=2)[some] / fraction[some]
     # Variance from the median of chi-squared with two degrees of freedom, minus that of the noise.
     extra = np.median(square) / np.log(2.0) - np.median(match.own_variance[some])
     return float(max(_MATCHING_BIAS_PX, np.sqrt(max(extra, 0.0))))
@@ -117,16 +117,16 @@ def _outcome(
     used = used_cameras(match)
     limit = _MAX_DISAGREEMENT * np.sqrt(match.own_variance + bias_px**2)
     with np.errstate(invalid="ignore"):
-        apart = (used & (np.abs(match.own).max(axis=2) > limit)).any(axis=1)
-        outcome[(outcome == Outcome.VALID) & apart] = Outcome.REPROJECTION
+        contradicting = (used & (np.abs(match.own_step).max(axis=2) > limit)).any(axis=1)
+        outcome[(outcome == Outcome.VALID) & contradicting] = Outcome.REPROJECTION
         blurred = _lateral(scene, by_noise) > _MAX_NOISE_PX * _pixel_sizes(scene)
         outcome[(outcome == Outcome.VALID) & blurred] = Outcome.TEXTURE
         ok = outcome == Outcome.VALID
         around = predicted_motion(scene, match, ok)
-        away = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
+        distance = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
         sigma = np.sqrt(np.trace(by_noise, axis1=1, axis2=2))
-        alone = away > _MAX_DISAGREEMENT * np.hypot(around.scatter, sigma)
-    outcome[ok & alone] = Outcome.NEIGHBOURS
+        isolated = distance > _MAX_DISAGREEMENT * np.hypot(around.scatter, sigma)
+    outcome[ok & isolated] = Outcome.NEIGHBOURS
     return outcome
 
 
@@ -140,8 +140,8 @@ def _beside_change(scene: Scene, outcome: Int[np.ndarray, " n"]) -> Bool[np.ndar
     changed = np.isin(outcome, (Outcome.SCORE, Outcome.LOST))
     if not changed.any():
         return changed
-    away, _ = cKDTree(scene.pixel[changed]).query(scene.pixel)
-    return np.asarray(away <= scene.subset / 2)
+    distance, _ = cKDTree(scene.pixel[changed]).query(scene.pixel)
+    return np.asarray(distance <= scene.subset / 2)
 
 
 def _pixel_sizes(scene: Scene) -> Float[np.ndarray, " n"]:
@@ -149,18 +149,19 @@ def _pixel_sizes(scene: Scene) -> Float[np.ndarray, " n"]:
     return pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point)
 
 
-def _roughness(scene: Scene, match: Match) -> Float[np.ndarray, " n"]:
+def _variance_inflation(scene: Scene, match: Match) -> Float[np.ndarray, " n"]:
     """Inflation of the variance by correlated residuals, relative to white noise.
 
-    Median of `Match.rough` over the neighbourhood, at least 1, divided by `_share_in_blocks`.
+    Median of `Match.variance_ratio` over the neighbourhood, at least 1, divided by
+    `_fraction_in_blocks`.
     """
     found = match.outcome == Outcome.VALID
     # The estimate from a single window is noisy: it rests on about 27 blocks.
-    rough = median_around(scene.point, match.rough, found, reach=neighbourhood(scene))
-    return np.asarray(np.maximum(rough, 1.0) / _share_in_blocks(scene))
+    inflation = median_around(scene.point, match.variance_ratio, found, reach=neighbourhood(scene))
+    return np.asarray(np.maximum(inflation, 1.0) / _fraction_in_blocks(scene))
 
 
-def _share_in_blocks(scene: Scene) -> float:
+def _fraction_in_blocks(scene: Scene) -> float:
     """Fraction of the low-passed noise's covariance within blocks (`window_blocks_kernel`), 0 to 1.
 
     The low-pass correlates the noise of pixels at distance d by exp(-(d / 2 s)^2); pairs on either
@@ -189,22 +190,22 @@ def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.n
 
 
 def _bias_covariance(
-    scene: Scene, use: Bool[np.ndarray, "n c"], bias: Float[np.ndarray, " n"]
+    scene: Scene, cameras: Bool[np.ndarray, "n c"], bias: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3 3"]:
     """Covariance of the displacement for a matching bias of `bias` pixels in every camera.
 
     It is the sum of two equal parts: one independent between the cameras, and one common to all,
     which shifts the point sideways; cameras with similar views see similar sub-pixel positions.
     """
-    slope = np.stack([project_jacobian(c, scene.point)[1] for c in scene.rig.cameras])
-    information = np.einsum("nc,cnai,cnaj->nij", use.astype(np.float64), slope, slope)
-    few = use.sum(axis=1) < 2
-    information[few] = np.eye(3)
+    jacobian = np.stack([project_jacobian(c, scene.point)[1] for c in scene.rig.cameras])
+    information = np.einsum("nc,cnai,cnaj->nij", cameras.astype(np.float64), jacobian, jacobian)
+    too_few = cameras.sum(axis=1) < 2
+    information[too_few] = np.eye(3)
     pose = scene.rig.cameras[scene.rig.reference].T_camera_object
     ray = scene.point + pose[:3, :3].T @ pose[:3, 3]
     ray /= np.linalg.norm(ray, axis=1)[:, None]
     sideways = np.eye(3) - ray[:, :, None] * ray[:, None, :]
     common = _pixel_sizes(scene)[:, None, None] ** 2 * sideways
     covariance = bias[:, None, None] ** 2 * (np.linalg.inv(information) + common)
-    covariance[few] = np.nan
+    covariance[too_few] = np.nan
     return covariance

@@ -31,24 +31,24 @@ from palpate.geometry import (
 from palpate.records import Camera, Rig, SurfaceAverage, camera_centre
 from palpate.shapes import Points, PointScalars
 from palpate.vision.cameras import pixel_sizes, project
-from palpate.vision.matching import LocalFits, coefficient_operators, local_terms, sums_about
+from palpate.vision.matching import LocalFits, coefficient_operators, local_terms, sum_over_points
 
 # Side of the surface pieces that represent pixels, in sides of a window.
 _PIECE = 0.25
 # Largest number of pieces, a few hundred bytes each: if windows are far smaller than triangles,
 # pieces are larger than `_PIECE`.
-_MOST_PIECES = 1e6
+_MAX_PIECES = 1e6
 # Area of an equilateral triangle of side one.
 _EQUILATERAL = 0.433
 # Minimum cosine between normal and viewing direction for a camera's windows to count.
-_FACING = 0.2
+_MIN_COSINE = 0.2
 # Radius, in half windows, within which a window's pixels lie on one part of the surface.
-_APART = 4.0
+_MAX_DISTANCE = 4.0
 # Indices of the second-order terms of a quadratic: x^2, x y, y^2.
-_BENDS = (3, 4, 5)
+_SECOND_ORDER = (3, 4, 5)
 # Largest sum of absolute weights: usually 1.6, up to 3.5 at creases and beside tools. Above it all
 # points lie on one side, and the weights depend on which of them gave the second derivatives.
-_MOST_WEIGHT = 4.0
+_MAX_WEIGHT = 4.0
 # Tolerance for rounding in a sum of about a hundred weights.
 _ROUNDING = 1e-6
 
@@ -76,7 +76,7 @@ def surface_average(
     rig: Rig,
     surface: TriangleMesh,
     vertices: LocalFits,
-    bends: LocalFits,
+    curvature_fits: LocalFits,
     order: int,
 ) -> SurfaceAverage:
     """Weights with which measured vertex displacements average the surface's displacement.
@@ -87,7 +87,7 @@ def surface_average(
     rig : Rig
     surface : TriangleMesh
     vertices : LocalFits            quadratic fits about v vertices to the p matched points
-    bends : LocalFits               quadratic fits to the same points about each of them, which give
+    curvature_fits : LocalFits      quadratic fits to the same points about each of them, which give
                                     affine windows their second derivatives
     order : 1 or 2                  shape function of the windows: affine or quadratic
 
@@ -99,14 +99,14 @@ def surface_average(
     ------
     Schreier and Sutton (2002), for the bias of undermatched shape functions.
     """
-    extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], bends.place)
-    pieces = _cut(surface, _PIECE * 2.0 * float(np.median(extent)), bends.place)
-    windows = _windows(subset, rig, pieces, bends, extent)
+    half_window = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], curvature_fits.place)
+    pieces = _cut(surface, _PIECE * 2.0 * float(np.median(half_window)), curvature_fits.place)
+    windows = _windows(subset, rig, pieces, curvature_fits, half_window)
     (mean,), _ = coefficient_operators(windows, order, (0,))
     (weights,), _ = coefficient_operators(vertices, 2, (0,))
     if order == 1:
-        curvature, _ = coefficient_operators(bends, 2, _BENDS)
-        moments = _moments(windows, mean, bends)
+        curvature, _ = coefficient_operators(curvature_fits, 2, _SECOND_ORDER)
+        moments = _moments(windows, mean, curvature_fits)
         bend = sum(moment @ one for moment, one in zip(moments, curvature, strict=True))
         weights = weights - weights @ bend
     weights = weights @ (mean @ kron(pieces.from_nodes, np.eye(3), format="bsr"))
@@ -123,7 +123,7 @@ def _cut(surface: TriangleMesh, side: float, points: Points) -> _Pieces:
     area = triangle_areas(surface)[near]
     usual = float((area**2).sum() / area.sum())
     cuts = round(np.sqrt(usual / (_EQUILATERAL * side**2)))
-    cuts = int(np.clip(cuts, 1, np.sqrt(_MOST_PIECES / len(near))))
+    cuts = int(np.clip(cuts, 1, np.sqrt(_MAX_PIECES / len(near))))
     whole = np.zeros(len(surface.triangles), dtype=np.int64)
     fitted = displacement_nodes(surface, split_sides(surface, whole))
     nodes = np.concatenate([surface.vertices, fitted.weights @ surface.vertices])
@@ -136,7 +136,7 @@ def _cut(surface: TriangleMesh, side: float, points: Points) -> _Pieces:
 
 
 def _windows(
-    subset: int, rig: Rig, pieces: _Pieces, points: LocalFits, extent: PointScalars
+    subset: int, rig: Rig, pieces: _Pieces, points: LocalFits, half_window: PointScalars
 ) -> LocalFits:
     """Pieces of the surface within each point's windows, weighted by the pixels they cover."""
     place, tangent = points.place, points.tangent
@@ -146,11 +146,11 @@ def _windows(
         weight += _in_windows(camera, subset, place, normal, pieces)
     pair = weight.tocoo()
     first, second = pair.coords
-    apart = np.linalg.norm(pieces.middle[second] - place[first], axis=1)
-    near = np.flatnonzero(apart < _APART * extent[first])
+    distance = np.linalg.norm(pieces.middle[second] - place[first], axis=1)
+    near = np.flatnonzero(distance < _MAX_DISTANCE * half_window[first])
     near = near[np.lexsort((second[near], first[near]))]
     return LocalFits(
-        place, tangent, extent, pieces.middle, first[near], second[near], pair.data[near]
+        place, tangent, half_window, pieces.middle, first[near], second[near], pair.data[near]
     )
 
 
@@ -168,8 +168,8 @@ def _in_windows(
     cosine = _cosine(camera, pieces.middle, pieces.area)
     pixel, centre = project(camera, pieces.middle), project(camera, place)
     # NaN behind the camera and outside the valid range of its lens model.
-    shown = np.flatnonzero((cosine > _FACING) & np.isfinite(pixel).all(axis=1))
-    faces = _cosine(camera, place, normal) > _FACING
+    shown = np.flatnonzero((cosine > _MIN_COSINE) & np.isfinite(pixel).all(axis=1))
+    faces = _cosine(camera, place, normal) > _MIN_COSINE
     seen = np.flatnonzero(faces & np.isfinite(centre).all(axis=1))
     middle, pixel, centre = pieces.middle[shown], pixel[shown], centre[seen]
     cover = cosine[shown] * np.linalg.norm(pieces.area[shown], axis=1)
@@ -181,24 +181,25 @@ def _in_windows(
     found = cKDTree(pixel).query_ball_point(centre, widest, p=np.inf)
     first = np.repeat(np.arange(len(seen)), list(map(len, found)))
     second = np.concatenate([*found, []]).astype(np.int64)
-    apart = np.abs(pixel[second] - centre[first])
-    beyond = (apart - half[second, None]) / side[second, None]
-    share = np.clip(0.5 - beyond, 0.0, 1.0).prod(axis=1)
-    counts = np.flatnonzero(share > 0.0)
+    offset = np.abs(pixel[second] - centre[first])
+    beyond = (offset - half[second, None]) / side[second, None]
+    fraction = np.clip(0.5 - beyond, 0.0, 1.0).prod(axis=1)
+    counts = np.flatnonzero(fraction > 0.0)
     first, second = first[counts], second[counts]
     return csr_array(
-        (share[counts] * cover[second], (seen[first], shown[second])),
+        (fraction[counts] * cover[second], (seen[first], shown[second])),
         shape=(len(place), len(pieces.middle)),
     )
 
 
-def _moments(windows: LocalFits, mean: bsr_array, bends: LocalFits) -> list[bsr_array]:
+def _moments(windows: LocalFits, mean: bsr_array, curvature_fits: LocalFits) -> list[bsr_array]:
     """Response of each window to each second-order term of a motion about its point."""
     monomials, _ = local_terms(windows)
     every = np.arange(len(windows.place) + 1)
-    scale = ((windows.reach / bends.reach) ** 2)[:, None, None]
+    scale = ((windows.reach / curvature_fits.reach) ** 2)[:, None, None]
     moments = [
-        scale * sums_about(windows, monomials[:, term, None, None] * mean.data) for term in _BENDS
+        scale * sum_over_points(windows, monomials[:, term, None, None] * mean.data)
+        for term in _SECOND_ORDER
     ]
     return [bsr_array((moment, every[:-1], every)) for moment in moments]
 
@@ -208,7 +209,7 @@ def _used(weights: csr_array, points: Points) -> SurfaceAverage:
     up to the identity, or whose absolute sum is too large."""
     blocks = (weights @ np.tile(np.eye(3), (len(points), 1))).reshape(-1, 3, 3)
     whole = np.abs(blocks - np.eye(3)).max(axis=(1, 2)) < _ROUNDING
-    whole &= abs(weights).sum(axis=1).reshape(-1, 3).max(axis=1) < _MOST_WEIGHT
+    whole &= abs(weights).sum(axis=1).reshape(-1, 3).max(axis=1) < _MAX_WEIGHT
     kept = csr_array(diags_array(np.repeat(whole.astype(np.float64), 3)) @ weights)
     kept.eliminate_zeros()
     used = np.zeros(3 * len(points), dtype=bool)

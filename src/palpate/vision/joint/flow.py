@@ -225,14 +225,16 @@ class JointFlow:
         rows = np.flatnonzero(followed & (missing | sample))
         earlier = np.zeros_like(motion)
         earlier[:, 0] = last.displacement
-        earlier[:, 1:3] = last.gradient * scene.extent[:, None, None]
+        earlier[:, 1:3] = last.gradient * scene.half_window[:, None, None]
         there = scene_rows(advanced_scene(scene, before, earlier, followed), rows)
         ahead = np.zeros((len(rows), 6, 3))
         ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
         further, after = self._flow(there, now, ahead)
-        extent = scene.extent[rows]
-        whole = composed_motion(earlier[rows], after, scene.tangent[rows], there.tangent, extent)
-        return _completed(direct, motion, last, further, whole, extent, rows)
+        half_window = scene.half_window[rows]
+        whole = composed_motion(
+            earlier[rows], after, scene.tangent[rows], there.tangent, half_window
+        )
+        return _completed(direct, motion, last, further, whole, half_window, rows)
 
 
 def _flow_start(
@@ -267,26 +269,28 @@ def _smooth_start(
     result = np.full((len(displacement), 6, 3), np.nan)
     if not good.any():
         return result
-    reach = _START_REACH * float(np.median(scene.extent))
-    spread = covariance[good]
+    reach = _START_REACH * float(np.median(scene.half_window))
+    noise = covariance[good]
     scatter = Scatter(
-        scene.point[good], scene.pixel[good], displacement[good], spread, 0.0 * spread, 1
+        scene.point[good], scene.pixel[good], displacement[good], noise, 0.0 * noise, 1
     )
     field = local_field(scatter, scene.point, scene.tangent, reach=reach, order=1)
     result[:, 0] = field.displacement
-    result[:, 1:3] = field.gradient * scene.extent[:, None, None]
+    result[:, 1:3] = field.gradient * scene.half_window[:, None, None]
     result[np.isfinite(field.displacement).all(axis=1), 3:] = 0.0
     return result
 
 
 def _unsmoothed_where_turned(scene: Scene, start: Float[np.ndarray, "n 6 3"]) -> Scene:
     """The scene, with unsmoothed pictures if the surface rotates or stretches strongly."""
-    gradient = np.linalg.norm(start[:, 1:3] / scene.extent[:, None, None], axis=(1, 2))
+    gradient = np.linalg.norm(start[:, 1:3] / scene.half_window[:, None, None], axis=(1, 2))
     gradient = gradient[np.isfinite(gradient)]
     if len(gradient) == 0 or np.median(gradient) <= _MAX_SMOOTHED_GRADIENT:
         return scene
-    spread = scene.spread - scene.smoothing**2
-    return replace(scene, pictures=spline_pictures(scene.grey, 0.0), smoothing=0.0, spread=spread)
+    blur_variance = scene.blur_variance - scene.smoothing**2
+    return replace(
+        scene, pictures=spline_pictures(scene.grey, 0.0), smoothing=0.0, blur_variance=blur_variance
+    )
 
 
 def _completed(
@@ -295,7 +299,7 @@ def _completed(
     last: RangeFlow,
     further: RangeFlow,
     whole: Float[np.ndarray, "k 6 3"],
-    extent: Float[np.ndarray, " k"],
+    half_window: Float[np.ndarray, " k"],
     rows: Int[np.ndarray, " k"],
 ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
     """The direct flow and motion, replaced by those via the last instant where they are missing.
@@ -307,11 +311,11 @@ def _completed(
     both, take = found & directly, found & ~directly
     drift = np.nan
     if both.any():
-        apart = whole[both, 0] - direct.displacement[rows[both]]
-        drift = float(np.sqrt((apart**2).sum(axis=1).mean()))
+        difference = whole[both, 0] - direct.displacement[rows[both]]
+        drift = float(np.sqrt((difference**2).sum(axis=1).mean()))
     values = {
         "displacement": whole[:, 0],
-        "gradient": whole[:, 1:3] / extent[:, None, None],
+        "gradient": whole[:, 1:3] / half_window[:, None, None],
         "covariance": last.covariance[rows] + further.covariance,
         "bias": last.bias[rows] + further.bias,
         "score": further.score,
@@ -332,7 +336,7 @@ def composed_motion(
     after: Float[np.ndarray, "k 6 3"],
     first: Float[np.ndarray, "k 2 3"],
     second: Float[np.ndarray, "k 2 3"],
-    extent: Float[np.ndarray, " k"],
+    half_window: Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, "k 6 3"]:
     """Composition of two motions, including first derivatives.
 
@@ -340,16 +344,16 @@ def composed_motion(
     ----------
     before, after : (k, 6, 3) float [m]     as in `Match`
     first, second : (k, 2, 3) float         tangents along which their derivatives are taken
-    extent : (k,) float [m]                 half side of a window on the surface
+    half_window : (k,) float [m]            half side of a window on the surface
 
     Returns
     -------
     (k, 6, 3) float [m]                     second-order terms are zero
     """
-    images = first + before[:, 1:3] / extent[:, None, None]
+    images = first + before[:, 1:3] / half_window[:, None, None]
     # Each image is a combination of the second tangents; its small normal part is neglected.
-    share = np.einsum("kai,kbi->kab", images, second)
+    coefficients = np.einsum("kai,kbi->kab", images, second)
     result = np.zeros_like(before)
     result[:, 0] = before[:, 0] + after[:, 0]
-    result[:, 1:3] = before[:, 1:3] + np.einsum("kab,kbi->kai", share, after[:, 1:3])
+    result[:, 1:3] = before[:, 1:3] + np.einsum("kab,kbi->kai", coefficients, after[:, 1:3])
     return result

@@ -63,7 +63,7 @@ def match_scene(
     known = _with_derivatives(scene, match)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
     final = limits._replace(bases=BASES[shape])
-    last = _refined(scene, rows, moved, known[rows], match.use[rows], noise, final)
+    last = _refined(scene, rows, moved, known[rows], match.cameras[rows], noise, final)
     match = _replaced(match, last, rows)
     return match, _noise(match)
 
@@ -73,12 +73,12 @@ def _refined(
     rows: Int[np.ndarray, " k"],
     moved: Sequence[SplinePicture],
     start: Float[np.ndarray, "k 6 3"],
-    use: Bool[np.ndarray, "k c"],
+    cameras: Bool[np.ndarray, "k c"],
     noise: Float[np.ndarray, " c"],
     limits: Limits,
 ) -> Match:
     """`refine_joint`, with covariances scaled by each match's own residual variance."""
-    found = refine_joint(scene, rows, moved, start, use, noise, limits)
+    found = refine_joint(scene, rows, moved, start, cameras, noise, limits)
     # `noise` is that of the whole picture; a window with a larger residual is less certain.
     return found._replace(covariance=found.covariance * _excess(found, noise)[:, None, None])
 
@@ -94,7 +94,7 @@ def used_cameras(match: Match) -> Bool[np.ndarray, "n c"]:
     -------
     (n, c) bool
     """
-    return match.use & np.isfinite(match.left)
+    return match.cameras & np.isfinite(match.residual_variance)
 
 
 def mean_over(
@@ -118,18 +118,18 @@ def mean_over(
 
 def _excess(match: Match, noise: Float[np.ndarray, " c"]) -> Float[np.ndarray, " n"]:
     """Ratio of each match's residual variance to that of the noise, averaged over its cameras."""
-    return mean_over(match.left / noise**2, used_cameras(match))
+    return mean_over(match.residual_variance / noise**2, used_cameras(match))
 
 
 def _noise(match: Match) -> Float[np.ndarray, " c"]:
     """Residual standard deviation in each camera, from the median over points [grey levels]."""
     found = match.outcome == Outcome.VALID
-    noise = np.ones(match.left.shape[1])
+    noise = np.ones(match.residual_variance.shape[1])
     for c in range(len(noise)):
-        left = match.left[found & np.isfinite(match.left[:, c]), c]
-        if len(left) > 0:
+        residuals = match.residual_variance[found & np.isfinite(match.residual_variance[:, c]), c]
+        if len(residuals) > 0:
             # At least the rounding noise of two pictures in whole grey levels.
-            noise[c] = np.sqrt(max(float(np.median(left)), 1.0 / 6.0))
+            noise[c] = np.sqrt(max(float(np.median(residuals)), 1.0 / 6.0))
     return noise
 
 
@@ -146,7 +146,7 @@ def changed_cameras(match: Match, noise: Float[np.ndarray, " c"]) -> Bool[np.nda
     (n, c) bool                     True where the rms residual exceeds twice the noise
     """
     with np.errstate(invalid="ignore"):
-        return match.use & (match.left > (_MAX_EXCESS * noise) ** 2)
+        return match.cameras & (match.residual_variance > (_MAX_EXCESS * noise) ** 2)
 
 
 def _fits(match: Match, noise: Float[np.ndarray, " c"]) -> Bool[np.ndarray, " n"]:
@@ -168,16 +168,16 @@ def _without_one_camera(
     A camera whose view is covered biases the common motion until no camera fits, so its residual
     alone does not identify it; the others fit once it is left out.
     """
-    own_use = match.use
-    again = np.flatnonzero(~_fits(match, noise) & (own_use.sum(axis=1) >= 3))
-    best = np.full(len(own_use), np.inf)
-    for c in range(own_use.shape[1]):
-        some = again[own_use[again, c]]
+    all_cameras = match.cameras
+    again = np.flatnonzero(~_fits(match, noise) & (all_cameras.sum(axis=1) >= 3))
+    best = np.full(len(all_cameras), np.inf)
+    for c in range(all_cameras.shape[1]):
+        some = again[all_cameras[again, c]]
         if len(some) == 0:
             continue
-        use = own_use[some].copy()
-        use[:, c] = False
-        tried = _refined(scene, rows[some], moved, start[some], use, noise, limits)
+        cameras = all_cameras[some].copy()
+        cameras[:, c] = False
+        tried = _refined(scene, rows[some], moved, start[some], cameras, noise, limits)
         excess = _excess(tried, noise)
         with np.errstate(invalid="ignore"):
             better = _fits(tried, noise) & (excess < best[some])
@@ -205,12 +205,12 @@ def _second_tries(
     known = np.isfinite(guess.displacement).all(axis=1)
     size = pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point)
     with np.errstate(invalid="ignore"):
-        away = np.linalg.norm(match.motion[:, 0] - guess.displacement, axis=1)
-        far = ~(away < size)
+        distance = np.linalg.norm(match.motion[:, 0] - guess.displacement, axis=1)
+        far = ~(distance < size)
     rows = np.flatnonzero(may & ~fits & known & far)
     restart = np.zeros((len(rows), 6, 3))
     restart[:, 0] = guess.displacement[rows]
-    restart[:, 1:3] = guess.gradient[rows] * scene.extent[rows, None, None]
+    restart[:, 1:3] = guess.gradient[rows] * scene.half_window[rows, None, None]
     return rows, restart
 
 
@@ -227,7 +227,7 @@ def predicted_motion(scene: Scene, match: Match, valid: Bool[np.ndarray, " n"]) 
     -------
     Prediction                      NaN where fewer than three neighbours are valid
     """
-    gradient = match.motion[:, 1:3] / scene.extent[:, None, None]
+    gradient = match.motion[:, 1:3] / scene.half_window[:, None, None]
     return predicted(
         scene.point,
         scene.tangent,
@@ -257,7 +257,7 @@ def _with_derivatives(scene: Scene, match: Match) -> Float[np.ndarray, "n 6 3"]:
         scene.tangent,
         reach=neighbourhood(scene),
     )
-    size = scene.extent[good, None, None]
+    size = scene.half_window[good, None, None]
     motion[good, 0] = match.motion[good, 0]
     motion[good, 1:3] = field.gradient[good] * size
     motion[good, 3:] = field.curvature[good] * size**2
@@ -266,4 +266,4 @@ def _with_derivatives(scene: Scene, match: Match) -> Float[np.ndarray, "n 6 3"]:
 
 def neighbourhood(scene: Scene) -> float:
     """Radius of the neighbourhood of a point [m]; 1 for a scene without points."""
-    return BEND_REACH * float(np.median(scene.extent)) if len(scene.extent) else 1.0
+    return BEND_REACH * float(np.median(scene.half_window)) if len(scene.half_window) else 1.0

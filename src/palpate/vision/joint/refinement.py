@@ -32,12 +32,14 @@ from palpate.vision.joint.window import (
 )
 from palpate.vision.matching import (
     window_blocks_kernel,
+    window_coupling_sums_kernel,
     window_hessian_kernel,
     window_right_kernel,
-    window_side_sums_kernel,
 )
 from palpate.vision.range_flow import Outcome
 from palpate.vision.small_systems import (
+    add_congruence_kernel,
+    add_transposed_kernel,
     cholesky_inverse_kernel,
     cholesky_kernel,
     cholesky_solve_kernel,
@@ -54,15 +56,15 @@ _MIN_POINTS_PER_THREAD = 8
 # Blocks along a side of a window whose residuals are treated as mutually independent.
 BLOCKS = 3
 # Data of the first instant: tuples of c arrays, except for the packed cameras (c, 25) and the blur
-# variance `spread` (c,) [px^2].
-_First = namedtuple("_First", "cameras grey along_column along_row surface inner spread")
+# variance `blur_variance` (c,) [px^2].
+_First = namedtuple("_First", "cameras grey along_column along_row surface interior blur_variance")
 # Points to track: (n, 3), (n, 2, 3) tangents, (n,) half side of a window on the surface [m].
-_Points = namedtuple("_Points", "point tangent extent")
+_Points = namedtuple("_Points", "point tangent half_window")
 # Work arrays of one thread. Functions that take them are inlined: so many arguments compile slowly.
 _Work = namedtuple(
     "_Work",
-    "window place sampled sums moments normal mapping jacobian contents centre hessian inverse"
-    " right total q frame active blocks meat light",
+    "window place sampled sums moments normal mapping jacobian statistics centre hessian inverse"
+    " right total q frame active blocks score_covariance illumination",
 )
 
 
@@ -79,7 +81,7 @@ class Limits(NamedTuple):
                                     object rotates in the light, tools cast soft shadows
     tolerance : float [px]          the iteration ends when a step is shorter; far below the noise
     reach : float [px]              a window that moves farther than this from its start is lost
-    least_share : float             fraction of the window that must show the surface at rest
+    min_fraction : float            fraction of the window that must show the surface at rest
     """
 
     half: int
@@ -88,7 +90,7 @@ class Limits(NamedTuple):
     shading: bool = True
     tolerance: float = 1e-3
     reach: float = 6.0
-    least_share: float = 0.6
+    min_fraction: float = 0.6
 
 
 class Match(NamedTuple):
@@ -96,27 +98,27 @@ class Match(NamedTuple):
 
     Attributes
     ----------
-    motion : (n, 6, 3) float [m]        u, its derivatives along the tangents times the extent, its
-                                        second-order terms times the square of the extent
+    motion : (n, 6, 3) float [m]        u, its derivatives along the tangents times the half window,
+                                        its second-order terms times the square of that
     covariance : (n, 3, 3) float [m^2]  of u for white noise of the given standard deviations
     score : (n, c) float                normalised cross-correlation
-    left : (n, c) float [grey levels^2] residual variance
-    own : (n, c, 2) float [px]          further step that each camera alone would take
-    own_variance : (n, c) float [px^2]  variance of `own` per component
-    rough : (n,) float [-]              ratio of the variance of u from the residuals in blocks
+    residual_variance : (n, c) float [grey levels^2] residual variance
+    own_step : (n, c, 2) float [px]     further step that each camera alone would take
+    own_variance : (n, c) float [px^2]  variance of `own_step` per component
+    variance_ratio : (n,) float [-]     ratio of the variance of u from the residuals in blocks
                                         (sandwich estimate) to that from white residuals
-    use : (n, c) bool                   cameras to use, as given
+    cameras : (n, c) bool               cameras to use, as given
     outcome : (n,) int                  VALID, HIDDEN, TEXTURE, OUTSIDE or LOST
     """
 
     motion: Float[np.ndarray, "n 6 3"]
     covariance: Float[np.ndarray, "n 3 3"]
     score: Float[np.ndarray, "n c"]
-    left: Float[np.ndarray, "n c"]
-    own: Float[np.ndarray, "n c 2"]
+    residual_variance: Float[np.ndarray, "n c"]
+    own_step: Float[np.ndarray, "n c 2"]
     own_variance: Float[np.ndarray, "n c"]
-    rough: Float[np.ndarray, " n"]
-    use: Bool[np.ndarray, "n c"]
+    variance_ratio: Float[np.ndarray, " n"]
+    cameras: Bool[np.ndarray, "n c"]
     outcome: Int[np.ndarray, " n"]
 
 
@@ -125,7 +127,7 @@ def refine_joint(
     rows: Int[np.ndarray, " n"],
     moved: Sequence[SplinePicture],
     start: Float[np.ndarray, "n 6 3"],
-    use: Bool[np.ndarray, "n c"],
+    cameras: Bool[np.ndarray, "n c"],
     noise: Float[np.ndarray, " c"],
     limits: Limits,
 ) -> Match:
@@ -137,7 +139,7 @@ def refine_joint(
     rows : (n,) int                     indices of the points to track
     moved : sequence of c SplinePicture     the later instant
     start : (n, 6, 3) float [m]         initial motion, as in `Match`; points with NaN are skipped
-    use : (n, c) bool                   cameras to use for each point
+    cameras : (n, c) bool               cameras to use for each point
     noise : (c,) float [grey levels]    residual standard deviation, which weights the cameras
     limits : Limits
 
@@ -150,30 +152,30 @@ def refine_joint(
     Baker and Matthews, Lucas-Kanade 20 years on, International Journal of Computer Vision 56
     (2004), for the inverse-compositional algorithm.
     """
-    count, views = use.shape
+    count, views = cameras.shape
     shapes = ((6, 3), (3, 3), (views,), (views,), (views, 2), (views,), ())
     arrays = [np.full((count, *shape), np.nan) for shape in shapes]
-    found = Match._make([*arrays, np.ascontiguousarray(use), np.full(count, _LOST)])
+    found = Match._make([*arrays, np.ascontiguousarray(cameras), np.full(count, _LOST)])
     pictures = scene.pictures
     first = _First(
         scene.packed,
-        _of_four([picture.grey for picture in pictures]),
-        _of_four([picture.along_column for picture in pictures]),
-        _of_four([picture.along_row for picture in pictures]),
-        _of_four(scene.surface),
-        _of_four(scene.inner),
-        scene.spread,
+        _padded_to_four([picture.grey for picture in pictures]),
+        _padded_to_four([picture.along_column for picture in pictures]),
+        _padded_to_four([picture.along_row for picture in pictures]),
+        _padded_to_four(scene.surface),
+        _padded_to_four(scene.interior),
+        scene.blur_variance,
     )
     in_threads(
-        _refine_range, count, first, _of_four([picture.coefficients for picture in moved]),
-        _Points(scene.point[rows], scene.tangent[rows], scene.extent[rows]),
+        _refine_range, count, first, _padded_to_four([picture.coefficients for picture in moved]),
+        _Points(scene.point[rows], scene.tangent[rows], scene.half_window[rows]),
         np.ascontiguousarray(start), np.isfinite(start).all(axis=(1, 2)), noise, limits, found,
         fewest=_MIN_POINTS_PER_THREAD,
     )  # fmt: skip
     return found
 
 
-def _of_four(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+def _padded_to_four(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     """The arrays of all cameras as a tuple, padded to four with empty ones.
 
     The kernel is recompiled for every tuple length, which takes many seconds.
@@ -190,7 +192,7 @@ def _refine_range(begin, end, first, moved, points, start, known, noise, limits,
         if not known[i]:
             continue
         _set_kernel(work.q, start[i])
-        outcome[i] = _prepare_kernel(first, points, i, found.use[i], noise, limits, work)
+        outcome[i] = _prepare_kernel(first, points, i, found.cameras[i], noise, limits, work)
         if outcome[i] == _VALID:
             outcome[i] = _iterate_kernel(first, moved, points, i, start[i], noise, limits, work)
         if outcome[i] == _VALID:
@@ -218,7 +220,7 @@ def _make_work(views, half, bases):
         normal=np.empty((views, 2 * bases, 2 * bases)),
         mapping=np.empty((views, 2 * bases, 3 * bases)),
         jacobian=np.empty((2, 3)),
-        contents=np.empty((views, 3)),
+        statistics=np.empty((views, 3)),
         centre=np.empty((views, 2), dtype=np.int64),
         hessian=np.empty((3 * bases, 3 * bases)),
         inverse=np.empty((3 * bases, 3 * bases)),
@@ -228,59 +230,58 @@ def _make_work(views, half, bases):
         frame=np.empty((3, 3)),
         active=np.empty(views, dtype=np.bool_),
         blocks=np.empty((BLOCKS * BLOCKS, 2 * bases)),
-        meat=np.empty((3 * bases, 3 * bases)),
-        light=np.empty(5),
+        score_covariance=np.empty((3 * bases, 3 * bases)),
+        illumination=np.empty(5),
     )
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _prepare_kernel(first, points, i, use, noise, limits, work):
+def _prepare_kernel(first, points, i, cameras, noise, limits, work):
     """Load all windows of one point and factorise its Gauss-Newton matrix; an outcome."""
-    point, tangent, extent = points.point[i], points.tangent[i], points.extent[i]
+    point, tangent, half_window = points.point[i], points.tangent[i], points.half_window[i]
     seen = 0
-    for c in range(len(use)):
-        work.active[c] = use[c] and load_camera_kernel(
+    for c in range(len(cameras)):
+        work.active[c] = cameras[c] and load_camera_kernel(
             first.cameras[c], first.grey[c], first.along_column[c], first.along_row[c],
-            first.surface[c], first.inner[c], point, tangent, extent, limits.half,
-            limits.least_share, limits.shading, first.spread[c], work.window[c], work.place[c],
-            work.centre[c], work.contents[c],
+            first.surface[c], first.interior[c], point, tangent, half_window, limits.half,
+            limits.min_fraction, limits.shading, first.blur_variance[c], work.window[c],
+            work.place[c], work.centre[c], work.statistics[c],
         )  # fmt: skip
         seen += work.active[c]
     if seen < 2:
         return _HIDDEN
     hessian = work.hessian
     hessian[:] = 0.0
-    for c in range(len(use)):
+    for c in range(len(cameras)):
         if not work.active[c]:
             continue
-        window_side_sums_kernel(work.window[c], limits.half, work.sums[c], work.moments)
+        window_coupling_sums_kernel(work.window[c], limits.half, work.sums[c], work.moments)
         window_hessian_kernel(
-            work.window[c], limits.half, limits.bases, work.contents[c, 0], work.contents[c, 2],
+            work.window[c], limits.half, limits.bases, work.statistics[c, 0], work.statistics[c, 2],
             work.sums[c], work.moments, work.normal[c],
         )  # fmt: skip
         mapping_kernel(
-            first.cameras[c], point, tangent, extent, limits.half, limits.bases, work.centre[c],
-            work.jacobian, work.mapping[c],
+            first.cameras[c], point, tangent, half_window, limits.half, limits.bases,
+            work.centre[c], work.jacobian, work.mapping[c],
         )  # fmt: skip
-        product = np.dot(work.normal[c], work.mapping[c])
-        hessian += np.dot(work.mapping[c].T, product) / noise[c] ** 2
+        add_congruence_kernel(work.normal[c], work.mapping[c], 1.0 / noise[c] ** 2, hessian)
     return _VALID if cholesky_kernel(hessian) else _TEXTURE
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
     """Gauss-Newton steps until convergence, leaving the motion in `work.q`; an outcome."""
-    point, tangent, extent = points.point[i], points.tangent[i], points.extent[i]
+    point, tangent, half_window = points.point[i], points.tangent[i], points.half_window[i]
     total = work.total
     for _ in range(limits.iterations):
         total[:] = 0.0
-        deformed_frame_kernel(work.q, tangent, extent, work.frame)
+        deformed_frame_kernel(work.q, tangent, half_window, work.frame)
         for c in range(len(noise)):
             if not work.active[c]:
                 continue
-            gain, _share = _right_kernel(first, moved, points, i, c, limits, work)
+            gain, _noise_fraction = _right_kernel(first, moved, points, i, c, limits, work)
             if gain > 0.0:
-                total += np.dot(work.mapping[c].T, work.right) / noise[c] ** 2
+                add_transposed_kernel(work.mapping[c], work.right, 1.0 / noise[c] ** 2, total)
         cholesky_solve_kernel(work.hessian, total)
         update_kernel(work.q, work.frame, tangent, total, limits.bases)
         step, away = pixel_lengths_kernel(first.cameras, point, work.active, total, work.q, start)
@@ -298,33 +299,34 @@ def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
 def _right_kernel(first, moved, points, i, c, limits, work):
     """Right-hand side of one camera at the current motion, in `work.right`.
 
-    Returns the gain and the fraction of noise variance left by interpolation. `work.light` is
-    filled, see `window_right_kernel`.
+    Returns the gain and the fraction of noise variance left by interpolation. `work.illumination`
+    is filled, see `window_right_kernel`.
     """
-    share = sample_surface_kernel(
+    noise_fraction = sample_surface_kernel(
         first.cameras[c], moved[c], work.place[c], work.window[c, 3], points.point[i], work.q,
-        work.frame, points.extent[i], limits.half, work.sampled,
+        work.frame, points.half_window[i], limits.half, work.sampled,
     )  # fmt: skip
     gain = window_right_kernel(
-        work.window[c], work.sampled, limits.half, limits.bases, work.contents[c, 0],
-        work.contents[c, 1], work.contents[c, 2], work.sums[c], work.right, work.light,
+        work.window[c], work.sampled, limits.half, limits.bases, work.statistics[c, 0],
+        work.statistics[c, 1], work.statistics[c, 2], work.sums[c], work.right, work.illumination,
     )  # fmt: skip
-    return gain, share
+    return gain, noise_fraction
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
     """Store the motion of a point, its covariance, and the residuals in each camera."""
     bases, views = limits.bases, len(noise)
-    score, left, own = found.score[i], found.left[i], found.own[i]
+    score, own_step = found.score[i], found.own_step[i]
+    residual_variance = found.residual_variance[i]
     _set_kernel(found.motion[i], work.q)
     cholesky_inverse_kernel(work.hessian, work.inverse)
     for a in range(3):
         for b in range(3):
             found.covariance[i, a, b] = work.inverse[a * bases, b * bases]
-    deformed_frame_kernel(work.q, points.tangent[i], points.extent[i], work.frame)
-    meat = work.meat
-    meat[:] = 0.0
+    deformed_frame_kernel(work.q, points.tangent[i], points.half_window[i], work.frame)
+    score_covariance = work.score_covariance
+    score_covariance[:] = 0.0
     seen = 0
     for c in range(views):
         seen += work.active[c]
@@ -332,33 +334,38 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
     for c in range(views):
         if not work.active[c]:
             continue
-        gain, share = _right_kernel(first, moved, points, i, c, limits, work)
-        squares = work.light[4]
+        gain, noise_fraction = _right_kernel(first, moved, points, i, c, limits, work)
+        squares = work.illumination[4]
         if not gain > 0.0:
             score[c] = 0.0
-            left[c] = np.inf
+            residual_variance[c] = np.inf
             continue
-        inside, square = work.contents[c, 0], work.contents[c, 2]
+        count, square = work.statistics[c, 0], work.statistics[c, 2]
         score[c] = np.sqrt(square / (square + squares))
-        free = max(inside - 4.0 - 3.0 * bases / seen, 1.0)
-        left[c] = 2.0 / (1.0 + share) * squares / free
-        excess += left[c] / noise[c] ** 2 / seen
+        freedom = max(count - 4.0 - 3.0 * bases / seen, 1.0)
+        residual_variance[c] = 2.0 / (1.0 + noise_fraction) * squares / freedom
+        excess += residual_variance[c] / noise[c] ** 2 / seen
         window_blocks_kernel(
             work.window[c],
             work.sampled,
             limits.half,
             bases,
-            work.contents[c, 1],
-            work.light,
+            work.statistics[c, 1],
+            work.illumination,
             work.blocks,
         )
-        shares = np.dot(work.blocks, work.mapping[c]) / noise[c] ** 2
-        meat += np.dot(shares.T, shares)
+        for block in work.blocks:
+            work.total[:] = 0.0
+            add_transposed_kernel(work.mapping[c], block, 1.0 / noise[c] ** 2, work.total)
+            for k in range(3 * bases):
+                for m in range(3 * bases):
+                    score_covariance[k, m] += work.total[k] * work.total[m]
         if cholesky_kernel(work.normal[c]):
             cholesky_solve_kernel(work.normal[c], work.right)
-            own[c, 0] = -work.right[0]
-            own[c, 1] = -work.right[bases]
-            found.own_variance[i, c] = left[c] * _mean_variance_kernel(work.normal[c], work.right)
+            own_step[c, 0] = -work.right[0]
+            own_step[c, 1] = -work.right[bases]
+            mean = _mean_variance_kernel(work.normal[c], work.right)
+            found.own_variance[i, c] = residual_variance[c] * mean
     # Correct for the 3 bases degrees of freedom that the fit takes from few blocks.
     blocks = seen * BLOCKS * BLOCKS
     correction = blocks / max(blocks - 3.0 * bases, 1.0)
@@ -366,9 +373,11 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
     for a in range(3):
         row = work.inverse[a * bases]
         white += row[a * bases]
-        robust += np.dot(row, np.dot(meat, row))
+        for k in range(3 * bases):
+            for m in range(3 * bases):
+                robust += row[k] * score_covariance[k, m] * row[m]
     # Identical pictures leave no residual: treated as white.
-    found.rough[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
+    found.variance_ratio[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
 
 
 @njit(cache=True, error_model="numpy")

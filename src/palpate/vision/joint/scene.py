@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
 from palpate.vision.cameras import SurfaceMap, packed_rig, pixel_sizes, surface_map, visible
-from palpate.vision.images import SplinePicture, point_spread, spline_pictures
+from palpate.vision.images import SplinePicture, point_spread_variance, spline_pictures
 from palpate.vision.range_flow import grid_points, grid_triangles
 
 # Pixels this close to an outline mix object and background, by the support of the pixel response
@@ -33,17 +33,17 @@ class Scene:
     grey : tuple of c (rows, columns) float [grey levels]   the original pictures
     pictures : tuple of c SplinePicture     the same, smoothed, prepared for matching
     surface : tuple of c (rows, columns, 3) float32 [m]     point behind each pixel, NaN where none
-    inner : tuple of c (rows, columns) float32      1 where a pixel shows only one unbroken part of
+    interior : tuple of c (rows, columns) float32   1 where a pixel shows only one unbroken part of
                                         the surface, else 0
     pixel : (n, 2) float [px]           of the points, in the reference camera
     point : (n, 3) float [m]            on the surface
     tangent : (n, 2, 3) float           two orthonormal tangents there
-    extent : (n,) float [m]             half side of a window on the surface
+    half_window : (n,) float [m]        half side of a window on the surface
     seen : (n, c) bool                  which cameras see the point
     subset : int [px]                   side of a window
     step : int [px]                     spacing of the points in the reference camera
     smoothing : float [px]              standard deviation of the Gaussian low-pass of `pictures`
-    spread : (c,) float [px^2]          blur variance of `pictures`: lens, sensor and low-pass
+    blur_variance : (c,) float [px^2]   blur variance of `pictures`: lens, sensor and low-pass
     """
 
     rig: Rig
@@ -51,16 +51,16 @@ class Scene:
     grey: tuple[Float[np.ndarray, "_ _"], ...]
     pictures: tuple[SplinePicture, ...]
     surface: tuple[Float[np.ndarray, "_ _ 3"], ...]
-    inner: tuple[Float[np.ndarray, "_ _"], ...]
+    interior: tuple[Float[np.ndarray, "_ _"], ...]
     pixel: Float[np.ndarray, "n 2"]
     point: Points
     tangent: Float[np.ndarray, "n 2 3"]
-    extent: PointScalars
+    half_window: PointScalars
     seen: Bool[np.ndarray, "n c"]
     subset: int
     step: int
     smoothing: float
-    spread: Float[np.ndarray, " c"]
+    blur_variance: Float[np.ndarray, " c"]
 
 
 def make_scene(
@@ -88,23 +88,24 @@ def make_scene(
     Scene                           with no points if the reference camera sees none
     """
     maps, views = _views(rig, pictures, vertices, triangles, smoothing)
-    shown = views["inner"][rig.reference] > 0.0
+    shown = views["interior"][rig.reference] > 0.0
     pixel, point, tangent = grid_points(maps[rig.reference], shown, vertices, triangles, step)
-    extent = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], point)
+    half_window = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], point)
     # More than half a window behind the surface means hidden by another part of it.
-    tolerance = float(np.median(extent)) if len(extent) else 0.0
+    tolerance = float(np.median(half_window)) if len(half_window) else 0.0
     return Scene(
         rig=rig,
         packed=packed_rig(rig),
         pixel=pixel.astype(np.float64),
         point=point,
         tangent=tangent,
-        extent=extent,
+        half_window=half_window,
         seen=_seen(rig, maps, point, tolerance),
         subset=subset,
         step=step,
         smoothing=smoothing,
-        spread=np.array([point_spread(picture) for picture in pictures]) + smoothing**2,
+        blur_variance=np.array([point_spread_variance(picture) for picture in pictures])
+        + smoothing**2,
         **views,
     )
 
@@ -132,7 +133,7 @@ def advanced_scene(
     rows = np.flatnonzero(valid)
     triangles = grid_triangles(scene.pixel[rows], scene.step)
     maps, views = _views(scene.rig, grey, moved[rows], triangles, scene.smoothing)
-    seen = _seen(scene.rig, maps, moved, float(np.median(scene.extent)))
+    seen = _seen(scene.rig, maps, moved, float(np.median(scene.half_window)))
     return replace(
         scene,
         point=moved,
@@ -154,11 +155,11 @@ def scene_rows(scene: Scene, rows: Int[np.ndarray, " k"]) -> Scene:
     -------
     Scene                           of k points; pictures and surfaces are shared
     """
-    names = ("pixel", "point", "tangent", "extent", "seen")
+    names = ("pixel", "point", "tangent", "half_window", "seen")
     return replace(scene, **{name: getattr(scene, name)[rows] for name in names})
 
 
-def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows columns"]:
+def interior_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows columns"]:
     """1 where a pixel and its neighbours within 2 px show one unbroken part of the surface, else 0.
 
     Parameters
@@ -176,11 +177,11 @@ def inner_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "rows
     there = (surface.triangle >= 0).astype(np.uint8)
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
-            apart = np.abs(np.diff(depth, axis=axis)) > np.delete(allowed, 0, axis=axis)
+            jump = np.abs(np.diff(depth, axis=axis)) > np.delete(allowed, 0, axis=axis)
         near, far = [slice(None)] * 2, [slice(None)] * 2
         near[axis], far[axis] = slice(None, -1), slice(1, None)
-        there[tuple(near)][apart] = 0
-        there[tuple(far)][apart] = 0
+        there[tuple(near)][jump] = 0
+        there[tuple(far)][jump] = 0
     around = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), dtype=np.uint8)
     kept = cv2.erode(there, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return kept.astype(np.float32)
@@ -202,7 +203,7 @@ def _views(
         "grey": tuple(pictures),
         "pictures": spline_pictures(pictures, smoothing),
         "surface": tuple(np.ascontiguousarray(seen.point, dtype=np.float32) for seen in maps),
-        "inner": tuple(map(inner_pixels, maps, rig.cameras)),
+        "interior": tuple(map(interior_pixels, maps, rig.cameras)),
     }
 
 
@@ -221,7 +222,9 @@ def _moved_tangents(
     scene: Scene, motion: Float[np.ndarray, "n 6 3"], valid: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 2 3"]:
     """Orthonormal tangents of the moved surface."""
-    gradient = np.where(valid[:, None, None], motion[:, 1:3], 0.0) / scene.extent[:, None, None]
+    gradient = (
+        np.where(valid[:, None, None], motion[:, 1:3], 0.0) / scene.half_window[:, None, None]
+    )
     image = scene.tangent + gradient
     first = image[:, 0] / np.linalg.norm(image[:, 0], axis=1)[:, None]
     along = np.einsum("ni,ni->n", image[:, 1], first)

@@ -24,14 +24,14 @@ from palpate.vision.joint.refinement import Limits, Match, refine_joint
 from palpate.vision.joint.scene import Scene
 from palpate.vision.range_flow import Outcome
 
-# Number of windows used: enough for the width to 0.1 px, few compared with those of the flow.
+# Number of windows used: enough for the blur to 0.1 px, few compared with those of the flow.
 _WINDOWS = 100
 # Fewer windows do not represent the whole picture.
-_FEWEST = 8
+_MIN_WINDOWS = 8
 # Iterations on the remaining difference: a picture is not linear in a wide blur.
 _ROUNDS = 6
-# A width is applied if it exceeds this many of its standard errors.
-_SURE = 4.0
+# A difference of variances is applied if it exceeds this many of its standard errors.
+_SIGNIFICANT = 4.0
 # Smoothing of the pictures whose Laplacian is taken, against noise [px].
 _SMOOTHING = 1.0
 
@@ -55,46 +55,51 @@ def equally_sharp(
     tuple of c SplinePicture            smoothed like the scene's; blurred where the first one is
                                         less sharp
     """
-    width = np.zeros(len(now))
+    variance_difference = np.zeros(len(now))
     there, later = scene, spline_pictures(now, scene.smoothing)
     known = np.flatnonzero(np.isfinite(start).all(axis=(1, 2)))
     rows = known[:: max(len(known) // _WINDOWS, 1)]
-    if len(rows) < _FEWEST:
+    if len(rows) < _MIN_WINDOWS:
         return there, later
     for _ in range(_ROUNDS):
         seen = there, later
         if scene.smoothing < _SMOOTHING:
-            seen = _blurred(scene, now, width, _SMOOTHING)
-        found, error = _relative_width(*seen, rows, start[rows])
-        sure = np.abs(found) > _SURE * error
+            seen = _blurred(scene, now, variance_difference, _SMOOTHING)
+        found, error = _relative_variance(*seen, rows, start[rows])
+        sure = np.abs(found) > _SIGNIFICANT * error
         if not sure.any():
             break
-        width += np.where(sure, found, 0.0)
-        there, later = _blurred(scene, now, width, scene.smoothing)
-    if not width.any():
+        variance_difference += np.where(sure, found, 0.0)
+        there, later = _blurred(scene, now, variance_difference, scene.smoothing)
+    if not variance_difference.any():
         return there, later
     # Only one of the two is smoothed more, so the effective smoothing has half of the extra.
-    usual = float(np.sqrt(scene.smoothing**2 + 0.5 * np.abs(width).mean()))
+    usual = float(np.sqrt(scene.smoothing**2 + 0.5 * np.abs(variance_difference).mean()))
     return replace(there, smoothing=usual), later
 
 
 def _blurred(
-    scene: Scene, now: Greys, width: Float[np.ndarray, " c"], smoothing: float
+    scene: Scene, now: Greys, variance_difference: Float[np.ndarray, " c"], smoothing: float
 ) -> tuple[Scene, tuple[SplinePicture, ...]]:
-    """Both instants' pictures, smoothed; `width` [px^2] is extra blur variance for the first where
-    positive, for the later where negative."""
+    """Both instants' pictures, smoothed; `variance_difference` [px^2] is extra blur variance for
+    the first where positive, for the later where negative."""
     first, later = (
         tuple(
             make_spline_picture(grey, smoothing=float(np.sqrt(smoothing**2 + max(more, 0.0))))
-            for grey, more in zip(pictures, sign * width, strict=True)
+            for grey, more in zip(pictures, sign * variance_difference, strict=True)
         )
         for pictures, sign in ((scene.grey, 1.0), (now, -1.0))
     )
-    spread = scene.spread + smoothing**2 - scene.smoothing**2 + np.maximum(width, 0.0)
-    return replace(scene, pictures=first, spread=spread), later
+    blur_variance = (
+        scene.blur_variance
+        + smoothing**2
+        - scene.smoothing**2
+        + np.maximum(variance_difference, 0.0)
+    )
+    return replace(scene, pictures=first, blur_variance=blur_variance), later
 
 
-def _relative_width(
+def _relative_variance(
     scene: Scene,
     later: Sequence[SplinePicture],
     rows: Int[np.ndarray, " k"],
@@ -107,35 +112,37 @@ def _relative_width(
     match = refine_joint(scene, rows, later, start, scene.seen[rows], noise, limits)
     found, error = np.zeros(len(later)), np.full(len(later), np.inf)
     for c, picture in enumerate(later):
-        each = _window_widths(scene, picture, rows, match, c)
-        if len(each) >= _FEWEST:
+        each = _window_variances(scene, picture, rows, match, c)
+        if len(each) >= _MIN_WINDOWS:
             found[c] = np.median(each)
             # Standard error of the median, from the interquartile range.
-            spread = np.subtract(*np.quantile(each, [0.75, 0.25])) / 1.349
-            error[c] = 1.2533 * spread / np.sqrt(len(each))
+            sigma = np.subtract(*np.quantile(each, [0.75, 0.25])) / 1.349
+            error[c] = 1.2533 * sigma / np.sqrt(len(each))
     return found, error
 
 
-def _window_widths(
+def _window_variances(
     scene: Scene, later: SplinePicture, rows: Int[np.ndarray, " k"], match: Match, camera: int
 ) -> Float[np.ndarray, " w"]:
     """Relative blur variance in one camera, estimated from each window found [px^2]."""
     first = scene.pictures[camera]
     ours, theirs = (cv2.Laplacian(picture.grey, cv2.CV_32F) for picture in (first, later))
-    kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.use[:, camera])
+    kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.cameras[:, camera])
     window, column, row = _window_pixels(scene, rows[kept], camera)
     point = scene.surface[camera][row, column]
     there = _moved(scene, rows[kept][window], match.motion[kept][window], point)
     target = project(scene.rig.cameras[camera], there)
     rest, change = first.grey[row, column], interpolate(later, target)
-    curved = 0.5 * (ours[row, column] + interpolate(make_spline_picture(theirs), target))
-    light = np.stack([np.ones(len(rest)), rest, column, row], axis=1)
-    widths = []
+    laplacians = 0.5 * (ours[row, column] + interpolate(make_spline_picture(theirs), target))
+    illumination = np.stack([np.ones(len(rest)), rest, column, row], axis=1)
+    variances = []
     for part in np.split(np.arange(len(window)), np.searchsorted(window, np.arange(1, len(kept)))):
-        basis = np.linalg.qr(light[part])[0]
-        bend, grown = (x[part] - basis @ (basis.T @ x[part]) for x in (curved, change))
-        widths.append(2.0 * (bend @ grown) / (bend @ bend))
-    return np.array(widths if len(kept) else [])
+        basis = np.linalg.qr(illumination[part])[0]
+        laplacian, difference = (
+            x[part] - basis @ (basis.T @ x[part]) for x in (laplacians, change)
+        )
+        variances.append(2.0 * (laplacian @ difference) / (laplacian @ laplacian))
+    return np.array(variances if len(kept) else [])
 
 
 def _window_pixels(
@@ -149,7 +156,7 @@ def _window_pixels(
     pixel = np.rint(place).astype(np.int64)[:, None] + offset
     inside = ((pixel >= 0) & (pixel < size)).all(axis=2)
     column, row = np.moveaxis(np.clip(pixel, 0, size - 1), 2, 0)
-    seen = inside & (scene.inner[camera][row, column] > 0.0)
+    seen = inside & (scene.interior[camera][row, column] > 0.0)
     return np.nonzero(seen)[0], column[seen], row[seen]
 
 
@@ -160,6 +167,6 @@ def _moved(
     point: Float[np.ndarray, "p 3"],
 ) -> Float[np.ndarray, "p 3"]:
     """Displaced surface points, from nearby motions and their first derivatives [m]."""
-    away = np.einsum("pi,pai->pa", point - scene.point[rows], scene.tangent[rows])
-    away /= scene.extent[rows, None]
-    return point + motion[:, 0] + np.einsum("pa,pai->pi", away, motion[:, 1:3])
+    offset = np.einsum("pi,pai->pa", point - scene.point[rows], scene.tangent[rows])
+    offset /= scene.half_window[rows, None]
+    return point + motion[:, 0] + np.einsum("pa,pai->pi", offset, motion[:, 1:3])

@@ -28,11 +28,11 @@ from palpate.vision.range_flow import (
 # Radius around a vertex, in half windows, of the points used: those whose windows contain it.
 _REACH = 1.2
 # Minimum cosine between normal and viewing direction: below it, the points lie on one side only.
-_FACING = 0.1
+_MIN_COSINE = 0.1
 # Twice the number of coefficients of a quadratic.
-_FEWEST = 12
+_MIN_POINTS = 12
 # A vertex whose standard deviation exceeds this many times that of a typical point is extrapolated.
-_WORSE = 3.0
+_MAX_SIGMA_RATIO = 3.0
 
 
 def vertex_displacement(
@@ -61,18 +61,18 @@ def vertex_displacement(
     if valid.any() and len(rows) > 0:
         scatter = _scatter(flow, valid)
         field = _field_at(scatter, vertices[rows], normal[rows], camera)
-        good = np.isfinite(field.displacement).all(axis=1) & (field.count >= _FEWEST)
+        good = np.isfinite(field.displacement).all(axis=1) & (field.count >= _MIN_POINTS)
         # Outside the points the polynomial extrapolates, with a large variance.
         trace = np.trace(field.covariance, axis1=1, axis2=2)
         usual = np.median(np.trace(flow.covariance[valid], axis1=1, axis2=2))
         with np.errstate(invalid="ignore"):
-            good &= trace < _WORSE**2 * usual
+            good &= trace < _MAX_SIGMA_RATIO**2 * usual
         displacement[rows[good]] = field.displacement[good]
         covariance[rows[good]] = field.covariance[good]
         count[rows] = field.count
-        shared = noise_correlation(scatter, field)
-        kept = good[shared.pair].all(axis=1)
-        correlation = PointCorrelation(rows[shared.pair[kept]], shared.value[kept])
+        correlated = noise_correlation(scatter, field)
+        kept = good[correlated.pair].all(axis=1)
+        correlation = PointCorrelation(rows[correlated.pair[kept]], correlated.value[kept])
     return VertexDisplacement(displacement, covariance, count, correlation)
 
 
@@ -101,7 +101,7 @@ def with_average(
     normal = vertex_normals(surface.vertices, surface.triangles)
     vertices = local_fits(
         scatter, surface.vertices[rows], _tangents(normal[rows]), reach=_REACH * half,
-        fewest=_FEWEST,
+        min_points=_MIN_POINTS,
     )  # fmt: skip
     bends = local_fits(scatter, scatter.point, flow.tangent[valid], reach=BEND_REACH * half)
     average = surface_average(flow.subset, rig, surface, vertices, bends, order)
@@ -128,7 +128,7 @@ def _field_at(
 ) -> LocalField:
     """Local field of the scatter at vertices."""
     reach = _REACH * _half_window(scatter, camera)
-    return local_field(scatter, place, _tangents(normal), reach=reach, fewest=_FEWEST)
+    return local_field(scatter, place, _tangents(normal), reach=reach, min_points=_MIN_POINTS)
 
 
 def _half_window(scatter: Scatter, camera: Camera) -> float:
@@ -140,7 +140,7 @@ def _facing(camera: Camera, vertices: Vertices, normal: Vertices) -> Flags:
     """True for vertices whose normals point towards the camera."""
     toward = camera_centre(camera) - vertices
     toward = toward / np.linalg.norm(toward, axis=1)[:, None]
-    return (toward * normal).sum(axis=1) > _FACING
+    return (toward * normal).sum(axis=1) > _MIN_COSINE
 
 
 def _tangents(normal: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2 3"]:

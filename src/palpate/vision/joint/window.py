@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from palpate.vision.cameras import distort_kernel, jacobian_kernel, project_kernel
-from palpate.vision.images import noise_share_kernel, sample_kernel
+from palpate.vision.images import noise_fraction_kernel, sample_kernel
 from palpate.vision.matching import load_window_kernel
 
 # Total padding of the spline coefficients, 4 px on each side [px].
@@ -13,16 +13,17 @@ _SPLINE_MARGIN_PX = 8
 
 @njit(cache=True, error_model="numpy")
 def load_camera_kernel(
-    camera, grey, along_column, along_row, surface, inner, point, tangent, extent, half,
-    least_share, shading, spread, window, place, centre, contents,
+    camera, grey, along_column, along_row, surface, interior, point, tangent, half_window, half,
+    min_fraction, shading, blur_variance, window, place, centre, statistics,
 ):  # fmt: skip
     """Load one camera's window with the surface points of its pixels; False if too few are seen.
 
     Filled are `window` (6, side, side), see `load_window_kernel`; `place` (3, side, side),
-    coordinates of each pixel's point along the two tangents and the normal, in units of `extent`;
-    `centre` (2,) int [px], column and row; `contents` (3,): pixels inside, their mean, sum of
-    squared deviations. `tangent` (2, 3) is orthonormal, `extent` [m] half the side of a window,
-    `least_share` (0 to 1) the visible fraction required, `spread` [px^2] the blur variance.
+    coordinates of each pixel's point along the two tangents and the normal, in units of
+    `half_window`; `centre` (2,) int [px], column and row; `statistics` (3,): number of pixels
+    inside, their mean, sum of squared deviations. `tangent` (2, 3) is orthonormal, `half_window`
+    [m] half the side of a window on the surface, `min_fraction` (0 to 1) the visible fraction
+    required, `blur_variance` [px^2] that of the pictures.
     """
     x, y = project_kernel(camera, point[0], point[1], point[2])
     rows, columns = grey.shape
@@ -32,7 +33,7 @@ def load_camera_kernel(
     row = int(np.rint(y))
     centre[0] = column
     centre[1] = row
-    scale = 1.0 / extent
+    scale = 1.0 / half_window
     t, s = tangent[0], tangent[1]
     n0 = t[1] * s[2] - t[2] * s[1]
     n1 = t[2] * s[0] - t[0] * s[2]
@@ -42,7 +43,7 @@ def load_camera_kernel(
     count = 0.0
     for r in range(2 * half + 1):
         for k in range(2 * half + 1):
-            weight = inner[row - half + r, column - half + k]
+            weight = interior[row - half + r, column - half + k]
             if weight > 0.0:
                 d0 = (surface[row - half + r, column - half + k, 0] - point[0]) * scale
                 d1 = (surface[row - half + r, column - half + k, 1] - point[1]) * scale
@@ -59,25 +60,25 @@ def load_camera_kernel(
                 place[2, r, k] = 0.0
             window[3, r, k] = weight
             count += weight
-    if count < least_share * (2 * half + 1) ** 2:
+    if count < min_fraction * (2 * half + 1) ** 2:
         return False
-    inside, mean, square = load_window_kernel(
-        grey, along_column, along_row, column, row, half, shading, spread, window
+    count, mean, square = load_window_kernel(
+        grey, along_column, along_row, column, row, half, shading, blur_variance, window
     )
-    contents[0] = inside
-    contents[1] = mean
-    contents[2] = square
+    statistics[0] = count
+    statistics[1] = mean
+    statistics[2] = square
     return square > 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian, mapping):
+def mapping_kernel(camera, point, tangent, half_window, half, bases, centre, jacobian, mapping):
     """Matrix from coefficients of the surface motion to those of the pixel motion in a window.
 
     `mapping`, (2 bases, 3 bases) [px/m], is filled. Within the window the surface coordinates are
     linearised in the pixel coordinates; this affects steps and weights, not the solution. `camera`
-    (25,) packed, `point` (3,) [m], `tangent` (2, 3), `extent` [m], `half` side of the window and
-    `centre` (2,) [px]; `jacobian` (2, 3) is scratch.
+    (25,) packed, `point` (3,) [m], `tangent` (2, 3), `half_window` [m], `half` side of the window
+    and `centre` (2,) [px]; `jacobian` (2, 3) is scratch.
     """
     x, y, _, _, _ = jacobian_kernel(camera, point[0], point[1], point[2], jacobian)
     b00 = b01 = b10 = b11 = 0.0
@@ -92,7 +93,7 @@ def mapping_kernel(camera, point, tangent, extent, half, bases, centre, jacobian
         determinant = np.inf
     off0 = centre[0] - x
     off1 = centre[1] - y
-    scale = 1.0 / (extent * determinant)
+    scale = 1.0 / (half_window * determinant)
     xi = ((b11 * off0 - b01 * off1) * scale, b11 * half * scale, -b01 * half * scale)
     eta = ((b00 * off1 - b10 * off0) * scale, -b10 * half * scale, b00 * half * scale)
     polynomial = np.zeros((6, 6))
@@ -122,15 +123,16 @@ def _product_kernel(first, second, out):
 
 
 @njit(cache=True, error_model="numpy")
-def deformed_frame_kernel(q, tangent, extent, frame):
+def deformed_frame_kernel(q, tangent, half_window, frame):
     """Deformed tangents and unit normal as rows, (3, 3), written into `frame`.
 
     The deformed tangents are the images of the orthonormal `tangent` (2, 3) under the motion `q`
-    (6, 3) [m], whose derivatives are multiplied by `extent` [m]; stretch makes them longer than 1.
+    (6, 3) [m], whose derivatives are multiplied by `half_window` [m]; stretch makes them longer
+    than 1.
     """
     for a in range(3):
-        frame[0, a] = tangent[0, a] + q[1, a] / extent
-        frame[1, a] = tangent[1, a] + q[2, a] / extent
+        frame[0, a] = tangent[0, a] + q[1, a] / half_window
+        frame[1, a] = tangent[1, a] + q[2, a] / half_window
     frame[2, 0] = frame[0, 1] * frame[1, 2] - frame[0, 2] * frame[1, 1]
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[0, 0] * frame[1, 2]
     frame[2, 2] = frame[0, 0] * frame[1, 1] - frame[0, 1] * frame[1, 0]
@@ -140,7 +142,9 @@ def deformed_frame_kernel(q, tangent, extent, frame):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent, half, sampled):
+def sample_surface_kernel(
+    camera, moved, place, weight, point, q, frame, half_window, half, sampled
+):
     """Sample the later picture at the projections of the moved surface points.
 
     `moved` are spline coefficients, `place` and `weight` those of the window's pixels, `point` (3,)
@@ -157,13 +161,15 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
             + camera[22 + a]
         )  # fmt: skip
         for k in range(3):
-            c[1 + k, a] = extent * (r0 * frame[k, 0] + r1 * frame[k, 1] + r2 * frame[k, 2])
+            c[1 + k, a] = half_window * (r0 * frame[k, 0] + r1 * frame[k, 1] + r2 * frame[k, 2])
             c[4 + k, a] = r0 * q[3 + k, 0] + r1 * q[3 + k, 1] + r2 * q[3 + k, 2]
-    shares = np.float32(0.0)
-    inside = np.float32(0.0)
+    fractions = np.float32(0.0)
+    count = np.float32(0.0)
+    columns = np.empty(2 * half + 1, dtype=np.float32)
+    rows = np.empty(2 * half + 1, dtype=np.float32)
     for r in range(2 * half + 1):
         xi_line, eta_line, zeta_line = place[0, r], place[1, r], place[2, r]
-        line, inner = sampled[r], weight[r]
+        line, row_weight = sampled[r], weight[r]
         for k in range(2 * half + 1):
             xi, eta, zeta = xi_line[k], eta_line[k], zeta_line[k]
             xx, xy, yy = xi * xi, xi * eta, eta * eta
@@ -180,12 +186,14 @@ def sample_surface_kernel(camera, moved, place, weight, point, q, frame, extent,
                 + xx * c[4, 2] + xy * c[5, 2] + yy * c[6, 2]
             )  # fmt: skip
             xd, yd, _, _, _ = distort_kernel(camera, x / z, y / z)
-            column = np.float32(camera[0] * xd + camera[4] * yd + camera[2])
-            row = np.float32(camera[1] * yd + camera[3])
-            line[k] = sample_kernel(moved, column, row)
-            shares += inner[k] * noise_share_kernel(column, row)
-            inside += inner[k]
-    return shares / inside
+            columns[k] = camera[0] * xd + camera[4] * yd + camera[2]
+            rows[k] = camera[1] * yd + camera[3]
+        for k in range(2 * half + 1):
+            line[k] = sample_kernel(moved, columns[k], rows[k])
+        for k in range(2 * half + 1):
+            fractions += row_weight[k] * noise_fraction_kernel(columns[k], rows[k])
+            count += row_weight[k]
+    return fractions / count
 
 
 @njit(cache=True, error_model="numpy")

@@ -137,7 +137,7 @@ def _match_rows(
     for top in range(begin, end, _BAND):
         rows = np.arange(top, min(top + _BAND, end) + 2 * half)
         score = _scores(pictures, views, trials, rows)
-        y, x, t = _lone_maxima(score)
+        y, x, t = _unambiguous_maxima(score)
         before, peak, after = (score[t + k, y, x] for k in (-1, 0, 1))
         place = (top + half + y, half + x)
         disparity[place] = trials[t] + 0.5 * (before - after) / (before - 2.0 * peak + after)
@@ -151,20 +151,20 @@ def _scores(
     rows: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "t h w"]:
     """Correlation with the reference's windows in some rows, summed over the other cameras."""
-    many = WINDOW * WINDOW
+    pixel_count = WINDOW * WINDOW
     here = pictures[0][rows]
-    mean = _window_sums(here) / many
-    spread = _window_sums(here * here) - many * mean * mean
-    norm = np.sqrt(np.where(spread > MIN_CONTRAST**2 * many, spread, np.nan))
+    mean = _window_sums(here) / pixel_count
+    squares = _window_sums(here * here) - pixel_count * mean * mean
+    norm = np.sqrt(np.where(squares > MIN_CONTRAST**2 * pixel_count, squares, np.nan))
     score = np.zeros((len(trials), *norm.shape))
     for t, trial in enumerate(trials):
         for i in range(1, len(pictures)):
             shift = views.offset[i] + views.ratio[i] * trial
             there = _shifted(pictures[i], rows, shift, int(views.along[i]))
             total = _window_sums(there)
-            spread = _window_sums(there * there) - total * total / many
-            spread[spread < _MIN_SQUARES] = np.nan
-            score[t] += (_window_sums(here * there) - mean * total) / (norm * np.sqrt(spread))
+            squares = _window_sums(there * there) - total * total / pixel_count
+            squares[squares < _MIN_SQUARES] = np.nan
+            score[t] += (_window_sums(here * there) - mean * total) / (norm * np.sqrt(squares))
     return score
 
 
@@ -200,17 +200,17 @@ def _taken(
     return result
 
 
-def _lone_maxima(
+def _unambiguous_maxima(
     score: Float[np.ndarray, "t h w"],
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Row, column and trial index of each pixel's highest interior maximum, where unambiguous."""
     middle = score[1:-1]
     # Comparisons with NaN are false.
-    inner = (middle > score[:-2]) & (middle >= score[2:]) & (middle > 0.0)
-    height = np.where(inner, middle, -np.inf)
+    interior = (middle > score[:-2]) & (middle >= score[2:]) & (middle > 0.0)
+    height = np.where(interior, middle, -np.inf)
     top, best = height.argmax(axis=0) + 1, height.max(axis=0)
-    apart = np.abs(np.arange(len(score))[:, None, None] - top) > _SAME_MAXIMUM
-    doubt = (apart & (score > _MAX_RIVAL * best)).any(axis=0)
+    separate = np.abs(np.arange(len(score))[:, None, None] - top) > _SAME_MAXIMUM
+    doubt = (separate & (score > _MAX_RIVAL * best)).any(axis=0)
     doubt |= (score[0] > best) | (score[-1] > best)
     y, x = np.nonzero(np.isfinite(best) & ~doubt)
     return y, x, top[y, x]
@@ -228,8 +228,8 @@ def _is_mutual(
     # The best match is written last and overwrites the others.
     order = np.argsort(score[y, x], kind="stable")
     y, x = y[order], x[order]
-    away = np.floor(shift[y, x] + 0.5).astype(np.int64)
-    i, j = y + away * along, x + away * (1 - along)
+    shift_px = np.floor(shift[y, x] + 0.5).astype(np.int64)
+    i, j = y + shift_px * along, x + shift_px * (1 - along)
     inside = (i >= 0) & (i < shift.shape[0]) & (j >= 0) & (j < shift.shape[1])
     y, x, i, j = y[inside], x[inside], i[inside], j[inside]
     owner = np.full(shift.shape, np.nan)

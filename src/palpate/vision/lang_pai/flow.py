@@ -166,12 +166,12 @@ class LangPaiFlow:
         disparity = first.disparity[seen.pixel[:, 1], seen.pixel[:, 0]]
         point = seen.point.copy()
         point[begun] = head_points(head, seen.pixel[begun], disparity[begun])
-        slide, away = _pixel_footprints(head.rectified.cameras[0], seen, head.parallax)
+        along_surface, along_ray = _pixel_footprints(head.rectified.cameras[0], seen, head.parallax)
         off = np.abs(disparity - seen.disparity)[begun]
         scatter = _FROM_MEDIAN * float(np.median(off)) if len(off) else 0.0
         # Rounding errors are uniform over a pixel: variance 1 / 12.
-        rounding = np.einsum("nki,nkj->nij", slide, slide) / 12.0
-        noise = 2.0 * scatter**2 * np.einsum("ni,nj->nij", away, away)
+        rounding = np.einsum("nki,nkj->nij", along_surface, along_surface) / 12.0
+        noise = 2.0 * scatter**2 * np.einsum("ni,nj->nij", along_ray, along_ray)
         return LangPaiState(
             rig, head, limits, point, seen.tangent, rounding, noise, first, track, 0
         )
@@ -260,7 +260,7 @@ class LangPaiFlow:
             covariance=bias + state.noise,
             bias=bias,
             score=track.score,
-            reprojection=track.apart,
+            reprojection=track.distance,
             cameras=track.agreed,
             outcome=track.outcome,
             through_last=np.zeros(len(state.point), dtype=bool),
@@ -354,5 +354,5 @@ def _pixel_footprints(
     facing = np.where(np.abs(facing) < 0.01, np.copysign(0.01, facing), facing)
     across = back[:, :2].T @ turn
     nearer = normal @ across.T / facing[:, None]
-    slide = depth[:, None, None] * (across - nearer[..., None] * ray[:, None])
-    return slide, -(depth**2 / parallax)[:, None] * ray
+    along_surface = depth[:, None, None] * (across - nearer[..., None] * ray[:, None])
+    return along_surface, -(depth**2 / parallax)[:, None] * ray

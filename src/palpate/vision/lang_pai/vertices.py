@@ -97,9 +97,9 @@ def _weighted_mean(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """Weighted mean of motions, the weights adding up to 1, and its covariance."""
     mean = weight @ motion
-    off = motion - mean
-    share = float((weight**2).sum())
+    deviations = motion - mean
+    sum_of_squares = float((weight**2).sum())
     # Fraction of the scatter that remains in the mean; all of it where all windows overlap.
-    left = min(1.0, overlap * share) / (1.0 - share)
-    scatter = left * (weight[:, None] * off).T @ off
+    fraction = min(1.0, overlap * sum_of_squares) / (1.0 - sum_of_squares)
+    scatter = fraction * (weight[:, None] * deviations).T @ deviations
     return mean, scatter + np.einsum("n,nij->ij", weight, bias)

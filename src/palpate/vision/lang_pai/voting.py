@@ -55,7 +55,7 @@ class Vote:
     pixel : (n, 2) int [px]         column and row of the winner, accepted or not; without
                                     candidates, the tracked pixel itself
     score : (n,) float [-]          lowest correlation over the cameras at that pixel
-    apart : (n,) float [px]         rms distance of the cameras' own maxima from it
+    distance : (n,) float [px]      rms distance of the cameras' own maxima from it
     agreed : (n,) int               cameras whose own maximum is it or one of its eight neighbours
     outcome : (n,) int              an `Outcome`: VALID; HIDDEN: no disparity before; TEXTURE;
                                     OUTSIDE: windows reach beyond the pictures; LOST: no candidate
@@ -64,7 +64,7 @@ class Vote:
 
     pixel: Int[np.ndarray, "n 2"]
     score: PointScalars
-    apart: PointScalars
+    distance: PointScalars
     agreed: PointIndices
     outcome: PointIndices
 
@@ -109,14 +109,14 @@ def vote(
     in_threads(
         _vote_range, n, before.pictures, after.pictures, before.disparity, after.disparity,
         views.along, views.ratio, views.offset, subset // 2, search // 2,
-        found.pixel, found.score, found.apart, found.agreed, found.outcome,
+        found.pixel, found.score, found.distance, found.agreed, found.outcome,
     )  # fmt: skip
     return found
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _vote_range(
-    begin, end, before, after, near, far, along, ratio, offset, half, reach, found, score, apart,
+    begin, end, before, after, near, far, along, ratio, offset, half, reach, found, score, distance,
     agreed, outcome,
 ):  # fmt: skip
     """Vote for the pixels from `begin` to `end`; `near` and `far`: disparities before and after."""
@@ -153,7 +153,7 @@ def _vote_range(
         found[i, 0] = column + x - reach
         found[i, 1] = row + y - reach
         score[i] = lowest
-        apart[i] = np.sqrt(square / cameras)
+        distance[i] = np.sqrt(square / cameras)
         if total / cameras < _MIN_SCORE:
             outcome[i] = _SCORE
         elif agreed[i] < cameras:

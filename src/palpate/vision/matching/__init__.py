@@ -15,7 +15,7 @@ from palpate.vision.matching.fit_operators import (
     coefficient_operators as coefficient_operators,
     local_fits as local_fits,
     local_terms as local_terms,
-    sums_about as sums_about,
+    sum_over_points as sum_over_points,
 )
 from palpate.vision.matching.local_regression import (
     LocalField as LocalField,
@@ -38,7 +38,7 @@ from palpate.vision.matching.window_sums import (
     BASES as BASES,
     load_window_kernel as load_window_kernel,
     window_blocks_kernel as window_blocks_kernel,
+    window_coupling_sums_kernel as window_coupling_sums_kernel,
     window_hessian_kernel as window_hessian_kernel,
     window_right_kernel as window_right_kernel,
-    window_side_sums_kernel as window_side_sums_kernel,
 )

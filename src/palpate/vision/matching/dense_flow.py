@@ -256,11 +256,11 @@ def _fits(
     common = cv2.blur(a.grey * found, (WINDOW, WINDOW)) - a.mean * mean
     # The constant avoids 0 / 0; it is negligible beside the quantisation noise.
     score = common / np.sqrt(a.variance * variance + np.float32(1e-6))
-    rough = there - cv2.blur(there, (WINDOW, WINDOW))
+    roughness = there - cv2.blur(there, (WINDOW, WINDOW))
     return (
         (score > _MIN_CORRELATION)
         & (_square(gap) < limits[0] ** 2)
-        & (_square(rough) < limits[1] ** 2)
+        & (_square(roughness) < limits[1] ** 2)
         & _inside(place)
     )
 
@@ -277,18 +277,18 @@ def _motions(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motio
     staying, before = textured, np.inf
     for _ in range(_ROUNDS):
         explained = _explained(a, b, motions)
-        lost, share = _lost(staying, explained, textured)
+        lost, fraction = _lost(staying, explained, textured)
         # What is lost in only one picture is hidden in the other.
-        if share < _MAX_UNEXPLAINED:
+        if fraction < _MAX_UNEXPLAINED:
             break
         samples = _known(motions, explained, textured[0])
         chance = explained[0][textured[0]].mean() < _MIN_EXPLAINED
-        if features is None and (chance or share > _MAX_REMAINDER * before):
+        if features is None and (chance or fraction > _MAX_REMAINDER * before):
             features = feature_matches(a.levels, b.levels, *_feature_areas(textured, lost))
         samples = samples if features is None else samples.joined(features)
         if not len(samples.point):
             break
-        before = share
+        before = fraction
         motions, inside = _repaired(a, b, motions, explained, samples)
         staying = (textured[0] & inside[0], textured[1] & inside[1])
     return motions

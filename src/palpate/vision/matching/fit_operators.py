@@ -18,7 +18,7 @@ from palpate.vision.matching.local_regression import Scatter, nearest_within
 
 # Smallest tolerance (1 / variance inflation factor) of a coefficient; below it the polynomial is
 # undetermined.
-_LEAST_OWN = 1e-3
+_MIN_TOLERANCE = 1e-3
 # Far below that: lets a singular matrix be inverted, and then recognised.
 _RIDGE = 1e-9
 
@@ -52,21 +52,21 @@ def local_fits(
     tangent: Float[np.ndarray, "n 2 3"],
     *,
     reach: float,
-    most: int = 48,
-    fewest: int | None = None,
+    max_points: int = 48,
+    min_points: int | None = None,
 ) -> LocalFits:
     """Set up the polynomial fits of `local_field` as they are without outliers.
 
     Parameters
     ----------
     scatter : Scatter
-    place, tangent, reach, most, fewest     as `local_field`
+    place, tangent, reach, max_points, min_points   as `local_field`
 
     Returns
     -------
     LocalFits
     """
-    nearest, radius = nearest_within(scatter.point, place, reach, most, fewest)
+    nearest, radius = nearest_within(scatter.point, place, reach, max_points, min_points)
     first, column = np.nonzero(nearest >= 0)
     second = nearest[first, column]
     away = np.linalg.norm(scatter.point[second] - place[first], axis=1) / radius[first]
@@ -98,15 +98,15 @@ def coefficient_operators(
     design = monomials[:, : 3 * order]
     weighted = fits.weight[:, None] * design
     inverse, determined = _inverse(_normal(fits, design, weighted))
-    share = np.einsum("mi,mik->mk", weighted, inverse[fits.first])
+    weight = np.einsum("mi,mik->mk", weighted, inverse[fits.first])
     # Displacement of points off the tangent plane: height times slope, along each tangent.
-    lever = sums_about(fits, share * height[:, None])
+    lever = sum_over_points(fits, weight * height[:, None])
     normals = np.cross(fits.tangent[:, 0], fits.tangent[:, 1])
     turned = np.einsum("nki,nj->nkij", fits.tangent, normals)
-    slope = np.einsum("mk,mkij->mij", share[:, 1:3], turned[fits.first])
+    slope = np.einsum("mk,mkij->mij", weight[:, 1:3], turned[fits.first])
     operators = []
     for term in terms:
-        block = share[:, term, None, None] * np.eye(3)
+        block = weight[:, term, None, None] * np.eye(3)
         block += lever[fits.first, term, None, None] * slope
         operators.append(_of_blocks(fits, block))
     return operators, determined
@@ -127,7 +127,9 @@ def local_terms(fits: LocalFits) -> tuple[Float[np.ndarray, "m 6"], Float[np.nda
     return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]), height
 
 
-def sums_about(fits: LocalFits, values: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
+def sum_over_points(
+    fits: LocalFits, values: Float[np.ndarray, "m ..."]
+) -> Float[np.ndarray, "n ..."]:
     """Sum of `values` over the points about each place, (n, ...)."""
     result = np.zeros((len(fits.place), *values.shape[1:]))
     starts = np.flatnonzero(np.diff(fits.first, prepend=-1))
@@ -143,7 +145,7 @@ def _normal(
     normal = np.empty((len(fits.place), count, count))
     for i in range(count):
         for j in range(i + 1):
-            normal[:, i, j] = normal[:, j, i] = sums_about(fits, weighted[:, i] * design[:, j])
+            normal[:, i, j] = normal[:, j, i] = sum_over_points(fits, weighted[:, i] * design[:, j])
     return normal
 
 
@@ -155,7 +157,7 @@ def _inverse(
     size[size == 0.0] = 1.0
     scale = size[:, :, None] * size[:, None, :]
     inverse = np.linalg.inv(normal / scale + _RIDGE * np.eye(normal.shape[1]))
-    determined = np.einsum("nkk->nk", inverse).max(axis=1) < 1.0 / _LEAST_OWN
+    determined = np.einsum("nkk->nk", inverse).max(axis=1) < 1.0 / _MIN_TOLERANCE
     return np.where(determined[:, None, None], inverse / scale, 0.0), determined
 
 

@@ -69,7 +69,7 @@ class LocalField:
                                         noise
     count : (t,) int                    number of displacements within reach
     nearest : (t, m) int                their indices in the scatter; -1 where there are fewer
-    share : (t, m) float [-]            weight of each in the fitted displacement; NaN where unused
+    weight : (t, m) float [-]           weight of each in the fitted displacement; NaN where unused
                                         or undetermined
     """
 
@@ -79,7 +79,7 @@ class LocalField:
     covariance: Float[np.ndarray, "t 3 3"]
     count: Int[np.ndarray, " t"]
     nearest: Int[np.ndarray, "t m"]
-    share: Float[np.ndarray, "t m"]
+    weight: Float[np.ndarray, "t m"]
 
 
 def local_field(
@@ -89,8 +89,8 @@ def local_field(
     *,
     reach: float,
     order: int = 2,
-    most: int = 48,
-    fewest: int | None = None,
+    max_points: int = 48,
+    min_points: int | None = None,
 ) -> LocalField:
     """Fit the displacement field of the surface at given places.
 
@@ -101,8 +101,8 @@ def local_field(
     tangent : (t, 2, 3) float       orthonormal tangents there
     reach : float [m]               displacements farther away have zero weight
     order : 1 or 2                  degree of the polynomial
-    most : int                      largest number of displacements used, the nearest ones
-    fewest : int or None            where fewer are within reach, the reach grows until it holds
+    max_points : int                largest number of displacements used, the nearest ones
+    min_points : int or None        where fewer are within reach, the reach grows until it holds
                                     this many, but at most doubles: a surface seen obliquely has
                                     fewer
 
@@ -110,65 +110,69 @@ def local_field(
     -------
     LocalField                      NaN where too few displacements are near
     """
-    nearest, radius = nearest_within(scatter.point, place, reach, most, fewest)
+    nearest, radius = nearest_within(scatter.point, place, reach, max_points, min_points)
     noise = scatter.covariance - scatter.bias
     count = len(place)
-    value, gradient, curvature, spread = (
+    value, gradient, curvature, covariance = (
         np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3))
     )
-    share = np.full(nearest.shape, np.nan)
+    weight = np.full(nearest.shape, np.nan)
     in_threads(
         _fit_range, count, np.ascontiguousarray(place, dtype=np.float64),
         np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
         scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
-        float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, spread,
-        share, fewest=_MIN_PLACES_PER_THREAD,
+        float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, covariance,
+        weight, fewest=_MIN_PLACES_PER_THREAD,
     )  # fmt: skip
     found = (nearest >= 0).sum(axis=1)
-    return LocalField(value, gradient, curvature, spread, found, nearest, share)
+    return LocalField(value, gradient, curvature, covariance, found, nearest, weight)
 
 
 def nearest_within(
-    point: Points, place: Float[np.ndarray, "t 3"], reach: float, most: int, fewest: int | None
-) -> tuple[Int[np.ndarray, "t most"], Float[np.ndarray, " t"]]:
+    point: Points,
+    place: Float[np.ndarray, "t 3"],
+    reach: float,
+    max_points: int,
+    min_points: int | None,
+) -> tuple[Int[np.ndarray, "t max_points"], Float[np.ndarray, " t"]]:
     """Nearest points of each place, as `local_field` uses them.
 
     Parameters
     ----------
     point : (n, 3) float [m]
     place : (t, 3) float [m]
-    reach, most, fewest             as `local_field`
+    reach, max_points, min_points   as `local_field`
 
     Returns
     -------
-    nearest : (t, most) int         nearest first, -1 where there are fewer
+    nearest : (t, max_points) int   nearest first, -1 where there are fewer
     reach : (t,) float [m]          radius within which they lie
     """
-    nearest = np.full((len(place), most), -1)
+    nearest = np.full((len(place), max_points), -1)
     radius = np.full(len(place), reach)
     if len(point) > 0:
-        many = min(most, len(point))
-        farthest = reach if fewest is None else 2.0 * reach
-        away, found = cKDTree(point).query(place, k=many, distance_upper_bound=farthest)
-        away, found = away.reshape(len(place), many), found.reshape(len(place), many)
-        if fewest is not None:
-            last = np.minimum(away[:, min(fewest, many) - 1], farthest)
+        count = min(max_points, len(point))
+        farthest = reach if min_points is None else 2.0 * reach
+        away, found = cKDTree(point).query(place, k=count, distance_upper_bound=farthest)
+        away, found = away.reshape(len(place), count), found.reshape(len(place), count)
+        if min_points is not None:
+            last = np.minimum(away[:, min(min_points, count) - 1], farthest)
             # Slightly larger, so that the last point has some weight.
             radius = np.maximum(reach, 1.1 * last)
         inside = (found < len(point)) & (away < radius[:, None])
-        nearest[:, :many] = np.where(inside, found, -1)
+        nearest[:, :count] = np.where(inside, found, -1)
     return nearest, radius
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_range(
-    begin, end, place, tangent, nearest, point, pixel, displacement, covariance, bias, trace,
-    subset, reach, terms, value, gradient, curvature, spread, share,
+    begin, end, place, tangent, nearest, point, pixel, displacement, noise, bias, trace,
+    subset, reach, terms, value, gradient, curvature, covariance, weight,
 ):  # fmt: skip
-    most = nearest.shape[1]
-    design = np.empty((most, terms))
-    weight, robust, height = np.empty(most), np.empty(most), np.empty(most)
-    ratio, ordered = np.empty(most), np.empty(most)
+    max_points = nearest.shape[1]
+    design = np.empty((max_points, terms))
+    base_weight, robust, height = np.empty(max_points), np.empty(max_points), np.empty(max_points)
+    ratio, ordered = np.empty(max_points), np.empty(max_points)
     normal, solution, row = np.empty((terms, terms)), np.empty((3, terms)), np.empty(terms)
     turn = np.empty(3)
     for i in range(begin, end):
@@ -176,7 +180,7 @@ def _fit_range(
         robust[:] = 1.0
         turn[:] = 0.0
         m = 0
-        while m < most and nearest[i, m] >= 0:
+        while m < max_points and nearest[i, m] >= 0:
             height[m] = _design_kernel(
                 place[i], tangent[i], point[nearest[i, m]], size, terms, design[m]
             )
@@ -184,22 +188,23 @@ def _fit_range(
             for a in range(3):
                 distance += (point[nearest[i, m], a] - place[i, a]) ** 2
             near = 1.0 - distance / (size * size)
-            weight[m] = max(near, 0.0) ** 2 / trace[nearest[i, m]]
+            base_weight[m] = max(near, 0.0) ** 2 / trace[nearest[i, m]]
             m += 1
         # Without a degree of freedom left, no outlier can be recognised.
         if m <= terms:
             continue
         good = False
-        left = 0.0
+        residual_rms = 0.0
         for _ in range(_ROUNDS):
             good = _solve_kernel(
-                design, weight, robust, displacement, height, turn, nearest[i], m, normal, solution
-            )
+                design, base_weight, robust, displacement, height, turn, nearest[i], m, normal,
+                solution,
+            )  # fmt: skip
             if not good:
                 break
-            left = _reweigh_kernel(
-                design, weight, robust, displacement, height, turn, trace, nearest[i], m, solution,
-                ratio, ordered,
+            residual_rms = _reweigh_kernel(
+                design, base_weight, robust, displacement, height, turn, trace, nearest[i], m,
+                solution, ratio, ordered,
             )  # fmt: skip
             _turn_kernel(tangent[i], solution, size, turn)
         if not good:
@@ -214,15 +219,15 @@ def _fit_range(
         row[0] = 1.0
         cholesky_solve_kernel(normal, row)
         for j in range(m):
-            share[i, j] = 0.0
+            weight[i, j] = 0.0
             for k in range(terms):
-                share[i, j] += row[k] * design[j, k]
-            share[i, j] *= weight[j] * robust[j]
-        _covariance_kernel(share[i], covariance, trace, pixel, subset, nearest[i], m, spread[i])
+                weight[i, j] += row[k] * design[j, k]
+            weight[i, j] *= base_weight[j] * robust[j]
+        _covariance_kernel(weight[i], noise, trace, pixel, subset, nearest[i], m, covariance[i])
         for a in range(3):
             for b in range(3):
-                spread[i, a, b] *= max(1.0, left * left)
-                spread[i, a, b] += bias[nearest[i, 0], a, b]
+                covariance[i, a, b] *= max(1.0, residual_rms * residual_rms)
+                covariance[i, a, b] += bias[nearest[i, 0], a, b]
 
 
 @njit(cache=True, error_model="numpy")
@@ -262,13 +267,15 @@ def _design_kernel(place, tangent, point, reach, terms, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _solve_kernel(design, weight, robust, displacement, height, turn, nearest, m, normal, solution):
+def _solve_kernel(
+    design, base_weight, robust, displacement, height, turn, nearest, m, normal, solution
+):
     """Weighted least squares; leaves the Cholesky factor in `normal`; False where singular."""
     terms = design.shape[1]
     normal[:] = 0.0
     solution[:] = 0.0
     for j in range(m):
-        w = weight[j] * robust[j]
+        w = base_weight[j] * robust[j]
         for k in range(terms):
             for n in range(k + 1):
                 normal[k, n] += w * design[j, k] * design[j, n]
@@ -285,17 +292,18 @@ def _solve_kernel(design, weight, robust, displacement, height, turn, nearest, m
 
 @njit(cache=True, error_model="numpy")
 def _reweigh_kernel(
-    design, weight, robust, displacement, height, turn, trace, nearest, m, solution, ratio, ordered
+    design, base_weight, robust, displacement, height, turn, trace, nearest, m, solution, ratio,
+    ordered,
 ):  # fmt: skip
     """Student-t weights from the residuals; returns their weighted rms in units of sigma."""
     terms = design.shape[1]
     for j in range(m):
         square = 0.0
         for a in range(3):
-            rest = displacement[nearest[j], a] - height[j] * turn[a]
+            residual = displacement[nearest[j], a] - height[j] * turn[a]
             for k in range(terms):
-                rest -= design[j, k] * solution[a, k]
-            square += rest * rest
+                residual -= design[j, k] * solution[a, k]
+            square += residual * residual
         ratio[j] = square / trace[nearest[j]]
         k = j
         while k > 0 and ordered[k - 1] > ratio[j]:
@@ -308,13 +316,13 @@ def _reweigh_kernel(
     squares = 0.0
     for j in range(m):
         robust[j] = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + 3.0 * ratio[j] / scale)
-        total += weight[j] * robust[j]
-        squares += weight[j] * robust[j] * ratio[j]
+        total += base_weight[j] * robust[j]
+        squares += base_weight[j] * robust[j] * ratio[j]
     return np.sqrt(squares / total * m / (m - terms))
 
 
 @njit(cache=True, error_model="numpy")
-def _covariance_kernel(share, covariance, trace, pixel, subset, nearest, m, spread):
+def _covariance_kernel(weight, noise, trace, pixel, subset, nearest, m, covariance):
     """Covariance of the fitted value, including the noise shared by overlapping windows."""
     mean = np.zeros((3, 3))
     total = 0.0
@@ -322,8 +330,8 @@ def _covariance_kernel(share, covariance, trace, pixel, subset, nearest, m, spre
         n = nearest[j]
         for a in range(3):
             for b in range(3):
-                mean[a, b] += abs(share[j]) * covariance[n, a, b] / trace[n]
-        total += abs(share[j])
+                mean[a, b] += abs(weight[j]) * noise[n, a, b] / trace[n]
+        total += abs(weight[j])
     factor = 0.0
     for j in range(m):
         for k in range(j + 1):
@@ -331,8 +339,8 @@ def _covariance_kernel(share, covariance, trace, pixel, subset, nearest, m, spre
             common = max(0.0, 1.0 - abs(pixel[p, 0] - pixel[q, 0]) / subset) * max(
                 0.0, 1.0 - abs(pixel[p, 1] - pixel[q, 1]) / subset
             )
-            term = share[j] * share[k] * common * np.sqrt(trace[p] * trace[q])
+            term = weight[j] * weight[k] * common * np.sqrt(trace[p] * trace[q])
             factor += term if j == k else 2.0 * term
     for a in range(3):
         for b in range(3):
-            spread[a, b] = factor * mean[a, b] / total
+            covariance[a, b] = factor * mean[a, b] / total

@@ -9,7 +9,7 @@ from palpate.vision.matching.local_regression import LocalField, Scatter
 
 # Smaller correlations are dropped: three quarters of the pairs whose windows touch, which together
 # would add about 1 % to a variance.
-_LEAST = 0.05
+_MIN_CORRELATION = 0.05
 
 
 def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
@@ -28,19 +28,19 @@ def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
     PointCorrelation                of the t places; magnitudes above 0.05 only; undetermined places
                                     have none
     """
-    known = np.isfinite(field.share)
+    known = np.isfinite(field.weight)
     place, column = np.nonzero(known)
-    shape = (len(field.share), len(scatter.point))
-    part = csr_array((field.share[known], (place, field.nearest[place, column])), shape=shape)
-    joint = (part @ _noise(scatter) @ part.T).tocoo()
+    shape = (len(field.weight), len(scatter.point))
+    weights = csr_array((field.weight[known], (place, field.nearest[place, column])), shape=shape)
+    covariance = (weights @ _noise(scatter) @ weights.T).tocoo()
     variance = np.zeros(shape[0])
-    first, second = joint.coords
+    first, second = covariance.coords
     same = first == second
-    variance[first[same]] = joint.data[same]
+    variance[first[same]] = covariance.data[same]
     chosen = first < second
     first, second = first[chosen], second[chosen]
-    value = joint.data[chosen] / np.sqrt(variance[first] * variance[second])
-    kept = np.abs(value) > _LEAST
+    value = covariance.data[chosen] / np.sqrt(variance[first] * variance[second])
+    kept = np.abs(value) > _MIN_CORRELATION
     return PointCorrelation(np.column_stack([first[kept], second[kept]]), value[kept])
 
 
@@ -48,10 +48,10 @@ def _noise(scatter: Scatter) -> csr_array:
     """Noise covariance of the scattered displacements, from the overlap of their windows."""
     pair = cKDTree(scatter.pixel).query_pairs(scatter.subset, p=np.inf, output_type="ndarray")
     first, second = pair.T
-    apart = np.abs(scatter.pixel[first] - scatter.pixel[second]) / scatter.subset
+    offset = np.abs(scatter.pixel[first] - scatter.pixel[second]) / scatter.subset
     size = np.sqrt(np.trace(scatter.covariance - scatter.bias, axis1=1, axis2=2))
     count = len(size)
-    shared = np.maximum(1.0 - apart, 0.0).prod(axis=1) * size[first] * size[second]
-    upper = coo_array((shared, (first, second)), shape=(count, count)).tocsr()
-    own = dia_array((size[None] ** 2, [0]), shape=(count, count)).tocsr()
-    return csr_array(own + upper + upper.T)
+    covariance = np.maximum(1.0 - offset, 0.0).prod(axis=1) * size[first] * size[second]
+    upper = coo_array((covariance, (first, second)), shape=(count, count)).tocsr()
+    diagonal = dia_array((size[None] ** 2, [0]), shape=(count, count)).tocsr()
+    return csr_array(diagonal + upper + upper.T)

@@ -67,32 +67,32 @@ def predicted(
     near = _nearest(point, valid, reach)
     there = near >= 0
     j = np.where(there, near, 0)
-    away = point[:, None] - point[j]
+    offset = point[:, None] - point[j]
     carried = displacement[j].copy()
     for a in range(2):
-        along = np.einsum("nki,nki->nk", away, tangent[j, a])
+        along = np.einsum("nki,nki->nk", offset, tangent[j, a])
         carried += along[..., None] * gradient[j, a]
     normal = np.cross(tangent[:, 0], tangent[:, 1])
     moved = tangent + np.where(np.isfinite(gradient), gradient, 0.0)
     turned = np.cross(moved[:, 0], moved[:, 1])
-    turn = turned / np.linalg.norm(turned, axis=1)[:, None] - normal
-    carried += np.einsum("nki,nki->nk", away, normal[j])[..., None] * turn[j]
-    middle = neighbours_median(carried, there)
-    scatter = neighbours_median(np.linalg.norm(carried - middle[:, None], axis=2), there)
+    rotation = turned / np.linalg.norm(turned, axis=1)[:, None] - normal
+    carried += np.einsum("nki,nki->nk", offset, normal[j])[..., None] * rotation[j]
+    median = neighbours_median(carried, there)
+    scatter = neighbours_median(np.linalg.norm(carried - median[:, None], axis=2), there)
     # Transformed to each point's own tangents.
     to_own = np.einsum("nai,nkbi->nkab", tangent, tangent[j])
     slope = neighbours_median(np.einsum("nkab,nkbi->nkai", to_own, gradient[j]), there)
-    return Prediction(middle, slope, scatter)
+    return Prediction(median, slope, scatter)
 
 
 def neighbours_median(
-    votes: Float[np.ndarray, "n k ..."], there: Bool[np.ndarray, "n k"]
+    values: Float[np.ndarray, "n k ..."], there: Bool[np.ndarray, "n k"]
 ) -> Float[np.ndarray, "n ..."]:
     """Component-wise median over the neighbours of each point.
 
     Parameters
     ----------
-    votes : (n, k, ...) float       values from the neighbours, of any unit
+    values : (n, k, ...) float      values from the neighbours, of any unit
     there : (n, k) bool             neighbours to include
 
     Returns
@@ -103,10 +103,10 @@ def neighbours_median(
     ------
     Westerweel and Scarano (2005).
     """
-    median = np.full((len(votes), *votes.shape[2:]), np.nan)
+    median = np.full((len(values), *values.shape[2:]), np.nan)
     enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
     if enough.any():
-        given = votes[enough]
+        given = values[enough]
         given[~there[enough]] = np.nan
         median[enough] = np.nanmedian(given, axis=1)
     return median
@@ -138,16 +138,16 @@ def median_test(point: Points, displacement: Points, valid: Flags) -> PointScala
     own = displacement[valid]
     near = _nearest(point[valid], np.ones(len(own), dtype=bool), np.inf)
     there = near >= 0
-    votes = own[near]
-    middle = neighbours_median(votes, there)
-    gap = np.linalg.norm(votes - middle[:, None], axis=2)
+    values = own[near]
+    median = neighbours_median(values, there)
+    gap = np.linalg.norm(values - median[:, None], axis=2)
     third = np.maximum((3 * there.sum(axis=1) - 1) // 4, 0)[:, None]
     ordered = np.sort(np.where(there, gap, np.inf), axis=1)
     scatter = np.take_along_axis(ordered, third, axis=1)[:, 0]
     ratio = np.full(len(point), np.nan)
     if len(own) > _MIN_NEIGHBOURS:
         scatter = np.maximum(scatter + 0.25 * float(np.median(scatter)), np.finfo(float).tiny)
-        ratio[valid] = np.linalg.norm(own - middle, axis=1) / scatter
+        ratio[valid] = np.linalg.norm(own - median, axis=1) / scatter
     return ratio
 
 

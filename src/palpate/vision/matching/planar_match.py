@@ -18,14 +18,14 @@ from numba import njit
 from palpate.errors import InputError
 from palpate.shapes import Flags, PointScalars
 from palpate.threads import in_threads
-from palpate.vision.images import SplinePicture, noise_share_kernel, sample_kernel
+from palpate.vision.images import SplinePicture, noise_fraction_kernel, sample_kernel
 from palpate.vision.matching.window_sums import (
     BASES,
     EXPONENTS,
     load_window_kernel,
+    window_coupling_sums_kernel,
     window_hessian_kernel,
     window_right_kernel,
-    window_side_sums_kernel,
 )
 from palpate.vision.small_systems import (
     cholesky_inverse_kernel,
@@ -135,7 +135,7 @@ def _refine_range(
     right = np.empty(2 * bases)
     warp = np.empty((2, 6))
     sums = np.empty((8, 6))
-    light = np.empty(5)
+    illumination = np.empty(5)
     moments = np.empty((5, 5))
     for i in range(begin, end):
         column, row = points[i, 0], points[i, 1]
@@ -145,13 +145,13 @@ def _refine_range(
             and np.isfinite(start[i, 0] + start[i, 1])
         ):
             continue
-        inside, mean, square = load_window_kernel(
+        pixel_count, mean, square = load_window_kernel(
             grey, along_column, along_row, column, row, half, False, 0.0, window
         )
         if square <= 0.0:
             continue
-        window_side_sums_kernel(window, half, sums, moments)
-        window_hessian_kernel(window, half, bases, inside, square, sums, moments, hessian)
+        window_coupling_sums_kernel(window, half, sums, moments)
+        window_hessian_kernel(window, half, bases, pixel_count, square, sums, moments, hessian)
         if not cholesky_kernel(hessian):
             continue
         warp[:] = 0.0
@@ -163,7 +163,7 @@ def _refine_range(
         for _ in range(_MAX_ITERATIONS):
             _sample_window_kernel(moved, warp, column, row, half, sampled)
             gain = window_right_kernel(
-                window, sampled, half, bases, inside, mean, square, sums, right, light
+                window, sampled, half, bases, pixel_count, mean, square, sums, right, illumination
             )
             if not gain > 0.0:
                 break
@@ -177,16 +177,16 @@ def _refine_range(
                 break
         if not done or not _stays_inside_kernel(warp, column, row, half, grey.shape):
             continue
-        share = _sample_window_kernel(moved, warp, column, row, half, sampled)
+        noise_fraction = _sample_window_kernel(moved, warp, column, row, half, sampled)
         gain = window_right_kernel(
-            window, sampled, half, bases, inside, mean, square, sums, right, light
+            window, sampled, half, bases, pixel_count, mean, square, sums, right, illumination
         )
         if not gain > 0.0:
             continue
         converged[i] = True
-        left = light[4]
-        score[i] = np.sqrt(square / (square + left))
-        variance = 2.0 / (1.0 + share) * left / (inside - 2.0 * bases - 2.0)
+        squares = illumination[4]
+        score[i] = np.sqrt(square / (square + squares))
+        variance = 2.0 / (1.0 + noise_fraction) * squares / (pixel_count - 2.0 * bases - 2.0)
         cholesky_inverse_kernel(hessian, inverse)
         for a in range(2):
             displacement[i, a] = warp[a, 0]
@@ -205,7 +205,7 @@ def _sample_window_kernel(moved, warp, column, row, half, sampled):
     scale = np.float32(1.0 / half)
     c3 = np.float32(warp[0, 3])
     r3 = np.float32(warp[1, 3])
-    shares = 0.0
+    fractions = 0.0
     for r in range(2 * half + 1):
         eta = (r - half) / half
         c0 = np.float32(column + warp[0, 0] + eta * (warp[0, 2] + eta * warp[0, 5]))
@@ -213,16 +213,16 @@ def _sample_window_kernel(moved, warp, column, row, half, sampled):
         r0 = np.float32(row + r - half + warp[1, 0] + eta * (warp[1, 2] + eta * warp[1, 5]))
         r1 = np.float32(warp[1, 1] + eta * warp[1, 4])
         line = sampled[r]
-        share = np.float32(0.0)
+        fraction = np.float32(0.0)
         for k in range(2 * half + 1):
             along = np.float32(k - half)
             xi = along * scale
             x = c0 + along + xi * (c1 + xi * c3)
             y = r0 + xi * (r1 + xi * r3)
             line[k] = sample_kernel(moved, x, y)
-            share += noise_share_kernel(x, y)
-        shares += share
-    return shares / (2 * half + 1) ** 2
+            fraction += noise_fraction_kernel(x, y)
+        fractions += fraction
+    return fractions / (2 * half + 1) ** 2
 
 
 @njit(cache=True, error_model="numpy")

@@ -23,17 +23,17 @@ EXPONENTS = np.array([[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]])
 
 @njit(cache=True, error_model="numpy", fastmath=True)
 def load_window_kernel(
-    grey, along_column, along_row, column, row, half, shading, spread, window
+    grey, along_column, along_row, column, row, half, shading, blur_variance, window
 ):  # fmt: skip
     """Fill the window's planes around a pixel; the fourth, the weights, is input.
 
     `grey`, `along_column`, `along_row` (rows, columns) float32 [grey levels, grey levels/px]; the
-    window must lie within them. `spread` [px^2] is the variance of their blur, for the shading.
+    window must lie within them. `blur_variance` [px^2] is that of their blur, for the shading.
     Returns the number of pixels inside, their mean [grey levels], and the sum of squared deviations
     from it.
     """
     side = 2 * half + 1
-    inside = 0.0
+    count = 0.0
     total = 0.0
     for r in range(side):
         line = grey[row - half + r, column - half : column + half + 1]
@@ -43,9 +43,9 @@ def load_window_kernel(
         for k in range(side):
             a += weight[k]
             b += weight[k] * line[k]
-        inside += a
+        count += a
         total += b
-    mean = total / max(inside, 1.0)
+    mean = total / max(count, 1.0)
     level = np.float32(mean)
     square = 0.0
     for r in range(side):
@@ -65,15 +65,15 @@ def load_window_kernel(
     window[4] = 0.0
     window[5] = 0.0
     if shading and square > 0.0:
-        _fill_shading_kernel(window, half, inside, level, square, spread)
-    return inside, mean, square
+        _fill_shading_kernel(window, half, count, level, square, blur_variance)
+    return count, mean, square
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _fill_shading_kernel(window, half, inside, level, square, spread):
+def _fill_shading_kernel(window, half, count, level, square, blur_variance):
     """Fill the last two planes: shading along columns and rows, orthogonal to the other planes."""
     scale = np.float32(1.0 / half)
-    slope = np.float32(spread / half)
+    slope = np.float32(blur_variance / half)
     for r in range(2 * half + 1):
         eta = np.float32(r - half) * scale
         for k in range(2 * half + 1):
@@ -81,7 +81,7 @@ def _fill_shading_kernel(window, half, inside, level, square, spread):
             window[4, r, k] = value * np.float32(k - half) * scale + slope * window[1, r, k]
             window[5, r, k] = value * eta + slope * window[2, r, k]
     for plane in (4, 5):
-        mean = _dot_kernel(window[plane], window[3]) / inside
+        mean = _dot_kernel(window[plane], window[3]) / count
         gain = _dot_kernel(window[plane], window[0]) / square
         _subtract_kernel(window[plane], window[3], mean)
         _subtract_kernel(window[plane], window[0], gain)
@@ -149,7 +149,7 @@ def _moments_kernel(first, second, half, moments):
 
 
 @njit(cache=True, error_model="numpy")
-def window_side_sums_kernel(window, half, sums, moments):
+def window_coupling_sums_kernel(window, half, sums, moments):
     """Inner products that couple displacement and illumination, written into `sums` (8, 6).
 
     Rows 2 n and 2 n + 1: the two derivatives times each polynomial, times the weight (n = 0), the
@@ -164,11 +164,11 @@ def window_side_sums_kernel(window, half, sums, moments):
 
 
 @njit(cache=True, error_model="numpy")
-def window_hessian_kernel(window, half, bases, inside, square, sums, moments, hessian):
+def window_hessian_kernel(window, half, bases, count, square, sums, moments, hessian):
     """Gauss-Newton matrix of one window, (2 bases, 2 bases), with illumination eliminated.
 
     Its unit is grey levels^2/px^2; its inverse times the noise variance is the covariance of the
-    displacement coefficients. `sums` (8, 6) is from `window_side_sums_kernel`, `inside` and
+    displacement coefficients. `sums` (8, 6) is from `window_coupling_sums_kernel`, `count` and
     `square` are from `load_window_kernel`; `moments` (5, 5) is scratch.
     """
     for a in range(2):
@@ -179,7 +179,7 @@ def window_hessian_kernel(window, half, bases, inside, square, sums, moments, he
                     i = EXPONENTS[k, 0] + EXPONENTS[m, 0]
                     j = EXPONENTS[k, 1] + EXPONENTS[m, 1]
                     value = moments[i, j]
-                    value -= sums[a, k] * sums[b, m] / inside
+                    value -= sums[a, k] * sums[b, m] / count
                     value -= sums[2 + a, k] * sums[2 + b, m] / square
                     value -= sums[4 + a, k] * sums[4 + b, m]
                     value -= sums[6 + a, k] * sums[6 + b, m]
@@ -217,12 +217,14 @@ def _row_right_kernel(sampled, level, window, r, half):
 
 
 @njit(cache=True, error_model="numpy")
-def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums, right, light):
+def window_right_kernel(
+    window, sampled, half, bases, count, mean, square, sums, right, illumination
+):
     """Right-hand side of one window for the sampled moved picture, with illumination eliminated.
 
-    `light` (5,) is filled with offset, gain and the two shading amplitudes of the moved picture,
-    and the residual sum of squares [grey levels^2 of the first picture]. Returns the gain, or 0
-    where the pictures are not positively correlated.
+    `illumination` (5,) is filled with offset, gain and the two shading amplitudes of the moved
+    picture, and the residual sum of squares [grey levels^2 of the first picture]. Returns the gain,
+    or 0 where the pictures are not positively correlated.
     """
     total = np.zeros(5)
     right[:] = 0.0
@@ -241,12 +243,13 @@ def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums
                 right[a * bases + 3] += m2
                 right[a * bases + 4] += m1 * eta
                 right[a * bases + 5] += m0 * eta * eta
-    offset, gain, first, second = total[0] / inside, total[2] / square, total[3], total[4]
-    light[0], light[1], light[2], light[3], light[4] = offset, gain, first, second, np.inf
+    offset, gain, first, second = total[0] / count, total[2] / square, total[3], total[4]
+    illumination[0], illumination[1] = offset, gain
+    illumination[2], illumination[3], illumination[4] = first, second, np.inf
     if not gain > 0.0:
         return 0.0
-    left = total[1] - total[0] * offset - gain * gain * square - first**2 - second**2
-    light[4] = max(left, 0.0) / (gain * gain)
+    residual = total[1] - total[0] * offset - gain * gain * square - first**2 - second**2
+    illumination[4] = max(residual, 0.0) / (gain * gain)
     for a in range(2):
         for k in range(bases):
             explained = sums[a, k] * offset + sums[2 + a, k] * gain
@@ -256,27 +259,27 @@ def window_right_kernel(window, sampled, half, bases, inside, mean, square, sums
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def window_blocks_kernel(window, sampled, half, bases, mean, light, blocks):
+def window_blocks_kernel(window, sampled, half, bases, mean, illumination, blocks):
     """Contribution of each block of a window to the right-hand side, illumination removed.
 
     Blocks are the cells of a square subdivision of the window; `blocks`, (cells, 2 bases), is
-    filled [grey levels^2/px]. `light` is from `window_right_kernel`.
+    filled [grey levels^2/px]. `illumination` is from `window_right_kernel`.
     """
     side = 2 * half + 1
     cells = int(np.sqrt(len(blocks)))
-    offset, gain, first, second = light[0], light[1], light[2], light[3]
+    offset, gain, first, second = illumination[0], illumination[1], illumination[2], illumination[3]
     blocks[:] = 0.0
     for r in range(side):
         eta = (r - half) / half
         for k in range(side):
             xi = (k - half) / half
             block = blocks[(r * cells // side) * cells + k * cells // side]
-            rest = window[3, r, k] * (sampled[r, k] - mean - offset)
-            rest -= gain * window[0, r, k]
-            rest -= first * window[4, r, k] + second * window[5, r, k]
-            rest /= gain
+            residual = window[3, r, k] * (sampled[r, k] - mean - offset)
+            residual -= gain * window[0, r, k]
+            residual -= first * window[4, r, k] + second * window[5, r, k]
+            residual /= gain
             for a in range(2):
-                value = window[1 + a, r, k] * rest
+                value = window[1 + a, r, k] * residual
                 block[a * bases] += value
                 if bases >= 3:
                     block[a * bases + 1] += value * xi

@@ -9,7 +9,7 @@ Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by its
 """
 
 from palpate.vision.stereo.known_object import (
-    LEAST_POINTS as LEAST_POINTS,
+    MIN_POSE_POINTS as MIN_POSE_POINTS,
     near_object as near_object,
     object_frame as object_frame,
     register_object as register_object,
@@ -20,7 +20,7 @@ from palpate.vision.stereo.stereo import (
     StereoMatches as StereoMatches,
     StereoPoints as StereoPoints,
     StereoSettings as StereoSettings,
-    joined_matches as joined_matches,
     stereo_matches as stereo_matches,
     stereo_points as stereo_points,
+    triangulated_matches as triangulated_matches,
 )

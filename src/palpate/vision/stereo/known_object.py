@@ -17,7 +17,7 @@ from palpate.shapes import Points
 from palpate.vision.stereo.stereo import StereoPoints
 
 # Fewer points do not determine a pose.
-LEAST_POINTS = 50
+MIN_POSE_POINTS = 50
 # Points farther than this from the centre of the mesh, in diagonals, belong to table or background.
 _REACH = 0.6
 # Subdivisions of a mesh edge: the cameras see its smooth surface, not its facets.
@@ -55,8 +55,8 @@ def near_object(
     """
     place = points if pose is None else points @ pose[:3, :3].T + pose[:3, 3]
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    away = np.linalg.norm(place - middle, axis=1)
-    return np.asarray(away < _REACH * bounding_diagonal(mesh))
+    distance = np.linalg.norm(place - middle, axis=1)
+    return np.asarray(distance < _REACH * bounding_diagonal(mesh))
 
 
 def register_object(
@@ -77,14 +77,14 @@ def register_object(
 
     Returns
     -------
-    Registration or None            None where fewer than `LEAST_POINTS` lie near the object
+    Registration or None            None where fewer than `MIN_POSE_POINTS` lie near the object
     """
     near = near_object(stereo.point, smooth, start)
-    if near.sum() < LEAST_POINTS:
+    if near.sum() < MIN_POSE_POINTS:
         return None
     return register(
         stereo.point[near], stereo.covariance[near], smooth, start=start,
-        eye=camera_centre(rig.cameras[rig.reference]),
+        viewpoint=camera_centre(rig.cameras[rig.reference]),
     )  # fmt: skip
 
 

@@ -205,10 +205,10 @@ def _semi_global(
     high: float,
 ) -> Float[np.ndarray, "rows columns"]:
     """Disparity of every pixel within a range; NaN where not found."""
-    least = int(np.floor(low))
-    count = 16 * int(np.ceil((high - least) / 16.0))
+    lowest = int(np.floor(low))
+    count = 16 * int(np.ceil((high - lowest) / 16.0))
     matcher = cv2.StereoSGBM.create(
-        minDisparity=least,
+        minDisparity=lowest,
         numDisparities=count,
         blockSize=_BLOCK,
         # OpenCV's recommended penalties for small and large disparity steps.
@@ -223,13 +223,13 @@ def _semi_global(
     )
     # OpenCV skips pixels for which any trial disparity leaves the picture, so the pictures are
     # padded.
-    left, right = max(least + count, 0), max(-least, 0)
+    left, right = max(lowest + count, 0), max(-lowest, 0)
     wide = [
         cv2.copyMakeBorder(picture, 0, 0, left, right, cv2.BORDER_CONSTANT, value=_GREY)
         for picture in (first, second)
     ]
     found = matcher.compute(wide[0], wide[1])[:, left : left + first.shape[1]] / 16.0
-    return np.where(found < least, np.nan, found)
+    return np.where(found < lowest, np.nan, found)
 
 
 def _corrected(pair: _Pair) -> Rectified:

@@ -85,7 +85,7 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
             )
             continue
         residual.append(_misfit(rig, order, pairs, which))
-        limit = max(_MAX_RESIDUAL_PX, _MAX_RESIDUAL_NOISE * _own_error(rig, pairs, which))
+        limit = max(_MAX_RESIDUAL_PX, _MAX_RESIDUAL_NOISE * _feature_error(rig, pairs, which))
         if residual[-1] > limit:
             worst = max(worst, residual[-1])
         elif residual[-1] > _NOTED_RESIDUAL_PX:
@@ -170,11 +170,11 @@ def _line_distance(
 ) -> PointScalars:
     """Distance of `b` from the epipolar lines of `a` by a fundamental matrix, in their unit."""
     line = np.column_stack([a, np.ones(len(a))]) @ matrix.T
-    miss = np.abs((b * line[:, :2]).sum(axis=1) + line[:, 2])
-    return miss / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)
+    residual = np.abs((b * line[:, :2]).sum(axis=1) + line[:, 2])
+    return residual / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)
 
 
-def _own_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
+def _feature_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
     """Median distance from the epipolar lines of the geometry that fits the features best [px]."""
     found = pairs[which]
     a, b = (

@@ -105,15 +105,16 @@ class StereoMatches:
     pixel : (n, 2) float [px]           column and row in the reference camera
     pixels : (c, n, 2) float [px]       in every camera; NaN where not found
     covariance : (c, n, 2, 2) float [px^2]  of the match; NaN where not found, and in the reference
-    outcome : (n,) int                  the largest `Outcome` over the cameras
-    blank : int                         number of grid points without texture, not among the n
+    outcome : (n,) int                  VALID where a camera matched the point, else the largest
+                                        `Outcome` over the cameras
+    untextured : int                    number of grid points without texture, not among the n
     """
 
     pixel: Float[np.ndarray, "n 2"]
     pixels: Float[np.ndarray, "c n 2"]
     covariance: Float[np.ndarray, "c n 2 2"]
     outcome: PointIndices
-    blank: int
+    untextured: int
 
 
 def stereo_matches(
@@ -143,7 +144,7 @@ def stereo_matches(
     if wanted.shape != shape:
         raise InputError(f"mask is of {wanted.shape} pixels; the reference picture of {shape}")
     cell, pixel = _grid(wanted & pictures.normalised[reference].textured, settings.step)
-    blank = len(_grid(wanted, settings.step)[0]) - len(pixel)
+    untextured = len(_grid(wanted, settings.step)[0]) - len(pixel)
     splines = [make_spline_picture(grey) for grey in pictures.grey]
     found: dict[int, WindowMatches] = {}
     failures: list[InputError] = []
@@ -159,15 +160,18 @@ def stereo_matches(
         found[k] = confirmed_matches(matches, cell, pixel)
     if not found:
         raise failures[0]
-    # Outcomes are roughly in the order of the steps: the largest is of the one that got farthest.
-    outcome = np.max([matches.outcome for matches in found.values()], axis=0)
+    outcomes = np.stack([matches.outcome for matches in found.values()])
+    # Causes are roughly in the order of the steps: the largest is that of the camera that got
+    # farthest.
+    matched = (outcomes == Outcome.VALID).any(axis=0)
+    outcome = np.where(matched, int(Outcome.VALID), outcomes.max(axis=0))
     pixels = np.full((len(splines), len(pixel), 2), np.nan)
     covariance = np.full((*pixels.shape, 2), np.nan)
     pixels[reference] = pixel
     for k, matches in found.items():
         pixels[k] = pixel + matches.displacement
         covariance[k] = matches.covariance
-    return StereoMatches(pixel, pixels, covariance, outcome, blank)
+    return StereoMatches(pixel, pixels, covariance, outcome, untextured)
 
 
 def stereo_points(
@@ -196,10 +200,10 @@ def stereo_points(
                                     coincide, or the cameras look along their baseline
     """
     matches = stereo_matches(pictures, mask=mask, settings=settings)
-    return joined_matches(pictures.rig, matches, settings=settings)
+    return triangulated_matches(pictures.rig, matches, settings=settings)
 
 
-def joined_cameras(
+def triangulate_consistent(
     rig: Rig,
     pixels: Float[np.ndarray, "c n 2"],
     covariance: Float[np.ndarray, "c n 2 2"],
@@ -231,12 +235,12 @@ def joined_cameras(
         excess[rig.reference] = -np.inf
         wrong = excess.max(axis=0) > 1.0
         lost = used.any(axis=0) & ~np.isfinite(found.point).all(axis=1)
-        few = used.sum(axis=0) <= 2
+        too_few = used.sum(axis=0) <= 2
         if not (wrong | lost).any():
             break
-        drop = np.flatnonzero(wrong & ~few)
+        drop = np.flatnonzero(wrong & ~too_few)
         used[excess.argmax(axis=0)[drop], drop] = False
-        used[:, (wrong & few) | lost] = False
+        used[:, (wrong & too_few) | lost] = False
     found, _ = _triangulated(rig, pixels, covariance, used)
     return found, used
 
@@ -273,11 +277,13 @@ def _excess(
         known = used[c] & np.isfinite(error[c]).all(axis=1)
         if not known.any():
             continue
-        miss = error[c, known]
-        away = np.linalg.norm(miss - np.median(miss, axis=0), axis=1)
+        residual = error[c, known]
+        distance = np.linalg.norm(residual - np.median(residual, axis=0), axis=1)
         noise = np.trace(covariance[c, known], axis1=1, axis2=2)
-        allowed = _MAX_DEVIATIONS * np.sqrt((_PER_MEDIAN * np.median(away)) ** 2 + noise)
-        excess[c, known] = np.maximum(away / allowed, np.linalg.norm(miss, axis=1) / reprojection)
+        allowed = _MAX_DEVIATIONS * np.sqrt((_PER_MEDIAN * np.median(distance)) ** 2 + noise)
+        excess[c, known] = np.maximum(
+            distance / allowed, np.linalg.norm(residual, axis=1) / reprojection
+        )
     return excess
 
 
@@ -290,7 +296,7 @@ def _grid(
     return cell, (first + step * cell[:, ::-1]).astype(np.float64)
 
 
-def joined_matches(
+def triangulated_matches(
     rig: Rig, matches: StereoMatches, *, settings: StereoSettings = StereoSettings()
 ) -> StereoPoints:
     """Triangulate the matches of all cameras.
@@ -306,17 +312,16 @@ def joined_matches(
     StereoPoints
     """
     outcome = matches.outcome.copy()
-    others = np.delete(matches.pixels, rig.reference, axis=0)
-    rows = np.flatnonzero(np.isfinite(others).all(axis=2).any(axis=0))
+    rows = np.flatnonzero(outcome == Outcome.VALID)
     outcome[rows] = Outcome.REPROJECTION
-    joint, used = joined_cameras(
+    joint, used = triangulate_consistent(
         rig, matches.pixels[:, rows], matches.covariance[:, rows],
         reprojection=settings.reprojection,
     )  # fmt: skip
     good = used.any(axis=0)
     outcome[rows[good]] = Outcome.VALID
     counts = np.bincount(outcome, minlength=len(Outcome))
-    counts[Outcome.TEXTURE] += matches.blank
+    counts[Outcome.TEXTURE] += matches.untextured
     return StereoPoints(
         pixel=matches.pixel[rows[good]],
         point=joint.point[good],

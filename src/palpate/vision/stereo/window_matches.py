@@ -22,7 +22,7 @@ from palpate.vision.stereo.pair_disparity import StereoStart
 # Smaller windows do not determine six coefficients per component.
 MIN_WINDOW_PX = 9
 # Sides of the windows relative to the largest.
-_SHARES = (0.43, 0.53, 0.7, 1.0)
+_RELATIVE_SIDES = (0.43, 0.53, 0.7, 1.0)
 # Largest standard deviation of a match [px]: good sub-pixel matching is ten times better.
 _MAX_SIGMA_PX = 0.1
 # Below this correlation a window shows as much noise, or something else, as texture.
@@ -184,8 +184,8 @@ def _largest_consistent(
         good = outcome == Outcome.VALID
         variance = np.einsum("nii->ni", attempt.match.covariance)
         # An excess residual must not widen the interval and so hide a contradiction.
-        share = np.minimum(1.0, noise / np.maximum(attempt.residual, 1e-9))[:, None]
-        half = _INTERVAL * np.sqrt(share**2 * variance + _BIAS_PX**2)
+        factor = np.minimum(1.0, noise / np.maximum(attempt.residual, 1e-9))[:, None]
+        half = _INTERVAL * np.sqrt(factor**2 * variance + _BIAS_PX**2)
         new_low = np.fmax(low, attempt.match.displacement - half)
         new_high = np.fmin(high, attempt.match.displacement + half)
         contradicted |= good & ~(new_low <= new_high).all(axis=1)
@@ -197,7 +197,7 @@ def _largest_consistent(
 
 def _sides(subset: int) -> list[int]:
     """Sides of the windows to try [px], smallest first."""
-    sides = [2 * round(0.5 * share * subset - 0.5) + 1 for share in _SHARES]
+    sides = [2 * round(0.5 * ratio * subset - 0.5) + 1 for ratio in _RELATIVE_SIDES]
     return sorted({max(side, MIN_WINDOW_PX) for side in sides})
 
 
@@ -211,9 +211,9 @@ def _contrast(
     """
     rows, columns = picture.grey.shape
     column, row = pixel.astype(np.int64).T
-    share = np.maximum(match.score, 1e-6) ** -2 - 1.0
+    ratio = np.maximum(match.score, 1e-6) ** -2 - 1.0
     grey = picture.grey.astype(np.float64)
-    residual = np.sqrt(share * moments(grey, side)[1][row, column])
+    residual = np.sqrt(ratio * moments(grey, side)[1][row, column])
     third = side // 3 - 1 + (side // 3) % 2
     _, small = moments(grey, third)
     away = third // 2 + 1
@@ -230,8 +230,8 @@ def _outcomes(attempt: _Attempt, noise: float) -> Int[np.ndarray, " n"]:
     outcome = np.full(len(match.score), int(Outcome.VALID))
     sigma = np.sqrt(np.trace(match.covariance, axis1=1, axis2=2))
     with np.errstate(invalid="ignore"):
-        blank = ~(attempt.beside > 2.0 * noise**2)
-        outcome[blank | (sigma > _MAX_SIGMA_PX)] = Outcome.TEXTURE
+        untextured = ~(attempt.beside > 2.0 * noise**2)
+        outcome[untextured | (sigma > _MAX_SIGMA_PX)] = Outcome.TEXTURE
         excessive = attempt.residual > _MAX_EXCESS * noise
         outcome[(match.score < _MIN_SCORE) | excessive] = Outcome.SCORE
     outcome[~match.converged] = Outcome.LOST
