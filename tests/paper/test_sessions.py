@@ -15,7 +15,7 @@ from palpate.paper.motion import flow_rows, vertex_rows
 from palpate.paper.sessions import (
     METHODS,
     measured_session,
-    quickened,
+    reduced,
     rigid_steps,
     true_displacement,
     true_material,
@@ -176,11 +176,11 @@ def config(tmp_path_factory):
 
 
 def test_a_quick_configuration_is_the_same_on_a_coarser_chip(config):
-    quick = quickened(replace(config, head=replace(config.head, focal=500.0)))
+    quick = reduced(replace(config, head=replace(config.head, focal=500.0)))
     assert (quick.head.columns, quick.head.rows, quick.head.focal) == (100, 75, 250.0)
     assert quick.look.size == pytest.approx(2 * config.look.size)
     assert quick.stage.steps == 2
-    many = quickened(replace(config, stage=replace(config.stage, steps=8)))
+    many = reduced(replace(config, stage=replace(config.stage, steps=8)))
     assert many.stage.steps == 3
     assert many.head.focal is None
     np.testing.assert_array_equal(many.stage.translation, config.stage.translation)

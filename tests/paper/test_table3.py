@@ -11,7 +11,7 @@ import pytest
 
 from palpate.lab import built_in, choose_variant, read_lab_config
 from palpate.paper.constants import CONSTANTS, estimated_constants, intervals_hold
-from palpate.paper.sessions import measured_session, quickened, true_material
+from palpate.paper.sessions import measured_session, reduced, true_material
 
 COUNT = 3
 
@@ -28,7 +28,7 @@ def measured(tmp_path_factory):
     (folder / "coarse.toml").write_text(coarse, encoding="utf-8")
     config = read_lab_config(folder / "coarse.toml")
     (folder / "session").mkdir()
-    few = quickened(replace(config, probes=config.probes[::8]))
+    few = reduced(replace(config, probes=config.probes[::8]))
     ball = measured_session(few, folder / "session", methods=("joint",), variant=choose_variant())
     return estimated_constants(ball, "joint").result.estimate, true_material(ball.session)
 

@@ -16,7 +16,7 @@ from palpate.simulation import (
     Sphere,
     convex_tool,
     flat_punch,
-    force_deviation,
+    force_covariance,
     start_contact,
     touch,
 )
@@ -65,7 +65,9 @@ def full_solve(session, green, state):
     x, y = np.linalg.solve(matrix, right), np.linalg.solve(matrix.T, pick.T)
     compliance = 0.5 * (pick @ x + right.T @ y)
     rows, along = what_is_given(state, nodes)
-    unknown = np.linalg.solve(rows.T @ compliance @ along, rows.T @ state.moved[nodes].ravel())
+    unknown = np.linalg.solve(
+        rows.T @ compliance @ along, rows.T @ state.displacement[nodes].ravel()
+    )
     return (along @ unknown).reshape(-1, 3)
 
 
@@ -102,8 +104,8 @@ def test_forces_are_those_of_a_full_solve_with_the_same_contact(session, green, 
 @pytest.mark.parametrize("friction", [0.0, 0.4, np.inf])
 def test_nothing_enters_the_tool_and_nothing_is_pulled(green, friction):
     for state in walked(green, [oblique(s) for s in np.linspace(0, 1, 12)], friction=friction)[2:]:
-        place = green.mesh.vertices[green.nodes] + state.moved
-        gap = np.linalg.norm(place - state.tools[0].place, axis=1) - RADIUS
+        place = green.mesh.vertices[green.nodes] + state.displacement
+        gap = np.linalg.norm(place - state.tools[0].position, axis=1) - RADIUS
         # Rounding of lengths of 0.1 m.
         assert gap.min() > -1e-12
         np.testing.assert_allclose(gap[state.touching], 0.0, atol=1e-12)
@@ -114,13 +116,13 @@ def test_nothing_enters_the_tool_and_nothing_is_pulled(green, friction):
 
 def energy(green, state):
     """Elastic energy of the object [J]."""
-    return 0.5 * np.einsum("na,na->", state.force, state.moved)
+    return 0.5 * np.einsum("na,na->", state.force, state.displacement)
 
 
 def work(states):
     """Work of the tool on the object along its path [J]: the trapezoidal rule."""
-    place = np.array([state.tools[0].place for state in states])
-    push = -np.array([state.on_tool[0] for state in states])
+    place = np.array([state.tools[0].position for state in states])
+    push = -np.array([state.tool_force[0] for state in states])
     return float(np.einsum("sa,sa->", 0.5 * (push[1:] + push[:-1]), np.diff(place, axis=0)))
 
 
@@ -165,7 +167,7 @@ def test_a_punch_that_is_dragged_far_pulls_with_its_coefficient_times_the_press(
     state = walked(green, down + aside, tool=punch, friction=friction)[-1]
     assert len(state.touching) >= 5
     assert not state.sticking.size
-    x, y, z = state.on_tool[0]
+    x, y, z = state.tool_force[0]
     # Every node slides along its own direction, within 2 degrees of the drag.
     assert np.hypot(x, y) == pytest.approx(friction * z, rel=1e-3)
     assert x < 0.0 < z
@@ -177,7 +179,7 @@ def test_the_steps_of_the_force_shrink_with_the_steps_of_the_path(green, frictio
     largest = []
     for count in (41, 161):
         states = walked(green, [oblique(s) for s in np.linspace(0, 1, count)], friction=friction)
-        force = np.array([state.on_tool[0] for state in states[1:]])
+        force = np.array([state.tool_force[0] for state in states[1:]])
         assert len({len(state.touching) for state in states}) > 3
         largest.append(np.abs(np.diff(force, axis=0)).max())
     # A quarter of the step, and a little for the bend of the curve.
@@ -201,7 +203,7 @@ def test_a_node_keeps_to_the_face_by_which_it_came_in(green):
     state = walked(green, [np.array(TOP) - [0, 0, d] for d in (-1e-4, 1e-3, 3e-3)], tool=punch)[-1]
     assert len(state.touching) == 5
     np.testing.assert_allclose(state.normal[state.touching], [[0, 0, -1]] * 5, atol=1e-12)
-    np.testing.assert_allclose(state.moved[state.touching, 2], -3e-3, atol=1e-12)
+    np.testing.assert_allclose(state.displacement[state.touching, 2], -3e-3, atol=1e-12)
 
 
 def test_two_tools_press_as_one_body_whatever_their_order(green):
@@ -217,8 +219,8 @@ def test_two_tools_press_as_one_body_whatever_their_order(green):
         return state
 
     one, other = pressed([0, 1]), pressed([1, 0])
-    np.testing.assert_allclose(one.on_tool, other.on_tool[::-1], rtol=1e-8)
-    assert (one.on_tool[:, 2] > 0.0).all()
+    np.testing.assert_allclose(one.tool_force, other.tool_force[::-1], rtol=1e-8)
+    assert (one.tool_force[:, 2] > 0.0).all()
 
 
 def test_the_response_is_that_of_the_touching_nodes_however_the_contact_grew(green):
@@ -235,10 +237,10 @@ def test_the_response_is_that_of_the_touching_nodes_however_the_contact_grew(gre
         nodes = np.flatnonzero(state.given)
         counts.add(len(nodes))
         force = np.random.default_rng(1).normal(size=(len(nodes), 3))
-        moved = np.einsum("iajb,jb->ia", green.compliance[nodes][:, :, nodes], force)
+        displacement = np.einsum("iajb,jb->ia", green.compliance[nodes][:, :, nodes], force)
         by_force = (state.given[nodes] == BY_FORCE)[:, None]
-        found = state.response @ np.where(by_force, force, moved).ravel()
-        wanted = np.where(by_force, moved, force)
+        found = state.response @ np.where(by_force, force, displacement).ravel()
+        wanted = np.where(by_force, displacement, force)
         # Rounding through a condition of 1e2, displacements and forces each by their own size.
         for kind in (by_force, ~by_force) if len(nodes) else ():
             off = np.abs(found.reshape(-1, 3) - wanted) * kind
@@ -278,9 +280,9 @@ def test_the_deviation_of_the_force_is_that_of_other_constants(neighbours, frict
     """
     places = [oblique(s) for s in np.linspace(0, 0.5, 6)]
     ends = [walked(green, places, friction=friction)[-1] for green in neighbours]
-    force = [state.on_tool[0] for state in ends]
+    force = [state.tool_force[0] for state in ends]
     slopes = np.stack([force[0] / SHEAR, (force[1] - force[2]) / (2 * STEP)], axis=1)
-    found = force_deviation(neighbours[0], ends[0])[0]
+    found = force_covariance(neighbours[0], ends[0])[0]
     wanted = slopes @ SIGMA @ slopes.T
     assert np.abs(found - wanted).max() < off * np.abs(wanted).max()
 

@@ -69,7 +69,7 @@ def test_the_tetrahedra_fill_the_object_in_both_forms(model):
     assert len(model.linear) == 8 * len(model.solid.elements)
     # A cube is met exactly: rounding.
     assert volume.sum() == pytest.approx(SIDE**3)
-    assert enclosed_volume(model.skin) == pytest.approx(SIDE**3)
+    assert enclosed_volume(model.boundary_surface) == pytest.approx(SIDE**3)
     np.testing.assert_array_equal(model.held, model.nodes[:, 2] < 1e-9)
 
 

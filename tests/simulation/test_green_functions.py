@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cube_green import NU, SHEAR, TOP
 from estimate_samples import sample_result
+from fault_injection import largest_file
 from surfaces import box
 
 from palpate.errors import InputError, RecordError
@@ -62,6 +63,19 @@ def test_files_give_back_what_was_written(tmp_path, green):
         np.testing.assert_array_equal(getattr(again, name), getattr(green, name))
     assert again.material.shear_modulus == SHEAR
     assert again.asymmetry == green.asymmetry
+
+
+def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path, green):
+    path = tmp_path / "g.npz"
+    write_green_functions(path, green)
+    before = path.read_bytes()
+    with (
+        largest_file(len(before) // 2),
+        pytest.raises(RecordError, match=r"g\.npz: cannot be written \("),
+    ):
+        write_green_functions(path, green)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["g.npz"]
 
 
 def spoilt(path, green, **changes):

@@ -49,6 +49,6 @@ def page(browser, viewer):
     until(lambda: set(viewer.tabs) - before)
     found.number = max(viewer.tabs)
     found.wait_for_selector("canvas")
-    until(lambda: viewer.workshop.green is not None)
+    until(lambda: viewer.background.green is not None)
     yield found
     found.close()

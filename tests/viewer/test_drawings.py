@@ -9,7 +9,7 @@ from palpate.estimation import LikelihoodMap
 from palpate.records import Camera, Rig, read_session
 from palpate.viewer.drawings import LikelihoodPlot, camera_picture
 from palpate.viewer.panels.material import rms_text
-from palpate.viewer.stage import camera_place, place_labels
+from palpate.viewer.stage import camera_view_pose, merged_labels
 from palpate.viewer.subject import read_subject, shown_probings
 
 FOCAL, SIZE, HEIGHT = 800.0, (400, 300), 0.2
@@ -42,7 +42,7 @@ def orange(picture):
 def test_arrows_go_where_the_points_went(seen, cube_session):
     session, rig = seen
     (shown,) = shown_probings(read_subject(cube_session))
-    picture = camera_picture(session, rig, 0, "rest_{camera}.png", flow=shown, stretch=10.0)
+    picture = camera_picture(session, rig, 0, "rest_{camera}.png", flow=shown, magnification=10.0)
     assert picture.shape == (300, 400, 3)
     drawn = orange(picture)
     # Every point goes 0.3 mm along x and 0.4 mm down, drawn ten times: along the columns by focal
@@ -54,7 +54,9 @@ def test_arrows_go_where_the_points_went(seen, cube_session):
     assert 199.5 + reach < drawn[:, 1].max() < 199.5 + reach + way + 6.0
     assert len(drawn) > 50
     # Half as far drawn: half of the way less along the columns, and it ends a little farther out.
-    less = orange(camera_picture(session, rig, 0, "rest_{camera}.png", flow=shown, stretch=5.0))
+    less = orange(
+        camera_picture(session, rig, 0, "rest_{camera}.png", flow=shown, magnification=5.0)
+    )
     assert 4.0 <= drawn[:, 1].max() - less[:, 1].max() <= 0.5 * way + 1.0
 
 
@@ -69,7 +71,7 @@ def test_a_picture_that_is_not_there_is_none(seen):
 
 
 def test_the_view_from_a_camera_is_its_own():
-    turn, place, fov = camera_place(camera("a"))
+    turn, place, fov = camera_view_pose(camera("a"))
     np.testing.assert_allclose(place, [20.0, 20.0, 1e3 * HEIGHT], atol=1e-9)
     # Half a turn about x: it looks down.
     np.testing.assert_allclose(np.abs(turn), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
@@ -79,7 +81,7 @@ def test_the_view_from_a_camera_is_its_own():
 def test_probings_at_one_place_have_one_label():
     here, there = np.zeros(3), np.array([10.0, 0.0, 0.0])
     starts = {"a": (here, ""), "b": (here + 0.1, "b: 2 N"), "c": (there, "")}
-    (first, place), (second, _) = place_labels(starts, 1.0)
+    (first, place), (second, _) = merged_labels(starts, 1.0)
     assert (first, second) == ("b: 2 N and 1 more", "c")
     np.testing.assert_array_equal(place, here)
 

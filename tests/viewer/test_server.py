@@ -24,12 +24,12 @@ class _Folder:
 
 
 def test_a_tab_is_updated_by_one_thread_at_a_time() -> None:
-    """The workshop says that something is ready while the tab is opened."""
+    """The background work says that something is ready while the tab is opened."""
     tab = Tab.__new__(Tab)
     tab._updating = threading.Lock()
     tab._material_folder = _Folder()
     tab.material = tab.touching = SimpleNamespace(update=lambda: None)
-    tab._workshop, tab._fitted = SimpleNamespace(fitted=None), None
+    tab._background, tab._fitted = SimpleNamespace(fitted=None), None
     with ThreadPoolExecutor(8) as threads:
         for done in [threads.submit(tab.update) for _ in range(32)]:
             done.result()

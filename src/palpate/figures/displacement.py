@@ -65,7 +65,7 @@ class _Scene:
     """Content common to all three panels, in the viewer's frame and millimetres."""
 
     view: SurfaceView
-    place: Points
+    points: Points
     front: Flags
     contact: Vector3
     push: Vector3
@@ -126,7 +126,7 @@ def _sigmas(difference: Points, sigma: Points | None) -> PointScalars | None:
 def _scene(
     mesh: TriangleMesh,
     probing: Probing,
-    points: Points,
+    positions: Points,
     normals: Points,
     outlier: Flags,
     held: Indices,
@@ -136,7 +136,7 @@ def _scene(
     view = make_view(mesh, best_direction(normals, unit_normals(mesh)[touched]))
     return _Scene(
         view=view,
-        place=1e3 * projected(view, points),
+        points=1e3 * projected(view, positions),
         front=normals @ view.R_view_object[2] > 0.05,
         contact=1e3 * projected(view, probing.contact.point),
         push=projected(view, probing.force / max(float(np.linalg.norm(probing.force)), 1e-300)),
@@ -144,7 +144,7 @@ def _scene(
         held=np.isin(view.triangle, held),
         outlier=outlier,
         size=1e3 * bounding_diagonal(mesh),
-        spot=float(np.clip(3000.0 / len(points), 5.0, 42.0)),
+        spot=float(np.clip(3000.0 / len(positions), 5.0, 42.0)),
     )
 
 
@@ -160,19 +160,19 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points], sigmas: PointScalars
     scales = ((LENGTHS, largest, largest), (LENGTHS, largest, largest), (RESIDUALS, last, worst))
     arrow = LONGEST_ARROW * scene.size
     front = scene.front & scene.used
-    stretched = [
+    arrows = [
         _bounded(arrow / top * vector[front, :2], 1.5 * arrow)
         for vector, (_, _, top) in zip(vectors, scales, strict=True)
     ]
-    low, high = _extent(scene, np.concatenate([scene.place[front, :2] + one for one in stretched]))
+    low, high = _extent(scene, np.concatenate([scene.points[front, :2] + one for one in arrows]))
     figure, panels = three_panels(high - low)
-    for axes, title, arrows, colour, (cmap, most, _) in zip(
-        panels, titles, stretched, shown, scales, strict=True
+    for axes, title, panel_arrows, colour, (cmap, most, _) in zip(
+        panels, titles, arrows, shown, scales, strict=True
     ):
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         _surface(axes, scene)
         _points(axes, scene, colour, cmap, most)
-        add_arrows(axes, scene.place[front, :2], arrows, pitch=scene.size / ARROWS_ACROSS)
+        add_arrows(axes, scene.points[front, :2], panel_arrows, pitch=scene.size / ARROWS_ACROSS)
         title_panel(axes, title)
     _contact(panels[0], scene)
     _scale_bar(panels[0])
@@ -241,12 +241,12 @@ def _surface(axes: Axes, scene: _Scene) -> None:
 def _points(axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: float) -> None:
     """Draw the observed points on the near side, coloured by length, and outliers as crosses."""
     used = scene.front & scene.used
-    place = scene.place[used]
+    shown = scene.points[used]
     axes.scatter(
-        place[:, 0], place[:, 1], c=length[used], s=scene.spot, cmap=cmap,
+        shown[:, 0], shown[:, 1], c=length[used], s=scene.spot, cmap=cmap,
         norm=Normalize(0.0, top), linewidths=0.15, edgecolors=INK, zorder=2,
     )  # fmt: skip
-    crossed = scene.place[scene.front & ~used]
+    crossed = scene.points[scene.front & ~used]
     axes.scatter(
         crossed[:, 0], crossed[:, 1], s=scene.spot, marker="x", color=INK, linewidths=0.7, zorder=2
     )

@@ -116,13 +116,13 @@ def likelihood_figure(result: FitResult) -> Figure:
         f"both together, {share} %": Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
         for share, colour in zip(REGIONS, (MIDDLE_BLUE, PALE_BLUE), strict=True)
     }
-    handles = patches | _told_lines(axes, estimate, nu, factor)
+    handles = patches | _interval_lines(axes, estimate, nu, factor)
     figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=2, columnspacing=1.4)
     open_frame(axes)
     return figure
 
 
-def _told_lines(
+def _interval_lines(
     axes: Axes, estimate: Estimate, nu: Float[np.ndarray, " a"], factor: float
 ) -> dict[str, Artist]:
     """Draw the marginal intervals of each constant next to the joint region; gives the artists by
@@ -137,8 +137,8 @@ def _told_lines(
     soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
     # The interval of a constant that is not determined is its possible range.
     lines = [
-        axes.plot([low, high], [place[1]] * 2, **_told(known[0]))[0],
-        axes.plot([place[0]] * 2, [soft, stiff], **_told(known[1]))[0],
+        axes.plot([low, high], [place[1]] * 2, **_interval_style(known[0]))[0],
+        axes.plot([place[0]] * 2, [soft, stiff], **_interval_style(known[1]))[0],
     ]
     for line, one in zip(lines, known, strict=True):
         label = "each alone, 95 %: as printed" if one else "not determined: possible range"
@@ -160,7 +160,7 @@ def _told_lines(
     return found
 
 
-def _told(known: bool) -> dict[str, Any]:
+def _interval_style(known: bool) -> dict[str, Any]:
     """Line style of the interval of one constant."""
     ends = {"marker": "|", "markersize": 6.0, "zorder": 4, "clip_on": False}
     return ends | {"color": ORANGE if known else GREY, "linewidth": 2.0 if known else 1.2}
@@ -223,12 +223,12 @@ def probings_figure(estimate: Estimate, *, truth: Mapping[str, float] | None = N
     for axes, (name, symbol) in zip(panels, _SYMBOLS.items(), strict=True):
         joint = getattr(estimate, name)
         factor, unit = (1.0, "") if name == "poisson_ratio" else modulus_unit(joint.value)
-        told = [
+        intervals = [
             (getattr(probe, name), probe.identifiable.get(name, estimate.identifiable[name]))
             for probe in estimate.probes
         ]
         true = None if truth is None else truth[name] / factor
-        _dots(axes, told, joint, factor, known=estimate.identifiable[name], true=true)
+        _dots(axes, intervals, joint, factor, known=estimate.identifiable[name], true=true)
         axes.set_xlabel(f"{symbol} ({unit})" if unit else symbol)
         if not estimate.identifiable[name]:
             axes.set_title("not determined by these data", color=INK)
@@ -249,7 +249,7 @@ def probings_figure(estimate: Estimate, *, truth: Mapping[str, float] | None = N
 
 def _dots(
     axes: Axes,
-    told: list[tuple[Constant, bool]],
+    intervals: list[tuple[Constant, bool]],
     joint: Constant,
     factor: float,
     *,
@@ -257,7 +257,7 @@ def _dots(
     true: float | None,
 ) -> None:
     """Draw one panel of the dot plot; intervals that leave the panel end in arrow heads."""
-    singles = [single for single, _ in told]
+    singles = [single for single, _ in intervals]
     low, high = joint.ci95
     if known:
         axes.axvline(joint.value / factor, color=ORANGE, linewidth=1.0, zorder=1)
@@ -271,7 +271,7 @@ def _dots(
     finite = np.isfinite(value)
     dot = np.clip(value, left, right)
     bars = np.abs(reach - dot[:, None]).T
-    alone = np.array([one for _, one in told])
+    alone = np.array([one for _, one in intervals])
     for those, form, colour in ((finite & alone, "o", BLUE), (finite & ~alone, "none", GREY)):
         axes.errorbar(
             dot[those], rows[those], xerr=bars[:, those], fmt=form, color=colour, ecolor=colour,

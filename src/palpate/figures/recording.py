@@ -46,9 +46,9 @@ def recording_figure(found: Recorded, name: str) -> Figure:
         every = max(1, len(time) // _POINTS)
         panel.plot(time[::every], motion.change[::every], color=BLUE, linewidth=0.7)
         text = f"{1e3 * clock.std:.1f} ms" if np.isfinite(clock.std) else "unknown"
-        told = "told" if clock.given else f"± {text}"
+        accuracy = "told" if clock.given else f"± {text}"
         panel.annotate(
-            f"{motion.camera}: clock {clock.offset:+.4f} s, {told}", (0.005, 0.97),
+            f"{motion.camera}: clock {clock.offset:+.4f} s, {accuracy}", (0.005, 0.97),
             xycoords="axes fraction", va="top", fontsize=6.5, parse_math=False,
         )  # fmt: skip
         panel.set_ylim(0.0, 1.35 * float(motion.change.max()))

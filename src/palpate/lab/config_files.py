@@ -28,7 +28,7 @@ LAB_FORMAT = "palpate-lab/1"
 _APART = ("format", "specimen", "support", "probe")
 # The body's surface is this many times finer than the session's mesh. The error of a faceted
 # surface grows with the square of its edge, so the body has a ninth of the mesh's.
-_ROUNDER = 3.0
+_BODY_REFINEMENT = 3.0
 # Largest numbers of surface triangles and of tetrahedra: minutes of work and some gigabytes.
 _MOST_SQUARES, _MOST_TETRAHEDRA = 30_000, 300_000
 # Smallest and largest permitted size of a specimen [m].
@@ -109,7 +109,7 @@ def _specimen(root: TomlTable) -> Specimen:
         _check_edge(table, edge, lengths)
         with table.blamed():
             mesh = shape.make(edge=edge, **lengths)
-            body = shape.make(edge=edge / _ROUNDER, **lengths)
+            body = shape.make(edge=edge / _BODY_REFINEMENT, **lengths)
     size = bounding_diagonal(mesh)
     if not _SMALLEST <= size <= _LARGEST:
         table.fail(

@@ -29,4 +29,4 @@ from palpate.paper.result import (
     write_page as write_page,
     write_result as write_result,
 )
-from palpate.paper.sessions import quickened as quickened
+from palpate.paper.sessions import reduced as reduced

@@ -121,7 +121,9 @@ def error_budget(
     InputError, RecordError         as in `make_sessions`
     """
     sources = _sources(config)
-    folders = {source.name: folder / _plain(source.name) for source in sources if source.bench}
+    folders = {
+        source.name: folder / _folder_name(source.name) for source in sources if source.bench
+    }
     for each in folders.values():
         each.mkdir()
     make_sessions(
@@ -146,7 +148,7 @@ def error_budget(
                 source.change(
                     exact,
                     np.random.default_rng(seed),
-                    folder / f"{_plain(source.name)}_{seed[-1]}.toml",
+                    folder / f"{_folder_name(source.name)}_{seed[-1]}.toml",
                 )
                 for seed in seeds
             ]
@@ -180,7 +182,7 @@ def _sources(config: LabConfig) -> list[_Source]:
     def changed(part: str, **values: Any) -> LabConfig:
         return replace(exact, **{part: replace(getattr(exact, part), **values)})
 
-    noise, turn = config.pictures.noise, config.arm.misalignment
+    noise, misalignment = config.pictures.noise, config.arm.misalignment
     edge = mesh_quality(config.specimen.mesh).edge_mean
     radius = float(config.specimen.mesh.vertices[:, 2].max())
     coarse = half_ball(radius=radius, edge=_COARSER * edge)
@@ -197,7 +199,9 @@ def _sources(config: LabConfig) -> list[_Source]:
         _Source("none", "flow and mesh alone", exact),
         _Source("image noise", f"{noise:g} of 255 grey levels", changed("pictures", noise=noise)),
         _Source(
-            "tip misalignment", f"{turn:g}° about each axis", changed("arm", misalignment=turn)
+            "tip misalignment",
+            f"{misalignment:g}° about each axis",
+            changed("arm", misalignment=misalignment),
         ),
         _Source("tip placement", place, changed("arm", placement=_PLACEMENT)),
         _Source("mesh size", edges, changed("specimen", mesh=coarse)),
@@ -257,7 +261,7 @@ def _errors(
     return constant_errors(joint.probes, truth), constant_errors([joint], truth)
 
 
-def _plain(name: str) -> str:
+def _folder_name(name: str) -> str:
     """A source's name as the name of a folder."""
     return name.replace(" ", "_")
 

@@ -41,7 +41,7 @@ from palpate.paper.sessions import (
     Method,
     PaperSession,
     measured_session,
-    quickened,
+    reduced,
     true_displacement,
     true_material,
 )
@@ -50,7 +50,7 @@ from palpate.records import CONSTANT_NAMES
 from palpate.vision import is_valid
 
 # Built-in configurations of the facility.
-_X, _Y, _TURN, _PROBING = "translation-x", "translation-y", "rotation-z", "toy-probing"
+_X, _Y, _ROTATION, _PROBING = "translation-x", "translation-y", "rotation-z", "toy-probing"
 _BALL = "half-ball"
 Measured = Mapping[str, PaperSession]
 # Session, name of the motion in it, description.
@@ -80,7 +80,7 @@ class Workplace:
     parts: Path | None = None
 
     def config(self, name: str) -> LabConfig:
-        """A built-in configuration, reduced by `quickened` if `quick`.
+        """A built-in configuration, reduced (by `reduced`) if `quick`.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Workplace:
         LabConfig
         """
         config = read_lab_config(built_in()[name])
-        return quickened(config) if self.quick else config
+        return reduced(config) if self.quick else config
 
     def part(self, begin: float, end: float, name: str) -> "Workplace":
         """The same workplace with the progress of one part of the work.
@@ -162,7 +162,7 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
 
 def _table1(measured: Measured, _work: Workplace) -> PaperResult:
     own = {_X: PAPER_FLOW_LEFT_REAR, _Y: PAPER_FLOW_REAR_RIGHT}
-    tests = {name: _beside(rows, measured[name], flow_rows) for name, rows in own.items()}
+    tests = {name: _with_paper_rows(rows, measured[name], flow_rows) for name, rows in own.items()}
     return PaperResult(
         "Table 1: range flow of a translation",
         "A rigid object moves 2.5 mm a step. Angle: between the flow of the tracked surface points"
@@ -180,9 +180,11 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
     own = {
         _X: PAPER_ANGLE_ERROR_X,
         _Y: PAPER_ANGLE_ERROR_Y,
-        _TURN: PAPER_ANGLE_ERROR_ROTATION,
+        _ROTATION: PAPER_ANGLE_ERROR_ROTATION,
     }
-    tests = {name: _beside(rows, measured[name], vertex_rows) for name, rows in own.items()}
+    tests = {
+        name: _with_paper_rows(rows, measured[name], vertex_rows) for name, rows in own.items()
+    }
     return PaperResult(
         "Table 2: displacement of the vertices",
         "The same translations, and a rotation of 2 degrees a step about the object's z. Angle"
@@ -197,13 +199,13 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
 
 
 def _figure2(measured: Measured, _work: Workplace) -> PaperResult:
-    shown = [(_X, "s2", "translation by 5 mm"), (_TURN, "s1", "rotation by 2°")]
+    shown = [(_X, "s2", "translation by 5 mm"), (_ROTATION, "s1", "rotation by 2°")]
     return PaperResult(
         "Figure 2: optical flow and range flow of a rigid object",
         "Above a translation by 5 mm, below a rotation by 2 degrees about the object's z: optical"
         " flow, range flow, and the displacement of the vertices. The table has medians over the"
         " valid points: of their true displacement, and of the length of the error.",
-        _points("Figure 2, points that were tracked", measured, shown),
+        _tracking_table("Figure 2, points that were tracked", measured, shown),
         (),
         _flow_pictures("figure2", measured, shown),
     )
@@ -217,7 +219,7 @@ def _figure3(measured: Measured, _work: Workplace) -> PaperResult:
         "A soft toy is pushed from the side at an ear. Optical flow, range flow, and the"
         " displacement of the vertices; the probe hides what is behind it. The table has medians"
         " over the valid points: of their true displacement, and of the length of the error.",
-        _points("Figure 3, points that were tracked", measured, shown),
+        _tracking_table("Figure 3, points that were tracked", measured, shown),
         (),
         _flow_pictures("figure3", measured, shown),
     )
@@ -285,7 +287,7 @@ def _figure4(measured: Measured, _work: Workplace) -> PaperResult:
     )
 
 
-def _beside(
+def _with_paper_rows(
     own: Sequence[MotionRow],
     measured: PaperSession,
     rows_of: Callable[[PaperSession, Method], Sequence[MotionRow]],
@@ -307,7 +309,7 @@ def _flow_pictures(name: str, measured: Measured, motions: Sequence[_Motion]) ->
     }
 
 
-def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> ResultTable:
+def _tracking_table(title: str, measured: Measured, motions: Sequence[_Motion]) -> ResultTable:
     """Table of the number of tracked points and their errors, for some motions and each method."""
     cells: list[tuple[Cell, ...]] = []
     for name, step, _ in motions:
@@ -338,10 +340,10 @@ def _points(title: str, measured: Measured, motions: Sequence[_Motion]) -> Resul
 # By their names on the command line.
 EXPERIMENTS: dict[str, Experiment] = {
     "table1": Experiment((_X, _Y), _table1),
-    "table2": Experiment((_X, _Y, _TURN), _table2),
+    "table2": Experiment((_X, _Y, _ROTATION), _table2),
     "table3": Experiment((_BALL,), _table3),
     "budget": Experiment((), _budget),
-    "figure2": Experiment((_X, _TURN), _figure2),
+    "figure2": Experiment((_X, _ROTATION), _figure2),
     "figure3": Experiment((_PROBING,), _figure3),
     "figure4": Experiment((_BALL,), _figure4),
 }

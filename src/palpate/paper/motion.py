@@ -75,10 +75,10 @@ def flow_row(
     -------
     MotionRow
     """
-    moved = np.zeros((0, 3)) if flow is None else flow.displacement[is_valid(flow)]
-    length = np.linalg.norm(moved, axis=1)
-    angle = _angle(moved, np.broadcast_to(axis, moved.shape))
-    return MotionRow(step, _spread(angle), _spread(length), command, encoder, len(moved))
+    displacement = np.zeros((0, 3)) if flow is None else flow.displacement[is_valid(flow)]
+    length = np.linalg.norm(displacement, axis=1)
+    angle = _angle(displacement, np.broadcast_to(axis, displacement.shape))
+    return MotionRow(step, _spread(angle), _spread(length), command, encoder, len(displacement))
 
 
 def vertex_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
@@ -125,13 +125,13 @@ def vertex_row(
     MotionRow                       a vertex on the axis of a rotation has no direction and counts
                                     only for the lengths
     """
-    moved = np.full(vertices.shape, np.nan) if measured is None else measured.displacement
-    known = np.isfinite(moved).all(axis=1)
+    displacement = np.full(vertices.shape, np.nan) if measured is None else measured.displacement
+    known = np.isfinite(displacement).all(axis=1)
     true = rigid_displacement(motion, vertices[known])
     return MotionRow(
         step,
-        _spread(_angle(moved[known], true)),
-        _spread(np.linalg.norm(moved[known], axis=1)),
+        _spread(_angle(displacement[known], true)),
+        _spread(np.linalg.norm(displacement[known], axis=1)),
         command=_spread(np.linalg.norm(true, axis=1)).mean,
         count=int(known.sum()),
     )

@@ -74,7 +74,7 @@ class RigidStep:
     encoder: float
 
 
-def quickened(config: LabConfig) -> LabConfig:
+def reduced(config: LabConfig) -> LabConfig:
     """Reduced configuration for a quick run: half the picture size, up to three steps or probings.
 
     The texture is enlarged with the pixels, so that it can be matched equally well.
@@ -246,13 +246,13 @@ def _by_map(session: Session, name: str, flow: RangeFlow) -> Points:
     file = session.path.parent / f"truth_{name}.npz"
     cure = "make the session anew with `palpate lab`"
     with stored_arrays(file, cure, what="cannot be read as a truth map") as content:
-        pixel, moved = content["pixel"], content["U"].astype(float)
+        pixel, displacement = content["pixel"], content["U"].astype(float)
         rows, columns = content["shape"].tolist()
     column, row = np.rint(flow.pixel).astype(int).T
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    wanted = np.where(inside, row * columns + column, -1)
-    place = np.minimum(np.searchsorted(pixel, wanted), len(pixel) - 1)
-    return np.where((pixel[place] == wanted)[:, None], moved[place], np.nan)
+    target = np.where(inside, row * columns + column, -1)
+    position = np.minimum(np.searchsorted(pixel, target), len(pixel) - 1)
+    return np.where((pixel[position] == target)[:, None], displacement[position], np.nan)
 
 
 def _motion(table: TomlTable) -> Float[np.ndarray, "4 4"]:

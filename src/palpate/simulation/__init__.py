@@ -9,7 +9,7 @@ Read first : `green_functions.py`, `contact.py`; `export.py`, then `solid_model.
 
 from palpate.simulation.contact import (
     ContactState as ContactState,
-    force_deviation as force_deviation,
+    force_covariance as force_covariance,
     start_contact as start_contact,
     touch as touch,
 )

@@ -25,7 +25,7 @@ from palpate.simulation.kernels import (
 from palpate.simulation.tools import PlacedTool, tool_arrays
 
 # Tolerance relative to the largest nodal force, and largest number of rounds to reach it.
-_SETTLED, _ROUNDS = 1e-9, 120
+_TOLERANCE, _MAX_ROUNDS = 1e-9, 120
 # Fewer nodes under a tool do not resolve its contact (with six, its force is 20 % too high).
 FEW_NODES = 10
 # Winding number above which a point is inside a closed surface.
@@ -39,10 +39,10 @@ class ContactState:
     Attributes
     ----------
     tools : tuple of t PlacedTool
-    on_tool : (t, 3) float [N]          force on each tool
-    torque : (t, 3) float [N m]         on each tool, about its place
+    tool_force : (t, 3) float [N]       force on each tool
+    torque : (t, 3) float [N m]         on each tool, about its position
     force : (n, 3) float [N]            of the tools on the nodes of the Green's functions
-    moved : (n, 3) float [m]            displacement of these nodes
+    displacement : (n, 3) float [m]     of these nodes
     tool_of : (n,) int                  tool that each node touches; -1: none
     face : (n,) int                     face of the tool through which the node entered
     status : (n,) int                   1: it slides, 2: it sticks
@@ -54,13 +54,14 @@ class ContactState:
     slide : (n, 3) float                direction in which it slides under friction; else zero
     response : (c, c) float             of the nodes of which something is given: displacement [m]
                                         for force [N], or force for displacement
+    changes : int                       of the touching nodes since `response` was built anew
     """
 
     tools: tuple[PlacedTool, ...]
-    on_tool: Float[np.ndarray, "t 3"]
+    tool_force: Float[np.ndarray, "t 3"]
     torque: Float[np.ndarray, "t 3"]
     force: Float[np.ndarray, "n 3"]
-    moved: Float[np.ndarray, "n 3"]
+    displacement: Float[np.ndarray, "n 3"]
     tool_of: Int[np.ndarray, " n"]
     face: Int[np.ndarray, " n"]
     status: Int[np.ndarray, " n"]
@@ -69,6 +70,7 @@ class ContactState:
     normal: Float[np.ndarray, "n 3"]
     slide: Float[np.ndarray, "n 3"]
     response: Float[np.ndarray, "c c"]
+    changes: int
 
     @property
     def touching(self) -> Int[np.ndarray, " k"]:
@@ -120,7 +122,7 @@ def start_contact(green: GreenFunctions, tools: Sequence[PlacedTool]) -> Contact
     zero = np.zeros((len(tools), 3))
     zeros = 0 * still
     nodal = Nodal(none, none, still, still, zeros, zeros, none, none, none, np.zeros(count))
-    return ContactState(tuple(tools), zero, zero, *nodal[:-1], np.zeros((0, 0)))
+    return ContactState(tuple(tools), zero, zero, *nodal[:-1], np.zeros((0, 0)), 0)
 
 
 def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactState) -> ContactState:
@@ -153,17 +155,19 @@ def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactSta
     kept = [getattr(before, name).copy() for name in Nodal._fields[:-1]]
     nodal = Nodal._make([*kept, np.zeros(len(rest))])
     square = green.compliance.reshape(rest.size, rest.size)
-    rounds, response = settle(arrays, rest, square, before.response, nodal, _SETTLED, _ROUNDS)
+    rounds, response, changes = settle(
+        arrays, rest, square, before.response, before.changes, nodal, _TOLERANCE, _MAX_ROUNDS
+    )
     if not rounds:
         raise NotConvergedError(
-            f"the contact does not settle in {_ROUNDS} rounds; move the tools in smaller steps"
+            f"the contact does not settle in {_MAX_ROUNDS} rounds; move the tools in smaller steps"
         )
-    on_tool, torque = np.zeros((2, len(tools), 3))
-    add_resultants(arrays, rest, nodal, on_tool, torque)
-    return ContactState(tuple(tools), on_tool, torque, *nodal[:-1], response)
+    tool_force, torque = np.zeros((2, len(tools), 3))
+    add_resultants(arrays, rest, nodal, tool_force, torque)
+    return ContactState(tuple(tools), tool_force, torque, *nodal[:-1], response, changes)
 
 
-def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndarray, "t 3 3"]:
+def force_covariance(green: GreenFunctions, state: ContactState) -> Float[np.ndarray, "t 3 3"]:
     """Covariance of the force on each tool, from that of the elastic constants.
 
     The poses are exact. Forces are proportional to the shear modulus. Their derivative with respect
@@ -179,7 +183,7 @@ def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndar
     -------
     (t, 3, 3) float [N^2]
     """
-    by_ratio = np.zeros_like(state.on_tool)
+    by_ratio = np.zeros_like(state.tool_force)
     nodes = state.touching
     if nodes.size:
         rows, along = _directions(state)
@@ -190,7 +194,7 @@ def force_deviation(green: GreenFunctions, state: ContactState) -> Float[np.ndar
         extra = rows.T @ slope @ state.force[nodes].ravel()
         change = along @ np.linalg.solve(rows.T @ block @ along, -extra)
         np.subtract.at(by_ratio, state.tool_of[nodes], change.reshape(-1, 3))
-    slopes = np.stack([state.on_tool / green.material.shear_modulus, by_ratio], axis=2)
+    slopes = np.stack([state.tool_force / green.material.shear_modulus, by_ratio], axis=2)
     return slopes @ green.material.covariance @ slopes.transpose(0, 2, 1)
 
 
@@ -212,10 +216,10 @@ def _directions(
 def _depth(mesh: TriangleMesh, arrays: ToolArrays, t: int) -> float:
     """Depth of a tool in an object at rest [m]; negative outside."""
     normal = np.empty(3)
-    local = (mesh.vertices - arrays.place[t]) @ arrays.turn[t]
+    local = (mesh.vertices - arrays.position[t]) @ arrays.rotation[t]
     deepest = -min(tool_gap(arrays, t, -1, point, normal)[0] for point in local)
-    seen = winding_number(mesh, arrays.place[t])
-    return max(deepest, float(arrays.reach[t])) if seen > _INSIDE else deepest
+    seen = winding_number(mesh, arrays.position[t])
+    return max(deepest, float(arrays.bounding_radius[t])) if seen > _INSIDE else deepest
 
 
 def winding_number(mesh: TriangleMesh, point: Float[np.ndarray, "3"]) -> float:

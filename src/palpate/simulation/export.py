@@ -195,7 +195,7 @@ def export_fit(
     body = make_estimated_object(
         source.session, source.estimate, material, probe=probe, cache=cache
     )
-    notes = [note for note in (_told(source.estimate), changed) if note]
+    notes = [note for note in (_status_advice(source.estimate), changed) if note]
     body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
@@ -212,7 +212,7 @@ def export_fit(
     return body
 
 
-def _told(estimate: Estimate) -> str:
+def _status_advice(estimate: Estimate) -> str:
     """Advice on a status other than OK; empty for that."""
     if estimate.status is Status.OK:
         return ""
@@ -289,10 +289,10 @@ def _readme(form: Format, body: EstimatedObject, model: SolidModel | None) -> st
     if body.push is not None:
         push = body.push
         how = "the estimate was made without it" if push.held_out else "used in the estimate"
-        force, moved = (" ".join(f"{x:.5g}" for x in v) for v in (push.force, push.displacement))
+        force, motion = (" ".join(f"{x:.5g}" for x in v) for v in (push.force, push.displacement))
         lines += [
             "",
-            f"Push: probing '{push.name}' ({how}), force {force} N; its point moves by {moved} m",
+            f"Push: probing '{push.name}' ({how}), force {force} N; its point moves by {motion} m",
             "in Palpate's model.",
         ]
     lines += ["", f"To run: {form.run}", *(["", "Notes:"] if body.notes else [])]

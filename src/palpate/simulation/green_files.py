@@ -20,11 +20,13 @@ linear in the forces and proportional to 1 / shear modulus.
 
 import hashlib
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from palpate.disk import write_bytes, write_errors
 from palpate.errors import PalpateError, RecordError
 from palpate.files import stored_arrays
 from palpate.geometry import TriangleMesh
@@ -39,7 +41,7 @@ _KEYS = {
 
 
 def write_green_functions(path: Path, green: GreenFunctions) -> None:
-    """Write Green's functions.
+    """Write Green's functions, atomically: the file holds all of them or its old content.
 
     Parameters
     ----------
@@ -60,10 +62,10 @@ def write_green_functions(path: Path, green: GreenFunctions) -> None:
         "covariance": material.covariance,
         **{name: np.asarray(getattr(green, name)) for name in _ARRAYS},
     }
-    try:
-        np.savez(path, **content, sha256=np.array(_digest(content)))  # type: ignore[arg-type]
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+    packed = BytesIO()
+    np.savez(packed, **content, sha256=np.array(_digest(content)))  # type: ignore[arg-type]
+    with write_errors(path):
+        write_bytes(path, packed.getvalue())
 
 
 def read_green_functions(path: Path | str) -> GreenFunctions:

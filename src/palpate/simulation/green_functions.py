@@ -38,7 +38,7 @@ from palpate.simulation.material import Material, estimated_material
 # Vertices whose columns, three each, are solved together.
 _VERTICES_AT_ONCE = 60
 # A table above this is refused [bytes].
-_LARGEST = 2e9
+_MAX_BYTES = 2e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,18 +164,19 @@ def make_green_functions(
     chosen = _default_nodes(session, most) if nodes is None else np.unique(nodes)
     check_nodes(session.mesh, session.held_triangles, chosen)
     needed = 8.0 * 9 * len(chosen) * (len(session.mesh.vertices) + 4 * len(chosen))
-    if needed > _LARGEST:
+    if needed > _MAX_BYTES:
         raise InputError(
             f"Green's functions of {len(chosen)} vertices on a surface of"
             f" {len(session.mesh.vertices)} take {needed / 1e9:.1f} GB; at most"
-            f" {_LARGEST / 1e9:.0f} GB are made: choose fewer vertices, those that will be touched"
+            f" {_MAX_BYTES / 1e9:.0f} GB are made: choose fewer vertices, those that will be"
+            " touched"
         )
     say("integrals over the surface", 0.0)
     _, system = held_object(session, surface=surface, cache=cache, dense=True)
     everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), say)
     left_out = chosen[:0]
     if nodes is None:
-        kept = _without_gain(_square(everywhere[:, :, chosen]))
+        kept = _positive_definite_nodes(_square(everywhere[:, :, chosen]))
         if len(kept) < len(chosen):
             left_out, chosen = np.delete(chosen, kept), chosen[kept]
             everywhere, slope = everywhere[kept], slope[kept][:, :, kept]
@@ -199,13 +200,13 @@ def _square(pairs: Float[np.ndarray, "n 3 n 3"]) -> Float[np.ndarray, "m m"]:
 def _default_nodes(session: Session, most: int | None) -> Int[np.ndarray, " n"]:
     """The free vertices nearest to the contacts, or to the highest vertex without contacts."""
     if most is None:
-        return free_nodes(session)
+        return free_vertices(session)
     vertices = session.mesh.vertices
     points = [one.contact.point for one in session.probings]
     return nearest_nodes(session, np.array(points or [vertices[vertices[:, 2].argmax()]]), most)
 
 
-def _without_gain(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray, " k"]:
+def _positive_definite_nodes(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray, " k"]:
     """Nodes whose symmetrised compliance is positive definite: nodes are removed one by one, each
     the first at which the Cholesky factorisation fails."""
     symmetric = square + square.T
@@ -220,7 +221,7 @@ def _without_gain(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray, " k"]:
     return kept
 
 
-def free_nodes(session: Session) -> Int[np.ndarray, " n"]:
+def free_vertices(session: Session) -> Int[np.ndarray, " n"]:
     """Vertices that belong to no held triangle.
 
     Parameters
@@ -250,7 +251,7 @@ def nearest_nodes(
     -------
     (n,) int                            ascending
     """
-    free = free_nodes(session)
+    free = free_vertices(session)
     offset = session.mesh.vertices[free][:, None] - points
     distance = np.linalg.norm(offset, axis=2).min(axis=1)
     return np.sort(free[np.argsort(distance, kind="stable")[:count]])
@@ -319,7 +320,7 @@ def _responses(
     """Displacement of the first vertices per newton, [j, b, i, a], and its slope at the nodes."""
     ratio = material.poisson_ratio
     say("factorisation", 0.3)
-    factorised, change = factorise(system, ratio), system_slope(system)
+    factorised, matrix_slope = factorise(system, ratio), system_slope(system)
     everywhere = np.zeros((len(nodes), 3, count, 3))
     slope = np.zeros((len(nodes), 3, len(nodes), 3))
     free = system.unknowns.free_vertices
@@ -327,15 +328,17 @@ def _responses(
         say("Green's functions", 0.4 + 0.6 * part.start / len(nodes))
         loads = [hat_load(system.surface.mesh, int(v)) for v in nodes[part]]
         right = load_right_hand(system, loads)
-        found = solve(factorised, right.at(ratio))
-        by_nu = right.terms[1] + 2 * ratio * right.terms[2] - change.apply(found)
-        turned = solve(factorised, by_nu)
+        solution = solve(factorised, right.at(ratio))
+        right_slope = right.terms[1] + 2 * ratio * right.terms[2] - matrix_slope.apply(solution)
+        solution_slope = solve(factorised, right_slope)
         for values, out, kept in (
-            (found, everywhere[part], np.arange(count)), (turned, slope[part], nodes),
+            (solution, everywhere[part], np.arange(count)), (solution_slope, slope[part], nodes),
         ):  # fmt: skip
-            moved = np.zeros((len(system.surface.mesh.vertices), 3, 3 * len(loads)))
-            moved[free] = values[: 3 * len(free)].reshape(len(free), 3, -1)
-            by_load = moved[kept].reshape(len(kept), 3, len(loads), 3) / material.shear_modulus
+            displacement = np.zeros((len(system.surface.mesh.vertices), 3, 3 * len(loads)))
+            displacement[free] = values[: 3 * len(free)].reshape(len(free), 3, -1)
+            by_load = (
+                displacement[kept].reshape(len(kept), 3, len(loads), 3) / material.shear_modulus
+            )
             out[:] = by_load.transpose(2, 3, 0, 1)
     return everywhere, slope
 

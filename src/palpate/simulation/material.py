@@ -90,7 +90,7 @@ def estimated_material(estimate: Estimate) -> Material:
         raise InputError(
             "the estimate has no value of the shear modulus or of Poisson's ratio; give a material"
         )
-    spread = []
+    stds = []
     for name, one in (("shear modulus", shear), ("Poisson's ratio", ratio)):
         std = one.std if np.isfinite(one.std) else (one.ci95[1] - one.ci95[0]) / np.sqrt(12.0)
         if not np.isfinite(std):
@@ -98,12 +98,12 @@ def estimated_material(estimate: Estimate) -> Material:
                 f"the data do not bound the {name}: a prediction would have no uncertainty; measure"
                 " more, or give a material"
             )
-        spread.append(float(std))
-    by_shear, by_ratio = 2 * (1 + ratio.value) * spread[0], 2 * shear.value * spread[1]
-    together = 0.0
+        stds.append(float(std))
+    by_shear, by_ratio = 2 * (1 + ratio.value) * stds[0], 2 * shear.value * stds[1]
+    correlation = 0.0
     if by_shear > 0.0 and by_ratio > 0.0 and np.isfinite(young.std):
         left = young.std**2 - by_shear**2 - by_ratio**2
-        together = float(np.clip(left / (2 * by_shear * by_ratio), -1.0, 1.0))
-    cross = together * spread[0] * spread[1]
-    covariance = np.array([[spread[0] ** 2, cross], [cross, spread[1] ** 2]])
+        correlation = float(np.clip(left / (2 * by_shear * by_ratio), -1.0, 1.0))
+    cross = correlation * stds[0] * stds[1]
+    covariance = np.array([[stds[0] ** 2, cross], [cross, stds[1] ** 2]])
     return Material(shear.value, ratio.value, covariance)

@@ -139,7 +139,7 @@ class SolidModel:
         return self.solid.nodes
 
     @property
-    def skin(self) -> TriangleMesh:
+    def boundary_surface(self) -> TriangleMesh:
         """Outer triangles of the linear tetrahedra, counter-clockwise seen from outside, with all
         nodes as vertices."""
         return TriangleMesh(self.nodes, self.solid.facets[:, _QUARTERS].reshape(-1, 3))
@@ -191,7 +191,7 @@ def make_estimated_object(
             " written along; name another with --probe"
         )
     else:
-        push = _pushed(session, estimate, material, probing, cache)
+        push = _make_push(session, estimate, material, probing, cache)
         if probing.loads:
             notes.append(
                 f"probing '{probing.name}' has {len(probing.loads)} loads beside its tool: only"
@@ -261,13 +261,13 @@ def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> Sol
     solid = make_solid(session.mesh, edge=usual if edge is None else edge, fine=fine)
     empty = np.zeros_like(solid.nodes)
     model = SolidModel(
-        body, solid, linear_parts(solid), held_nodes(solid, session.held_triangles), empty, empty,
-        np.zeros(0, dtype=np.int64), np.zeros(0),
+        body, solid, linear_tetrahedra(solid), held_nodes(solid, session.held_triangles), empty,
+        empty, np.zeros(0, dtype=np.int64), np.zeros(0),
     )  # fmt: skip
     return model if push is None else _loaded(model, push)
 
 
-def linear_parts(solid: Solid) -> Int[np.ndarray, "e 4"]:
+def linear_tetrahedra(solid: Solid) -> Int[np.ndarray, "e 4"]:
     """Every ten-node tetrahedron cut into eight of four nodes, along its shortest inner diagonal.
 
     Parameters
@@ -286,13 +286,15 @@ def linear_parts(solid: Solid) -> Int[np.ndarray, "e 4"]:
     axis = np.repeat(chosen[:, None, :2], 4, axis=1)
     inner = np.concatenate([axis, ring], axis=2)
     local = np.concatenate([np.broadcast_to(_CORNERS, inner.shape), inner], axis=1)
-    parts = np.take_along_axis(elements, local.reshape(len(elements), -1), axis=1).reshape(-1, 4)
-    turned = np.linalg.det(nodes[parts[:, 1:]] - nodes[parts[:, :1]]) < 0.0
-    parts[turned] = parts[turned][:, [0, 2, 1, 3]]
-    return parts
+    tetrahedra = np.take_along_axis(elements, local.reshape(len(elements), -1), axis=1).reshape(
+        -1, 4
+    )
+    inverted = np.linalg.det(nodes[tetrahedra[:, 1:]] - nodes[tetrahedra[:, :1]]) < 0.0
+    tetrahedra[inverted] = tetrahedra[inverted][:, [0, 2, 1, 3]]
+    return tetrahedra
 
 
-def _pushed(
+def _make_push(
     session: Session,
     estimate: Estimate,
     material: Material,
@@ -317,11 +319,13 @@ def _loaded(model: SolidModel, push: Push) -> SolidModel:
     """The model with the push's force distributed to its nodes."""
     points, weight = _pressure_points(model.body.session.mesh, push.patch)
     curved = surface_values(model.solid, points).T @ weight
-    skin = model.skin
-    place = closest_points(skin, points)
-    share = place.barycentric * weight[:, None]
+    boundary_surface = model.boundary_surface
+    closest = closest_points(boundary_surface, points)
+    share = closest.barycentric * weight[:, None]
     flat = np.bincount(
-        skin.triangles[place.triangle].ravel(), share.ravel(), minlength=len(model.nodes)
+        boundary_surface.triangles[closest.triangle].ravel(),
+        share.ravel(),
+        minlength=len(model.nodes),
     )
     at = surface_values(model.solid, push.point[None])
     return replace(
@@ -342,7 +346,7 @@ def _pressure_points(mesh: TriangleMesh, patch: ContactPatch) -> tuple[Points, P
     middle = corners.mean(axis=1)
     position = np.einsum("nv,nva->na", middle, mesh.vertices[mesh.triangles[triangle]])
     area = triangle_areas(mesh)[triangle]
-    even = patch.contact.triangles is not None
-    pressure = area if even else area * patch.density(triangle, middle, position)
-    pressed = pressure > 0.0
-    return position[pressed], pressure[pressed] / pressure.sum()
+    uniform = patch.contact.triangles is not None
+    pressure = area if uniform else area * patch.density(triangle, middle, position)
+    loaded = pressure > 0.0
+    return position[loaded], pressure[loaded] / pressure.sum()

@@ -23,7 +23,7 @@ def surface_displacement(green: GreenFunctions, state: ContactState) -> Vertices
     -------
     (v, 3) float [m]
     """
-    return _moved(green, state.touching, state.force)
+    return _displacement_under_forces(green, state.touching, state.force)
 
 
 def displacement_under(
@@ -48,10 +48,10 @@ def displacement_under(
     ------
     InputError                          a point whose Green's functions are not known
     """
-    place = closest_points(green.mesh, points)
-    corner = green.mesh.triangles[place.triangle]
+    closest = closest_points(green.mesh, points)
+    corner = green.mesh.triangles[closest.triangle]
     known = np.isin(corner, green.nodes)
-    outside = np.flatnonzero((~known & (place.barycentric > 0.0)).any(axis=1))
+    outside = np.flatnonzero((~known & (closest.barycentric > 0.0)).any(axis=1))
     if outside.size:
         raise InputError(
             f"{outside.size} of {len(points)} points lie outside the part of the surface whose"
@@ -60,12 +60,12 @@ def displacement_under(
         )
     nodal = np.zeros((len(green.nodes), 3))
     node = np.searchsorted(green.nodes, corner[known])
-    share = place.barycentric[:, :, None] * forces[:, None]
-    np.add.at(nodal, node, share[known])
-    return _moved(green, np.unique(node), nodal)
+    weight = closest.barycentric[:, :, None] * forces[:, None]
+    np.add.at(nodal, node, weight[known])
+    return _displacement_under_forces(green, np.unique(node), nodal)
 
 
-def _moved(
+def _displacement_under_forces(
     green: GreenFunctions, nodes: Int[np.ndarray, " k"], force: Float[np.ndarray, "n 3"]
 ) -> Vertices:
     """Displacement of the whole surface under forces on some nodes."""

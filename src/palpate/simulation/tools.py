@@ -19,9 +19,9 @@ from palpate.simulation.kernels import FACES, SPHERE, ToolArrays
 # Sides of the prism that approximates a round punch.
 _SIDES = 48
 # Largest difference in volume between a mesh and its convex hull, relative to the latter.
-_HOLLOW = 1e-6
+_CONVEXITY_TOLERANCE = 1e-6
 # Largest deviation of an entry of R R^T from the identity.
-_TURN = 1e-9
+_ROTATION_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Sphere:
         return SPHERE
 
     @property
-    def reach(self) -> float:
+    def bounding_radius(self) -> float:
         """Its radius [m]."""
         return self.radius
 
@@ -65,11 +65,11 @@ class ConvexTool:
     Parameters
     ----------
     planes : (p, 4) float           outward unit normals, and the offset along each [m]
-    reach : float [m]               radius of a ball about the origin that contains the body
+    bounding_radius : float [m]     of a ball about the origin that contains the body
     """
 
     planes: Float[np.ndarray, "p 4"]
-    reach: float
+    bounding_radius: float
 
     @property
     def kind(self) -> int:
@@ -129,7 +129,7 @@ def convex_tool(mesh: TriangleMesh) -> ConvexTool:
     except (QhullError, ValueError) as error:
         raise InputError("the tool's mesh has no volume; give a closed convex surface") from error
     volume = enclosed_volume(mesh)
-    if abs(volume - hull.volume) > _HOLLOW * hull.volume:
+    if abs(volume - hull.volume) > _CONVEXITY_TOLERANCE * hull.volume:
         raise InputError(
             f"the tool's mesh holds {1e6 * volume:.4g} ml, its convex hull {1e6 * hull.volume:.4g}"
             " ml; a tool must be convex and closed, with outward normals: give its hull, or several"
@@ -147,8 +147,8 @@ class PlacedTool:
     Parameters
     ----------
     tool : Sphere or ConvexTool
-    place : (3,) float [m]          position of the origin of its frame
-    turn : (3, 3) float             rotation from its frame to the object's
+    position : (3,) float [m]       of the origin of its frame
+    rotation : (3, 3) float         from its frame to the object's
     friction : float                Coulomb coefficient; 0: slides freely, infinite: sticks
 
     Raises
@@ -157,15 +157,16 @@ class PlacedTool:
     """
 
     tool: Sphere | ConvexTool
-    place: Vector3
-    turn: Matrix3 = field(default_factory=lambda: np.eye(3))
+    position: Vector3
+    rotation: Matrix3 = field(default_factory=lambda: np.eye(3))
     friction: float = 0.0
 
     def __post_init__(self) -> None:
-        turn = np.asarray(self.turn, dtype=np.float64)
-        off = np.abs(turn @ turn.T - np.eye(3)).max() if turn.shape == (3, 3) else np.inf
-        if not off <= _TURN or np.linalg.det(turn) < 0.0:
-            raise InputError(f"turn is {turn.tolist()}; must be a rotation, (3, 3)")
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        square = rotation.shape == (3, 3)
+        deviation = np.abs(rotation @ rotation.T - np.eye(3)).max() if square else np.inf
+        if not deviation <= _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+            raise InputError(f"rotation is {rotation.tolist()}; must be a rotation, (3, 3)")
         if not self.friction >= 0.0:
             raise InputError(
                 f"friction is {self.friction}; must be 0 (slides), a coefficient, or infinite"
@@ -173,13 +174,13 @@ class PlacedTool:
             )
 
 
-def tool_arrays(now: Sequence[PlacedTool], before: Sequence[PlacedTool]) -> ToolArrays:
+def tool_arrays(now: Sequence[PlacedTool], previous: Sequence[PlacedTool]) -> ToolArrays:
     """Tools in the layout of the kernels.
 
     Parameters
     ----------
     now : sequence of t PlacedTool
-    before : sequence of t PlacedTool       the same tools at the previous tick
+    previous : sequence of t PlacedTool     the same tools at the previous tick
 
     Returns
     -------
@@ -191,13 +192,13 @@ def tool_arrays(now: Sequence[PlacedTool], before: Sequence[PlacedTool]) -> Tool
         kind=np.array([tool.kind for tool in tools]),
         start=start,
         radius=np.array([tool.radius for tool in tools]),
-        reach=np.array([tool.reach for tool in tools]),
+        bounding_radius=np.array([tool.bounding_radius for tool in tools]),
         planes=np.concatenate([np.zeros((0, 4)), *(tool.planes for tool in tools)]),
         friction=np.array([float(one.friction) for one in now]),
-        place=np.array([one.place for one in now], dtype=np.float64),
-        turn=np.array([one.turn for one in now], dtype=np.float64),
-        before=np.array([one.place for one in before], dtype=np.float64),
-        turn_before=np.array([one.turn for one in before], dtype=np.float64),
+        position=np.array([one.position for one in now], dtype=np.float64),
+        rotation=np.array([one.rotation for one in now], dtype=np.float64),
+        previous_position=np.array([one.position for one in previous], dtype=np.float64),
+        previous_rotation=np.array([one.rotation for one in previous], dtype=np.float64),
     )
 
 

@@ -24,7 +24,7 @@ _LARGEST_GREEN = 3e8
 ASSUMED = exact_material(20e3, 0.3)
 
 
-class Workshop:
+class BackgroundWork:
     """Background computations in a thread of their own.
 
     Results that are not ready yet are None; watchers set by `on_change` are called on changes.

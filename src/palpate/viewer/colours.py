@@ -28,7 +28,7 @@ class ColouredField:
     Attributes
     ----------
     points : (n, 3) float [m]           at rest
-    moved : (n, 3) float [m]            displacement with which they are drawn
+    displacement : (n, 3) float [m]     with which they are drawn
     values : (n,) float                 in `unit`
     top : float                         value at the end of the scale
     unit : str                          "mm" or "sigmas"
@@ -36,7 +36,7 @@ class ColouredField:
     """
 
     points: Points
-    moved: Points
+    displacement: Points
     values: PointScalars
     top: float
     unit: str
@@ -55,21 +55,21 @@ def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
     -------
     ColouredField or None               None if it is unknown at all points
     """
-    moved, cmap, unit = probing.displacement, LENGTHS, "mm"
+    displacement, cmap, unit = probing.displacement, LENGTHS, "mm"
     if what == PREDICTED:
-        moved = probing.predicted
-    values = 1e3 * np.linalg.norm(moved, axis=1)
+        displacement = probing.predicted
+    values = 1e3 * np.linalg.norm(displacement, axis=1)
     if what == RESIDUAL:
         scaled = (probing.displacement - probing.predicted) / probing.sigma
         values, cmap, unit = np.sqrt(np.mean(scaled**2, axis=1)), RESIDUALS, "sigmas"
     elif what == SIGMA:
         values = 1e3 * np.sqrt(np.mean(probing.sigma**2, axis=1))
-    known = np.isfinite(values) & np.isfinite(moved).all(axis=1)
+    known = np.isfinite(values) & np.isfinite(displacement).all(axis=1)
     if not known.any():
         return None
     top = MOST_SIGMAS if what == RESIDUAL else float(np.quantile(values[known], _TOP))
     return ColouredField(
-        probing.points[known], moved[known], values[known], max(top, 1e-6), unit, cmap
+        probing.points[known], displacement[known], values[known], max(top, 1e-6), unit, cmap
     )
 
 

@@ -108,7 +108,7 @@ def camera_picture(
     pattern: str,
     *,
     flow: FittedProbing | None = None,
-    stretch: float = 1.0,
+    magnification: float = 1.0,
 ) -> RGB | None:
     """A camera's picture, reduced for a page, with arrows of the measured displacement.
 
@@ -119,7 +119,7 @@ def camera_picture(
     camera : int                    index in the rig
     pattern : str                   file pattern
     flow : FittedProbing or None    probing whose displacement is drawn; None: no arrows
-    stretch : float                 magnification of the arrows
+    magnification : float           of the arrows
 
     Returns
     -------
@@ -134,7 +134,7 @@ def camera_picture(
     size = (round(grey.shape[1] * shrink), round(grey.shape[0] * shrink))
     picture = Image.fromarray(grey).resize(size).convert("RGB")
     if flow is not None:
-        _draw_flow(picture, rig.cameras[camera], flow, session, shrink, stretch)
+        _draw_flow(picture, rig.cameras[camera], flow, session, shrink, magnification)
     return np.asarray(picture)
 
 
@@ -144,16 +144,16 @@ def _draw_flow(
     flow: FittedProbing,
     session: Session,
     shrink: float,
-    stretch: float,
+    magnification: float,
 ) -> None:
     """Draw arrows from the points at rest along their displacements."""
     known = np.isfinite(flow.displacement).all(axis=1) & _facing(camera, flow, session)
-    points, moved = flow.points[known], flow.displacement[known]
+    points, displacement = flow.points[known], flow.displacement[known]
     start = project(camera, points) * shrink
-    way = (project(camera, points + moved) * shrink - start) * stretch
+    arrows = (project(camera, points + displacement) * shrink - start) * magnification
     draw = ImageDraw.Draw(picture)
-    for row in _spread(start, max(picture.size) / _ARROWS):
-        _arrow(draw, start[row], way[row])
+    for row in _thinned(start, max(picture.size) / _ARROWS):
+        _arrow(draw, start[row], arrows[row])
 
 
 def _facing(camera: Camera, flow: FittedProbing, session: Session) -> np.ndarray:
@@ -165,19 +165,19 @@ def _facing(camera: Camera, flow: FittedProbing, session: Session) -> np.ndarray
     return np.asarray((flow.points - middle) @ (centre - middle) > 0.0)
 
 
-def _spread(place: Float[np.ndarray, "n 2"], pitch: float) -> np.ndarray:
+def _thinned(positions: Float[np.ndarray, "n 2"], pitch: float) -> np.ndarray:
     """Indices of a subset with one point in each square cell."""
-    known = np.flatnonzero(np.isfinite(place).all(axis=1))
-    _, first = np.unique(np.floor(place[known] / pitch), axis=0, return_index=True)
+    known = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    _, first = np.unique(np.floor(positions[known] / pitch), axis=0, return_index=True)
     return known[first]
 
 
-def _arrow(draw: ImageDraw.ImageDraw, start: np.ndarray, way: np.ndarray) -> None:
+def _arrow(draw: ImageDraw.ImageDraw, start: np.ndarray, vector: np.ndarray) -> None:
     """Draw an arrow, bright with a dark outline."""
-    length = float(np.linalg.norm(way))
+    length = float(np.linalg.norm(vector))
     if not np.isfinite(length) or length < 1.0:
         return
-    end, along = start + way, way / length
+    end, along = start + vector, vector / length
     across = np.array([-along[1], along[0]])
     head = [end - 5 * along + 3 * across, end, end - 5 * along - 3 * across]
     for colour, width in (("black", 3), (ORANGE, 1)):

@@ -12,6 +12,7 @@ import numpy as np
 from palpate.errors import InputError
 from palpate.optional_imports import late_import
 from palpate.records import verdict_text
+from palpate.viewer.background_work import BackgroundWork
 from palpate.viewer.panels import (
     LookPanel,
     MaterialPanel,
@@ -21,8 +22,7 @@ from palpate.viewer.panels import (
 )
 from palpate.viewer.stage import Stage
 from palpate.viewer.subject import Subject
-from palpate.viewer.touch import place_on_ray
-from palpate.viewer.workshop import Workshop
+from palpate.viewer.touch import ray_intersection
 
 # Accept connections from this computer only.
 _HOST = "127.0.0.1"
@@ -34,26 +34,26 @@ class Tab:
     Parameters
     ----------
     client : ClientHandle of viser
-    workshop : Workshop             shared by all tabs
+    background : BackgroundWork     shared by all tabs
     """
 
-    def __init__(self, client: Any, workshop: Workshop) -> None:
-        subject, gui = workshop.subject, client.gui
-        self._workshop = workshop
-        self._fitted = workshop.fitted
+    def __init__(self, client: Any, background: BackgroundWork) -> None:
+        subject, gui = background.subject, client.gui
+        self._background = background
+        self._fitted = background.fitted
         self._drag_start = np.zeros(3)
-        # `update` is called both by the workshop's thread and by the one that opens the tab.
+        # `update` is called both by the background thread and by the one that opens the tab.
         self._updating = threading.Lock()
         self.stage = Stage(client, subject)
         gui.add_markdown(f"**{subject.session.name}**  \n{heading(subject)}")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Look"):
-            self.look = LookPanel(gui, workshop, self.stage)
+            self.look = LookPanel(gui, background, self.stage)
         with tabs.add_tab("Material"):
-            self.material = MaterialPanel(gui, workshop, self.look)
+            self.material = MaterialPanel(gui, background, self.look)
             self._material_folder = gui.add_folder("constants")
         with tabs.add_tab("Touch"):
-            self.touching = TouchPanel(gui, workshop, self.stage, self.look)
+            self.touching = TouchPanel(gui, background, self.stage, self.look)
         with tabs.add_tab("Pictures"):
             self.pictures = PicturesPanel(gui, self.stage, self.look)
         with tabs.add_tab("Set up"):
@@ -63,32 +63,32 @@ class Tab:
         self.stage.scene.on_click()(self._clicked)
         self.stage.body.on_drag(self._dragged)
         self.look.draw()
-        self._end_watch = workshop.on_change(self.update)
+        self._end_watch = background.on_change(self.update)
         self.update()
 
     def update(self) -> None:
-        """Update the controls after the workshop has completed something."""
+        """Update the controls after the background work has completed something."""
         with self._updating:
             with self._material_folder:
                 self.material.update()
             self.touching.update()
-            if self._workshop.fitted is not self._fitted:
-                self._fitted = self._workshop.fitted
+            if self._background.fitted is not self._fitted:
+                self._fitted = self._background.fitted
                 if self.touching.pressed is None:
                     self.look.draw()
 
     def _clicked(self, event: Any) -> None:
         """Handle a click on the object."""
-        moved = self.stage.shown_mesh
-        place = place_on_ray(
-            moved, 1e-3 * np.array(event.ray_origin), np.array(event.ray_direction)
+        mesh = self.stage.shown_mesh
+        point = ray_intersection(
+            mesh, 1e-3 * np.array(event.ray_origin), np.array(event.ray_direction)
         )
-        if place is None:
+        if point is None:
             return
         if self.setting.presses:
-            self.touching.put(self.stage.at_rest(place))
+            self.touching.put(self.stage.at_rest(point))
         else:
-            self.setting.clicked(self.stage.at_rest(place))
+            self.setting.clicked(self.stage.at_rest(point))
 
     async def _dragged(self, event: Any) -> None:
         """Handle dragging: the depth of the ball is the distance dragged."""
@@ -125,7 +125,7 @@ class Viewer:
         self, subject: Subject, *, port: int | None = None, cache: Path | None = None
     ) -> None:
         viser = late_import("viser", extra="view", purpose="the viewer")
-        self.workshop = Workshop(subject, cache)
+        self.background = BackgroundWork(subject, cache)
         self.tabs: dict[int, Tab] = {}
         self._lock = threading.Lock()
         chosen = free_port(port)
@@ -138,7 +138,7 @@ class Viewer:
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._gone)
-        self.workshop.start()
+        self.background.start()
 
     @property
     def address(self) -> str:
@@ -146,7 +146,7 @@ class Viewer:
         return f"http://{_HOST}:{self._server.get_port()}"
 
     def _connected(self, client: Any) -> None:
-        tab = Tab(client, self.workshop)
+        tab = Tab(client, self.background)
         with self._lock:
             self.tabs[client.client_id] = tab
 

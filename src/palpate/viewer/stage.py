@@ -21,13 +21,13 @@ from palpate.viewer.subject import Subject
 # Initial view of a tab.
 OBJECT = "the first probing's side"
 # Columns and rows assumed for cameras whose calibration does not give them.
-_CHIP = (640, 480)
+_IMAGE_SIZE = (640, 480)
 _FOV = np.pi / 3
 _BODY, _SET = "#c9ccd2", "#e69f00"
 # Sizes as fractions of the object's: points, arrows, their thickness, cameras, label distance.
 _POINT, _ARROW, _TIP, _FRUSTUM, _NEAR = 0.012, 0.2, 0.006, 0.12, 0.03
 # Largest number of arrows; more would hide the points.
-_MOST_ARROWS = 250
+_MAX_ARROWS = 250
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -74,9 +74,9 @@ class Stage:
         rig = self.subject.rig
         for camera in rig.cameras if rig is not None and view != OBJECT else ():
             if camera.name == view:
-                turn, place, fov = camera_place(camera)
+                orientation, position, fov = camera_view_pose(camera)
                 with self._client.atomic():
-                    self._client.camera.wxyz, self._client.camera.position = turn, place
+                    self._client.camera.wxyz, self._client.camera.position = orientation, position
                     self._client.camera.fov = fov
                 return
         look(self._client, self.subject, self.size)
@@ -94,17 +94,17 @@ class Stage:
         """Set the triangles that are drawn as held, for a changed support; None: the session's."""
         self._marked = triangles
 
-    def draw_body(self, moved: Vertices, colours: Colours | None) -> None:
+    def draw_body(self, displacement: Vertices, colours: Colours | None) -> None:
         """Draw the surface.
 
         Parameters
         ----------
-        moved : (v, 3) float [m]        displacement, magnified as drawn
+        displacement : (v, 3) float [m] magnified as drawn
         colours : (v, 3) uint8 or None  None: a uniform grey
         """
         mesh = self.subject.session.mesh
-        self._moved = moved
-        glb = self._glb(1e3 * (mesh.vertices + moved), colours)
+        self._displacement = displacement
+        glb = self._glb(1e3 * (mesh.vertices + displacement), colours)
         if self._body is None:
             self._body = self.scene.add_glb("/body", glb)
         else:
@@ -114,13 +114,13 @@ class Stage:
     def shown_mesh(self) -> TriangleMesh:
         """The surface as drawn, with magnified displacement [m]."""
         mesh = self.subject.session.mesh
-        return TriangleMesh(mesh.vertices + self._moved, mesh.triangles)
+        return TriangleMesh(mesh.vertices + self._displacement, mesh.triangles)
 
-    def at_rest(self, place: Vector3) -> Vector3:
+    def at_rest(self, point: Vector3) -> Vector3:
         """Position at rest of a point of the drawn surface [m]."""
-        found = closest_points(self.shown_mesh, place[None])
-        corners = self.subject.session.mesh.triangles[found.triangle[0]]
-        return np.asarray(place - found.barycentric[0] @ self._moved[corners])
+        closest = closest_points(self.shown_mesh, point[None])
+        corners = self.subject.session.mesh.triangles[closest.triangle[0]]
+        return np.asarray(point - closest.barycentric[0] @ self._displacement[corners])
 
     def _glb(self, vertices: Vertices, colours: Colours | None) -> bytes:
         """The surface as binary glTF, with separate corners, so that facets are shaded flat."""
@@ -136,8 +136,8 @@ class Stage:
         shape.visual = trimesh.visual.ColorVisuals(shape, vertex_colors=light.astype(np.uint8))
         return cast(bytes, shape.export(file_type="glb", include_normals=True))
 
-    def draw_points(self, field: ColouredField | None, stretch: float) -> None:
-        """Draw the points of a probing, with displacement magnified by `stretch`."""
+    def draw_points(self, field: ColouredField | None, magnification: float) -> None:
+        """Draw the points of a probing, with displacement magnified by `magnification`."""
         self._clear("points", "arrows")
         if field is None:
             return
@@ -145,17 +145,19 @@ class Stage:
         mesh = self.subject.session.mesh
         # Raised above the surface, or half of each would be hidden.
         lift = _POINT * self.size * unit_normals(mesh)[closest_points(mesh, field.points).triangle]
-        place = 1e3 * (field.points + stretch * field.moved) + 0.5 * lift
+        positions = 1e3 * (field.points + magnification * field.displacement) + 0.5 * lift
         self._loose["points"] = self.scene.add_point_cloud(
-            "/points/measured", place, colours,
+            "/points/measured", positions, colours,
             point_size=_POINT * self.size, point_shape="circle", precision="float32",
         )  # fmt: skip
-        length = 1e3 * np.linalg.norm(field.moved, axis=1)
-        shown = np.linspace(0, len(length) - 1, min(len(length), _MOST_ARROWS)).astype(int)
+        length = 1e3 * np.linalg.norm(field.displacement, axis=1)
+        shown = np.linspace(0, len(length) - 1, min(len(length), _MAX_ARROWS)).astype(int)
         longest = max(float(length.max()), 1e-9)
-        way = 1e3 * field.moved[shown] * (0.5 * _ARROW * self.size / longest)
+        arrow_vector = 1e3 * field.displacement[shown] * (0.5 * _ARROW * self.size / longest)
         start = 1e3 * field.points[shown]
-        self._loose["arrows"] = self._arrows("/arrows/moved", start, start + way, rgb(INK), 0.5)
+        self._loose["arrows"] = self._arrows(
+            "/arrows/moved", start, start + arrow_vector, rgb(INK), 0.5
+        )
 
     def _arrows(
         self, name: str, start: np.ndarray, end: np.ndarray, colour: Any, thick: float = 1.0
@@ -179,7 +181,7 @@ class Stage:
             colour = rgb(ORANGE if here else GREY)
             self._arrows(f"/probings/{one.name}/force", start[None], end[None], colour)
             starts[one.name] = start, f"{one.name}: {newtons:.3g} N" if here else ""
-        for number, (text, start) in enumerate(place_labels(starts, _NEAR * self.size)):
+        for number, (text, start) in enumerate(merged_labels(starts, _NEAR * self.size)):
             self.scene.add_label(f"/probings/label {number}", text, position=tuple(start))
 
     def draw_cameras(self, probing: str) -> None:
@@ -192,12 +194,13 @@ class Stage:
             seen = camera_picture(session, rig, number, patterns[0]) if patterns else None
             self._draw_camera(camera, seen)
 
-    def _draw_camera(self, camera: Camera, seen: Any) -> None:
-        turn, place, fov = camera_place(camera)
-        columns, rows = camera.size or _CHIP
+    def _draw_camera(self, camera: Camera, picture: Any) -> None:
+        orientation, position, fov = camera_view_pose(camera)
+        columns, rows = camera.size or _IMAGE_SIZE
         self.scene.add_camera_frustum(
             f"/cameras/{camera.name}", fov=fov, aspect=columns / rows, scale=_FRUSTUM * self.size,
-            thickness=0.002 * self.size, color=rgb(BLUE), image=seen, wxyz=turn, position=place,
+            thickness=0.002 * self.size, color=rgb(BLUE), image=picture, wxyz=orientation,
+            position=position,
         )  # fmt: skip
 
     def draw_ball(self, centre: Vector3, radius: float, force: Vector3, text: str) -> None:
@@ -218,12 +221,12 @@ class Stage:
         """Remove the ball."""
         self._clear("ball", "push", "newtons")
 
-    def draw_marks(self, places: dict[str, Vector3]) -> None:
+    def draw_marks(self, points: dict[str, Vector3]) -> None:
         """Draw contact points that are set but not written yet [m]."""
         self._clear("marks")
-        if places:
+        if points:
             self._loose["marks"] = self.scene.add_point_cloud(
-                "/marks", 1e3 * np.array(list(places.values())), rgb(_SET),
+                "/marks", 1e3 * np.array(list(points.values())), rgb(_SET),
                 point_size=4 * _POINT * self.size, point_shape="circle", precision="float32",
             )  # fmt: skip
 
@@ -234,7 +237,7 @@ class Stage:
                 handle.remove()
 
 
-def place_labels(
+def merged_labels(
     starts: Mapping[str, tuple[Vector3, str]], near: float
 ) -> list[tuple[str, Vector3]]:
     """Labels of the probings, one for all whose arrows begin close to each other.
@@ -265,7 +268,7 @@ def place_labels(
     return found
 
 
-def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float]:
+def camera_view_pose(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float]:
     """Orientation, position and field of view of a camera, in viser's conventions.
 
     Parameters
@@ -280,10 +283,10 @@ def camera_place(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float
     float [rad]                     vertical field of view
     """
     pose = camera.T_camera_object
-    turn = trimesh.transformations.quaternion_from_matrix(np.linalg.inv(pose))
-    rows = (camera.size or _CHIP)[1]
-    place = -1e3 * pose[:3, :3].T @ pose[:3, 3]
-    return turn, place, float(2 * np.arctan(0.5 * rows / camera.matrix[1, 1]))
+    orientation = trimesh.transformations.quaternion_from_matrix(np.linalg.inv(pose))
+    rows = (camera.size or _IMAGE_SIZE)[1]
+    position = -1e3 * pose[:3, :3].T @ pose[:3, 3]
+    return orientation, position, float(2 * np.arctan(0.5 * rows / camera.matrix[1, 1]))
 
 
 def _light(scene: Any, size: float) -> None:
@@ -332,12 +335,12 @@ def direction_of(subject: Subject) -> Vector3:
     return best_direction(seen, touched)
 
 
-def length_colours(moved: Vertices) -> tuple[Colours, PointScalars, float]:
+def length_colours(displacement: Vertices) -> tuple[Colours, PointScalars, float]:
     """Colours of vertices by the length of their displacement.
 
     Parameters
     ----------
-    moved : (v, 3) float [m]        displacement
+    displacement : (v, 3) float [m]
 
     Returns
     -------
@@ -345,6 +348,6 @@ def length_colours(moved: Vertices) -> tuple[Colours, PointScalars, float]:
     length : (v,) float [mm]        of each displacement
     top : float [mm]                end of the colour scale
     """
-    length = 1e3 * np.linalg.norm(moved, axis=1)
+    length = 1e3 * np.linalg.norm(displacement, axis=1)
     top = max(float(length.max()), 1e-6)
     return colours_of(length, top, "viridis"), length, top

@@ -58,7 +58,7 @@ class _Shown:
     subject: Subject
     probing: FittedProbing | None
     field: ColouredField | None
-    stretch: float
+    magnification: float
 
     @property
     def surface(self) -> np.ndarray | None:
@@ -69,8 +69,8 @@ class _Shown:
     def drawn(self) -> TriangleMesh:
         """The surface with magnified displacement."""
         mesh = self.subject.session.mesh
-        moved = np.zeros_like(mesh.vertices) if self.surface is None else self.surface
-        return TriangleMesh(mesh.vertices + self.stretch * moved, mesh.triangles)
+        displacement = np.zeros_like(mesh.vertices) if self.surface is None else self.surface
+        return TriangleMesh(mesh.vertices + self.magnification * displacement, mesh.triangles)
 
     @property
     def arrow(self) -> np.ndarray | None:
@@ -157,8 +157,8 @@ def _shown(subject: Subject, probe: str | None) -> _Shown:
         return _Shown(subject, None, None, 1.0)
     one = probings[names.index(probe) if probe else 0]
     field = coloured_field(one, MEASURED if one.surface is None else PREDICTED)
-    moved = field.moved if one.surface is None and field else one.surface
-    largest = 0.0 if moved is None else float(np.linalg.norm(moved, axis=1).max())
+    displacement = field.displacement if one.surface is None and field else one.surface
+    largest = 0.0 if displacement is None else float(np.linalg.norm(displacement, axis=1).max())
     if one.surface is not None and field is not None:
         # The scale ends at the largest drawn value, so that no colour is ambiguous.
         lengths = _face_lengths(subject.session.mesh, one.surface)
@@ -211,9 +211,9 @@ def _surface(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3)
         _points(axes, shown, drawn, direction)
 
 
-def _face_lengths(mesh: TriangleMesh, moved: Vertices) -> Float[np.ndarray, " m"]:
+def _face_lengths(mesh: TriangleMesh, displacement: Vertices) -> Float[np.ndarray, " m"]:
     """Displacement length of each triangle, mean over its corners [mm]."""
-    return np.asarray(1e3 * np.linalg.norm(moved, axis=1)[mesh.triangles].mean(axis=1))
+    return np.asarray(1e3 * np.linalg.norm(displacement, axis=1)[mesh.triangles].mean(axis=1))
 
 
 def _points(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) -> None:
@@ -223,13 +223,13 @@ def _points(axes: Axes, shown: _Shown, drawn: TriangleMesh, direction: Vector3) 
         return
     normals = unit_normals(mesh)[closest_points(mesh, field.points).triangle]
     near = normals @ direction > 0.05
-    place = 1e3 * projected(view, field.points + shown.stretch * field.moved)
+    position = 1e3 * projected(view, field.points + shown.magnification * field.displacement)
     rest = 1e3 * projected(view, field.points)
-    ways = np.stack([rest[near, :2], place[near, :2]], axis=1)
-    axes.add_collection(LineCollection(cast(Any, ways), colors=GREY, linewidths=0.5))
+    segments = np.stack([rest[near, :2], position[near, :2]], axis=1)
+    axes.add_collection(LineCollection(cast(Any, segments), colors=GREY, linewidths=0.5))
     axes.scatter(
-        place[near, 0], place[near, 1], c=field.values[near], cmap=field.cmap, s=9.0, zorder=3,
-        norm=Normalize(0.0, field.top), edgecolors=INK, linewidths=0.15,
+        position[near, 0], position[near, 1], c=field.values[near], cmap=field.cmap, s=9.0,
+        zorder=3, norm=Normalize(0.0, field.top), edgecolors=INK, linewidths=0.15,
     )  # fmt: skip
 
 
@@ -265,7 +265,9 @@ def _texts(figure: Figure, shown: _Shown) -> None:
     beyond = "neither" if shown.surface is not None else "max"
     bar = figure.colorbar(scale, cax=axes, orientation="horizontal", extend=beyond)
     what = "as the fitted model says" if shown.surface is not None else "measured"
-    bar.set_label(f"displacement in mm, {what}; magnified {shown.stretch:.2g} times", labelpad=2)
+    bar.set_label(
+        f"displacement in mm, {what}; magnified {shown.magnification:.2g} times", labelpad=2
+    )
     bar.outline.set_linewidth(0.4)
 
 

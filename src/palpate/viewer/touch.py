@@ -12,14 +12,14 @@ from palpate.simulation import (
     GreenFunctions,
     PlacedTool,
     Sphere,
-    force_deviation,
+    force_covariance,
     start_contact,
     surface_displacement,
     touch,
 )
 
 # Initial gap, and largest step, as fractions of the ball's radius.
-_OFF, _STEP = 1e-3, 0.02
+_INITIAL_GAP, _MAX_STEP = 1e-3, 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class Pressed:
     normal : (3,) float             outward unit normal there
     depth : float [m]               indentation depth of the ball below that point
     state : ContactState
-    moved : (v, 3) float [m]        displacement of all vertices
+    displacement : (v, 3) float [m] of all vertices
     force : (3,) float [N]          of the ball on the object
     sigma : float [N]               standard deviation of the force's magnitude due to that of the
                                     constants
@@ -42,14 +42,14 @@ class Pressed:
     normal: Vector3
     depth: float
     state: ContactState
-    moved: Vertices
+    displacement: Vertices
     force: Vector3
     sigma: float
 
     @property
     def centre(self) -> Vector3:
         """Centre of the ball [m]."""
-        return self.state.tools[0].place
+        return self.state.tools[0].position
 
     @property
     def touching(self) -> int:
@@ -57,7 +57,7 @@ class Pressed:
         return len(self.state.touching)
 
 
-def put_ball(green: GreenFunctions, point: Vector3, radius: float) -> Pressed:
+def place_ball(green: GreenFunctions, point: Vector3, radius: float) -> Pressed:
     """Place a ball just above a point of the surface, without contact.
 
     Parameters
@@ -75,18 +75,18 @@ def put_ball(green: GreenFunctions, point: Vector3, radius: float) -> Pressed:
     InputError                      a point that is held, or without Green's functions; a ball that
                                     would intersect the object
     """
-    place = closest_points(green.mesh, point[None])
-    corners = green.mesh.triangles[place.triangle[0]]
+    closest = closest_points(green.mesh, point[None])
+    corners = green.mesh.triangles[closest.triangle[0]]
     if not np.isin(corners, green.nodes).any():
         held = np.isin(corners, green.mesh.triangles[green.held_triangles]).all()
         why = "it is held there" if held else "only the part about the contacts is prepared"
         raise InputError(f"the object cannot be pressed there: {why}; choose another place")
-    normal = unit_normals(green.mesh)[place.triangle[0]]
-    where = place.position[0]
-    ball = PlacedTool(Sphere(radius), where + (1.0 + _OFF) * radius * normal)
+    normal = unit_normals(green.mesh)[closest.triangle[0]]
+    position = closest.position[0]
+    ball = PlacedTool(Sphere(radius), position + (1.0 + _INITIAL_GAP) * radius * normal)
     state = start_contact(green, [ball])
-    none = np.zeros_like(green.mesh.vertices)
-    return Pressed(where, normal, -_OFF * radius, state, none, np.zeros(3), 0.0)
+    zero = np.zeros_like(green.mesh.vertices)
+    return Pressed(position, normal, -_INITIAL_GAP * radius, state, zero, np.zeros(3), 0.0)
 
 
 def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
@@ -107,18 +107,24 @@ def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
     NotConvergedError               the contact iteration does not converge
     """
     ball = before.state.tools[0].tool
-    steps = max(1, int(np.ceil(abs(depth - before.depth) / (_STEP * ball.reach))))
+    steps = max(1, int(np.ceil(abs(depth - before.depth) / (_MAX_STEP * ball.bounding_radius))))
     state = before.state
     for at in np.linspace(before.depth, depth, steps + 1)[1:]:
-        place = before.point + (ball.reach - at) * before.normal
-        state = touch(green, [PlacedTool(ball, place)], state)
-    force = -state.on_tool[0]
+        position = before.point + (ball.bounding_radius - at) * before.normal
+        state = touch(green, [PlacedTool(ball, position)], state)
+    force = -state.tool_force[0]
     length = float(np.linalg.norm(force))
     along = force / length if length else np.zeros(3)
-    variance = float(along @ force_deviation(green, state)[0] @ along)
-    moved = surface_displacement(green, state)
+    variance = float(along @ force_covariance(green, state)[0] @ along)
+    displacement = surface_displacement(green, state)
     return Pressed(
-        before.point, before.normal, depth, state, moved, force, float(np.sqrt(max(variance, 0.0)))
+        before.point,
+        before.normal,
+        depth,
+        state,
+        displacement,
+        force,
+        float(np.sqrt(max(variance, 0.0))),
     )
 
 
@@ -147,7 +153,7 @@ def force_text(pressed: Pressed) -> str:
     return text
 
 
-def place_on_ray(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vector3 | None:
+def ray_intersection(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vector3 | None:
     """First intersection of a ray with a surface, from outside.
 
     Parameters
@@ -166,16 +172,16 @@ def place_on_ray(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vec
     """
     first, second, third = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
     side, other = second - first, third - first
-    across = np.cross(direction, other)
-    scale = np.einsum("ma,ma->m", side, across)
+    first_cross = np.cross(direction, other)
+    scale = np.einsum("ma,ma->m", side, first_cross)
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = origin - first
-        u = np.einsum("ma,ma->m", offset, across) / scale
-        turned = np.cross(offset, side)
-        v = turned @ direction / scale
-        far = np.einsum("ma,ma->m", other, turned) / scale
+        u = np.einsum("ma,ma->m", offset, first_cross) / scale
+        second_cross = np.cross(offset, side)
+        v = second_cross @ direction / scale
+        distance = np.einsum("ma,ma->m", other, second_cross) / scale
         # From outside: the ray runs against the normal.
-        met = (scale > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (far > 0.0)
-    if not met.any():
+        hit = (scale > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0)
+    if not hit.any():
         return None
-    return np.asarray(origin + far[met].min() * direction)
+    return np.asarray(origin + distance[hit].min() * direction)

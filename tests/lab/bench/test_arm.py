@@ -116,7 +116,9 @@ def test_a_soft_body_of_finite_strain_gives_way_farther(body):
     # Several percent where a tenth of the radius is pressed in, and the tip goes along.
     assert 1.01 < far.depth / linear.depth < 1.3
     np.testing.assert_allclose(
-        far.place - linear.place, (far.depth - linear.depth) * tip.direction, atol=1e-12
+        far.tip_position - linear.tip_position,
+        (far.depth - linear.depth) * tip.direction,
+        atol=1e-12,
     )
 
 
@@ -202,12 +204,14 @@ def test_the_rod_stands_on_the_tip_and_ends_before_the_cameras(body, kind):
     rig = make_head(Head(distance=0.4), BALL)
     tip = aim(_probe(), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
     state = probe_body(body, _probe(), tip, sticking=False, finite=False)[0]
-    rod = rod_at(tip, state.place, rig.cameras)
+    rod = rod_at(tip, state.tip_position, rig.cameras)
     checked_mesh(rod)
-    along = (rod.vertices - state.place) @ tip.direction
+    along = (rod.vertices - state.tip_position) @ tip.direction
     assert along.max() == pytest.approx(5e-3 if kind == "sphere" else 0.0, abs=1e-12)
     assert 0.15 < -along.min() < 0.21
-    beside = np.linalg.norm(rod.vertices - state.place - along[:, None] * tip.direction, axis=1)
+    beside = np.linalg.norm(
+        rod.vertices - state.tip_position - along[:, None] * tip.direction, axis=1
+    )
     # The widest ring is a few degrees off the equator.
     assert 0.99 * 5e-3 < beside.max() < 5e-3 * (1 + 1e-9)
     full = np.pi * 5e-3**2 * -along.min()

@@ -1,10 +1,16 @@
 """Films of presses: what a frame shows has moved by what was solved."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 import pytest
+from fault_injection import largest_file
 from scipy.ndimage import spline_filter
 
-from palpate.lab.bench.press_film import _warped
+from palpate.errors import RecordError
+from palpate.lab.bench.press_film import _warped, write_film
+from palpate.vision import video_frames
 
 
 @pytest.mark.parametrize("most", [0.05, 0.3])
@@ -24,3 +30,37 @@ def test_films_move_by_what_was_solved(most: float) -> None:
     np.testing.assert_allclose(
         gone[inner], np.tile(expected, (80, 1))[inner], atol=0.01 * 2.0 * most
     )
+
+
+def noisy_frames(count: int) -> Iterator[np.ndarray]:
+    """Frames that no codec makes much smaller."""
+    rng = np.random.default_rng(0)
+    return (rng.integers(0, 256, size=(120, 160), dtype=np.uint8) for _ in range(count))
+
+
+def test_a_film_gives_its_frames_back(tmp_path: Path) -> None:
+    write_film(tmp_path / "c0.avi", noisy_frames(12), 30.0)
+    found = [grey for _, grey in video_frames(tmp_path / "c0.avi")]
+    # FFV1 is lossless; half a grey level is lost on the way through the colours of the codec.
+    for grey, frame in zip(found, noisy_frames(12), strict=True):
+        assert np.abs(grey.astype(int) - frame).max() <= 1
+
+
+# In the middle of the film; and where only its index, the very end, is missing, so that OpenCV says
+# of every frame that it was written.
+@pytest.mark.parametrize("missing", [0.5, 0.001])
+def test_a_film_on_a_full_disk_is_refused(tmp_path: Path, missing: float) -> None:
+    whole, path = tmp_path / "whole.avi", tmp_path / "c0.avi"
+    write_film(whole, noisy_frames(12), 30.0)
+    with (
+        largest_file(int((1.0 - missing) * whole.stat().st_size)),
+        pytest.raises(RecordError, match=r"c0\.avi: the film could not be written completely"),
+    ):
+        write_film(path, noisy_frames(12), 30.0)
+    assert not path.exists()
+
+
+def test_a_frame_of_another_size_is_refused(tmp_path: Path) -> None:
+    frames = [np.zeros((120, 160), dtype=np.uint8), np.zeros((60, 160), dtype=np.uint8)]
+    with pytest.raises(RecordError, match="that all frames are of one size"):
+        write_film(tmp_path / "c0.avi", iter(frames), 30.0)

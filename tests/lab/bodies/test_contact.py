@@ -89,7 +89,7 @@ def test_nothing_enters_the_tip_and_nothing_is_pulled(block):
     depth = 4e-4
     (state,) = press(block, BALL, np.array([depth]))
     at = block.solid.nodes + state.displacement
-    offset = at - state.place
+    offset = at - state.tip_position
     assert np.linalg.norm(offset, axis=1).min() > BALL.radius * (1 - 1e-9)
     assert ((state.load * offset).sum(axis=1) >= 0.0).all()
     # Forces are along the tip's normal: no friction.
@@ -157,7 +157,7 @@ def test_what_sticks_is_let_go_where_it_would_be_pulled(block):
         block, Sphere(0.01, TOP - 0.01 * DOWN, steep), np.linspace(1e-4, 1.5e-3, 15), sticking=True
     )
     for state in states:
-        offset = block.solid.nodes + state.displacement - state.place
+        offset = block.solid.nodes + state.displacement - state.tip_position
         push = (state.load * offset).sum(axis=1)
         assert push.min() >= -1e-12 * push.max()
     touched = [(state.load != 0.0).any(axis=1) for state in states]

@@ -7,7 +7,7 @@ from surfaces import box
 from palpate.errors import InputError, NotConvergedError
 from palpate.lab.bodies.finite_contact import press_finite
 from palpate.lab.bodies.finite_elements import Body, make_body, quadratic_basis
-from palpate.lab.bodies.finite_strain import inner_forces
+from palpate.lab.bodies.finite_strain import internal_forces
 from palpate.lab.bodies.laws import NeoHookean
 from palpate.lab.bodies.tetrahedra import make_solid
 from palpate.lab.bodies.tips import Punch, Sphere, Tip
@@ -51,7 +51,7 @@ def test_a_ball_is_in_balance_and_enters_by_little() -> None:
     body, ball = _block(0.3), Sphere(6e-3, TOP, DOWN)
     force = 1.5
     found = press_finite(body, ball, force)
-    inner = inner_forces(NeoHookean(*body.lame), quadratic_basis(body.solid), found.displacement)
+    inner = internal_forces(NeoHookean(*body.lame), quadratic_basis(body.solid), found.displacement)
     reaction = inner[body.held].sum(axis=0)
     # Newton leaves 1e-7; across, the block's mesh is not symmetric.
     assert reaction[2] == pytest.approx(force, rel=1e-5)

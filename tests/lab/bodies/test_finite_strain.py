@@ -17,7 +17,7 @@ from palpate.lab.bodies.finite_elements import (
 from palpate.lab.bodies.finite_strain import (
     deformation_gradient,
     energy,
-    inner_forces,
+    internal_forces,
     solve_finite,
     tangent,
 )
@@ -53,7 +53,7 @@ def test_forces_are_the_slope_of_the_energy(block, basis, law):
     at, along = wavy(block, 2e-3), wavy(block, 1.0)[::-1]
     step = 1e-7
     ahead, behind = (energy(law(*block.lame), basis, at + s * step * along) for s in (1, -1))
-    force = inner_forces(law(*block.lame), basis, at)
+    force = internal_forces(law(*block.lame), basis, at)
     # Central differences: step^2 against rounding over step.
     assert (force * along).sum() == pytest.approx((ahead - behind) / (2 * step), rel=1e-6)
 
@@ -62,7 +62,9 @@ def test_forces_are_the_slope_of_the_energy(block, basis, law):
 def test_tangent_is_the_slope_of_the_forces(block, basis, law):
     at, along = wavy(block, 2e-3), wavy(block, 1.0)[::-1]
     step = 1e-7
-    ahead, behind = (inner_forces(law(*block.lame), basis, at + s * step * along) for s in (1, -1))
+    ahead, behind = (
+        internal_forces(law(*block.lame), basis, at + s * step * along) for s in (1, -1)
+    )
     matrix = tangent(law(*block.lame), basis, at)
     found = (matrix @ along.ravel()).reshape(-1, 3)
     other = (ahead - behind) / (2 * step)
@@ -84,7 +86,7 @@ def test_a_turned_body_has_no_energy(block, basis, law):
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     at = block.solid.nodes @ turn.T - block.solid.nodes
     assert abs(energy(law(*block.lame), basis, at)) < 1e-12 * SHEAR * 0.03 * 0.02**2
-    assert np.abs(inner_forces(law(*block.lame), basis, at)).max() < 1e-12 * SHEAR * 0.02**2
+    assert np.abs(internal_forces(law(*block.lame), basis, at)).max() < 1e-12 * SHEAR * 0.02**2
 
 
 def test_shape_and_volume_are_apart_in_the_split_law() -> None:
@@ -111,7 +113,7 @@ def test_uniaxial_stretch_is_in_equilibrium(block, basis, stretch, poisson):
     body = make_body(block.solid, block.held, shear_modulus=SHEAR, poisson_ratio=poisson)
     nodes = block.solid.nodes
     at = nodes * (np.array([side, side, stretch]) - 1.0)
-    inner = inner_forces(NeoHookean(*body.lame), basis, at)
+    inner = internal_forces(NeoHookean(*body.lame), basis, at)
     ends = sum(
         traction_load(
             block.solid,
@@ -143,7 +145,7 @@ def test_drawn_block_without_sideways_strain_is_the_closed_form(block, basis):
     exact = (stretch - 1.0) * block.solid.nodes[:, 2]
     np.testing.assert_allclose(found[:, 2], exact, atol=1e-9 * 0.02)
     np.testing.assert_allclose(found[:, :2], 0.0, atol=1e-9 * 0.02)
-    reaction = inner_forces(NeoHookean(*body.lame), basis, found)[body.held].sum(axis=0)
+    reaction = internal_forces(NeoHookean(*body.lame), basis, found)[body.held].sum(axis=0)
     np.testing.assert_allclose(reaction, [0.0, 0.0, -force], atol=1e-9 * abs(force))
     stored = 0.5 * SHEAR * (stretch**2 - 1) - SHEAR * np.log(stretch)
     law = NeoHookean(*body.lame)
@@ -183,7 +185,7 @@ def test_half_ball_pressed_far_goes_farther_than_linear(shared_data):
     pole = np.linalg.norm(solid.nodes - data["load_point"], axis=1).argmin()
     force = 2e-3 / -solve_load(body, unit)[pole, 2]
     found = solve_finite(body, force * unit)
-    inner = inner_forces(NeoHookean(*body.lame), quadratic_basis(solid), found)
+    inner = internal_forces(NeoHookean(*body.lame), quadratic_basis(solid), found)
     reaction = inner[body.held].sum(axis=0)
     # Forces balance to Newton's 1e-9 of the load.
     np.testing.assert_allclose(reaction, [0.0, 0.0, force], atol=1e-8 * force)

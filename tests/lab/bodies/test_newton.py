@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.lab.bodies.newton import find_in_parts, find_rest
+from palpate.lab.bodies.newton import find_equilibrium, find_in_increments
 
 
 class Hollow:
@@ -20,13 +20,13 @@ class Hollow:
 
 
 def test_steps_are_shortened_until_it_rests() -> None:
-    found = find_rest(Hollow(), np.array([5.0]), balanced=1e-9)
+    found = find_equilibrium(Hollow(), np.array([5.0]), tolerance=1e-9)
     assert found is not None
     assert abs(found[0]) < 1e-9
 
 
 def test_an_unstable_place_is_said() -> None:
-    assert find_rest(Hollow(), np.array([60.0]), balanced=1e-9) is None
+    assert find_equilibrium(Hollow(), np.array([60.0]), tolerance=1e-9) is None
 
 
 @pytest.mark.parametrize(("bears", "done"), [(1.0, 1.0), (0.6, 0.6)])
@@ -36,7 +36,7 @@ def test_a_load_is_put_on_in_parts(bears: float, done: float) -> None:
     def find(share: float, at: np.ndarray) -> np.ndarray | None:
         return np.array([share]) if share <= min(at[0] + 0.3, bears) else None
 
-    found, reached = find_in_parts(find, np.zeros(1))
+    found, reached = find_in_increments(find, np.zeros(1))
     # The last part tried is the smallest, a thousandth.
     assert reached == pytest.approx(done, abs=2e-3)
     assert found[0] == reached

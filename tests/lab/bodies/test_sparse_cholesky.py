@@ -48,7 +48,7 @@ def test_it_is_the_dense_solution(graded):
 def test_a_cut_parts_the_nodes_and_is_small_where_they_are_graded(graded):
     points, graph = graded
     nodes = np.arange(len(points))
-    cut, halves = sparse_cholesky._cut(graph, points, nodes)
+    cut, halves = sparse_cholesky._separator(graph, points, nodes)
     assert sorted(np.concatenate([cut, *halves])) == nodes.tolist()
     assert not graph[halves[0]][:, halves[1]].nnz
     assert min(len(half) for half in halves) > 0.3 * len(points)
@@ -62,7 +62,7 @@ def test_a_cut_parts_the_nodes_and_is_small_where_they_are_graded(graded):
 @pytest.mark.parametrize("density", [0.02, 0.1, 0.5])
 def test_a_cover_meets_every_entry_with_as_few_as_a_matching_asks_for(density):
     links = csr_array(random_array((30, 40), density=density, rng=np.random.default_rng(3)))
-    rows, columns = sparse_cholesky._cover(links)
+    rows, columns = sparse_cholesky._vertex_cover(links)
     entries = links.toarray() != 0.0
     assert (rows[:, None] | columns)[entries].all()
     # No two pairs of a matching share a row or a column: a cover has one for each at least.

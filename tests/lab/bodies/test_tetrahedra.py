@@ -10,7 +10,7 @@ from palpate.errors import InputError, MeshError
 from palpate.geometry import TriangleMesh, closest_points, enclosed_volume
 from palpate.lab.bodies.finite_elements import quadratic_basis
 from palpate.lab.bodies.specimens import cylinder
-from palpate.lab.bodies.tetrahedra import EDGES, make_solid, quadratic_solid, skin
+from palpate.lab.bodies.tetrahedra import EDGES, boundary_surface, make_solid, quadratic_solid
 
 
 def filled(mesh, **options):
@@ -117,7 +117,7 @@ def test_a_fine_place_is_fine_and_the_rest_is_not():
 
 def test_faces_point_outward_and_close():
     solid = filled(sphere(3, 0.03), edge=0.01)
-    surface = skin(solid.nodes, solid.facets)
+    surface = boundary_surface(solid.nodes, solid.facets)
     assert enclosed_volume(surface) == pytest.approx(volume(solid), rel=0.02)
     ends = np.stack([surface.triangles, np.roll(surface.triangles, -1, axis=1)], axis=2)
     _, count = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0, return_counts=True)

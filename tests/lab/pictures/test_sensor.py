@@ -9,10 +9,10 @@ from palpate.errors import InputError
 from palpate.lab import Pictures
 from palpate.lab.pictures.sensor import (
     blur_radius,
-    counting_noise,
     defocused,
     exposure_gain,
     grey_picture,
+    shot_noise,
 )
 
 PLAIN = Pictures(response=0.0, noise=0.0)
@@ -169,8 +169,8 @@ def test_counting_noise_is_that_of_the_pictures():
     sensor = replace(PLAIN, full_well=5_000.0, bits=12)
     picture = grey_picture(_even(1.275), sensor, gain=GAIN, rng=_rng()) / (65520 / 255)
     # Four times the error of a standard deviation.
-    assert counting_noise(sensor, 127.5) == pytest.approx(picture.std(), rel=4 / np.sqrt(2 * COUNT))
-    assert counting_noise(PLAIN, 127.5) == 0.0
+    assert shot_noise(sensor, 127.5) == pytest.approx(picture.std(), rel=4 / np.sqrt(2 * COUNT))
+    assert shot_noise(PLAIN, 127.5) == 0.0
 
 
 def test_calls_that_cannot_be_are_refused():

@@ -85,7 +85,7 @@ def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator)
     beside = arm.placement * rng.standard_normal(2) @ np.stack(_perpendicular(normal))
     tip = TIPS[arm.tip](arm.radius, on + beside, cv2.Rodrigues(turn)[0] @ direction)
     # An obliquely approaching sphere touches there if its centre passes above along the normal.
-    tip = replace(tip, point=tip.point + tip.lead(np.zeros(1)) * normal)
+    tip = replace(tip, point=tip.point + tip.surface_offset(np.zeros(1)) * normal)
     _check_path(probe.name, tip, mesh)
     return tip
 
@@ -201,7 +201,7 @@ def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
     return replace(
         state,
         depth=state.depth + float(farther),
-        place=state.place + farther * tip.direction,
+        tip_position=state.tip_position + farther * tip.direction,
         displacement=displacement,
     )
 

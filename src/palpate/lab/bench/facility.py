@@ -54,7 +54,7 @@ _BODY, _LIGHT = 0.7, 0.6
 
 
 class _Bench:
-    """State of one session while it is measured: cameras and arm, and after `put_up` the studio."""
+    """One session while it is measured: cameras and arm, and after `set_up_studio` the studio."""
 
     studio: Studio
 
@@ -78,7 +78,7 @@ class _Bench:
         """Generator of one stream of random numbers."""
         return np.random.default_rng([self.config.seed, stream, number])
 
-    def put_up(self, variant: Variant) -> None:
+    def set_up_studio(self, variant: Variant) -> None:
         """Prepare texture and light; write mesh and rigs."""
         config, folder, rig = self.config, self.folder, self.rig
         mesh = config.specimen.mesh
@@ -99,7 +99,7 @@ class _Bench:
             for camera, picture in zip(self.rig.cameras, pictures, strict=True)
         }
 
-    def take(self, name: str, measure: Callable[[], tuple[_Files, tuple[Table, Table]]]) -> None:
+    def record(self, name: str, measure: Callable[[], tuple[_Files, tuple[Table, Table]]]) -> None:
         """Write a part of the measurement, computed now or stored by an interrupted run."""
         files, tables = self.parts.kept(name, measure)
         for file, content in files.items():
@@ -219,26 +219,26 @@ def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress
     body = _body(config, config.probes[0], tips[0])
     for bench in benches:
         say("texture and light", _BODY / whole)
-        bench.put_up(variant)
+        bench.set_up_studio(variant)
         say("pictures at rest", (_BODY + 0.5 * _LIGHT) / whole)
         for file, content in bench.photograph("rest", 0, [bench.studio.mesh.vertices]).items():
             (bench.folder / file).write_bytes(content)
     for k, probe in enumerate(config.probes):
         say(f"probing {probe.name}", (_BODY + _LIGHT + k) / whole)
         # Refined under this tip only: a mesh for each probing costs less than one for all of them.
-        shared = _Shared(config, probe, tips[k], body if k == 0 else None)
+        shared = _SharedBody(config, probe, tips[k], body if k == 0 else None)
         for bench in benches:
-            bench.take(f"probing {probe.name}", partial(_measure_probing, bench, shared, k))
+            bench.record(f"probing {probe.name}", partial(_measure_probing, bench, shared, k))
     for bench in benches:
         write_session(bench.folder, bench.config, bench.measured)
 
 
-class _Shared:
+class _SharedBody:
     """The finite elements of one probing, shared by several benches and computed on demand."""
 
     def __init__(self, config: LabConfig, probe: Probe, tip: Tip, body: Body | None) -> None:
         self._config, self._probe, self._tip, self._body = config, probe, tip, body
-        self._carried: dict[bytes, csr_array] = {}
+        self._interpolation: dict[bytes, csr_array] = {}
 
     def body(self) -> Body:
         """Finite element model, refined under the tip."""
@@ -246,24 +246,26 @@ class _Shared:
             self._body = _body(self._config, self._probe, self._tip)
         return self._body
 
-    def carried(self, rest: Vertices) -> csr_array:
+    def interpolation(self, rest: Vertices) -> csr_array:
         """Interpolation from nodes to rendered vertices, shared for equal cameras and mesh."""
-        if rest.tobytes() not in self._carried:
-            self._carried[rest.tobytes()] = surface_values(self.body().solid, rest)
-        return self._carried[rest.tobytes()]
+        if rest.tobytes() not in self._interpolation:
+            self._interpolation[rest.tobytes()] = surface_values(self.body().solid, rest)
+        return self._interpolation[rest.tobytes()]
 
 
-def _measure_probing(bench: _Bench, shared: _Shared, k: int) -> tuple[_Files, tuple[Table, Table]]:
+def _measure_probing(
+    bench: _Bench, shared: _SharedBody, k: int
+) -> tuple[_Files, tuple[Table, Table]]:
     """One probing in one session: pictures and truth map; tables for session.toml, truth.toml."""
     config, rig, mesh = bench.config, bench.rig, bench.studio.mesh
     probe, tip = config.probes[k], bench.tips[k]
     finite = config.material.law == "neo-hookean"
     states = probe_body(shared.body(), probe, tip, sticking=config.arm.sticking, finite=finite)
-    carried, before = shared.carried(mesh.vertices), mesh.vertices
+    interpolation, before = shared.interpolation(mesh.vertices), mesh.vertices
     files: _Files = {}
     for number, state in enumerate(states, start=1):
-        after = mesh.vertices + carried @ state.displacement
-        rod = rod_at(tip, state.place, rig.cameras)
+        after = mesh.vertices + interpolation @ state.displacement
+        rod = rod_at(tip, state.tip_position, rig.cameras)
         name = instant_name(probe, number)
         exposed = exposure(config, before, after)
         files |= bench.photograph(name, 1000 * (k + 1) + number, exposed, rod)
@@ -276,7 +278,7 @@ def _measure_probing(bench: _Bench, shared: _Shared, k: int) -> tuple[_Files, tu
 
 def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress) -> None:
     """All steps of a rigid object on a motion stage, in one session."""
-    bench.put_up(variant)
+    bench.set_up_studio(variant)
     config, rest = bench.config, bench.studio.mesh.vertices
     motions = stage_motions(stage)
     places = [rest @ motion[:3, :3].T + motion[:3, 3] for motion in motions]
@@ -288,7 +290,7 @@ def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress)
 
     for k in range(len(motions)):
         say(f"step s{k}", k / len(motions))
-        bench.take(f"step {k}", partial(measure, k))
+        bench.record(f"step {k}", partial(measure, k))
     write_session(bench.folder, config, bench.measured)
 
 

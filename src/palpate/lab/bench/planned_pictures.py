@@ -31,7 +31,7 @@ _LARGEST_BALL = 4.0
 
 def planned_pictures(
     session: Session,
-    moved: Sequence[Vertices],
+    displacements: Sequence[Vertices],
     *,
     material: Material,
     pictures: Pictures = Pictures(),
@@ -46,7 +46,7 @@ def planned_pictures(
     Parameters
     ----------
     session : Session               with a rig whose cameras have picture sizes
-    moved : sequence of (v, 3) float [m]    displacement of the mesh's vertices in each probing
+    displacements : sequence of (v, 3) float [m]    of the mesh's vertices in each probing
     material : Material             assumed constants, from which radii of balls follow
     pictures : Pictures             exposure, image sensor and lens
     variant : Variant               of Mitsuba
@@ -65,19 +65,19 @@ def planned_pictures(
     rig = read_rig(session.rig)
     rods = [
         _rod(session, probing, displacement, material, rig)
-        for probing, displacement in zip(session.probings, moved, strict=True)
+        for probing, displacement in zip(session.probings, displacements, strict=True)
     ]
     studio = make_studio(
         _as_config(session, rig, material, pictures), rig, variant, rng=np.random.default_rng(1)
     )
     rest = studio.mesh.vertices
     nodes = displacement_nodes(session.mesh, split_sides(session.mesh, _one_side(session.mesh)))
-    place = closest_points(session.mesh, rest)
-    carried = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    closest = closest_points(session.mesh, rest)
+    interpolation = interpolation_matrix(nodes, closest.triangle, closest.barycentric)
     rng = np.random.default_rng(2)
     yield "rest", photograph(studio, [rest], rng=rng)
-    for probing, displacement, rod in zip(session.probings, moved, rods, strict=True):
-        yield probing.name, photograph(studio, [rest + carried @ displacement], rod, rng=rng)
+    for probing, displacement, rod in zip(session.probings, displacements, rods, strict=True):
+        yield probing.name, photograph(studio, [rest + interpolation @ displacement], rod, rng=rng)
 
 
 def _one_side(mesh: TriangleMesh) -> np.ndarray:
@@ -86,7 +86,7 @@ def _one_side(mesh: TriangleMesh) -> np.ndarray:
 
 
 def _rod(
-    session: Session, probing: Probing, moved: Vertices, material: Material, rig: Rig
+    session: Session, probing: Probing, displacement: Vertices, material: Material, rig: Rig
 ) -> TriangleMesh | None:
     """The arm's rod at a probing's displaced contact; None for a contact without radius."""
     contact = probing.contact
@@ -95,9 +95,9 @@ def _rod(
     mesh = session.mesh
     probe = Probe(probing.name, contact.point, probing.force, depth=1.0)
     tip = aim(probe, _arm(probing, material), mesh, rng=np.random.default_rng(0))
-    place = closest_points(mesh, contact.point[None])
-    corners = mesh.triangles[place.triangle[0]]
-    depth = float(place.barycentric[0] @ moved[corners] @ tip.direction)
+    closest = closest_points(mesh, contact.point[None])
+    corners = mesh.triangles[closest.triangle[0]]
+    depth = float(closest.barycentric[0] @ displacement[corners] @ tip.direction)
     return rod_at(tip, tip.point + depth * tip.direction, rig.cameras)
 
 

@@ -32,7 +32,7 @@ from palpate.lab.config import LabConfig
 from palpate.lab.pictures import Variant, make_studio, photograph
 from palpate.records import Camera, Rig, picture_size
 from palpate.shapes import Vector3
-from palpate.vision import project, surface_map
+from palpate.vision import open_video, project, surface_map
 
 # Grey level of the rod.
 _ROD = 8.0
@@ -73,7 +73,7 @@ class Film:
     drift: float = 0.02
 
     @property
-    def begins(self) -> Float[np.ndarray, " k"]:
+    def start_times(self) -> Float[np.ndarray, " k"]:
         """Time of first contact of each press, gauge's clock [s]."""
         found, time = [], 2.0
         for k in range(self.presses):
@@ -84,9 +84,11 @@ class Film:
     @property
     def duration(self) -> float:
         """Duration of the recording [s]."""
-        return float(self.begins[-1] + 2.0 * self.ramp + self.hold + self.approach + 1.5)
+        return float(self.start_times[-1] + 2.0 * self.ramp + self.hold + self.approach + 1.5)
 
-    def depth_share(self, time: Float[np.ndarray, " n"], begin: float) -> Float[np.ndarray, " n"]:
+    def depth_fraction(
+        self, time: Float[np.ndarray, " n"], begin: float
+    ) -> Float[np.ndarray, " n"]:
         """Depth of the tool as a fraction of its largest depth; before and after contact minus its
         distance as a fraction of `far`."""
         out = begin + self.ramp + self.hold
@@ -112,35 +114,36 @@ class SolvedPress:
     tip : Tip
     point : (3,) float [m]          commanded contact point
     radius : float [m]              contact radius at full depth
-    place : (3,) float [m]          of the tip at full depth
+    full_tip_position : (3,) float [m]  position of the tip at full depth
     depth : float [m]               full depth
-    share : (s,) float [-]          depth of each state as a fraction of the full depth, from 0 to 1
+    depth_fraction : (s,) float [-] depth of each state as a fraction of the full depth, from 0 to 1
     force : (s, 3) float [N]        of the tool on the body in each state
     solid : Solid
-    moved : (s, n, 3) float [m]     nodal displacements in each state
+    displacements : (s, n, 3) float [m]     nodal displacements in each state
     """
 
     tip: Tip
     point: Vector3
     radius: float
-    place: Vector3
+    full_tip_position: Vector3
     depth: float
-    share: Float[np.ndarray, " s"]
+    depth_fraction: Float[np.ndarray, " s"]
     force: Float[np.ndarray, "s 3"]
     solid: Solid
-    moved: Float[np.ndarray, "s n 3"]
+    displacements: Float[np.ndarray, "s n 3"]
 
-    def force_at(self, share: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    def force_at(self, fraction: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
         """Force of the tool on the body at fractions of the full depth [N]."""
         # Hertz: the force grows as depth to the power 1.5, so it is smooth in the depth's root.
-        law = CubicSpline(np.sqrt(self.share), self.force)
-        touching = np.clip(share, 0.0, 1.0)
+        law = CubicSpline(np.sqrt(self.depth_fraction), self.force)
+        touching = np.clip(fraction, 0.0, 1.0)
         return np.where(touching[:, None] > 0.0, law(np.sqrt(touching)), 0.0)
 
-    def tip_place(self, share: float, far: float) -> Vector3:
-        """Position of the tip's reference point [m], at a value of `Film.depth_share`."""
-        along = self.depth * (share - 1.0) if share >= 0.0 else -self.depth + far * share
-        return self.place + along * self.tip.direction
+    def tip_position(self, fraction: float, far: float) -> Vector3:
+        """Position of the tip's reference point [m], at a value of `Film.depth_fraction`."""
+        approaching = fraction < 0.0
+        along = -self.depth + far * fraction if approaching else self.depth * (fraction - 1.0)
+        return self.full_tip_position + along * self.tip.direction
 
 
 def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedPress:
@@ -170,12 +173,20 @@ def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedP
         support_stiffness=specimen.support_stiffness,
     )  # fmt: skip
     last = press_to_force(body, tip, float(probe.force or 0.0))
-    share = np.arange(film.depths + 1) / film.depths
-    states = press(body, tip, share[1:] * last.depth)
-    moved = [np.zeros_like(solid.nodes), *(state.displacement for state in states)]
+    fractions = np.arange(film.depths + 1) / film.depths
+    states = press(body, tip, fractions[1:] * last.depth)
+    displacements = [np.zeros_like(solid.nodes), *(state.displacement for state in states)]
     force = np.array([np.zeros(3), *(state.force for state in states)])
     return SolvedPress(
-        tip, probe.point, last.radius, last.place, last.depth, share, force, solid, np.stack(moved)
+        tip,
+        probe.point,
+        last.radius,
+        last.tip_position,
+        last.depth,
+        fractions,
+        force,
+        solid,
+        np.stack(displacements),
     )
 
 
@@ -197,8 +208,8 @@ def gauge_readings(
     """
     time = np.arange(0.0, film.duration, 1.0 / film.gauge_rate)
     force = np.zeros((len(time), 3))
-    for one, begin in zip(presses, film.begins, strict=True):
-        force += one.force_at(film.depth_share(time, begin))
+    for one, begin in zip(presses, film.start_times, strict=True):
+        force += one.force_at(film.depth_fraction(time, begin))
     share = time / time[-1]
     course = (share + 0.3 * np.sin(2.0 * np.pi * share))[:, None] * [1.0, -0.7, 1.0]
     noise = film.gauge_noise * rng.standard_normal((len(time), 3))
@@ -257,19 +268,21 @@ def film_frames(
     camera = rig.cameras[number]
     fields = [_motion_of(camera, config, one) for one in presses]
     last: tuple[int, float] | None = None
-    shown = _chip(rest, config)
+    shown = _sensor_picture(rest, config)
     coefficients = spline_filter(rest, order=5, output=np.float32)
     for time in np.arange(film.clock_offset, film.duration, 1.0 / film.frame_rate):
-        shares = [float(film.depth_share(np.array([time]), begin)[0]) for begin in film.begins]
-        k = int(np.argmax(shares))
-        key = (k, shares[k]) if shares[k] > -1.0 else (-1, 0.0)
+        fractions = [
+            float(film.depth_fraction(np.array([time]), begin)[0]) for begin in film.start_times
+        ]
+        k = int(np.argmax(fractions))
+        key = (k, fractions[k]) if fractions[k] > -1.0 else (-1, 0.0)
         if key != last:
             picture = rest
             if key[0] >= 0:
                 picture = _warped(coefficients, fields[k](key[1])) if key[1] > 0.0 else rest.copy()
-                place = presses[k].tip_place(key[1], film.far)
-                picture = _with_rod(picture, camera, presses[k].tip, place, rig)
-            last, shown = key, _chip(picture, config)
+                tip_position = presses[k].tip_position(key[1], film.far)
+                picture = _with_rod(picture, camera, presses[k].tip, tip_position, rig)
+            last, shown = key, _sensor_picture(picture, config)
         noisy = shown + config.pictures.noise * rng.standard_normal(shown.shape)
         yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
@@ -285,16 +298,40 @@ def write_film(path: Path, frames: Iterator[UInt8[np.ndarray, "_ _"]], rate: flo
 
     Raises
     ------
-    RecordError                     the file cannot be opened for writing
+    RecordError                     the file cannot be opened for writing, or a frame was not
+                                    written, e.g. to a full disk; no part of the film is left
     """
     first = next(frames)
     code = cv2.VideoWriter.fourcc(*"FFV1")
     writer = cv2.VideoWriter(str(path), code, rate, first.shape[::-1])
     if not writer.isOpened():
         raise RecordError(f"{path}: no video can be written there; check rights and space")
+    count, refused = 0, False
     for frame in chain([first], frames):
-        writer.write(cv2.merge([frame] * 3))
+        # OpenCV returns nothing before version 5; later versions say whether they wrote the frame.
+        refused = writer.write(cv2.merge([frame] * 3)) is False
+        if refused:
+            break
+        count += 1
     writer.release()
+    # The header names the number of frames only if the whole film was written.
+    if refused or _header_frames(path) != count:
+        path.unlink(missing_ok=True)
+        raise RecordError(
+            f"{path}: the film could not be written completely (about {count} frames were); check"
+            " the disk's space, and that all frames are of one size"
+        )
+
+
+def _header_frames(path: Path) -> int:
+    """Number of frames that a video's header names; 0 for a file that is no whole video."""
+    try:
+        capture = open_video(path)
+    except RecordError:
+        return 0
+    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    capture.release()
+    return count
 
 
 def _motion_of(camera: Camera, config: LabConfig, solved: SolvedPress) -> CubicSpline:
@@ -305,15 +342,15 @@ def _motion_of(camera: Camera, config: LabConfig, solved: SolvedPress) -> CubicS
     seen = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles).point[::2, ::2]
     known = np.isfinite(seen[..., 0])
     rest = seen[known]
-    carried = surface_values(solved.solid, rest)
+    interpolation = surface_values(solved.solid, rest)
     start = project(camera, rest)
-    result = np.zeros((len(solved.moved), *known.shape, 2), dtype=np.float32)
+    result = np.zeros((len(solved.displacements), *known.shape, 2), dtype=np.float32)
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    for k, displacement in enumerate(solved.moved):
+    for k, displacement in enumerate(solved.displacements):
         single = np.zeros((*known.shape, 2), dtype=np.float32)
-        single[known] = project(camera, rest + carried @ displacement) - start
+        single[known] = project(camera, rest + interpolation @ displacement) - start
         result[k] = single[nearest[0], nearest[1]]
-    return CubicSpline(solved.share, result)
+    return CubicSpline(solved.depth_fraction, result)
 
 
 def _double_camera(camera: Camera) -> Camera:
@@ -356,7 +393,7 @@ def _with_rod(picture: Picture, camera: Camera, tip: Tip, place: Vector3, rig: R
     return cv2.fillConvexPoly(picture, hull, (_ROD,), lineType=cv2.LINE_AA, shift=4)
 
 
-def _chip(picture: Picture, config: LabConfig) -> Picture:
+def _sensor_picture(picture: Picture, config: LabConfig) -> Picture:
     """Picture at the camera's resolution, blurred by lens and image sensor, without noise."""
     blurred = cv2.GaussianBlur(picture, (0, 0), 2.0 * config.pictures.response)
     rows, columns = blurred.shape

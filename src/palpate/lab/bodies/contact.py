@@ -20,13 +20,13 @@ from palpate.shapes import Points, Vector3
 
 _MAX_ROUNDS = 60
 # Relative change of the forces below which normals and active nodes have converged.
-_SETTLED = 1e-10
+_TOLERANCE = 1e-10
 # The search for the depth of a force begins at this many times the depth in a half space.
 _FIRST_DEPTH = 1.2
 # Candidate contact nodes are those that the tip would reach at this many times its depth.
 _CANDIDATE_DEPTH = 1.3
 # Each side of an outer face is divided into this many parts to find the first contact.
-_PARTS = 4
+_SUBDIVISIONS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,7 @@ class Press:
     Parameters
     ----------
     depth : float [m]               travel of the tip from first contact
-    place : (3,) float [m]          centre of the sphere, or of the punch's face
+    tip_position : (3,) float [m]   centre of the sphere, or of the punch's face
     force : (3,) float [N]          total force of the tip on the body
     radius : float [m]              radius of the circle with the area of the contact
     load : (n, 3) float [N]         nodal forces of the tip on the body
@@ -44,7 +44,7 @@ class Press:
     """
 
     depth: float
-    place: Vector3
+    tip_position: Vector3
     force: Vector3
     radius: float
     load: Float[np.ndarray, "n 3"]
@@ -117,15 +117,15 @@ def press(
         )
     tip.check_depth(depths[-1])
     start = touch(body.solid, tip)
-    near = _candidates(body, tip, start + _CANDIDATE_DEPTH * depths[-1])
-    anchor = np.full((len(near.node), 3), np.nan)
+    candidates = _candidates(body, tip, start + _CANDIDATE_DEPTH * depths[-1])
+    anchor = np.full((len(candidates.node), 3), np.nan)
     states = []
     for depth in depths:
         if sticking:
-            forces, anchor = _stuck(near, tip, start + depth, anchor)
+            forces, anchor = _sticking_forces(candidates, tip, start + depth, anchor)
         else:
-            forces = _sliding(near, tip, start + depth)
-        states.append(_state(body, tip, near, forces, start, float(depth)))
+            forces = _frictionless_forces(candidates, tip, start + depth)
+        states.append(_state(body, tip, candidates, forces, start, float(depth)))
     return tuple(states)
 
 
@@ -154,22 +154,27 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
     tip.check_force(force, modulus)
     start = touch(body.solid, tip)
     reach = min(_FIRST_DEPTH * tip.half_space_depth(force, modulus), tip.max_depth)
-    near = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
+    candidates = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
 
     def excess(depth: float) -> float:
         if depth == 0.0:
             return -force
-        return float(_sliding(near, tip, start + depth).sum(axis=0) @ tip.direction) - force
+        return (
+            float(_frictionless_forces(candidates, tip, start + depth).sum(axis=0) @ tip.direction)
+            - force
+        )
 
     low = 0.0
-    while (short := excess(reach)) < 0.0:
+    while (shortfall := excess(reach)) < 0.0:
         tip.check_depth(reach)
         # The force grows as the depth to the power 1 (punch) to 1.5 (sphere): go slightly beyond.
-        grown = 1.1 * force / max(short + force, 1e-3 * force)
-        low, reach = reach, min(reach * min(grown, 4.0), tip.max_depth)
-        near = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
-    depth = float(brentq(excess, low, reach, xtol=_SETTLED * reach, rtol=_SETTLED))
-    return _state(body, tip, near, _sliding(near, tip, start + depth), start, depth)
+        growth = 1.1 * force / max(shortfall + force, 1e-3 * force)
+        low, reach = reach, min(reach * min(growth, 4.0), tip.max_depth)
+        candidates = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
+    depth = float(brentq(excess, low, reach, xtol=_TOLERANCE * reach, rtol=_TOLERANCE))
+    return _state(
+        body, tip, candidates, _frictionless_forces(candidates, tip, start + depth), start, depth
+    )
 
 
 def facet_samples() -> Float[np.ndarray, "q 3"]:
@@ -186,11 +191,15 @@ def facet_samples() -> Float[np.ndarray, "q 3"]:
     ------
     Strang and Fix, An analysis of the finite element method (1973): the three-point rule.
     """
-    cell = 6 * np.stack(np.meshgrid(*2 * [np.arange(_PARTS)], indexing="ij"), -1).reshape(-1, 1, 2)
+    cell = 6 * np.stack(np.meshgrid(*2 * [np.arange(_SUBDIVISIONS)], indexing="ij"), -1).reshape(
+        -1, 1, 2
+    )
     upright, inverted = [[1, 1], [4, 1], [1, 4]], [[5, 5], [2, 5], [5, 2]]
-    place = np.concatenate([cell + upright, cell + inverted]).reshape(-1, 2) / (6 * _PARTS)
-    place = place[place.sum(axis=1) < 1.0]
-    return np.column_stack([place, 1.0 - place.sum(axis=1)])
+    coordinates = np.concatenate([cell + upright, cell + inverted]).reshape(-1, 2) / (
+        6 * _SUBDIVISIONS
+    )
+    coordinates = coordinates[coordinates.sum(axis=1) < 1.0]
+    return np.column_stack([coordinates, 1.0 - coordinates.sum(axis=1)])
 
 
 def _facing(solid: Solid, tip: Tip) -> Bool[np.ndarray, " f"]:
@@ -221,7 +230,7 @@ def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
     return _Candidates(nodes, solid.nodes[nodes], compliance)
 
 
-def _sliding(near: _Candidates, tip: Tip, travel: float) -> Points:
+def _frictionless_forces(candidates: _Candidates, tip: Tip, travel: float) -> Points:
     """Frictionless contact forces on the candidate nodes, (k, 3) [N].
 
     Source
@@ -230,65 +239,65 @@ def _sliding(near: _Candidates, tip: Tip, travel: float) -> Points:
     of the undeformed nodes and C their compliance; a Cholesky factor of C makes it a non-negative
     least-squares problem. Fixed-point iteration updates the tip's normals to the displaced nodes.
     """
-    moved = np.zeros_like(near.rest)
-    forces = np.zeros_like(near.rest)
+    displacement = np.zeros_like(candidates.rest)
+    forces = np.zeros_like(candidates.rest)
     for _ in range(_MAX_ROUNDS):
-        distance, normal = tip.distance(travel, near.rest + moved)
-        entered = np.einsum("ka,ka->k", normal, moved) - distance
-        square = np.einsum("ka,kalb,lb->kl", normal, near.compliance, normal)
+        distance, normal = tip.distance(travel, candidates.rest + displacement)
+        penetration = np.einsum("ka,ka->k", normal, displacement) - distance
+        square = np.einsum("ka,kalb,lb->kl", normal, candidates.compliance, normal)
         root = np.linalg.cholesky(square)
-        size, _ = nnls(root.T, np.linalg.solve(root, entered))
-        before, forces = forces, size[:, None] * normal
-        moved = np.einsum("kalb,lb->ka", near.compliance, forces)
-        if np.abs(forces - before).max() <= _SETTLED * np.abs(forces).max():
+        normal_force, _ = nnls(root.T, np.linalg.solve(root, penetration))
+        previous, forces = forces, normal_force[:, None] * normal
+        displacement = np.einsum("kalb,lb->ka", candidates.compliance, forces)
+        if np.abs(forces - previous).max() <= _TOLERANCE * np.abs(forces).max():
             return forces
     raise NotConvergedError(
         f"the contact does not settle in {_MAX_ROUNDS} rounds; press less deep or in smaller steps"
     )
 
 
-def _stuck(
-    near: _Candidates, tip: Tip, travel: float, anchor: Float[np.ndarray, "k 3"]
+def _sticking_forces(
+    candidates: _Candidates, tip: Tip, travel: float, anchor: Float[np.ndarray, "k 3"]
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
     """Forces on the candidate nodes, (k, 3) [N], when nodes in contact stick to the tip.
 
-    `anchor` is each node's position on the tip (NaN: no contact), relative to the tip's place.
+    `anchor` is each node's position on the tip (NaN: no contact), relative to the tip's position.
     """
     anchor = anchor.copy()
-    place = tip.point + travel * tip.direction
-    count = len(near.node)
+    tip_position = tip.point + travel * tip.direction
+    count = len(candidates.node)
     for _ in range(_MAX_ROUNDS):
         forces = np.zeros((count, 3))
-        held = np.flatnonzero(np.isfinite(anchor[:, 0]))
-        if len(held):
-            wanted = place + anchor[held] - near.rest[held]
-            block = near.compliance[held][:, :, held].reshape(3 * len(held), -1)
-            forces[held] = np.linalg.solve(block, wanted.ravel()).reshape(-1, 3)
-        moved = near.rest + np.einsum("kalb,lb->ka", near.compliance, forces)
-        distance, normal = tip.distance(travel, moved)
-        pulled = np.einsum("ka,ka->k", normal, forces) < 0.0
-        entered = (distance < -1e-9 * tip.radius) & np.isnan(anchor[:, 0])
-        if not (pulled | entered).any():
+        sticking = np.flatnonzero(np.isfinite(anchor[:, 0]))
+        if len(sticking):
+            prescribed = tip_position + anchor[sticking] - candidates.rest[sticking]
+            block = candidates.compliance[sticking][:, :, sticking].reshape(3 * len(sticking), -1)
+            forces[sticking] = np.linalg.solve(block, prescribed.ravel()).reshape(-1, 3)
+        positions = candidates.rest + np.einsum("kalb,lb->ka", candidates.compliance, forces)
+        distance, normal = tip.distance(travel, positions)
+        separating = np.einsum("ka,ka->k", normal, forces) < 0.0
+        entering = (distance < -1e-9 * tip.radius) & np.isnan(anchor[:, 0])
+        if not (separating | entering).any():
             return forces, anchor
-        anchor[pulled] = np.nan
-        entered &= ~pulled
-        anchor[entered] = (moved - distance[:, None] * normal - place)[entered]
+        anchor[separating] = np.nan
+        entering &= ~separating
+        anchor[entering] = (positions - distance[:, None] * normal - tip_position)[entering]
     raise NotConvergedError(
         f"the sticking contact does not settle in {_MAX_ROUNDS} rounds; press in smaller steps"
     )
 
 
 def _state(
-    body: Body, tip: Tip, near: _Candidates, forces: Points, start: float, depth: float
+    body: Body, tip: Tip, candidates: _Candidates, forces: Points, start: float, depth: float
 ) -> Press:
     """Equilibrium of the whole body under the forces on the candidate nodes."""
     load = np.zeros_like(body.solid.nodes)
-    load[near.node] = forces
+    load[candidates.node] = forces
     touched = np.zeros(len(load), dtype=bool)
-    touched[near.node] = (forces != 0.0).any(axis=1)
+    touched[candidates.node] = (forces != 0.0).any(axis=1)
     return Press(
         depth=depth,
-        place=tip.point + (start + depth) * tip.direction,
+        tip_position=tip.point + (start + depth) * tip.direction,
         force=load.sum(axis=0),
         radius=float(np.sqrt(_node_areas(body.solid)[touched].sum() / np.pi)),
         load=load,

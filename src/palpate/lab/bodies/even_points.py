@@ -29,7 +29,7 @@ Spacing = Callable[[np.ndarray], np.ndarray]
 _NEAREST = 0.75
 # Candidates per square of the spacing: enough for an accurate centroid.
 _CANDIDATES = 40.0
-_ROUNDS = 8
+_LLOYD_ROUNDS = 8
 # Candidates on sharp edges lie at most this fraction of the spacing apart.
 _PIECE = 0.25
 # The spacing grows by this much per metre away from a refined region: neighbours differ little.
@@ -96,7 +96,7 @@ def surface_points(
     fixed = _thinned(np.concatenate([sharp, marked]), spacing)
     candidates, share = _surface_candidates(mesh, spacing)
     points = _thinned(np.concatenate([fixed, candidates]), spacing)
-    for _ in range(_ROUNDS):
+    for _ in range(_LLOYD_ROUNDS):
         _, owner = cKDTree(points).query(candidates)
         weight = np.bincount(owner, share, minlength=len(points))
         centre = np.stack(
@@ -161,7 +161,7 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     the sign of the offset from the closest surface point along the pseudonormal of the face, edge
     or vertex that contains it.
     """
-    place = closest_points(mesh, points)
+    closest = closest_points(mesh, points)
     normals = unit_normals(mesh)
     corner = mesh.vertices[mesh.triangles]
     along = np.roll(corner, -1, axis=1) - corner
@@ -172,15 +172,15 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     np.add.at(at_vertex, mesh.triangles, angle[:, :, None] * normals[:, None])
     # An edge's pseudonormal is the sum of its two faces' normals. The normal of one of these faces
     # alone would give the wrong sign in ties across a sharp edge.
-    zero = place.barycentric <= 1e-9
-    normal = normals[place.triangle]
+    zero = closest.barycentric <= 1e-9
+    normal = normals[closest.triangle]
     on_edge = zero.sum(axis=1) == 1
     side = (zero.argmax(axis=1) + 1) % 3
-    normal[on_edge] += normals[_sides(mesh).twin[place.triangle, side][on_edge] // 3]
+    normal[on_edge] += normals[_sides(mesh).twin[closest.triangle, side][on_edge] // 3]
     on_vertex = zero.sum(axis=1) == 2
-    nearest = mesh.triangles[place.triangle, place.barycentric.argmax(axis=1)]
+    nearest = mesh.triangles[closest.triangle, closest.barycentric.argmax(axis=1)]
     normal[on_vertex] = at_vertex[nearest[on_vertex]]
-    return np.einsum("na,na->n", points - place.position, normal) < 0.0
+    return np.einsum("na,na->n", points - closest.position, normal) < 0.0
 
 
 def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:

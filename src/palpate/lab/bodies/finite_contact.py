@@ -20,12 +20,12 @@ from palpate.lab.bodies.finite_elements import Body, quadratic_basis, solve_free
 from palpate.lab.bodies.finite_strain import (
     LawOf,
     energy,
-    inner_forces,
+    internal_forces,
     stable_factor,
     tangent,
 )
 from palpate.lab.bodies.laws import Law, NeoHookean
-from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
+from palpate.lab.bodies.newton import Unknowns, find_equilibrium, find_in_increments
 from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, PointScalars
 
@@ -35,7 +35,7 @@ _SPRINGS = 100.0
 # Contact is considered within this many tip radii of the point of first contact.
 _REACH = 1.6
 # Tolerance on the residual forces, relative to the tip's force.
-_BALANCED = 1e-7
+_FORCE_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +53,7 @@ class FinitePress:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Skin:
+class _ContactPoints:
     """Contact points: the points of the surface that may touch the tip, each with a spring.
 
     Attributes
@@ -120,19 +120,19 @@ def press_finite(
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
-    meeting = _Meeting(
-        body, law(*body.lame), quadratic_basis(body.solid), tip, _skin(body, tip), force
+    potential = _ContactPotential(
+        body, law(*body.lame), quadratic_basis(body.solid), tip, _contact_points(body, tip), force
     )
     found = None
     if start is not None:
-        found = meeting.rest(_joined(start))
+        found = potential.equilibrium(_joined(start))
     if found is None:
-        found = meeting.rest_from_touch()
+        found = potential.equilibrium_from_contact()
     return FinitePress(found[:-1].reshape(-1, 3), float(found[-1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Meeting:
+class _ContactPotential:
     """Potential of a body and a tip under a force (`Potential`). Unknowns: nodal displacements,
     then the tip's travel."""
 
@@ -140,7 +140,7 @@ class _Meeting:
     law: Law
     basis: Any
     tip: Tip
-    skin: _Skin
+    contact_points: _ContactPoints
     force: float
 
     def value(self, at: Unknowns) -> float:
@@ -152,16 +152,16 @@ class _Meeting:
         """Residual: spring forces minus internal forces at the nodes; then the tip's force minus
         the push of the springs [N]."""
         springs = self.springs(at)
-        missing = springs.force - inner_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
+        missing = springs.force - internal_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
         missing[self.body.held] = 0.0
         return np.append(missing, self.force - springs.push)
 
     def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
         """Newton's step by block elimination; the tip's travel is eliminated last."""
-        entered, normal = self.entered(at)
-        weight = np.where(entered > 0.0, self.skin.stiffness, 0.0)
-        ahead = normal @ self.tip.direction
-        across = _along_normals(self.skin.shape, normal)
+        penetration, normal = self.penetration(at)
+        weight = np.where(penetration > 0.0, self.contact_points.stiffness, 0.0)
+        advance = normal @ self.tip.direction
+        across = _along_normals(self.contact_points.shape, normal)
         matrix = (
             tangent(self.law, self.basis, at[:-1].reshape(-1, 3))
             + across.T @ diags_array(weight) @ across
@@ -169,46 +169,46 @@ class _Meeting:
         factor = stable_factor(self.body, matrix)
         if factor is None:
             return None
-        coupling = across.T @ (weight * ahead)
+        coupling = across.T @ (weight * advance)
         both = solve_free(self.body.held, factor, np.stack([forces[:-1], coupling], axis=1))
-        left = float(weight @ ahead**2) - float(coupling @ both[:, 1])
-        if not left > 0.0:
+        pivot = float(weight @ advance**2) - float(coupling @ both[:, 1])
+        if not pivot > 0.0:
             return None
-        travel = (forces[-1] + float(coupling @ both[:, 0])) / left
+        travel = (forces[-1] + float(coupling @ both[:, 0])) / pivot
         return np.append(both[:, 0] + travel * both[:, 1], travel)
 
     def springs(self, at: Unknowns) -> _Springs:
         """Energy and forces of the penalty springs."""
-        entered, normal = self.entered(at)
-        size = self.skin.stiffness * entered
+        penetration, normal = self.penetration(at)
+        force_size = self.contact_points.stiffness * penetration
         return _Springs(
-            0.5 * float(size @ entered),
-            self.skin.shape.T @ (size[:, None] * normal),
-            float(size @ (normal @ self.tip.direction)),
+            0.5 * float(force_size @ penetration),
+            self.contact_points.shape.T @ (force_size[:, None] * normal),
+            float(force_size @ (normal @ self.tip.direction)),
         )
 
-    def entered(self, at: Unknowns) -> tuple[PointScalars, Points]:
+    def penetration(self, at: Unknowns) -> tuple[PointScalars, Points]:
         """Penetration of the contact points [m], zero outside, and the tip's normals there."""
-        places = self.skin.rest + self.skin.shape @ at[:-1].reshape(-1, 3)
-        distance, normal = self.tip.distance(float(at[-1]), places)
+        positions = self.contact_points.rest + self.contact_points.shape @ at[:-1].reshape(-1, 3)
+        distance, normal = self.tip.distance(float(at[-1]), positions)
         return np.maximum(-distance, 0.0), normal
 
-    def rest(self, at: Unknowns) -> Unknowns | None:
+    def equilibrium(self, at: Unknowns) -> Unknowns | None:
         """Equilibrium near an initial guess; None if it is not found."""
-        return find_rest(self, at, balanced=_BALANCED * self.force)
+        return find_equilibrium(self, at, tolerance=_FORCE_TOLERANCE * self.force)
 
-    def rest_from_touch(self) -> Unknowns:
+    def equilibrium_from_contact(self) -> Unknowns:
         """Equilibrium, in load steps from first contact with the body at rest."""
         touching = FinitePress(
             np.zeros_like(self.body.solid.nodes), touch(self.body.solid, self.tip)
         )
 
-        def find(share: float, at: Unknowns) -> Unknowns | None:
-            part = replace(self, force=share * self.force)
-            guess = at if at[:-1].any() else part.first(at)
-            return None if guess is None else part.rest(guess)
+        def find(fraction: float, at: Unknowns) -> Unknowns | None:
+            partial_load = replace(self, force=fraction * self.force)
+            guess = at if at[:-1].any() else partial_load.initial_guess(at)
+            return None if guess is None else partial_load.equilibrium(guess)
 
-        found, done = find_in_parts(find, _joined(touching))
+        found, done = find_in_increments(find, _joined(touching))
         if done < 1.0:
             raise NotConvergedError(
                 f"no equilibrium beyond {100 * done:.1f} % of the force under the tool: the body"
@@ -216,7 +216,7 @@ class _Meeting:
             )
         return found
 
-    def first(self, at: Unknowns) -> Unknowns | None:
+    def initial_guess(self, at: Unknowns) -> Unknowns | None:
         """Guess from rest: the travel at which the springs alone balance the force; None if that
         exceeds half the tip's radius."""
 
@@ -244,7 +244,7 @@ def _along_normals(shape: csr_array, normal: Points) -> csr_array:
     return csr_array((value.ravel(), (row, column.ravel())), shape=size)
 
 
-def _skin(body: Body, tip: Tip) -> _Skin:
+def _contact_points(body: Body, tip: Tip) -> _ContactPoints:
     """Contact points on the outer faces near the tip."""
     solid = body.solid
     first = tip.point + touch(solid, tip) * tip.direction
@@ -260,4 +260,4 @@ def _skin(body: Body, tip: Tip) -> _Skin:
     matrix = csr_array((value, (row, facets.ravel())), shape=(len(facets), len(solid.nodes)))
     area = np.repeat(0.5 * np.linalg.norm(side[near], axis=1) / count, count)
     stiffness = _SPRINGS * body.shear_modulus / tip.radius * area
-    return _Skin(matrix, matrix @ solid.nodes, stiffness)
+    return _ContactPoints(matrix, matrix @ solid.nodes, stiffness)

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array, kron
 from palpate.errors import InputError, SingularSystemError
 from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
 from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
-from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, skin
+from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, boundary_surface
 from palpate.optional_imports import late_import
 from palpate.shapes import Points, Vector3
 
@@ -345,7 +345,7 @@ def surface_values(solid: Solid, points: Points) -> csr_array:
     -------
     (p, n) sparse                   quadratic interpolation; rows add up to 1
     """
-    place = closest_points(skin(solid.nodes, solid.facets), points)
+    place = closest_points(boundary_surface(solid.nodes, solid.facets), points)
     facet, quarter = np.divmod(place.triangle, 4)
     barycentric = np.einsum("nv,nvb->nb", place.barycentric, ELEMENT_NODES[QUARTERS[quarter]])
     row = np.repeat(np.arange(len(points)), 6)

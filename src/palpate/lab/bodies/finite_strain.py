@@ -17,12 +17,12 @@ from palpate.lab.bodies.finite_elements import (
     stiffness_matrix,
 )
 from palpate.lab.bodies.laws import Law, NeoHookean
-from palpate.lab.bodies.newton import Unknowns, find_in_parts, find_rest
+from palpate.lab.bodies.newton import Unknowns, find_equilibrium, find_in_increments
 from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
 from palpate.optional_imports import late_import
 
 # Tolerance on the residual forces, relative to the load: Newton's last step leaves only rounding.
-_BALANCED = 1e-9
+_FORCE_TOLERANCE = 1e-9
 
 LawOf = Callable[[float, float], Law]
 
@@ -51,17 +51,17 @@ def solve_finite(
     ------
     Bonet and Wood, Nonlinear continuum mechanics for finite element analysis (2nd ed. 2008),
     chapter 9: total Lagrangian elements. Newton's method with step halving until no element is
-    inverted and the potential does not increase (`find_rest`); if that fails, the load is applied
-    in smaller increments.
+    inverted and the potential does not increase (`find_equilibrium`); if that fails, the
+    load is applied in smaller increments.
     """
     basis = quadratic_basis(body.solid)
     scale = float(np.linalg.norm(load[~body.held]))
 
-    def find(share: float, at: Unknowns) -> Unknowns | None:
-        loaded = _Loaded(body, law(*body.lame), basis, share * load)
-        return find_rest(loaded, at, balanced=_BALANCED * share * scale)
+    def find(fraction: float, at: Unknowns) -> Unknowns | None:
+        loaded = _Loaded(body, law(*body.lame), basis, fraction * load)
+        return find_equilibrium(loaded, at, tolerance=_FORCE_TOLERANCE * fraction * scale)
 
-    found, done = find_in_parts(find, np.zeros(load.size))
+    found, done = find_in_increments(find, np.zeros(load.size))
     if done < 1.0:
         raise NotConvergedError(
             f"no equilibrium beyond {100 * done:.1f} % of the load: the body buckles, or is"
@@ -83,7 +83,7 @@ class _Loaded:
         return energy(self.law, self.basis, at.reshape(-1, 3)) - float(self.load.ravel() @ at)
 
     def forces(self, at: Unknowns) -> Unknowns:
-        missing = self.load - inner_forces(self.law, self.basis, at.reshape(-1, 3))
+        missing = self.load - internal_forces(self.law, self.basis, at.reshape(-1, 3))
         missing[self.body.held] = 0.0
         return missing.ravel()
 
@@ -130,7 +130,7 @@ def energy(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> floa
     return float((law.density(gradient) * basis.dx).sum())
 
 
-def inner_forces(
+def internal_forces(
     law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Internal forces: derivative of the strain energy with respect to the nodal displacements.

@@ -10,7 +10,7 @@ from jaxtyping import Float
 _MAX_STEPS = 40
 _MAX_HALVINGS = 10
 # Smallest load increment, as a fraction of the load; increments that fail are halved.
-_LEAST_PART = 1e-3
+_MIN_INCREMENT = 1e-3
 
 Unknowns = Float[np.ndarray, " unknowns"]
 
@@ -29,14 +29,14 @@ class Potential(Protocol):
         """Newton's step [m]; None where the tangent is not positive definite."""
 
 
-def find_rest(potential: Potential, at: Unknowns, *, balanced: float) -> Unknowns | None:
+def find_equilibrium(potential: Potential, at: Unknowns, *, tolerance: float) -> Unknowns | None:
     """Equilibrium near an initial guess.
 
     Parameters
     ----------
     potential : Potential
     at : (u,) float [m]             initial guess
-    balanced : float [N]            tolerance on the norm of the residual forces, > 0
+    tolerance : float [N]           on the norm of the residual forces, > 0
 
     Returns
     -------
@@ -49,17 +49,17 @@ def find_rest(potential: Potential, at: Unknowns, *, balanced: float) -> Unknown
     """
     for _ in range(_MAX_STEPS):
         forces = potential.forces(at)
-        if np.linalg.norm(forces) <= balanced:
+        if np.linalg.norm(forces) <= tolerance:
             return at
         step = potential.step(at, forces)
-        moved = None if step is None else _shortened(potential, at, step)
-        if moved is None:
+        improved = None if step is None else _shortened(potential, at, step)
+        if improved is None:
             return None
-        at = moved
+        at = improved
     return None
 
 
-def find_in_parts(
+def find_in_increments(
     find: Callable[[float, Unknowns], Unknowns | None], start: Unknowns
 ) -> tuple[Unknowns, float]:
     """Equilibrium under the full load, in load increments where it is not found at once.
@@ -74,14 +74,14 @@ def find_in_parts(
     found : (u,) float [m]          the last equilibrium found
     done : float [-]                fraction of the load there; 1 on success
     """
-    now, done, part = start, 0.0, 1.0
-    while done < 1.0 and part >= _LEAST_PART:
-        share = min(1.0, done + part)
-        found = find(share, now)
+    now, done, increment = start, 0.0, 1.0
+    while done < 1.0 and increment >= _MIN_INCREMENT:
+        target = min(1.0, done + increment)
+        found = find(target, now)
         if found is None:
-            part *= 0.5
+            increment *= 0.5
         else:
-            now, done = found, share
+            now, done = found, target
     return now, done
 
 

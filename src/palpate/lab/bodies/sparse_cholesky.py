@@ -111,7 +111,7 @@ def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
         shape=(len(points), len(points)),
     )
     done = np.zeros(len(points), dtype=bool)
-    place = np.empty(3 * len(points), dtype=np.int64)
+    position = np.empty(3 * len(points), dtype=np.int64)
     fronts: list[_Front] = []
     # One work array for all fronts: allocating one for each would take as long as its arithmetic.
     work = np.empty(0)
@@ -119,7 +119,7 @@ def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
     def eliminate(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Eliminate a set of nodes: the nodes coupled to it, and its update of their matrix."""
         nonlocal work
-        cut, halves = _cut(graph, points, nodes)
+        cut, halves = _separator(graph, points, nodes)
         parts = [eliminate(half) for half in halves if len(half)]
         done[cut] = True
         reached = [graph[cut].indices] + [part[0] for part in parts]
@@ -127,7 +127,7 @@ def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
         later = later[~done[later]]
         if work.size < (3 * (len(cut) + len(later))) ** 2:
             work = np.empty((3 * (len(cut) + len(later))) ** 2)
-        front, rest = _front(matrix, place, cut, later, parts, work)
+        front, rest = _front(matrix, position, cut, later, parts, work)
         fronts.append(front)
         return later, rest
 
@@ -135,7 +135,7 @@ def factorise(matrix: csr_array, points: Float[np.ndarray, "n 3"]) -> Cholesky:
     return Cholesky(3 * len(points), tuple(fronts))
 
 
-def _cut(
+def _separator(
     graph: csr_array, points: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """Separator of a set of nodes, and the two halves that it leaves.
@@ -145,10 +145,10 @@ def _cut(
     """
     if len(nodes) <= _LEAF_NODES:
         return nodes, ()
-    links, place = graph[nodes][:, nodes], points[nodes]
-    away = np.linalg.norm(place - np.median(place, axis=0), axis=1)
+    links, positions = graph[nodes][:, nodes], points[nodes]
+    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
     sides = []
-    for key in (*place.T, away):
+    for key in (*positions.T, away):
         upper = np.zeros(len(nodes), dtype=bool)
         upper[np.argsort(key, kind="stable")[len(nodes) // 2 :]] = True
         above = links @ upper.astype(np.int64)
@@ -157,12 +157,12 @@ def _cut(
     _, upper, low, high = min(sides, key=lambda side: side[0])
     cut = np.zeros(len(nodes), dtype=bool)
     rows, columns = np.flatnonzero(low), np.flatnonzero(high)
-    some, others = _cover(csr_array(links[rows][:, columns]))
+    some, others = _vertex_cover(csr_array(links[rows][:, columns]))
     cut[rows[some]] = cut[columns[others]] = True
     return nodes[cut], (nodes[~upper & ~cut], nodes[upper & ~cut])
 
 
-def _cover(links: csr_array) -> tuple[np.ndarray, np.ndarray]:
+def _vertex_cover(links: csr_array) -> tuple[np.ndarray, np.ndarray]:
     """Minimum vertex cover: the fewest rows and columns that cover all entries, as masks.
 
     Source
@@ -188,10 +188,10 @@ def _cover(links: csr_array) -> tuple[np.ndarray, np.ndarray]:
 
 def _front(
     rows: csr_array,
-    place: np.ndarray,
+    position: np.ndarray,
     own: np.ndarray,
     later: np.ndarray,
-    parts: list[tuple[np.ndarray, np.ndarray]],
+    children: list[tuple[np.ndarray, np.ndarray]],
     work: np.ndarray,
 ) -> tuple[_Front, np.ndarray]:
     """Eliminate a front's own unknowns; also gives the Schur complement for its parent front.
@@ -200,13 +200,13 @@ def _front(
     """
     own, later = _unknowns(own), _unknowns(later)
     everything = np.concatenate([own, later])
-    place[everything] = np.arange(len(everything))
+    position[everything] = np.arange(len(everything))
     size = len(everything)
     full = work[: size * size].reshape(size, size)
     full[len(own) :] = 0.0
     full[: len(own)] = rows[own][:, everything].toarray()
-    for nodes, added in parts:
-        _add_kernel(full, len(own), place[_unknowns(nodes)], added)
+    for nodes, added in children:
+        _add_kernel(full, len(own), position[_unknowns(nodes)], added)
     k = len(own)
     try:
         lower = cholesky(full[:k, :k], lower=True, check_finite=False)
@@ -216,9 +216,9 @@ def _front(
             " keep it from moving as a whole, or its material is not stable; hold more of it"
         ) from error
     coupling = solve_triangular(lower, full[:k, k:], lower=True, check_finite=False)
-    rest = coupling.T @ coupling
-    np.subtract(full[k:, k:], rest, out=rest)
-    return _Front(own, later, lower, coupling), rest
+    schur = coupling.T @ coupling
+    np.subtract(full[k:, k:], schur, out=schur)
+    return _Front(own, later, lower, coupling), schur
 
 
 @njit(cache=True, error_model="numpy")

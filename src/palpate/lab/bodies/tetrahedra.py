@@ -33,7 +33,7 @@ FACES = np.array([[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [0, 3, 2, 7, 9, 6], [1
 # Tetrahedra between four surface points that are flatter than this (1 is regular) do not belong to
 # the body: they fill the gap between the two triangulations of a quadrilateral.
 _MIN_SHAPE = 0.1
-_ROUNDS = 6
+_SMOOTHING_ROUNDS = 6
 # Shape functions of a six-node triangle at its centre.
 _CENTRE = np.array([-1.0, -1.0, -1.0, 4.0, 4.0, 4.0]) / 9.0
 # Nodes of the four triangles into which the midside nodes divide a six-node triangle.
@@ -44,7 +44,7 @@ _MIN_VOLUME = 0.3
 # Largest deviation from the surface, as a fraction of `edge`; more means too coarse a mesh.
 _MAX_DEVIATION = 0.4
 # Largest number of elements along a body: the candidate points are many times finer still.
-_MOST_ACROSS = 2000
+_MAX_ELEMENTS_ACROSS = 2000
 _NONE = np.zeros((0, 3))
 
 
@@ -113,7 +113,7 @@ def make_solid(
     for name, value in [("edge", edge)] + [("edge of a fine place", small) for *_, small in fine]:
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"{name} is {value}; must be positive, in metres")
-    least = float(np.ptp(mesh.vertices, axis=0).max()) / _MOST_ACROSS
+    least = float(np.ptp(mesh.vertices, axis=0).max()) / _MAX_ELEMENTS_ACROSS
     finest = min([edge, *(small for *_, small in fine)])
     if finest < least:
         raise InputError(
@@ -160,28 +160,28 @@ def quadratic_solid(
     ------
     MeshError                         a tetrahedron of zero volume, or outer faces farther away
     """
-    tetrahedra = _turned(points, tetrahedra)
+    tetrahedra = _positively_oriented(points, tetrahedra)
     ends = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
     edge, where = np.unique(ends, axis=0, return_inverse=True)
     nodes = np.concatenate([points, points[edge].mean(axis=1)])
     elements = np.concatenate([tetrahedra, len(points) + where.reshape(-1, 6)], axis=1)
     faces = elements[:, FACES].reshape(-1, 6)
     facets = faces[_is_outer(faces[:, :3])]
-    nodes = _bent(nodes, elements, np.unique(facets[:, 3:]), mesh)
+    nodes = _curved(nodes, elements, np.unique(facets[:, 3:]), mesh)
     centre = np.einsum("v,fva->fa", _CENTRE, nodes[facets])
-    place = closest_points(mesh, centre)
-    corners = closest_points(skin(nodes, facets), mesh.vertices).distance
-    deviation = float(max(place.distance.max(), corners.max()))
+    closest = closest_points(mesh, centre)
+    corners = closest_points(boundary_surface(nodes, facets), mesh.vertices).distance
+    deviation = float(max(closest.distance.max(), corners.max()))
     if deviation > largest:
         raise MeshError(
             f"the tetrahedra miss the surface by up to {1e3 * deviation:.3g} mm, more than"
             f" {1e3 * largest:.3g} mm: the body has details or walls thinner than the elements;"
             " use a smaller edge, or fine places there"
         )
-    return Solid(nodes, elements, facets, place.triangle, deviation)
+    return Solid(nodes, elements, facets, closest.triangle, deviation)
 
 
-def skin(nodes: Points, facets: Int[np.ndarray, "f 6"]) -> TriangleMesh:
+def boundary_surface(nodes: Points, facets: Int[np.ndarray, "f 6"]) -> TriangleMesh:
     """Outer faces as linear triangles over all their nodes.
 
     Parameters
@@ -196,7 +196,7 @@ def skin(nodes: Points, facets: Int[np.ndarray, "f 6"]) -> TriangleMesh:
     return TriangleMesh(nodes, facets[:, QUARTERS].reshape(-1, 3))
 
 
-def _bent(
+def _curved(
     nodes: Points,
     elements: Int[np.ndarray, "m 10"],
     sides: Int[np.ndarray, " s"],
@@ -204,16 +204,16 @@ def _bent(
 ) -> Points:
     """Nodes with midside nodes of outer edges moved to the surface, unless that would distort an
     element too much."""
-    wanted = nodes.copy()
-    wanted[sides] = closest_points(mesh, nodes[sides]).position
+    curved = nodes.copy()
+    curved[sides] = closest_points(mesh, nodes[sides]).position
     straight = _volumes(nodes[elements[:, :4]])
     while True:
-        bad = elements[_least_determinant(wanted[elements]) < 6.0 * _MIN_VOLUME * straight]
-        moved = np.unique(bad)
-        moved = moved[(wanted[moved] != nodes[moved]).any(axis=1)]
-        if not len(moved):
-            return wanted
-        wanted[moved] = nodes[moved]
+        distorted = elements[_least_determinant(curved[elements]) < 6.0 * _MIN_VOLUME * straight]
+        reset = np.unique(distorted)
+        reset = reset[(curved[reset] != nodes[reset]).any(axis=1)]
+        if not len(reset):
+            return curved
+        curved[reset] = nodes[reset]
 
 
 def _least_determinant(corner: Float[np.ndarray, "m 10 3"]) -> Float[np.ndarray, " m"]:
@@ -224,7 +224,9 @@ def _least_determinant(corner: Float[np.ndarray, "m 10 3"]) -> Float[np.ndarray,
     return np.linalg.det(np.einsum("mva,vdp->mpad", corner, slopes)).min(axis=1)
 
 
-def _turned(points: Points, tetrahedra: Int[np.ndarray, "m 4"]) -> Int[np.ndarray, "m 4"]:
+def _positively_oriented(
+    points: Points, tetrahedra: Int[np.ndarray, "m 4"]
+) -> Int[np.ndarray, "m 4"]:
     """Tetrahedra with corners reordered to positive volume."""
     volume = _volumes(points[tetrahedra])
     if np.any(volume == 0.0):
@@ -262,17 +264,17 @@ def _tetrahedra(
     """Delaunay tetrahedra that fill the body, with smoothed interior points."""
     count = len(shell)
     points = np.concatenate([shell, inner])
-    for step in range(_ROUNDS + 1):
+    for step in range(_SMOOTHING_ROUNDS + 1):
         cells = Delaunay(points).simplices.astype(np.int64)
         cells = _inner_cells(mesh, points, cells, count)
-        if step == _ROUNDS:
+        if step == _SMOOTHING_ROUNDS:
             break
-        points[count:] = _evened(points, cells, spacing)[count:]
+        points[count:] = _smoothed(points, cells, spacing)[count:]
     used, cells = np.unique(cells, return_inverse=True)
     return points[used], cells.reshape(-1, 4)
 
 
-def _evened(points: Points, cells: Int[np.ndarray, "m 4"], spacing: Spacing) -> Points:
+def _smoothed(points: Points, cells: Int[np.ndarray, "m 4"], spacing: Spacing) -> Points:
     """Every point moved to the mean of its cells' centroids, weighted by volume over wanted volume.
 
     Source
@@ -299,13 +301,13 @@ def _inner_cells(
 
     A flat element between four nearly coplanar points would be almost infinitely stiff in bending.
     """
-    doubtful = np.flatnonzero((cells < count).all(axis=1))
-    corner = points[cells[doubtful]]
+    surface_only = np.flatnonzero((cells < count).all(axis=1))
+    corner = points[cells[surface_only]]
     keep = np.ones(len(cells), dtype=bool)
-    solid = _shape(corner) > 1e-6
-    keep[doubtful[~solid]] = False
-    centre = corner[solid].mean(axis=1)
-    keep[doubtful[solid][~inside(mesh, centre)]] = False
+    not_flat = _shape(corner) > 1e-6
+    keep[surface_only[~not_flat]] = False
+    centre = corner[not_flat].mean(axis=1)
+    keep[surface_only[not_flat][~inside(mesh, centre)]] = False
     cells = cells[keep]
     while True:
         outer = _is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)

@@ -65,8 +65,8 @@ class Tip(ABC):
         """
         offset = points - self.point
         along = offset @ self.direction
-        beside = np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
-        return along - self.lead(beside)
+        radial_distance = np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
+        return along - self.surface_offset(radial_distance)
 
     @property
     def max_depth(self) -> float:
@@ -111,12 +111,12 @@ class Tip(ABC):
             )
 
     @abstractmethod
-    def lead(self, beside: PointScalars) -> PointScalars:
+    def surface_offset(self, radial_distance: PointScalars) -> PointScalars:
         """Distance, along the motion, of the tip's surface ahead of its place.
 
         Parameters
         ----------
-        beside : (n,) float [m]         distance from the axis
+        radial_distance : (n,) float [m]    distance from the axis
 
         Returns
         -------
@@ -201,10 +201,10 @@ class Sphere(Tip):
         """The radius: a sphere is pressed in by less than that [m]."""
         return self.radius
 
-    def lead(self, beside: PointScalars) -> PointScalars:
+    def surface_offset(self, radial_distance: PointScalars) -> PointScalars:
         """Distance of the sphere's surface ahead of its centre [m]."""
-        rise = np.sqrt(np.clip(self.radius**2 - beside**2, 0.0, None))
-        return np.where(beside < self.radius, rise, -np.inf)
+        rise = np.sqrt(np.clip(self.radius**2 - radial_distance**2, 0.0, None))
+        return np.where(radial_distance < self.radius, rise, -np.inf)
 
     def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
         """Signed distance, with radial normals."""
@@ -239,9 +239,9 @@ class Punch(Tip):
     __slots__ = ()
     tool = FLAT
 
-    def lead(self, beside: PointScalars) -> PointScalars:
+    def surface_offset(self, radial_distance: PointScalars) -> PointScalars:
         """Zero up to the rim."""
-        return np.where(beside <= self.radius * (1.0 + 1e-9), 0.0, -np.inf)
+        return np.where(radial_distance <= self.radius * (1.0 + 1e-9), 0.0, -np.inf)
 
     def distance(self, travel: float, points: Points) -> tuple[PointScalars, Points]:
         """Signed distance from the plane of the face, which is taken as unbounded."""

@@ -49,9 +49,9 @@ def make_head(head: Head, mesh: TriangleMesh) -> Rig:
     view = -head.toward / np.linalg.norm(head.toward)
     right, down = _picture_axes(view)
     eye = middle - head.distance * view
-    eyes = [eye + x * right + y * down for x, y in _places(head)]
+    eyes = [eye + x * right + y * down for x, y in _camera_offsets(head)]
     poses = [_pose(place, middle) for place in eyes]
-    focal = head.focal or min(_filling(head, pose, mesh) for pose in poses)
+    focal = head.focal or min(_filling_focal_length(head, pose, mesh) for pose in poses)
     cameras = [_camera(f"c{k}", pose, head, focal) for k, pose in enumerate(poses)]
     return Rig(tuple(cameras), 0, "facility")
 
@@ -82,9 +82,9 @@ def miscalibrated(
         matrix = camera.matrix.copy()
         matrix[[0, 1], [0, 1]] *= 1.0 + error.focal * rng.standard_normal()
         matrix[:2, 2] += error.centre * rng.standard_normal(2)
-        off = _small_pose(error.rotation, error.translation, rng)
-        moved = off @ camera.T_camera_object @ pose
-        cameras.append(replace(camera, matrix=matrix, T_camera_object=moved))
+        pose_error = _small_pose(error.rotation, error.translation, rng)
+        misjudged = pose_error @ camera.T_camera_object @ pose
+        cameras.append(replace(camera, matrix=matrix, T_camera_object=misjudged))
     return replace(rig, cameras=tuple(cameras))
 
 
@@ -98,7 +98,7 @@ def _small_pose(
     return pose
 
 
-def _places(head: Head) -> Float[np.ndarray, "c 2"]:
+def _camera_offsets(head: Head) -> Float[np.ndarray, "c 2"]:
     """Positions of the cameras relative to the head's reference point, right and down [m]."""
     if head.layout == "trinocular":
         return head.baseline * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -123,7 +123,7 @@ def _pose(eye: Vector3, target: Vector3) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def _filling(head: Head, pose: Float[np.ndarray, "4 4"], mesh: TriangleMesh) -> float:
+def _filling_focal_length(head: Head, pose: Float[np.ndarray, "4 4"], mesh: TriangleMesh) -> float:
     """Focal length [px] at which the object fills the fraction `_FILL` of the picture."""
     x, y, z = (mesh.vertices @ pose[:3, :3].T + pose[:3, 3]).T
     wide, high = 2.0 * np.abs(x / z).max(), 2.0 * np.abs(y / z).max()

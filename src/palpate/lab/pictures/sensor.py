@@ -61,7 +61,7 @@ def grey_picture(
     return level.astype(np.uint8) if settings.bits == 8 else level.astype(np.uint16) << _SHIFT
 
 
-def counting_noise(settings: Pictures, grey: float) -> float:
+def shot_noise(settings: Pictures, grey: float) -> float:
     """Standard deviation of the shot noise, in grey levels.
 
     Parameters

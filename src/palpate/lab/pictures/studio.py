@@ -14,10 +14,10 @@ from palpate.lab.pictures.render_mesh import make_render_mesh
 from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
 from palpate.lab.pictures.sensor import (
     blur_radius,
-    counting_noise,
     defocused,
     exposure_gain,
     grey_picture,
+    shot_noise,
 )
 from palpate.lab.pictures.textures import texture
 from palpate.records import Camera, Rig, camera_centre, picture_size
@@ -30,7 +30,7 @@ _EDGE_PX = 1.5
 _ROD_GREY = 0.03
 _AMBIENT = 0.55
 # Distance of the lamp from the reference camera, in units of that camera's distance.
-_LAMP_BESIDE = 0.8
+_LAMP_DISTANCE = 0.8
 # Least ratio of the texture's contrast to the noise, both in grey levels, for matching subsets.
 _MIN_CONTRAST = 5.0
 # Grey level at which the shot noise is compared with the contrast.
@@ -143,10 +143,10 @@ def exposure(config: LabConfig, before: Vertices, after: Vertices) -> list[Verti
     -------
     list of (v, 3) float [m]        vertices at each instant; one instant without motion blur
     """
-    share = config.pictures.motion_blur
-    if share == 0.0:
+    blur = config.pictures.motion_blur
+    if blur == 0.0:
         return [after]
-    return [after - s * (after - before) for s in np.linspace(share, 0.0, _FRAMES)]
+    return [after - s * (after - before) for s in np.linspace(blur, 0.0, _FRAMES)]
 
 
 def _light(config: LabConfig, rig: Rig) -> Light:
@@ -156,11 +156,11 @@ def _light(config: LabConfig, rig: Rig) -> Light:
     reference = rig.cameras[rig.reference]
     pose, eye = reference.T_camera_object, camera_centre(reference)
     distance = float(np.linalg.norm(eye - middle))
-    place = eye + _LAMP_BESIDE * distance * (0.8 * pose[0, :3] - 0.6 * pose[1, :3])
+    position = eye + _LAMP_DISTANCE * distance * (0.8 * pose[0, :3] - 0.6 * pose[1, :3])
     side = config.pictures.lamp
     # The irradiance of the object does not depend on the lamp's size and distance.
-    radiance = (1.0 - _AMBIENT) * np.pi * float(np.sum((place - middle) ** 2)) / side**2
-    return Light(_AMBIENT, Lamp(place, middle, side, radiance))
+    radiance = (1.0 - _AMBIENT) * np.pi * float(np.sum((position - middle) ** 2)) / side**2
+    return Light(_AMBIENT, Lamp(position, middle, side, radiance))
 
 
 def _radiance(
@@ -187,11 +187,11 @@ def _blur(studio: Studio, camera: Camera, vertices: Vertices) -> Float[np.ndarra
 
 def _check_contrast(studio: Studio, radiance: np.ndarray) -> None:
     """Refuse a texture that image correlation cannot track, before anything else is rendered."""
-    chip, grey = studio.config.pictures, studio.gain * radiance
+    sensor, grey = studio.config.pictures, studio.gain * radiance
     lit = grey > 0.1 * grey.max()
     # The spread of the reflectance alone: shading is no texture.
     contrast = float(np.std(studio.grey) / max(np.mean(studio.grey), 1e-9) * np.mean(grey[lit]))
-    noise = float(np.hypot(chip.noise, counting_noise(chip, _MID_GREY)))
+    noise = float(np.hypot(sensor.noise, shot_noise(sensor, _MID_GREY)))
     if contrast < _MIN_CONTRAST * noise:
         raise InputError(
             f"the texture '{studio.config.look.texture}' shows {contrast:.1f} grey levels of"

@@ -81,7 +81,7 @@ def write_openusd(folder: Path, model: SolidModel) -> None:
     text = _STAGE.format(
         points=_tuples(model.nodes),
         tetrahedra=_tuples(model.linear),
-        faces=_tuples(model.skin.triangles),
+        faces=_tuples(model.boundary_surface.triangles),
         held=", ".join(map(str, model.held.astype(int).tolist())),
         young=material.young_modulus,
         poisson=material.poisson_ratio,

@@ -15,7 +15,7 @@ from palpate.simulation.kernels.linear import add_columns, component, dot, inver
 from palpate.simulation.kernels.state import (
     BY_DISPLACEMENT,
     BY_FORCE,
-    GLUE,
+    NO_SLIP,
     OPEN,
     ROUNDING,
     SLIDES,
@@ -26,7 +26,7 @@ from palpate.simulation.kernels.state import (
 _NODE_STEPS = 12
 # Of the largest force, and of the farthest that a touching node has moved: what is left of the
 # equations counts as nothing.
-_NOTHING = 1e-11
+_TOLERANCE = 1e-11
 # Solutions for all nodes at once before sweeps decide which of them stick and which slide.
 _CHANGES = 5
 # Of the way a node slides, in one round [rad].
@@ -45,7 +45,7 @@ def node_force(w, inverse, q, friction, state, force, trial):
         for a in range(3):
             force[a] = 0.0
         return OPEN
-    if friction > 0.0 and (friction < GLUE or state == STICKS):
+    if friction > 0.0 and (friction < NO_SLIP or state == STICKS):
         for a in range(3):
             trial[a] = -(inverse[a, 0] * q[0] + inverse[a, 1] * q[1] + inverse[a, 2] * q[2])
         across = np.sqrt(trial[1] ** 2 + trial[2] ** 2)
@@ -54,7 +54,7 @@ def node_force(w, inverse, q, friction, state, force, trial):
                 force[a] = trial[a]
             return STICKS
     t1, t2, p = 0.0, 0.0, -q[0] / w[0, 0]
-    if 0.0 < friction < GLUE:
+    if 0.0 < friction < NO_SLIP:
         t1, t2 = force[1], force[2]
         step = 2.0 / (w[1, 1] + w[2, 2])
         for _ in range(_NODE_STEPS):
@@ -129,7 +129,7 @@ def slide_directions(frames, friction, residual, force, status, slide):
     for i in range(friction.size):
         for a in range(3):
             slide[i, a] = 0.0
-        if status[i] == SLIDES and 0.0 < friction[i] < GLUE:
+        if status[i] == SLIDES and 0.0 < friction[i] < NO_SLIP:
             n = frames[i, 0]
             p, g = dot(force[i], n), dot(residual[i], n)
             pull, length = 0.0, 0.0
@@ -167,11 +167,11 @@ def unknowns(given, frames, friction, residual, force, status, slide):
     along, row, extra = np.zeros((3 * k, 3)), np.zeros((3 * k, 3)), np.zeros(3 * k)
     m = 0
     for i in range(k):
-        n, rubs = frames[i, 0], 0.0 < friction[i] < GLUE
+        n, has_friction = frames[i, 0], 0.0 < friction[i] < NO_SLIP
         if given[i] == BY_FORCE and status[i] == SLIDES:
             node[m], along[m], row[m] = i, n, n
             m += 1
-        elif given[i] == BY_DISPLACEMENT and status[i] == SLIDES and rubs:
+        elif given[i] == BY_DISPLACEMENT and status[i] == SLIDES and has_friction:
             node[m] = node[m + 1] = i
             pull, far = friction[i] * dot(force[i], n), max(0.0, dot(residual[i], slide[i]))
             set_across(n, slide[i], along[m + 1])
@@ -190,60 +190,60 @@ def unknowns(given, frames, friction, residual, force, status, slide):
 
 @numba.njit(cache=True, error_model="numpy")
 def at_rest(frames, friction, residual, force, status, slide, depth):
-    """Whether the forces are those that `solve_together` would find, to `_NOTHING` of the largest
+    """Whether the forces are those that `solve_together` would find, to `_TOLERANCE` of the largest
     force and of a depth."""
     slide_directions(frames, friction, residual, force, status, slide)
-    across, strength = np.empty(3), 0.0
+    across, largest_force = np.empty(3), 0.0
     for i in range(friction.size):
         for a in range(3):
-            strength = max(strength, abs(force[i, a]))
+            largest_force = max(largest_force, abs(force[i, a]))
     for i in range(friction.size):
         left = 0.0
         if status[i] == STICKS:
             left = max(abs(residual[i, 0]), abs(residual[i, 1]), abs(residual[i, 2]))
         elif status[i] == SLIDES:
-            left, rubs = abs(component(frames, i, 0, residual)), 0.0 < friction[i] < GLUE
+            left, has_friction = abs(component(frames, i, 0, residual)), 0.0 < friction[i] < NO_SLIP
             pull = np.hypot(component(frames, i, 1, force), component(frames, i, 2, force))
-            limit = friction[i] * component(frames, i, 0, force) if rubs else 0.0
+            limit = friction[i] * component(frames, i, 0, force) if has_friction else 0.0
             # The normal has turned since the force was found.
-            if abs(pull - limit) > _NOTHING * strength:
+            if abs(pull - limit) > _TOLERANCE * largest_force:
                 return False
-            if rubs:
+            if has_friction:
                 set_across(frames[i, 0], slide[i], across)
                 left = max(left, abs(dot(across, residual[i])))
-        if left > _NOTHING * depth:
+        if left > _TOLERANCE * depth:
             return False
     return contradicted(frames, friction, residual, force, status.copy(), slide, depth) == 0
 
 
 @numba.njit(cache=True, error_model="numpy")
-def answer(response, given, free, put, force, residual):
-    """Forces and residuals of all nodes from what is given of them, `put`; `free` is the residual
+def apply_response(response, given, free, prescribed, force, residual):
+    """Forces and residuals of all nodes from what is prescribed of them; `free` is the residual
     without force. All are (k, 3)."""
-    flat = response @ put.reshape(-1)
+    flat = response @ prescribed.reshape(-1)
     for i in range(len(given)):
         for a in range(3):
-            asked = flat[3 * i + a]
+            value = flat[3 * i + a]
             if given[i] == BY_FORCE:
-                force[i, a], residual[i, a] = put[i, a], free[i, a] + asked
+                force[i, a], residual[i, a] = prescribed[i, a], free[i, a] + value
             else:
-                force[i, a], residual[i, a] = asked, free[i, a] + put[i, a]
+                force[i, a], residual[i, a] = value, free[i, a] + prescribed[i, a]
 
 
 @numba.njit(cache=True, error_model="numpy")
 def solve_once(response, given, frames, friction, free, residual, force, status, slide):
     """Forces and residuals of all nodes in their states, in place; friction turns linearly."""
     node, along, row, extra = unknowns(given, frames, friction, residual, force, status, slide)
-    put, asked, moved = np.zeros((len(given), 3)), force, residual
+    prescribed = np.zeros((len(given), 3))
     for i in range(len(given)):
         if given[i] == BY_DISPLACEMENT:
             for a in range(3):
-                put[i, a] = -free[i, a]
-    answer(response, given, free, put, asked, moved)
+                prescribed[i, a] = -free[i, a]
+    apply_response(response, given, free, prescribed, force, residual)
     m = node.size
     matrix, right, part = np.empty((m, m)), np.empty(m), np.empty(len(response))
     for g in range(m):
-        j, seen = node[g], moved if given[node[g]] == BY_FORCE else asked
+        j, seen = node[g], residual if given[node[g]] == BY_FORCE else force
         right[g] = -dot(row[g], seen[j])
         part[:] = 0.0
         first, second, third = response[3 * j], response[3 * j + 1], response[3 * j + 2]
@@ -258,8 +258,8 @@ def solve_once(response, given, frames, friction, free, residual, force, status,
     found = np.linalg.solve(matrix, right)
     for g in range(m):
         for a in range(3):
-            put[node[g], a] += found[g] * along[g, a]
-    answer(response, given, free, put, asked, moved)
+            prescribed[node[g], a] += found[g] * along[g, a]
+    apply_response(response, given, free, prescribed, force, residual)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -285,7 +285,7 @@ def solve_together(response, given, frames, friction, free, residual, force, sta
         if not contradicted(frames, friction, after, found, own, slide, depth):
             force[:], residual[:], status[:] = found, after, own
             return True
-        if friction.max() >= GLUE:
+        if friction.max() >= NO_SLIP:
             # A node torn loose stays loose, so that sweeps decide which one it is.
             return False
     return False
@@ -297,21 +297,21 @@ def contradicted(frames, friction, residual, force, status, slide, depth):
 
     A node that sticks whatever its force and was torn loose slides if it comes in again.
     """
-    strength, count = 0.0, 0
+    largest_force, count = 0.0, 0
     for i in range(friction.size):
         for a in range(3):
-            strength = max(strength, abs(force[i, a]))
+            largest_force = max(largest_force, abs(force[i, a]))
     for i in range(friction.size):
         n, state = frames[i, 0], status[i]
         p = dot(force[i], n)
         if state == OPEN:
             if dot(residual[i], n) < -ROUNDING * depth:
-                state = STICKS if 0.0 < friction[i] < GLUE else SLIDES
-        elif p < -ROUNDING * strength:
+                state = STICKS if 0.0 < friction[i] < NO_SLIP else SLIDES
+        elif p < -ROUNDING * largest_force:
             state = OPEN
-        elif state == STICKS and friction[i] < GLUE:
+        elif state == STICKS and friction[i] < NO_SLIP:
             across = np.sqrt(max(0.0, dot(force[i], force[i]) - p**2))
-            if across > friction[i] * p + ROUNDING * strength:
+            if across > friction[i] * p + ROUNDING * largest_force:
                 state = SLIDES
         elif state == SLIDES and dot(residual[i], slide[i]) < -ROUNDING * depth:
             state = STICKS
@@ -329,7 +329,7 @@ def turn_friction(frames, friction, pull, force, status, slide):
     """
     across = np.empty(3)
     for i in range(friction.size):
-        if status[i] == SLIDES and 0.0 < friction[i] < GLUE:
+        if status[i] == SLIDES and 0.0 < friction[i] < NO_SLIP:
             n, p = frames[i, 0], dot(force[i], frames[i, 0])
             set_across(n, slide[i], across)
             angle = -dot(force[i], across) / pull[i] if pull[i] > 0.0 else 0.0

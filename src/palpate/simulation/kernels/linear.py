@@ -47,10 +47,10 @@ def invert(matrix, out):
         for d in range(3):
             e, f = (d + 1) % 3, (d + 2) % 3
             out[d, a] = matrix[b, e] * matrix[c, f] - matrix[b, f] * matrix[c, e]
-    whole = matrix[0, 0] * out[0, 0] + matrix[0, 1] * out[1, 0] + matrix[0, 2] * out[2, 0]
+    determinant = matrix[0, 0] * out[0, 0] + matrix[0, 1] * out[1, 0] + matrix[0, 2] * out[2, 0]
     for a in range(3):
         for d in range(3):
-            out[a, d] /= whole
+            out[a, d] /= determinant
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -4,9 +4,9 @@ import numba
 import numpy as np
 
 from palpate.simulation.kernels.linear import dot
-from palpate.simulation.kernels.state import FACES, GLUE, OPEN, ROUNDING, SLIDES, SPHERE, STICKS
+from palpate.simulation.kernels.state import FACES, NO_SLIP, OPEN, ROUNDING, SLIDES, SPHERE, STICKS
 
-# Of a tool's reach: nodes within so much of its surface are looked at first.
+# Of a tool's bounding radius: nodes within so much of its surface are looked at first.
 _NEAR = 0.02
 
 
@@ -54,26 +54,26 @@ def entry(tools, t, y0, y1):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def to_tool(turn, place, x, y):
+def to_tool(rotation, position, x, y):
     """A point of the object's frame in the tool's."""
     for a in range(3):
         y[a] = 0.0
         for b in range(3):
-            y[a] += turn[b, a] * (x[b] - place[b])
+            y[a] += rotation[b, a] * (x[b] - position[b])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def beyond(tools, t, x, margin):
-    """Whether a point is farther from a tool than its reach and a margin."""
+def out_of_reach(tools, t, x, margin):
+    """Whether a point is farther from a tool than its bounding radius and a margin."""
     far = 0.0
     for a in range(3):
-        far += (x[a] - tools.place[t, a]) ** 2
+        far += (x[a] - tools.position[t, a]) ** 2
     # What is on the rim is looked at: rounding does not decide.
-    return far > (1.0 + 1e3 * ROUNDING) * (tools.reach[t] + margin) ** 2
+    return far > (1.0 + 1e3 * ROUNDING) * (tools.bounding_radius[t] + margin) ** 2
 
 
 @numba.njit(cache=True, error_model="numpy")
-def find_contacts(tools, rest, before, near, nodal):
+def find_contacts(tools, rest, previous_displacement, near, nodal):
     """Gaps of the nodes that may touch, at their present places; nodes that came into a tool join.
 
     Returns how many joined.
@@ -82,16 +82,16 @@ def find_contacts(tools, rest, before, near, nodal):
     joined = 0
     for i in near:
         for a in range(3):
-            x[a] = rest[i, a] + nodal.moved[i, a]
-            x0[a] = rest[i, a] + before[i, a]
+            x[a] = rest[i, a] + nodal.displacement[i, a]
+            x0[a] = rest[i, a] + previous_displacement[i, a]
         if nodal.tool_of[i] < 0:
             for t in range(tools.kind.size):
-                if beyond(tools, t, x, 0.0):
+                if out_of_reach(tools, t, x, 0.0):
                     continue
-                to_tool(tools.turn[t], tools.place[t], x, y)
+                to_tool(tools.rotation[t], tools.position[t], x, y)
                 gap, _ = tool_gap(tools, t, -1, y, local)
                 if gap < 0.0 and nodal.tool_of[i] < 0:
-                    to_tool(tools.turn_before[t], tools.before[t], x0, y0)
+                    to_tool(tools.previous_rotation[t], tools.previous_position[t], x0, y0)
                     nodal.face[i], share = entry(tools, t, y0, y)
                     nodal.tool_of[i] = t
                     nodal.status[i] = STICKS if tools.friction[t] > 0.0 else SLIDES
@@ -100,10 +100,10 @@ def find_contacts(tools, rest, before, near, nodal):
                     joined += 1
         t = nodal.tool_of[i]
         if t >= 0:
-            to_tool(tools.turn[t], tools.place[t], x, y)
+            to_tool(tools.rotation[t], tools.position[t], x, y)
             nodal.gap[i], _ = tool_gap(tools, t, nodal.face[i], y, local)
             for a in range(3):
-                nodal.normal[i, a] = dot(tools.turn[t, a], local)
+                nodal.normal[i, a] = dot(tools.rotation[t, a], local)
     return joined
 
 
@@ -115,14 +115,14 @@ def near_nodes(tools, rest, nodal):
     for i in range(len(rest)):
         keep = nodal.tool_of[i] >= 0
         for a in range(3):
-            x[a] = rest[i, a] + nodal.moved[i, a]
+            x[a] = rest[i, a] + nodal.displacement[i, a]
         for t in range(tools.kind.size):
             step = 0.0
             for a in range(3):
-                step += (tools.place[t, a] - tools.before[t, a]) ** 2
-            margin = 2.0 * np.sqrt(step) + _NEAR * tools.reach[t]
-            if not keep and not beyond(tools, t, x, margin):
-                to_tool(tools.turn[t], tools.place[t], x, y)
+                step += (tools.position[t, a] - tools.previous_position[t, a]) ** 2
+            margin = 2.0 * np.sqrt(step) + _NEAR * tools.bounding_radius[t]
+            if not keep and not out_of_reach(tools, t, x, margin):
+                to_tool(tools.rotation[t], tools.position[t], x, y)
                 keep = tool_gap(tools, t, -1, y, normal)[0] < margin
         if keep:
             out[count] = i
@@ -136,20 +136,20 @@ def begin_tick(tools, rest, nodal):
     x, y, normal = np.empty(3), np.empty(3), np.empty(3)
     for i in range(len(rest)):
         t = nodal.tool_of[i]
-        if t >= 0 and tools.friction[t] >= GLUE:
+        if t >= 0 and tools.friction[t] >= NO_SLIP:
             nodal.status[i] = STICKS
         if t >= 0 and tools.kind[t] == FACES:
             for a in range(3):
-                x[a] = rest[i, a] + nodal.moved[i, a]
-            to_tool(tools.turn_before[t], tools.before[t], x, y)
-            if tool_gap(tools, t, -1, y, normal)[0] > 1e3 * ROUNDING * tools.reach[t]:
+                x[a] = rest[i, a] + nodal.displacement[i, a]
+            to_tool(tools.previous_rotation[t], tools.previous_position[t], x, y)
+            if tool_gap(tools, t, -1, y, normal)[0] > 1e3 * ROUNDING * tools.bounding_radius[t]:
                 nodal.tool_of[i], nodal.face[i], nodal.status[i] = -1, -1, OPEN
                 for a in range(3):
                     nodal.force[i, a] = 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")
-def leave(tools, rest, nodes, nodal):
+def release_nodes(tools, rest, nodes, nodal):
     """Nodes that no force holds leave their tool; those that slid stick to where they are now."""
     x = np.empty(3)
     for i in nodes:
@@ -160,8 +160,8 @@ def leave(tools, rest, nodes, nodal):
                 nodal.force[i, a] = 0.0
         elif nodal.status[i] == SLIDES:
             for a in range(3):
-                x[a] = rest[i, a] + nodal.moved[i, a]
-            to_tool(tools.turn[t], tools.place[t], x, nodal.anchor[i])
+                x[a] = rest[i, a] + nodal.displacement[i, a]
+            to_tool(tools.rotation[t], tools.position[t], x, nodal.anchor[i])
 
 
 @numba.njit(cache=True, error_model="numpy")

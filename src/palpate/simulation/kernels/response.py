@@ -5,6 +5,12 @@ may stick the force that follows from its displacement, so that only sliding nod
 the equations of contact. A node that comes in is appended, and pivoted if it may stick; one that
 leaves is pivoted back and dropped. No matrix of all nodes is ever factorised.
 
+Rounding adds up with every node that comes in or leaves, by the square of the condition number of
+the compliance. So after `REBUILT_AFTER` changes the response is built anew from the compliance of
+the touching nodes. Measured over 100 000 changes of the rim of a contact of 20 to 40 nodes, against
+a fresh response and relative to its largest entry: 1e-13 at a condition number of 50 and 2e-9 at
+5000 if it is never built anew; 5e-15 and 1.4e-10 if it is, and below 1e-9 up to 10 000.
+
 Source
 ------
 James and Pai, ArtDefo: accurate real time deformable objects, SIGGRAPH (1999), section 4: the
@@ -14,21 +20,30 @@ capacitance matrix. Tsatsomeros, Principal pivot transforms, Linear Algebra Appl
 import numba
 import numpy as np
 
-from palpate.simulation.kernels.linear import add_columns, invert
+from palpate.simulation.kernels.linear import add_columns, gather, invert
 from palpate.simulation.kernels.state import ABSENT, BY_DISPLACEMENT, BY_FORCE
+
+# Nodes that come in or leave until the response is built anew: a fraction of a millisecond then.
+REBUILT_AFTER = 500
 
 
 @numba.njit(cache=True, error_model="numpy")
-def up_to_date(response, compliance, tools, nodal):
-    """The response of the nodes that touch now; brings `nodal.given` up to date, too."""
-    wanted, same = np.empty_like(nodal.given), True
+def updated_response(response, changes, compliance, tools, nodal):
+    """The response of the nodes that touch now; brings `nodal.given` up to date, too.
+
+    Also returns `changes`, the number of nodes that came in or left since it was built anew.
+    """
+    wanted, before_now = np.empty_like(nodal.given), changes
     for i in range(wanted.size):
         t = nodal.tool_of[i]
         wanted[i] = ABSENT if t < 0 else BY_DISPLACEMENT if tools.friction[t] > 0.0 else BY_FORCE
-        same = same and wanted[i] == nodal.given[i]
-    if same:
-        return response
+        changes += wanted[i] != nodal.given[i]
+    if changes == before_now:
+        return response, changes
     before, nodes = np.flatnonzero(nodal.given), np.flatnonzero(wanted)
+    if changes > REBUILT_AFTER:
+        nodal.given[:] = wanted
+        return fresh_response(compliance, nodes, wanted), 0
     kept, out = response.copy(), np.zeros((3 * nodes.size, 3 * nodes.size))
     of = np.full(wanted.size, -1)
     for j in range(before.size):
@@ -51,6 +66,16 @@ def up_to_date(response, compliance, tools, nodal):
             if wanted[nodes[h]] == BY_DISPLACEMENT:
                 pivot(out, h)
     nodal.given[:] = wanted
+    return out, changes
+
+
+@numba.njit(cache=True, error_model="numpy")
+def fresh_response(compliance, nodes, given):
+    """The response of some nodes from their compliance alone."""
+    out = gather(compliance, nodes, nodes)
+    for j in range(nodes.size):
+        if given[nodes[j]] == BY_DISPLACEMENT:
+            pivot(out, j)
     return out
 
 
@@ -73,10 +98,10 @@ def append(response, h, compliance, nodes, given, of):
                 continue
             sign = -1.0 if given[nodes[g]] == BY_DISPLACEMENT else 1.0
             for b in range(3):
-                moved = by_force[3 * nodes[g] + b]
+                displacement = by_force[3 * nodes[g] + b]
                 column[3 * g + b] *= sign
                 if sign > 0.0:
-                    column[3 * g + b] += moved
+                    column[3 * g + b] += displacement
                 response[3 * h + a, 3 * g + b] = sign * column[3 * g + b]
                 response[3 * g + b, 3 * h + a] = column[3 * g + b]
         response[3 * h + a, 3 * h : 3 * h + 3] = column[3 * h : 3 * h + 3]
@@ -86,8 +111,10 @@ def append(response, h, compliance, nodes, given, of):
             for g in range(nodes.size):
                 if of[nodes[g]] >= 0 and given[nodes[g]] == BY_DISPLACEMENT:
                     for c in range(3):
-                        held = compliance[3 * nodes[h] + a, 3 * nodes[g] + c]
-                        response[3 * h + a, 3 * h + b] += held * response[3 * g + c, 3 * h + b]
+                        constrained = compliance[3 * nodes[h] + a, 3 * nodes[g] + c]
+                        response[3 * h + a, 3 * h + b] += (
+                            constrained * response[3 * g + c, 3 * h + b]
+                        )
 
 
 @numba.njit(cache=True, error_model="numpy")

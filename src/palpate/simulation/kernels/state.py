@@ -16,7 +16,7 @@ SPHERE, FACES = 0, 1
 # Of the largest force: what is less than nothing by so little is nothing.
 ROUNDING = 1e-12
 # Coefficients of friction from which on nothing slides.
-GLUE = 1e9
+NO_SLIP = 1e9
 
 
 class Nodal(NamedTuple):
@@ -24,14 +24,14 @@ class Nodal(NamedTuple):
 
     Attributes
     ----------
-    force, moved : (n, 3) float [N], [m]
+    force, displacement : (n, 3) float [N], [m]
     tool_of, face, status, given : (n,) int         as in `ContactState`
     anchor, normal, slide : (n, 3) float
     gap : (n,) float [m]
     """
 
     force: np.ndarray
-    moved: np.ndarray
+    displacement: np.ndarray
     tool_of: np.ndarray
     face: np.ndarray
     status: np.ndarray
@@ -48,20 +48,21 @@ class ToolArrays(NamedTuple):
     Attributes
     ----------
     kind, start : (t,), (t + 1,) int
-    radius, reach : (t,) float [m]      of the sphere; of a ball about the place that holds the tool
+    radius, bounding_radius : (t,) float [m]    of the sphere; of a ball about the position that
+                                        holds the tool
     planes : (p, 4) float               outward normal, and the offset along it [m]
     friction : (t,) float               coefficient; 0 slides freely, infinite sticks
-    place, turn : (t, 3), (t, 3, 3)     pose; a point y of the tool is at place + turn y
-    before, turn_before                 the pose at the tick before
+    position, rotation : (t, 3), (t, 3, 3)   pose; a point y of the tool is at position + rotation y
+    previous_position, previous_rotation    the pose at the tick before
     """
 
     kind: np.ndarray
     start: np.ndarray
     radius: np.ndarray
-    reach: np.ndarray
+    bounding_radius: np.ndarray
     planes: np.ndarray
     friction: np.ndarray
-    place: np.ndarray
-    turn: np.ndarray
-    before: np.ndarray
-    turn_before: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    previous_position: np.ndarray
+    previous_rotation: np.ndarray

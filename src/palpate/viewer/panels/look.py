@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from palpate.pipeline import FittedProbing
+from palpate.viewer.background_work import BackgroundWork
 from palpate.viewer.colours import (
     FIELDS,
     MEASURED,
@@ -13,11 +14,10 @@ from palpate.viewer.colours import (
     scale_html,
 )
 from palpate.viewer.stage import Stage, length_colours
-from palpate.viewer.workshop import Workshop
 
 # Initial drawn length of the largest displacement, as a fraction of the object's size.
 _SHOWN = 0.06
-_MOST_STRETCH = 50
+_MAX_MAGNIFICATION = 50
 
 
 class LookPanel:
@@ -26,20 +26,20 @@ class LookPanel:
     Parameters
     ----------
     gui : GuiApi of viser           of the tab
-    workshop : Workshop
+    background : BackgroundWork
     stage : Stage
     """
 
-    def __init__(self, gui: Any, workshop: Workshop, stage: Stage) -> None:
-        self._workshop, self._stage = workshop, stage
+    def __init__(self, gui: Any, background: BackgroundWork, stage: Stage) -> None:
+        self._background, self._stage = background, stage
         self._override: dict[str, FittedProbing] = {}
-        names = [one.name for one in workshop.probings] or ["-"]
+        names = [one.name for one in background.probings] or ["-"]
         self.probing = gui.add_dropdown("probing", names, hint="Which push is shown.")
         self.field = gui.add_dropdown("colours", FIELDS)
         self.scale = gui.add_html("")
         self.note = gui.add_markdown("")
-        self.stretch = gui.add_slider(
-            "deformation drawn, times", 0, _MOST_STRETCH, 1, self._first_stretch()
+        self.magnification = gui.add_slider(
+            "deformation drawn, times", 0, _MAX_MAGNIFICATION, 1, self._initial_magnification()
         )
         self.view = gui.add_dropdown("seen from", stage.views)
         self.view.on_update(lambda _: stage.look_from(self.view.value))
@@ -47,7 +47,7 @@ class LookPanel:
             name: gui.add_checkbox(name, name != "arrows")
             for name in ("points", "arrows", "probings", "cameras")
         }
-        for control in (self.probing, self.field, self.stretch, *self.toggles.values()):
+        for control in (self.probing, self.field, self.magnification, *self.toggles.values()):
             control.on_update(lambda _: self.draw())
         self.probing.on_update(lambda _: self._draw_cameras())
         stage.draw_cameras(names[0])
@@ -60,7 +60,7 @@ class LookPanel:
     def shown(self) -> FittedProbing | None:
         """The selected probing, with the prediction at the sliders' constants if set."""
         name = self.probing.value
-        for one in self._workshop.probings:
+        for one in self._background.probings:
             if one.name == name:
                 return self._override.get(name, one)
         return None
@@ -70,12 +70,14 @@ class LookPanel:
         self._override = probings
         self.draw()
 
-    def _first_stretch(self) -> int:
-        moved = [one.displacement for one in self._workshop.probings]
-        largest = max((float(np.nanmax(np.abs(m), initial=0.0)) for m in moved), default=0.0)
+    def _initial_magnification(self) -> int:
+        displacement = [one.displacement for one in self._background.probings]
+        largest = max((float(np.nanmax(np.abs(m), initial=0.0)) for m in displacement), default=0.0)
         if not largest:
             return 1
-        return int(np.clip(round(_SHOWN * self._stage.size / (1e3 * largest)), 1, _MOST_STRETCH))
+        return int(
+            np.clip(round(_SHOWN * self._stage.size / (1e3 * largest)), 1, _MAX_MAGNIFICATION)
+        )
 
     def draw(self) -> None:
         """Redraw everything."""
@@ -88,22 +90,22 @@ class LookPanel:
         one = self.shown
         if one is None:
             return
-        stretch, what = float(self.stretch.value), self.field.value
+        magnification, what = float(self.magnification.value), self.field.value
         field = coloured_field(one, what)
-        self._stage.draw_points(field, stretch)
-        self._stage.draw_probings(self._workshop.probings, one.name)
-        self._draw_body(one, what, stretch)
+        self._stage.draw_points(field, magnification)
+        self._stage.draw_probings(self._background.probings, one.name)
+        self._draw_body(one, what, magnification)
         known = field is not None
         self.scale.content = scale_html(field.top, field.unit, field.cmap) if field else ""
         self.note.content = "" if known else f"*{_why(what)}*"
 
-    def _draw_body(self, one: FittedProbing, what: str, stretch: float) -> None:
+    def _draw_body(self, one: FittedProbing, what: str, magnification: float) -> None:
         """Draw the surface deformed by the model; coloured if that displacement is selected."""
         if one.surface is None:
             self._stage.draw_body(np.zeros_like(self._stage.subject.session.mesh.vertices), None)
             return
         colours = length_colours(one.surface)[0] if what == PREDICTED else None
-        self._stage.draw_body(stretch * one.surface, colours)
+        self._stage.draw_body(magnification * one.surface, colours)
 
 
 def _why(what: str) -> str:

@@ -8,10 +8,10 @@ from palpate.errors import PalpateError
 from palpate.estimation import FitResult, ModelState
 from palpate.pipeline import FittedProbing
 from palpate.records import length_unit, modulus_unit
+from palpate.viewer.background_work import BackgroundWork
 from palpate.viewer.drawings import LikelihoodPlot
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.subject import with_prediction
-from palpate.viewer.workshop import Workshop
 
 # Range of the shear modulus, as a factor either way, and number of steps of its slider.
 _FACTOR, _STEPS = 3.0, 300
@@ -24,13 +24,13 @@ class MaterialPanel:
     Parameters
     ----------
     gui : GuiApi of viser           of the tab
-    workshop : Workshop
+    background : BackgroundWork
     look : LookPanel                shows the model's prediction
     """
 
-    def __init__(self, gui: Any, workshop: Workshop, look: LookPanel) -> None:
-        self._gui, self._workshop, self._look = gui, workshop, look
-        self.text = gui.add_markdown(f"*{workshop.model_text}*")
+    def __init__(self, gui: Any, background: BackgroundWork, look: LookPanel) -> None:
+        self._gui, self._background, self._look = gui, background, look
+        self.text = gui.add_markdown(f"*{background.model_text}*")
         self.modulus: Any = None
         self.ratio: Any = None
         self._plot: LikelihoodPlot | None = None
@@ -38,9 +38,9 @@ class MaterialPanel:
 
     def update(self) -> None:
         """Show the progress of the model, and the sliders once it is ready."""
-        fitted = self._workshop.fitted
+        fitted = self._background.fitted
         if fitted is None:
-            self.text.content = f"*{self._workshop.model_text}*"
+            self.text.content = f"*{self._background.model_text}*"
         elif self.modulus is None:
             self._add_sliders(fitted)
 
@@ -75,7 +75,7 @@ class MaterialPanel:
 
     def _ask(self) -> None:
         """Compute and show the model's prediction at the sliders' constants."""
-        fitted = self._workshop.fitted
+        fitted = self._background.fitted
         if fitted is None or fitted.model is None:
             return
         nu, modulus = float(self.ratio.value), float(self.modulus.value) * self._unit
@@ -86,7 +86,7 @@ class MaterialPanel:
             return
         found = {one.name: one for one in state.probings}
         self._look.override(
-            {one.name: with_prediction(one, found[one.name]) for one in self._workshop.probings}
+            {one.name: with_prediction(one, found[one.name]) for one in self._background.probings}
         )
         self._tell(nu, modulus, state)
 

@@ -11,7 +11,7 @@ from palpate.viewer.stage import Stage
 
 # Duration of each picture when played [s].
 _PACE = 0.4
-_MOST_STRETCH = 30
+_MAX_MAGNIFICATION = 30
 
 
 class PicturesPanel:
@@ -34,12 +34,12 @@ class PicturesPanel:
         self._cameras = [camera.name for camera in rig.cameras]
         self.camera = gui.add_dropdown("camera", self._cameras)
         self.frame = gui.add_slider("picture", 0, 1, 1, 0)
-        self.stretch = gui.add_slider("flow drawn, times", 1, _MOST_STRETCH, 1, 5)
+        self.magnification = gui.add_slider("flow drawn, times", 1, _MAX_MAGNIFICATION, 1, 5)
         self.play = gui.add_button("play")
         self.image: Any = None
         self._gui = gui
         self.text = gui.add_markdown("")
-        for control in (self.camera, self.frame, self.stretch):
+        for control in (self.camera, self.frame, self.magnification):
             control.on_update(lambda _: self.draw())
         self.play.on_click(lambda _: self._play())
         look.probing.on_update(lambda _: self._begin())
@@ -65,7 +65,7 @@ class PicturesPanel:
         last = number == len(patterns) - 1
         seen = camera_picture(
             self._subject.session, rig, self._cameras.index(self.camera.value), patterns[number],
-            flow=probing if last else None, stretch=float(self.stretch.value),
+            flow=probing if last else None, magnification=float(self.magnification.value),
         )  # fmt: skip
         if seen is None:
             self.text.content = f"*{patterns[number]} cannot be read.*"

@@ -6,11 +6,11 @@ import numpy as np
 
 from palpate.errors import PalpateError
 from palpate.shapes import Vector3
+from palpate.viewer.background_work import BackgroundWork
 from palpate.viewer.colours import scale_html
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.stage import Stage, length_colours
-from palpate.viewer.touch import Pressed, force_text, press, put_ball
-from palpate.viewer.workshop import Workshop
+from palpate.viewer.touch import Pressed, force_text, place_ball, press
 
 # Radius of the ball, depth of a click, and largest depth, as fractions of the object's size.
 _RADIUS, _DEPTH, _DEEPEST = 0.12, 0.02, 0.1
@@ -22,13 +22,13 @@ class TouchPanel:
     Parameters
     ----------
     gui : GuiApi of viser           of the tab
-    workshop : Workshop
+    background : BackgroundWork
     stage : Stage
     look : LookPanel                redraws the object when the ball is removed
     """
 
-    def __init__(self, gui: Any, workshop: Workshop, stage: Stage, look: LookPanel) -> None:
-        self._workshop, self._stage, self._look = workshop, stage, look
+    def __init__(self, gui: Any, background: BackgroundWork, stage: Stage, look: LookPanel) -> None:
+        self._background, self._stage, self._look = background, stage, look
         self.pressed: Pressed | None = None
         size = stage.size
         self.text = gui.add_markdown("")
@@ -48,23 +48,23 @@ class TouchPanel:
     def update(self) -> None:
         """Update the text on whether the object can be touched yet."""
         if self.pressed is None:
-            known = self._workshop.green is not None
+            known = self._background.green is not None
             how = "Click on the object to press it; drag to press deeper."
-            if known and self._workshop.assumed:
+            if known and self._background.assumed:
                 how += " Nothing was estimated: G 20 kPa and nu 0.3 are assumed."
-            if known and self._workshop.touch_text:
-                how += f" {self._workshop.touch_text}."
-            self.text.content = how if known else f"*{self._workshop.touch_text}*"
+            if known and self._background.touch_text:
+                how += f" {self._background.touch_text}."
+            self.text.content = how if known else f"*{self._background.touch_text}*"
 
     def put(self, point: Vector3) -> None:
         """Press the ball at a point of the surface at rest [m], to the slider's depth."""
-        green = self._workshop.green
+        green = self._background.green
         if green is None:
             self.update()
             return
         with self._stage.lock:
             try:
-                ball = put_ball(green, point, 1e-3 * float(self.radius.value))
+                ball = place_ball(green, point, 1e-3 * float(self.radius.value))
                 self.pressed = press(green, ball, 1e-3 * float(self.depth.value))
             except PalpateError as error:
                 self.text.content = f"*{error}*"
@@ -78,7 +78,7 @@ class TouchPanel:
         self._press_deeper()
 
     def _press_deeper(self) -> None:
-        green = self._workshop.green
+        green = self._background.green
         if green is None or self.pressed is None:
             return
         with self._stage.lock:
@@ -94,14 +94,14 @@ class TouchPanel:
 
     def _show(self, pressed: Pressed) -> None:
         """Show the deformed object, true to scale."""
-        colours, _, top = length_colours(pressed.moved)
+        colours, _, top = length_colours(pressed.displacement)
         self._stage.draw_points(None, 1.0)
         self._stage.show("probings", False)
-        self._stage.draw_body(pressed.moved, colours)
+        self._stage.draw_body(pressed.displacement, colours)
         text = force_text(pressed)
         newtons = text.partition("\n")[0].replace("*", "")
         self._stage.draw_ball(
-            pressed.centre, pressed.state.tools[0].tool.reach, pressed.force, newtons
+            pressed.centre, pressed.state.tools[0].tool.bounding_radius, pressed.force, newtons
         )
         self.text.content = text
         self.scale.content = scale_html(top, "mm", "viridis")
