@@ -20,8 +20,8 @@ def board_points(columns: int = 9, rows: int = 7, square: float = 0.012) -> np.n
 
 def true_bundle(rng: np.random.Generator, *, cameras: int = 3, views: int = 25) -> Bundle:
     """Cameras 60 mm apart that look at boards 0.36 m away, tilted by up to 40 degrees."""
-    inner = np.array([1800.0, 1805.0, 642.0, 508.0, -0.11, 0.09, 3e-4, -5e-4, 0.02])
-    lens = inner * (1.0 + 0.01 * rng.normal(size=(cameras, 9)))
+    intrinsics = np.array([1800.0, 1805.0, 642.0, 508.0, -0.11, 0.09, 3e-4, -5e-4, 0.02])
+    lens = intrinsics * (1.0 + 0.01 * rng.normal(size=(cameras, 9)))
     pose = np.tile(np.eye(4), (cameras, 1, 1))
     for c in range(cameras):
         turn = np.deg2rad([0.0, 9.0 * c, 1.0 * c])
@@ -40,11 +40,11 @@ def seen_corners(
 ) -> Corners:
     """Every corner within the picture of each camera, a dozen at least, with normal errors."""
     parts = []
-    for c, (inner, pose) in enumerate(zip(bundle.inner, bundle.camera, strict=True)):
+    for c, (intrinsics, pose) in enumerate(zip(bundle.intrinsics, bundle.camera, strict=True)):
         for v, view in enumerate(bundle.view):
             whole = pose @ view
             place = points @ whole[:3, :3].T + whole[:3, 3]
-            pixel, _, _ = seen_points(np.tile(inner, (len(place), 1)), place)
+            pixel, _, _ = seen_points(np.tile(intrinsics, (len(place), 1)), place)
             inside = ((pixel > 5.0) & (pixel < np.array(SIZE) - 6.0)).all(axis=1)
             if inside.sum() < 12:
                 continue
@@ -75,7 +75,7 @@ def bundle_errors(found: Bundle, truth: Bundle) -> np.ndarray:
 
     return np.concatenate(
         [
-            (found.inner - truth.inner).ravel(),
+            (found.intrinsics - truth.intrinsics).ravel(),
             motion(found.camera[1:], truth.camera[1:]),
             motion(found.view, truth.view),
         ]
@@ -85,7 +85,7 @@ def bundle_errors(found: Bundle, truth: Bundle) -> np.ndarray:
 def draw_board(
     texture: np.ndarray,
     extent: tuple[float, float],
-    inner: np.ndarray,
+    intrinsics: np.ndarray,
     pose: np.ndarray,
     size: tuple[int, int],
     *,
@@ -99,5 +99,5 @@ def draw_board(
     `texture` covers `extent` [m] of it and is white beyond; every pixel is the mean of parts^2
     rays, so that edges are as sharp as a perfect sensor's.
     """
-    camera = Camera("c", size, camera_matrix(inner[:4]), inner[4:], np.eye(4))
+    camera = Camera("c", size, camera_matrix(intrinsics[:4]), intrinsics[4:], np.eye(4))
     return board_picture(camera, pose, texture, extent, rng=rng, noise=noise, rays=parts, blur=blur)

@@ -151,19 +151,34 @@ def make_truth(
                                 stresses have no bound
     support_stiffness : float [N/m^3]    of springs under the support; None: rigid
     """
-    places = contacts(shape.make(shape.edge), shape)
-    surface = shape.make(_SURFACE * shape.edge)
-    lines = _lines(surface, _held_triangles(surface, shape))
-    fine = [(place.point, 1.2 * RADIUS, _FINE * RADIUS) for place in places]
-    fine += [(point, 0.0, rim) for point in lines.points(lines.rim | lines.hollow)]
-    solid = make_solid(surface, edge=edge, fine=fine)
-    held = _held(solid, shape)
+    solid, held = graded_solid(shape, edge=edge, rim=rim)
     return Truth(
         make_body(
             solid, held, shear_modulus=SHEAR_MODULUS, poisson_ratio=shape.poisson_ratio,
             support_stiffness=support_stiffness,
         )
     )  # fmt: skip
+
+
+def graded_solid(shape: Shape, *, edge: float, rim: float) -> tuple[Solid, Bool[np.ndarray, " n"]]:
+    """Tetrahedra of a body, filled from a surface much finer than the one that estimates.
+
+    Parameters
+    ----------
+    shape, edge, rim : as `make_truth`
+
+    Returns
+    -------
+    Solid
+    (n,) bool                   nodes on the support
+    """
+    places = contacts(shape.make(shape.edge), shape)
+    surface = shape.make(_SURFACE * shape.edge)
+    lines = _lines(surface, _held_triangles(surface, shape))
+    fine = [(place.point, 1.2 * RADIUS, _FINE * RADIUS) for place in places]
+    fine += [(point, 0.0, rim) for point in lines.points(lines.rim | lines.hollow)]
+    solid = make_solid(surface, edge=edge, fine=fine)
+    return solid, _held(solid, shape)
 
 
 def _held(solid: Solid, shape: Shape) -> Bool[np.ndarray, " n"]:

@@ -69,7 +69,7 @@ def _run(truth: Bundle, found: Sightings) -> Run:
     """A calibration of sightings against the truth, in all its unknowns."""
     made = calibrate(found, [BOARD])
     kept = [int(name) for name in made.found.views]
-    true = Bundle(truth.inner, truth.camera, truth.view[kept])
+    true = Bundle(truth.intrinsics, truth.camera, truth.view[kept])
     error = bundle_errors(made.adjusted.bundle, true)
     covariance = made.adjusted.covariance
     # The bound of Cramer and Rao: every corner that the cameras can see, linearised at the truth
@@ -96,13 +96,13 @@ def _pictures(folder: Path, seed: int) -> tuple[Path, Bundle]:
     place = folder / f"boards_{seed}"
     texture = BOARD.drawing(160)
     extent = (BOARD.columns * BOARD.square, BOARD.rows * BOARD.square)
-    for c, inner in enumerate(truth.inner):
+    for c, intrinsics in enumerate(truth.intrinsics):
         (place / f"c{c}").mkdir(parents=True, exist_ok=True)
         for v, view in enumerate(truth.view):
             file = place / f"c{c}" / f"{v:02d}.png"
             if not file.exists():
                 picture = draw_board(
-                    texture, extent, inner, truth.camera[c] @ view, SIZE,
+                    texture, extent, intrinsics, truth.camera[c] @ view, SIZE,
                     rng=np.random.default_rng([seed, c, v]), noise=_PIXEL_NOISE, blur=_BLUR,
                 )  # fmt: skip
                 cv2.imwrite(str(file), picture)
@@ -111,8 +111,10 @@ def _pictures(folder: Path, seed: int) -> tuple[Path, Bundle]:
 
 def _figures(title: str, runs: list[Run]) -> list[Figure]:
     """How far rigs are from the truth, in percent and pixels, and against their covariance."""
-    lens = np.stack([(run.found.inner - run.truth.inner) / run.truth.inner for run in runs])
-    centre = np.stack([run.found.inner - run.truth.inner for run in runs])[..., 2:4]
+    lens = np.stack(
+        [(run.found.intrinsics - run.truth.intrinsics) / run.truth.intrinsics for run in runs]
+    )
+    centre = np.stack([run.found.intrinsics - run.truth.intrinsics for run in runs])[..., 2:4]
     length, true = (
         np.stack([np.linalg.norm(one.camera[1:, :3, 3], axis=1) for one in bundles])
         for bundles in ([run.found for run in runs], [run.truth for run in runs])

@@ -39,6 +39,8 @@ from palpate.bem import (
     solve,
 )
 from palpate.bem.compressed import choice, cluster_inverse, solve_compressed
+from palpate.bem.compressed.moments import LeafMoments
+from palpate.bem.compressed.near_field import NearBlock
 from palpate.bem.system import LARGEST_DENSE as SIZE_CHOOSES
 from palpate.figures.style import BLUE, GREY, ORANGE, STYLE, open_frame, save_figure
 from palpate.geometry import TriangleMesh, closest_points
@@ -127,14 +129,18 @@ def _product_time(system: BoundarySystem) -> float:
     return clock()[1]
 
 
+def _kernel_bytes(part: NearBlock | LeafMoments) -> int:
+    return part.traction_kernel.nbytes + part.displacement_kernel.nbytes
+
+
 def _parts(system: BoundarySystem) -> dict[str, int]:
     if not isinstance(system, CompressedSystem):
         return {"fields": system.traction_kernel.values.nbytes}
     near, far = system.operator.near, system.operator.far
     return {
-        "near": sum(one.traction.nbytes + one.displacement.nbytes for one in near.blocks),
-        "far": sum(one.traction.nbytes + one.displacement.nbytes for one in far.moments.values())
-        + sum(one.nbytes for one in far.receivers.spread),
+        "near": sum(_kernel_bytes(one) for one in near.blocks),
+        "far": sum(_kernel_bytes(one) for one in far.moments.values())
+        + sum(one.nbytes for one in far.receivers.interpolation),
     }
 
 

@@ -9,17 +9,19 @@ what the sound part of the body is made of. Run it with
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
 
+from benchmarks.bodies import Shape
+from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, Contact as Place, contacts, graded_solid
 from benchmarks.coverage import unit_noise
 from benchmarks.coverage_of_bodies import NAMES, held
 from palpate.estimation import ProbeObservations, fit
-from palpate.geometry import TriangleMesh, closest_points, unit_normals
+from palpate.geometry import TriangleMesh, closest_points
 from palpate.lab.bodies.finite_elements import (
     free_part,
     hooke_moduli,
@@ -30,25 +32,23 @@ from palpate.lab.bodies.finite_elements import (
 )
 from palpate.lab.bodies.sparse_cholesky import factorise
 from palpate.lab.bodies.specimens import block, cylinder, half_ball, toy
-from palpate.lab.bodies.tetrahedra import Solid, make_solid
+from palpate.lab.bodies.tetrahedra import Solid
 from palpate.pipeline import graded_observations, resolved_session
 from palpate.records import Contact, DisplacementField, Probing, Session, Status
 from palpate.records.contact import smooth_pressure
 
-SHEAR_MODULUS, POISSON_RATIO = 2e4, 0.3
+POISSON_RATIO = 0.3
 TRUTH = dict(
     zip(NAMES, (POISSON_RATIO, SHEAR_MODULUS, 2 * SHEAR_MODULUS * (1 + POISSON_RATIO)), strict=True)
 )
-RADIUS = 6e-3
-# Edge of the surface that estimates [m], and what makes it.
-BODIES: dict[str, tuple[float, Callable[[float], TriangleMesh]]] = {
-    "half ball": (7e-3, lambda edge: half_ball(radius=0.04, edge=edge)),
-    "cylinder": (6e-3, lambda edge: cylinder(radius=0.02, height=0.06, edge=edge)),
-    "block": (6.5e-3, lambda edge: block(length=0.08, width=0.05, height=0.03, edge=edge)),
-    "toy": (6e-3, lambda edge: toy(radius=0.03, edge=edge)),
+BODIES = {
+    "half ball": Shape(lambda edge: half_ball(radius=0.04, edge=edge), 7e-3),
+    "cylinder": Shape(lambda edge: cylinder(radius=0.02, height=0.06, edge=edge), 6e-3),
+    "block": Shape(lambda edge: block(length=0.08, width=0.05, height=0.03, edge=edge), 6.5e-3),
+    "toy": Shape(lambda edge: toy(radius=0.03, edge=edge), 6e-3),
 }
-# Of the surface that is filled with tetrahedra, and of those at the rim of the support, over that.
-_SURFACE, _RIM = 0.2, 0.3
+# Edge of the tetrahedra at the rim of the support, over that of the surface's triangles.
+_RIM = 0.15
 # Noise over the root mean square motion, the length it is shared over [m], share of outliers.
 NOISES = {
     "0.1 %": (0.001, 0.0, 0.0),
@@ -106,31 +106,12 @@ FAULTS = {
 }
 
 
-def contacts(mesh: TriangleMesh) -> list[np.ndarray]:
-    """Three vertices to press at: the top, and two on the sides, well above the support."""
-    height = np.ptp(mesh.vertices[:, 2])
-    upper = mesh.vertices[mesh.vertices[:, 2] > 0.55 * height + mesh.vertices[:, 2].min()]
-    directions = ([0.0, 0.0, 1.0], [1.0, 0.2, 0.3], [-0.4, 1.0, 0.3])
-    return [upper[(upper @ np.array(direction)).argmax()] for direction in directions]
-
-
-def inward(mesh: TriangleMesh, point: np.ndarray) -> np.ndarray:
-    """Mean inward normal around a point of the surface."""
-    near = np.linalg.norm(mesh.vertices[mesh.triangles].mean(axis=1) - point, axis=1) < 8e-3
-    normal = -unit_normals(mesh)[near].mean(axis=0)
-    return normal / np.linalg.norm(normal)
-
-
-def rim(surface: TriangleMesh) -> np.ndarray:
-    """Vertices where the support ends, at the edge of the base."""
-    base = np.isclose(surface.vertices[:, 2], surface.vertices[:, 2].min())
-    inside = base[surface.triangles].all(axis=1)
-    corners = surface.triangles
-    return surface.vertices[np.intersect1d(corners[inside], corners[~inside])]
-
-
 def truth(
-    mesh: TriangleMesh, solid: Solid, held: Bool[np.ndarray, " n"], fault: Fault
+    mesh: TriangleMesh,
+    places: Sequence[Place],
+    solid: Solid,
+    held: Bool[np.ndarray, " n"],
+    fault: Fault,
 ) -> list[np.ndarray]:
     """True displacement of the mesh's vertices in every probing."""
     basis = quadratic_basis(solid)
@@ -146,58 +127,61 @@ def truth(
     solver = factorise(free_part(stiffness_matrix(basis, moduli), held), solid.nodes[~held])
     values = surface_values(solid, mesh.vertices)
     moved = []
-    for point in contacts(mesh):
-        force = inward(mesh, point)
-        along = np.cross(force, [0.3, 0.9, 0.2])
+    for place in places:
+        along = np.cross(place.inward, [0.3, 0.9, 0.2])
         shift = fault.contact_shift * along / np.linalg.norm(along)
-        place = closest_points(mesh, (point + shift)[None]).position[0]
+        point = closest_points(mesh, (place.point + shift)[None]).position[0]
+        load = pressure_load(solid, point, RADIUS, smooth_pressure)[:, None] * place.inward
         nodal = np.zeros(solid.nodes.shape)
-        load = pressure_load(solid, place, RADIUS, smooth_pressure)[:, None] * force
         nodal[~held] = solver.solve(load[~held].reshape(-1, 1)).reshape(-1, 3)
         moved.append(values @ nodal)
     return moved
 
 
-def observations(mesh: TriangleMesh, moved: list[np.ndarray]) -> list[ProbeObservations]:
+def observations(
+    mesh: TriangleMesh, places: Sequence[Place], moved: list[np.ndarray]
+) -> list[ProbeObservations]:
     """Probings as a session's, all free vertices seen, displacements as given."""
-    base = np.isclose(mesh.vertices[:, 2], mesh.vertices[:, 2].min())
-    held = np.flatnonzero(base[mesh.triangles].all(axis=1))
+    base = on_base(mesh)
     seen = np.flatnonzero(~base)
     surface = closest_points(mesh, mesh.vertices[seen])
     probings = tuple(
         Probing(
-            name=f"n{k}", contact=Contact(point, RADIUS, "smooth"), force=inward(mesh, point),
+            name=f"n{k}", contact=Contact(place.point, RADIUS, "smooth"), force=place.inward,
             force_std=np.full(3, 0.005), tip_displacement=None, tip_displacement_std=None,
             displacement=DisplacementField(
                 mesh.vertices[seen], u[seen], None, seen, surface, "truth"
             ),
             images=None,
         )
-        for k, (point, u) in enumerate(zip(contacts(mesh), moved, strict=True), start=1)
+        for k, (place, u) in enumerate(zip(places, moved, strict=True), start=1)
     )  # fmt: skip
+    held = np.flatnonzero(base[mesh.triangles].all(axis=1))
     session = Session("truth", Path(), mesh, held, probings, None, None, None, ())
     return graded_observations(resolved_session(session))
 
 
+def on_base(mesh: TriangleMesh) -> Bool[np.ndarray, " v"]:
+    """Vertices that stand on the support."""
+    return np.isclose(mesh.vertices[:, 2], 0.0)
+
+
 def cases() -> Iterator[tuple[str, str, list[ProbeObservations]]]:
     """Body, fault and exact probings."""
-    for name, (edge, make) in BODIES.items():
-        mesh, surface = make(edge), make(_SURFACE * edge)
-        bottom = mesh.vertices[:, 2].min()
-        fine = [(point, 1.2 * RADIUS, 0.25 * RADIUS) for point in contacts(mesh)]
-        fine += [(point, 0.0, _RIM * edge) for point in rim(surface)]
-        solid = make_solid(surface, edge=edge, fine=fine)
-        held = np.isclose(solid.nodes[:, 2], bottom)
-        seen = ~np.isclose(mesh.vertices[:, 2], bottom)
+    for name, shape in BODIES.items():
+        mesh = shape.make(shape.edge)
+        places = contacts(mesh, shape)
+        solid, held = graded_solid(shape, edge=shape.edge, rim=_RIM * shape.edge)
         model: list[ProbeObservations] = []
         for fault_name, fault in FAULTS.items():
-            moved = truth(mesh, solid, held, fault)
-            model = model or observations(mesh, moved)
+            moved = truth(mesh, places, solid, held, fault)
+            model = model or observations(mesh, places, moved)
+            free = ~on_base(mesh)
             yield (
                 name,
                 fault_name,
                 [
-                    replace(probe, displacement=u[seen])
+                    replace(probe, displacement=u[free])
                     for probe, u in zip(model, moved, strict=True)
                 ],
             )

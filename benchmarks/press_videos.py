@@ -101,12 +101,12 @@ def make_recording(
             one.force[-1], np.array(one.point), one.radius, begin,
             begin + FILM.ramp + FILM.hold / 2.0, begin - FILM.approach - 0.5,
         )
-        for one, begin in zip(presses, FILM.begins, strict=True)
+        for one, begin in zip(presses, FILM.start_times, strict=True)
     ]  # fmt: skip
     write_text(folder / "recording.toml", tomlkit.dumps(_recording(config, rig, truths)))
     np.savez(
         folder / "truth.npz", force=[t.force for t in truths], point=[t.point for t in truths],
-        radius=[t.radius for t in truths], begin=FILM.begins,
+        radius=[t.radius for t in truths], begin=FILM.start_times,
     )  # fmt: skip
     return truths
 

@@ -163,10 +163,10 @@ def _energy_figure(green: GreenFunctions, top: Float[np.ndarray, "3"], ticks: in
     for share in np.linspace(0.0, 1.0, ticks):
         now = [_placed(tool, top, depth * share, 0.0, 0.5 * depth * share**2)]
         states.append(touch(green, now, states[-1]))
-    place = np.array([state.tools[0].place for state in states])
-    push = -np.array([state.on_tool[0] for state in states])
+    place = np.array([state.tools[0].position for state in states])
+    push = -np.array([state.tool_force[0] for state in states])
     work = float(np.einsum("sa,sa->", 0.5 * (push[1:] + push[:-1]), np.diff(place, axis=0)))
-    energy = 0.5 * float(np.einsum("na,na->", states[-1].force, states[-1].moved))
+    energy = 0.5 * float(np.einsum("na,na->", states[-1].force, states[-1].displacement))
     return Figure(
         SIMULATION, "work of the tool over energy of the object, less one", abs(work / energy - 1),
         must=1e-6, note=f"oblique press without friction in {ticks} steps, trapezoidal rule",

@@ -26,7 +26,7 @@ from palpate.lab import SHAPES, choose_variant, make_session, read_lab_config
 from palpate.records import read_rig
 from palpate.scanning import ScannedSurface, distances, read_scan, scan_surface
 from palpate.scanning.joining import posed
-from palpate.scanning.mending import spread
+from palpate.scanning.mending import surface_samples
 from palpate.vision import prepare_pictures, read_pictures, stereo_points
 
 RADIUS = {"toy": 0.035, "half-ball": 0.05}
@@ -105,9 +105,9 @@ def turntable(folder: Path, shape: str) -> Path:
 def compared(shape: str, made: ScannedSurface) -> Row:
     """A scan against the exact shape."""
     true = SHAPES[shape].make(radius=RADIUS[shape], edge=_TRUE_EDGE)
-    on_scan = spread(made.mesh, 20_000)
+    on_scan = surface_samples(made.mesh, 20_000)
     out = distances(on_scan, true)
-    back_points = spread(true, 20_000)
+    back_points = surface_samples(true, 20_000)
     back = distances(back_points, made.mesh)
     hidden = TriangleMesh(vertices=made.mesh.vertices, triangles=made.mesh.triangles[made.guessed])
     seen_out = distances(on_scan, hidden) > 1e-6

@@ -22,7 +22,7 @@ from palpate.paper import (
     REGISTRATION,
     constant_errors,
     intervals_hold,
-    quickened,
+    reduced,
     with_misjudged_rig,
 )
 from palpate.pipeline import fit_session, with_pictures_measured
@@ -59,7 +59,7 @@ class Repeats:
 def measure(options: Options) -> list[Figure]:
     """Twenty sessions of the built-in half ball, each with all its probings."""
     config = read_lab_config(built_in()["half-ball"])
-    config = quickened(config) if options.quick else config
+    config = reduced(config) if options.quick else config
     seeds = range(1, (2 if options.quick else REPEATS) + 1)
     with tempfile.TemporaryDirectory() as name:
         wanted = [(replace(config, seed=seed), Path(name) / str(seed)) for seed in seeds]

@@ -10,8 +10,8 @@ import numpy as np
 
 from palpate.bem import (
     assemble_system,
+    indentation_corrections,
     load_right_hand,
-    load_shapes,
     make_elastic_map,
     make_surface,
 )
@@ -32,12 +32,13 @@ def main() -> float:
     contact = session.probings[0].contact
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="pole")
     load = surface_load(patch)
-    shapes = load_shapes(system.surface, [load])  # how the elements around the tool dip
+    # The local indentation of the elements around the tool.
+    corrections = indentation_corrections(system.surface, [load])
     pole = int(np.argmax(session.mesh.vertices[:, 2]))
     row = 3 * int(np.searchsorted(system.unknowns.free_vertices, pole)) + 2
 
     start = perf_counter()
-    model = make_reduced_model(system, load_right_hand(system, [load], shapes))
+    model = make_reduced_model(system, load_right_hand(system, [load], corrections))
     made = perf_counter() - start
     print(f"reduced model in {made:.2f} s")
     errors = []

@@ -13,7 +13,7 @@ from palpate.simulation import (
     Material,
     PlacedTool,
     Sphere,
-    force_deviation,
+    force_covariance,
     make_green_functions,
     nearest_nodes,
     start_contact,
@@ -42,13 +42,13 @@ def main() -> float:
         if k == 0:
             begin = time.perf_counter()  # the first call compiles
         if k in (99, 124, 199):
-            sigma = np.sqrt(np.diag(force_deviation(green, state)[0]))
+            sigma = np.sqrt(np.diag(force_covariance(green, state)[0]))
             force = ", ".join(
-                f"{f:6.3f} +- {s:.3f}" for f, s in zip(state.on_tool[0], sigma, strict=True)
+                f"{f:6.3f} +- {s:.3f}" for f, s in zip(state.tool_force[0], sigma, strict=True)
             )
             print(f"{len(state.touching)} nodes, {len(state.sticking)} stick: ({force}) N")
     print(f"{199 / (time.perf_counter() - begin):.0f} ticks a second")
-    return float(state.on_tool[0, 2])
+    return float(state.tool_force[0, 2])
 
 
 if __name__ == "__main__":

@@ -4,11 +4,13 @@ import ctypes
 import errno
 import io
 import os
+import resource
 import shutil
 import signal
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from palpate import disk
@@ -156,3 +158,14 @@ def without_rights(work: Callable[[], int]) -> tuple[int, str]:
         sys.stderr.flush()
     finally:
         os._exit(code)
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """No file of this process grows beyond some bytes: a write fails there, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -21,7 +21,7 @@ from palpate.simulation import (
     Material,
     PlacedTool,
     Sphere,
-    force_deviation,
+    force_covariance,
     make_green_functions,
     nearest_nodes,
     start_contact,
@@ -46,8 +46,8 @@ def walk(green: GreenFunctions, top: np.ndarray) -> tuple[np.ndarray, np.ndarray
     rows = []
     for place in down + aside:
         state = touch(green, [PlacedTool(ball, place, friction=FRICTION)], state)
-        sigma = np.sqrt(np.diag(force_deviation(green, state)[0]))
-        rows.append([*state.on_tool[0], *sigma])
+        sigma = np.sqrt(np.diag(force_covariance(green, state)[0]))
+        rows.append([*state.tool_force[0], *sigma])
     step = np.linalg.norm(np.diff(down + aside, axis=0), axis=1)
     way = 1e3 * np.concatenate([[0.0], np.cumsum(step)])
     return way, np.array(rows), surface_displacement(green, state)
@@ -131,10 +131,10 @@ def main() -> None:
     nodes = nearest_nodes(session, top[None], 90)
     green = make_green_functions(session, material, nodes=nodes)
     save_figure(draw_touch(session, green), IMAGES / "simulate.png")
-    save_figure(draw_export(solid_skin(session)), IMAGES / "export.png")
+    save_figure(draw_export(solid_boundary(session)), IMAGES / "export.png")
 
 
-def solid_skin(session: Session) -> TriangleMesh:
+def solid_boundary(session: Session) -> TriangleMesh:
     """Outer faces as `palpate export` makes them for the first probing."""
     contact = session.probings[0].contact
     radius = contact.radius or 0.0

@@ -258,6 +258,20 @@ def test_one_probing_with_a_wrong_force_scale() -> None:
     assert any("'n01' disagrees" in note for note in estimate.notes)
 
 
+@pytest.mark.parametrize(("count", "status"), [(3, "model_contradicted"), (4, "ok")])
+def test_a_force_is_an_outlier_only_where_three_others_agree(count: int, status: str) -> None:
+    probes = _probes(count=count, noise=3e-5, force_noise=0.01)
+    off = [replace(probes[0], force=1.3 * probes[0].force), *probes[1:]]
+    estimate = fit(off).estimate
+    assert estimate.status.value == status
+    said = [note for note in estimate.notes if "contradict the others" in note]
+    assert len(said) == (status != "ok")
+    assert fit(probes).estimate.status.value == "ok"
+    for note in said:
+        assert repr(probes[0].name) in note
+        assert "No more than 2 agree" in note
+
+
 def test_force_noise_does_not_bias_the_modulus() -> None:
     """The functional errors-in-variables model: no bias of the order of the force variance."""
     ratios = [

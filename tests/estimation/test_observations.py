@@ -145,8 +145,8 @@ def test_errors_of_points_speak_of_the_components_as_measured() -> None:
     load = np.array([0.0, 0.0, -1.0, 0.0])
     found = rows.nuisance_columns(rows.value(0.3), load, 0.3)
     expected = plain.nuisance_columns(plain.value(0.3), load, 0.3)
-    n = len(rows.mixing)
-    mixed = rows.mixing @ expected[: 3 * n].reshape(n, 3, 2)
+    n = len(rows.whitening)
+    mixed = rows.whitening @ expected[: 3 * n].reshape(n, 3, 2)
     np.testing.assert_allclose(found[: 3 * n], mixed.reshape(-1, 2), rtol=1e-9, atol=1e-20)
     np.testing.assert_allclose(found[3 * n :], expected[3 * n :], rtol=1e-12)
 

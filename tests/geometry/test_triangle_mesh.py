@@ -13,7 +13,7 @@ from palpate.geometry import (
     triangle_areas,
     unit_normals,
 )
-from palpate.geometry.triangle_mesh import connected_groups, half_edges
+from palpate.geometry.triangle_mesh import connected_components, half_edges
 
 
 def test_box_has_the_volume_and_area_of_a_box():
@@ -106,6 +106,6 @@ def test_pairs_leave_out_edges_of_one_and_of_three_triangles():
 
 
 def test_groups_hang_together_by_their_links():
-    count, group = connected_groups(np.array([[0, 3], [3, 1], [4, 5]]), 6)
+    count, group = connected_components(np.array([[0, 3], [3, 1], [4, 5]]), 6)
     assert count == 3
     assert group.tolist() == [0, 0, 1, 0, 2, 2]

@@ -17,7 +17,7 @@ from palpate.pipeline import (
     resolved_session,
     session_observations,
 )
-from palpate.probe import touch
+from palpate.probe import contact_circle
 from palpate.records import EXACT, SPHERE, Contact, DisplacementField, Probing, Session, Tool
 
 SHEAR, NU, BALL = 2e4, 0.3, 6e-3
@@ -40,7 +40,7 @@ def _session(contact: Contact, push: float = PUSH) -> Session:
 @pytest.fixture(scope="module")
 def measured() -> Session:
     """What a ball moves that touches a circle of Sneddon's radius."""
-    circle = touch(Tool(SPHERE, BALL), 0.0, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
+    circle = contact_circle(Tool(SPHERE, BALL), 0.0, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
     contact = replace(Tool(SPHERE, BALL).contact(PLACE), radius=circle.radius)
     session = _session(replace(contact, profile=circle.profile))
     graded = graded_session(resolved_session(session))

@@ -21,9 +21,9 @@ from palpate.pipeline import (
 )
 from palpate.pipeline.model.grading import edge_refined_session, halved_session
 from palpate.pipeline.observations import (
-    coarser_observations,
+    converged_observations,
     mesh_errors,
-    settled_observations,
+    ungraded_observations,
     with_considered_errors,
 )
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
@@ -98,12 +98,12 @@ def _as_they_are(
 
 
 def test_the_estimate_itself_stays(session: Session) -> None:
-    _, plain = coarser_observations(session)
+    _, plain = ungraded_observations(session)
     considered = with_considered_errors(session, plain)
     graded = graded_session(session)
     model = make_object_model(graded)
     one, other = (
-        fit(settled_observations(graded, model, coarser=seen)).estimate.young_modulus
+        fit(converged_observations(graded, model, coarser=seen)).estimate.young_modulus
         for seen in (plain, considered)
     )
     assert other.value == pytest.approx(one.value, rel=1e-9)
@@ -113,8 +113,8 @@ def test_the_estimate_itself_stays(session: Session) -> None:
 def test_sharp_edges_are_a_step_of_their_own(session: Session) -> None:
     assert [len(one.considered) for one in _considered(session)] == [1, 1, 1]
     block = _block()
-    _, plain = coarser_observations(block)
-    _, refined = coarser_observations(edge_refined_session(block))
+    _, plain = ungraded_observations(block)
+    _, refined = ungraded_observations(edge_refined_session(block))
     (seen,) = _considered(block)
     between, edges = seen.considered
     assert between.parameters != edges.parameters
@@ -126,7 +126,7 @@ def test_sharp_edges_are_a_step_of_their_own(session: Session) -> None:
 
 
 def _considered(session: Session) -> list[ProbeObservations]:
-    return with_considered_errors(session, coarser_observations(session)[1])
+    return with_considered_errors(session, ungraded_observations(session)[1])
 
 
 def _block() -> Session:
@@ -146,7 +146,7 @@ def test_neither_linear_nor_very_fine_meshes_have_it(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     linear = SurfaceSettings(quadratic=False)
-    _, seen = coarser_observations(session, surface=linear)
+    _, seen = ungraded_observations(session, surface=linear)
     assert with_considered_errors(session, seen, surface=linear) == seen
     monkeypatch.setattr(mesh_errors, "LARGEST_DENSE", len(session.mesh.vertices) - 1)
     assert with_considered_errors(session, seen) == seen

@@ -11,7 +11,7 @@ from palpate.probe import (
     gent_lindley_factor,
     read_compression,
 )
-from palpate.probe.compression_test import slope_deviation
+from palpate.probe.compression_test import slope_std
 
 DIAMETER, HEIGHT, YOUNG = 0.05, 0.03, 1.0e5
 AREA = np.pi * DIAMETER**2 / 4
@@ -180,11 +180,11 @@ def test_the_deviation_of_a_slope_is_that_of_the_slow_departures():
     x = strain - strain.mean()
     bend = x**2 - np.mean(x**2)
     bend /= np.linalg.norm(bend)
-    deviation, freedom = slope_deviation(strain, 2e5 * strain + 70.0 + 300.0 * bend)
+    deviation, freedom = slope_std(strain, 2e5 * strain + 70.0 + 300.0 * bend)
     assert freedom == 3
     # Rounding of the orthonormal columns.
     assert deviation == pytest.approx(300.0 / np.sqrt(3.0) / np.linalg.norm(x), rel=1e-10)
-    assert slope_deviation(strain[:4], strain[:4] ** 2)[1] == 2
+    assert slope_std(strain[:4], strain[:4] ** 2)[1] == 2
 
 
 @pytest.mark.parametrize(("fall", "refused"), [(0.9, False), (1.1, True)])

@@ -7,7 +7,7 @@ from surfaces import box, sphere
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.probe import inward_push, surface_curvature, touch
+from palpate.probe import contact_circle, inward_force, surface_curvature
 from palpate.records import CONE, CYLINDER, FLAT, SLIDES, SPHERE, STICKS, Tool
 from palpate.records.contact import cone_pressure
 
@@ -15,17 +15,17 @@ SHEAR, NU = 2e4, 0.3
 REDUCED = 2.0 * SHEAR / (1.0 - NU)
 
 
-def _radius(tool: Tool, curvature: float, push: float, nu: float = NU) -> float:
-    return touch(tool, curvature, push, shear_modulus=SHEAR, poisson_ratio=nu).radius
+def _radius(tool: Tool, curvature: float, force: float, nu: float = NU) -> float:
+    return contact_circle(tool, curvature, force, shear_modulus=SHEAR, poisson_ratio=nu).radius
 
 
 @pytest.mark.parametrize("curvature", [0.0, 20.0, -50.0])
 def test_a_light_touch_is_hertzian(curvature: float) -> None:
-    tool, push = Tool(SPHERE, 5e-3), 1e-4
+    tool, force = Tool(SPHERE, 5e-3), 1e-4
     relative = 1.0 / tool.radius + curvature
-    hertz = (0.75 * push / (REDUCED * relative)) ** (1 / 3)
+    hertz = (0.75 * force / (REDUCED * relative)) ** (1 / 3)
     # A sphere is a paraboloid but for (a / R)^2 = 1e-3.
-    assert _radius(tool, curvature, push) == pytest.approx(hertz, rel=1e-3)
+    assert _radius(tool, curvature, force) == pytest.approx(hertz, rel=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
@@ -38,25 +38,25 @@ def test_a_deep_touch_is_sneddon_s(share: float) -> None:
         r = circle * np.sin(angle)
         return r**2 * (r / np.sqrt(ball**2 - r**2) + curvature * r)
 
-    push = 2.0 * REDUCED * quad(integrand, 0.0, 0.5 * np.pi)[0]
-    assert _radius(Tool(SPHERE, ball), curvature, push) == pytest.approx(circle, rel=1e-6)
+    force = 2.0 * REDUCED * quad(integrand, 0.0, 0.5 * np.pi)[0]
+    assert _radius(Tool(SPHERE, ball), curvature, force) == pytest.approx(circle, rel=1e-6)
 
 
 def test_a_surface_that_sticks_is_touched_less() -> None:
-    """By ln 3 at nu = 0, not at all when nothing changes its volume."""
-    push, ball = 1e-4, 5e-3
-    for nu, stiffer in ((0.0, np.log(3.0)), (0.4999, 1.0)):
-        free = _radius(Tool(SPHERE, ball), 0.0, push, nu)
-        stuck = _radius(Tool(SPHERE, ball, STICKS), 0.0, push, nu)
+    """By ln 3 at nu = 0, not at all when nothing changes its volume, the limit included."""
+    force, ball = 1e-4, 5e-3
+    for nu, stiffer in ((0.0, np.log(3.0)), (0.4999, 1.0), (0.5, 1.0)):
+        free = _radius(Tool(SPHERE, ball), 0.0, force, nu)
+        stuck = _radius(Tool(SPHERE, ball, STICKS), 0.0, force, nu)
         assert (free / stuck) ** 3 == pytest.approx(stiffer, rel=1e-3)
 
 
 def test_a_flat_face_touches_all_of_itself_or_less() -> None:
     tool = Tool(FLAT, 4e-3)
-    found = touch(tool, 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
+    found = contact_circle(tool, 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
     assert (found.radius, found.profile) == (4e-3, "flat")
     # A ball of 20 mm under a light push is not flattened as far.
-    found = touch(tool, 50.0, 1e-3, shear_modulus=SHEAR, poisson_ratio=NU)
+    found = contact_circle(tool, 50.0, 1e-3, shear_modulus=SHEAR, poisson_ratio=NU)
     assert found.profile == "hertz"
     assert found.radius == pytest.approx((0.75 * 1e-3 / (REDUCED * 50.0)) ** (1 / 3))
 
@@ -65,8 +65,10 @@ def test_a_flat_face_touches_all_of_itself_or_less() -> None:
 def test_a_cone_is_sneddon_s(degrees: float) -> None:
     """F = 2 E* tan(angle) d^2 / pi at the depth d, of a circle of 2 d tan(angle) / pi."""
     angle, depth = np.radians(degrees), 1e-4
-    push = 2.0 / np.pi * REDUCED * np.tan(angle) * depth**2
-    found = touch(Tool(CONE, 0.05, SLIDES, angle), 0.0, push, shear_modulus=SHEAR, poisson_ratio=NU)
+    force = 2.0 / np.pi * REDUCED * np.tan(angle) * depth**2
+    found = contact_circle(
+        Tool(CONE, 0.05, SLIDES, angle), 0.0, force, shear_modulus=SHEAR, poisson_ratio=NU
+    )
     assert found.profile == "cone"
     # The search ends at 1e-9 of the base.
     assert found.radius == pytest.approx(2.0 / np.pi * depth * np.tan(angle), rel=1e-6)
@@ -78,15 +80,15 @@ def test_its_pressure_gives_the_depth() -> None:
     np.testing.assert_allclose(cone_pressure(s), np.arccosh(1.0 / np.minimum(s, 1.0)))
     angle, radius = np.radians(70.0), 2e-3
     total = quad(lambda s: 2.0 * np.pi * s * np.arccosh(1.0 / s), 0.0, 1.0)[0]
-    push = 0.5 * np.pi * REDUCED * radius**2 / np.tan(angle)
+    force = 0.5 * np.pi * REDUCED * radius**2 / np.tan(angle)
     middle = quad(lambda s: 2.0 * np.arccosh(1.0 / s), 0.0, 1.0)[0]
-    depth = push / total / radius * middle / REDUCED
+    depth = force / total / radius * middle / REDUCED
     assert depth == pytest.approx(0.5 * np.pi * radius / np.tan(angle), rel=1e-6)
 
 
 def test_the_faces_of_a_punch_and_of_a_cylinder_are_one() -> None:
     found = [
-        touch(Tool(shape, 4e-3), 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
+        contact_circle(Tool(shape, 4e-3), 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
         for shape in (FLAT, CYLINDER)
     ]
     assert found[0] == found[1]
@@ -111,12 +113,12 @@ def test_curvature_is_that_of_the_surface() -> None:
 def test_what_cannot_be() -> None:
     ball = Tool(SPHERE, 3e-3)
     with pytest.raises(InputError, match="pulls"):
-        touch(ball, 0.0, -0.1, shear_modulus=SHEAR, poisson_ratio=NU)
+        contact_circle(ball, 0.0, -0.1, shear_modulus=SHEAR, poisson_ratio=NU)
     with pytest.raises(InputError, match="bury a sphere of 3 mm"):
-        touch(ball, 0.0, 50.0, shear_modulus=SHEAR, poisson_ratio=NU)
+        contact_circle(ball, 0.0, 50.0, shear_modulus=SHEAR, poisson_ratio=NU)
     block = box((0.05, 0.05, 0.05), 5)
-    push = inward_push(block, np.array([0.02, 0.02, 0.05]), np.array([0.3, 0.0, -1.2]))
-    assert push == pytest.approx(1.2)
+    force = inward_force(block, np.array([0.02, 0.02, 0.05]), np.array([0.3, 0.0, -1.2]))
+    assert force == pytest.approx(1.2)
 
 
 @pytest.mark.parametrize(

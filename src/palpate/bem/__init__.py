@@ -12,11 +12,11 @@ Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 from palpate.bem.compressed import (
     CompressedSystem as CompressedSystem,
     Compression as Compression,
-    SnapshotModel as SnapshotModel,
+    ReducedBasis as ReducedBasis,
     compressed_system as compressed_system,
     held_system as held_system,
     orthogonalised as orthogonalised,
-    snapshot_model as snapshot_model,
+    reduced_basis as reduced_basis,
 )
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
@@ -34,18 +34,18 @@ from palpate.bem.integrals import (
 from palpate.bem.interior import InteriorState as InteriorState, interior_state as interior_state
 from palpate.bem.loads import (
     BodyForce as BodyForce,
-    ContactShape as ContactShape,
+    IndentationCorrection as IndentationCorrection,
     LoadCells as LoadCells,
     PressureDisc as PressureDisc,
     RightHand as RightHand,
     SurfaceLoad as SurfaceLoad,
     body_force_columns as body_force_columns,
+    correction_columns as correction_columns,
     dilation_factor as dilation_factor,
     face_columns as face_columns,
+    indentation_corrections as indentation_corrections,
     joined as joined,
-    load_shapes as load_shapes,
     pressure_column as pressure_column,
-    shape_columns as shape_columns,
     support_columns as support_columns,
     traction_column as traction_column,
 )
@@ -63,7 +63,6 @@ from palpate.bem.system import (
     cached_system as cached_system,
     check_memory as check_memory,
     factorise as factorise,
-    loose_motions as loose_motions,
     make_spring_factors as make_spring_factors,
     make_spring_system as make_spring_system,
     make_springs as make_springs,
@@ -72,4 +71,5 @@ from palpate.bem.system import (
     solve as solve,
     spring_columns as spring_columns,
     system_slope as system_slope,
+    unrestrained_motions as unrestrained_motions,
 )

@@ -17,15 +17,15 @@ from palpate.bem.compressed import (
 )
 from palpate.bem.integrals import check_material, integral_weights
 from palpate.bem.loads import (
-    ContactShape,
+    IndentationCorrection,
     LoadCells,
     RightHand,
     SurfaceLoad,
+    correction_columns,
+    indentation_corrections,
     integrate_load,
     joined,
     load_columns,
-    load_shapes,
-    shape_columns,
 )
 from palpate.bem.system import (
     BoundarySystem,
@@ -95,12 +95,12 @@ class ElasticMap:
         NotConvergedError                 the iteration for a compressed system does not converge
         """
         surface = self.system.surface
-        shapes = load_shapes(surface, loads)
-        right = load_right_hand(self.system, loads, shapes)
+        corrections = indentation_corrections(surface, loads)
+        right = load_right_hand(self.system, loads, corrections)
         if self.springs is None:
             unit = _solved(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
         else:
-            right = right.on_springs(self.springs.give, self.springs.changes)
+            right = right.on_springs(self.springs.compliance, self.springs.compliance_derivatives)
             unit = self.springs.solve(right.at(self.poisson_ratio)) / self.shear_modulus
         unit = unit.reshape(-1, len(loads), 3)
         return [self.state(unit[:, k] @ force) for k, force in enumerate(forces)]
@@ -120,8 +120,10 @@ class ElasticMap:
         found = sorted_state(self.system, unknowns[: self.system.size], self.shear_modulus)
         if self.springs is None:
             return found
-        moved = self.springs.factors.springs.place @ unknowns[self.system.size :]
-        return replace(found, displacement=found.displacement + moved.reshape(-1, 3))
+        displacement = (
+            self.springs.factors.springs.displacement_basis @ unknowns[self.system.size :]
+        )
+        return replace(found, displacement=found.displacement + displacement.reshape(-1, 3))
 
 
 def _solved(
@@ -173,10 +175,10 @@ def make_elastic_map(
     factorised = factorise(system, poisson_ratio)
     on_springs = None
     if springs is not None and compliance is not None:
-        give = springs.give(compliance * shear_modulus / system.traction_length)
-        none = np.zeros((0, give.size))
+        spring_compliance = springs.compliance(compliance * shear_modulus / system.traction_length)
+        no_derivatives = np.zeros((0, spring_compliance.size))
         on_springs = make_spring_system(
-            make_spring_factors(factorised, system, springs), give, none
+            make_spring_factors(factorised, system, springs), spring_compliance, no_derivatives
         )
     return ElasticMap(system, factorised, shear_modulus, poisson_ratio, on_springs)
 
@@ -184,7 +186,7 @@ def make_elastic_map(
 def load_right_hand(
     system: BoundarySystem,
     loads: Sequence[SurfaceLoad],
-    shapes: Sequence[ContactShape | None] | None = None,
+    corrections: Sequence[IndentationCorrection | None] | None = None,
     *,
     forces: Float[np.ndarray, "k 3"] | None = None,
     cells: LoadCells | None = None,
@@ -195,7 +197,8 @@ def load_right_hand(
     ----------
     system : BoundarySystem
     loads : sequence of k SurfaceLoad
-    shapes : sequence of k ContactShape or None   local indentation around each (`load_shapes`)
+    corrections : sequence of k IndentationCorrection or None    for the local indentation around
+                                      each load (`indentation_corrections`)
     forces : (k, 3) float [N] or None             None: one newton along each axis
     cells : LoadCells or None                     subdivision of the loads, see `load_points`
 
@@ -210,15 +213,15 @@ def load_right_hand(
         columns = load_columns(fields, balance)
         parts.append(columns if forces is None else columns.under(forces[k]))
     right = joined(parts)
-    dips, numbers = [], []
-    for k, shape in enumerate(shapes or ()):
-        if shape is not None and shape.midpoints.size:
-            dips.append(shape if forces is None else shape.under(forces[k]))
+    significant, numbers = [], []
+    for k, correction in enumerate(corrections or ()):
+        if correction is not None and correction.midside_nodes.size:
+            significant.append(correction if forces is None else correction.under(forces[k]))
             numbers.append(k)
-    if dips:
+    if significant:
         each = 3 if forces is None else 1
         columns_of = (each * np.array(numbers)[:, None] + np.arange(each)).ravel()
-        right = right.plus(shape_columns(system, dips), columns_of)
+        right = right.plus(correction_columns(system, significant), columns_of)
     return right
 
 

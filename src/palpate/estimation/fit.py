@@ -22,11 +22,11 @@ from palpate.estimation.intervals import (
     probe_fits,
     scores_of,
     uncertainty_of,
-    with_open_ratio,
     with_prior_ranges,
+    with_undetermined_ratio,
 )
 from palpate.estimation.noise import NOISE_MODELS, noise_levels
-from palpate.estimation.notes import fit_notes, opposed_notes
+from palpate.estimation.notes import conflicting_force_notes, fit_notes, reversed_notes
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.responses import ResponseTable, response_table
@@ -116,27 +116,30 @@ def fit(
         singles = _single_constants(misfit, joint)
     progress("validation", 0.95)
     fits = probe_fits(probes, misfit, joint)
-    contradictions = [c for c in map(contradiction, probes, fits) if c is not None]
+    contradictions = list(filter(None, map(contradiction, probes, fits)))
     std = np.sqrt(np.diag(joint.scores.covariance())[2:])
     errors = error_estimates(misfit.shared, minimum.errors, std)
-    every = [*errors, *(error for one in fits for error in one.errors)]
+    all_errors = [*errors, *(error for probe_fit in fits for error in probe_fit.errors)]
+    conflicts = [*reversed_notes(misfit, joint), *conflicting_force_notes(joint)]
     status = Status.from_identifiable(identifiable)
-    opposed = opposed_notes(misfit, joint)
-    if contradictions or opposed or any(error.is_impossible for error in every):
-        status = Status.MODEL_CONTRADICTED
     if not minimum.converged:
         status = Status.NOT_CONVERGED
+    # Also where the search did not converge: a wrong model is the usual reason.
+    if contradictions or conflicts or any(error.is_impossible for error in all_errors):
+        status = Status.MODEL_CONTRADICTED
     estimate = Estimate(
         status=status,
         shear_modulus=reported.shear_modulus,
         poisson_ratio=reported.poisson_ratio,
         young_modulus=reported.young_modulus,
         identifiable=identifiable,
-        probes=tuple(probe_estimate(*one, found) for one, found in zip(singles, fits, strict=True)),
+        probes=tuple(
+            probe_estimate(*single, own) for single, own in zip(singles, fits, strict=True)
+        ),
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
         settings=asdict(settings),
-        notes=(*fit_notes(misfit, joint, identifiable, contradictions, every), *opposed),
+        notes=(*fit_notes(misfit, joint, identifiable, contradictions, all_errors), *conflicts),
         errors=errors,
         budget=joint.budget(misfit, identifiable),
     )
@@ -171,9 +174,9 @@ def _weights(
     rows: tuple[ObservedRows, ...], table: ResponseTable, misfit: Misfit, minimum: Minimum
 ) -> FixedWeights:
     """The misfit with robust weights and errors held fixed at their values at the minimum."""
-    apart, table = without_settlement(rows, table, minimum)
+    separated, table = without_settlement(rows, table, minimum)
     return fixed_weights(
-        apart,
+        separated,
         table,
         misfit.level,
         [probe.weight for probe in minimum.probes],
@@ -189,9 +192,9 @@ def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ..
     if not len(probes):
         raise InputError("there are no probings; at least one is needed for an estimate")
     names = [probe.name for probe in probes]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(f"probings have the same name: {twice}; names must differ")
+    duplicates = sorted({name for name in names if names.count(name) > 1})
+    if duplicates:
+        raise InputError(f"probings have the same name: {duplicates}; names must differ")
     return tuple(observed_rows_of(probe) for probe in probes)
 
 
@@ -203,8 +206,8 @@ def _joint_minimum(
     start = global_start(rows, table, noise)
     nu, modulus, level = start.poisson_ratio, start.shear_modulus, start.level
     shifts, errors = Misfit(rows, level, noise).no_shifts(), None
-    for shift, known in zip(shifts, start.shifts, strict=True):
-        shift[: len(known)] = known
+    for shift, started in zip(shifts, start.shifts, strict=True):
+        shift[: len(started)] = started
     for _ in range(_LEVEL_ROUNDS):
         misfit = Misfit(rows, level, noise)
         minimum = scored_minimum(
@@ -229,7 +232,7 @@ def _intervals(uncertainty: Uncertainty) -> tuple[IntervalSet, IntervalSet, dict
     intervals = interval_set(uncertainty)
     ranged, weights = intervals, uncertainty.weights
     if uncertainty.is_beyond_range():
-        ranged = with_open_ratio(intervals, weights)
+        ranged = with_undetermined_ratio(intervals, weights)
     identifiable = identifiable_constants(ranged, weights)
     return intervals, with_prior_ranges(ranged, identifiable, weights), identifiable
 
@@ -241,14 +244,14 @@ def _single_constants(
     it identifies."""
     # A force downweighted for disagreeing with the other probings is as good as claimed by itself.
     claimed = np.stack([probe.force_std for probe in misfit.probes])
-    apart = replace(joint.weights, force_root=claimed)
-    found = []
+    as_claimed = replace(joint.weights, force_root=claimed)
+    constants = []
     for k, probe in enumerate(misfit.probes):
-        weights, single = apart.only(k), replace(misfit, probes=(probe,))
+        weights, single = as_claimed.subset(k), replace(misfit, probes=(probe,))
         minimum = scored_minimum(
             single, *best_constants(weights), poisson_range=weights.poisson_range
         )
         scores, _ = scores_of(single, minimum.probes, noise=joint.noise)
         alone = replace(joint, minimum=minimum, scores=scores, weights=weights)
-        found.append(_intervals(alone)[1:])
-    return found
+        constants.append(_intervals(alone)[1:])
+    return constants

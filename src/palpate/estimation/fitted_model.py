@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from palpate.estimation.intervals import found_errors, predicted_points, predicted_surface
+from palpate.estimation.intervals import fitted_errors, predicted_points, predicted_surface
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import Minimum, Misfit, total_loss
 from palpate.shapes import Points, Vertices
@@ -74,11 +74,11 @@ class FittedModel:
         errors, local = self.misfit.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
         value = total_loss(local, errors)
         probings = []
-        for probe, found in zip(self.observations, local, strict=True):
-            _, sigmas = found_errors(self.misfit, found, errors)
+        for probe, linearised in zip(self.observations, local, strict=True):
+            _, sigmas = fitted_errors(self.misfit, linearised, errors)
             constants = poisson_ratio, shear_modulus
-            predicted = predicted_points(probe, constants, found, found.shift, sigmas)
-            load = found.rows.load(shear_modulus, found.shift)
+            predicted = predicted_points(probe, constants, linearised, linearised.shift, sigmas)
+            load = linearised.rows.load(shear_modulus, linearised.shift)
             surface = predicted_surface(probe, poisson_ratio, load)
             residual = probe.displacement - predicted
             probings.append(PredictedProbing(probe.name, predicted, residual, surface))

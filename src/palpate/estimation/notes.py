@@ -7,7 +7,7 @@ import numpy as np
 from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
 from palpate.estimation.observed_rows import CLAIMED_GROUPS, GROUP_COUNT
 from palpate.estimation.search import Misfit
-from palpate.records import SURPRISING, ErrorEstimate, error_texts, length_unit
+from palpate.records import IMPOSSIBLE, SURPRISING, ErrorEstimate, error_texts, length_unit
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
 # The most frequent causes, by the landmark near which the model fails.
@@ -31,10 +31,14 @@ _WORDS = {
 _MENTIONED_FACTOR = 2.0
 # So few points leave the noise level and the shared errors undetermined.
 _FEW_POINTS = 4
-# RMS residual over RMS displacement of one component and of all, and the fewest rows to judge by.
-_OPPOSED, _TOLD, _FEW_ROWS = 1.3, 0.1, 8
+# A component counts as reversed only if its RMS residual exceeds this factor times its own RMS
+# displacement and this fraction of that of all components, in at least so many rows.
+_REVERSED_FACTOR, _LEAST_FRACTION_OF_ALL, _LEAST_ROWS = 1.3, 0.1, 8
 # A force whose robust weight is smaller is mentioned.
 _MIN_FORCE_WEIGHT = 0.5
+# A force that is impossible is an outlier where so many others agree for each such force: two
+# constants are fitted, so that two probings agree on wrong ones, too.
+_AGREEING_PER_OUTLIER = 3
 
 
 def fit_notes(
@@ -89,12 +93,12 @@ def _count_notes(misfit: Misfit) -> list[str]:
     if count > _FEW_POINTS:
         return []
     points = "One point was" if count == 1 else f"{count} points were"
-    said = (
+    note = (
         f"{points} measured in all: that few cannot tell noise from stiffness, whatever their"
         " quality, and the intervals are wide for that reason; measure ten or more, on all sides"
         " of the contact."
     )
-    return [said]
+    return [note]
 
 
 def _noise_notes(misfit: Misfit) -> list[str]:
@@ -115,7 +119,7 @@ def _noise_notes(misfit: Misfit) -> list[str]:
     return notes
 
 
-def opposed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
+def reversed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
     """Notes on components whose residuals exceed the measured displacement: the prediction has the
     opposite sign.
 
@@ -133,14 +137,16 @@ def opposed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
     """
     probes = uncertainty.minimum.probes
     group = np.concatenate([probe.rows.group for probe in probes]) % (GROUP_COUNT // 2)
-    moved = np.concatenate([probe.rows.measured for probe in probes])
-    left = np.concatenate([one.residual * one.rows.sigma(misfit.level) for one in probes])
+    measured = np.concatenate([probe.rows.measured for probe in probes])
+    residuals = np.concatenate(
+        [probe.residual * probe.rows.sigma(misfit.level) for probe in probes]
+    )
     notes = []
     for g in np.unique(group):
-        seen = group == g
-        residual, motion = (float(np.sqrt((x[seen] ** 2).mean())) for x in (left, moved))
-        of_all = residual > _TOLD * float(np.sqrt((moved**2).mean()))
-        if of_all and seen.sum() >= _FEW_ROWS and residual > _OPPOSED * motion:
+        chosen = group == g
+        residual, motion = (float(np.sqrt((x[chosen] ** 2).mean())) for x in (residuals, measured))
+        is_large = residual > _LEAST_FRACTION_OF_ALL * float(np.sqrt((measured**2).mean()))
+        if is_large and chosen.sum() >= _LEAST_ROWS and residual > _REVERSED_FACTOR * motion:
             notes.append(
                 f"Along {_GROUP_NAMES[g]} the residuals, {_length_text(residual)}, exceed what"
                 f" moved there, {_length_text(motion)}: the model contradicts it. Check the"
@@ -148,6 +154,36 @@ def opposed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
                 " file, and whether the object moved with its support."
             )
     return notes
+
+
+def conflicting_force_notes(uncertainty: Uncertainty) -> list[str]:
+    """A note where forces disagree beyond five standard deviations and too few others agree for
+    them to be outliers.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty       of all probings
+
+    Returns
+    -------
+    list of str                     empty where each such force is outvoted by three others
+    """
+    off = {
+        probe.rows.name: float(np.linalg.norm(probe.shift[:3]))
+        for probe in uncertainty.minimum.probes
+    }
+    outliers = [name for name, size in off.items() if size > IMPOSSIBLE]
+    agreeing = len(off) - len(outliers)
+    if agreeing >= _AGREEING_PER_OUTLIER * len(outliers):
+        return []
+    listed = ", ".join(f"{name!r} by {off[name]:.1f}" for name in outliers)
+    note = (
+        "The forces of some probings contradict the others, in their standard deviations:"
+        f" {listed}. No more than {agreeing} agree, too few to tell which are right"
+        f" ({_AGREEING_PER_OUTLIER} for each that does not). Either these forces are wrong or the"
+        f" model is: {_OTHER_SUSPECTS}."
+    )
+    return [note]
 
 
 def _length_text(metres: float) -> str:

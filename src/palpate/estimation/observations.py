@@ -157,8 +157,8 @@ class ProbeObservations:
         response = self.response.value(poisson_ratio)
         if self.settlement is None:
             return response
-        share = shear_modulus / self.settlement.shear_modulus - 1.0
-        return response + share * self.settlement.derivative(poisson_ratio)
+        relative_change = shear_modulus / self.settlement.shear_modulus - 1.0
+        return response + relative_change * self.settlement.derivative(poisson_ratio)
 
 
 def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | None) -> None:
@@ -179,16 +179,16 @@ def _check_covariance(label: str, probe: ProbeObservations) -> None:
     """Refuse a covariance without `std`, not positive definite, or of partly measured points."""
     if probe.covariance is None:
         return
-    known = np.isfinite(probe.displacement)
-    whole = known.all(axis=1)
-    if probe.std is None or (known.any(axis=1) & ~whole).any():
+    measured = np.isfinite(probe.displacement)
+    complete = measured.all(axis=1)
+    if probe.std is None or (measured.any(axis=1) & ~complete).any():
         raise InputError(
             f"{label}covariance is given without std, or where some components of a point are"
             " measured and others are not; give both, for points that are measured as a whole"
         )
-    smallest = np.linalg.eigvalsh(probe.covariance[whole])[:, 0]
+    smallest = np.linalg.eigvalsh(probe.covariance[complete])[:, 0]
     if not (smallest > 0.0).all():
-        row = int(np.flatnonzero(whole)[np.argmin(smallest > 0.0)])
+        row = int(np.flatnonzero(complete)[np.argmin(smallest > 0.0)])
         raise InputError(
             f"{label}covariance of point {row} is not positive definite: {probe.covariance[row]}"
         )

@@ -1,6 +1,6 @@
 """The measured components of a probing as one stack of rows, ready for the misfit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,8 +24,8 @@ class ObservedRows:
     """The measured components of one probing as one stack of rows, ready for the misfit.
 
     A point has up to three rows, which share one robust weight: a wrong match spoils all of them.
-    Where a point's covariance is known, its three rows are whitened: mixed so that their errors are
-    independent and of equal variance.
+    Where a point's covariance is known, its three rows are whitened: combined so that their errors
+    are independent and of equal variance.
 
     Parameters
     ----------
@@ -43,12 +43,17 @@ class ObservedRows:
     response : ResponseModel
     nuisances : tuple of Nuisance
     settlement : Settlement or None
-    mixing : (k, 3, 3) float [-] or None    whitening matrices of the first k points, which have
-                                            three rows each: covariance^(-1/2) times `unit`
+    whitening : (k, 3, 3) float [-] or None    matrices of the first k points, which have three rows
+                                            each: covariance^(-1/2) times `unit`
     neighbours : (r, r) sparse or None      error correlation of the rows of neighbouring points,
                                             zero on the diagonal; None: errors are independent
     reference : str or None                 identifies the reference pictures (at rest)
     considered : tuple of Nuisance          errors that are considered, not fitted
+
+    Attributes
+    ----------
+    inverse_whitening : (k, 3, 3) float [-] or None
+    curved_nuisances : tuple of CurvedNuisance      those of `nuisances` that are
     """
 
     name: str
@@ -67,15 +72,24 @@ class ObservedRows:
     response: ResponseModel
     nuisances: tuple[Nuisance, ...] = ()
     settlement: Settlement | None = None
-    mixing: Float[np.ndarray, "k 3 3"] | None = None
+    whitening: Float[np.ndarray, "k 3 3"] | None = None
     neighbours: csr_array | None = None
     reference: str | None = None
     considered: tuple[Nuisance, ...] = ()
+    inverse_whitening: Float[np.ndarray, "k 3 3"] | None = field(init=False)
+    curved_nuisances: tuple[CurvedNuisance, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        # Once, as the misfit asks for them in its inner loop.
+        inverse = None if self.whitening is None else np.linalg.inv(self.whitening)
+        curved = tuple(kind for kind in self.nuisances if isinstance(kind, CurvedNuisance))
+        object.__setattr__(self, "inverse_whitening", inverse)
+        object.__setattr__(self, "curved_nuisances", curved)
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """Nuisance parameters of the probing, in the order of `nuisance_columns`."""
-        return tuple(one for nuisance in self.nuisances for one in nuisance.parameters)
+        return tuple(parameter for nuisance in self.nuisances for parameter in nuisance.parameters)
 
     def nuisance_columns(
         self,
@@ -104,23 +118,22 @@ class ObservedRows:
     ) -> Float[np.ndarray, "r p"]:
         if not nuisances:
             return np.zeros((len(self.measured), 0))
-        plain = response
-        if self.mixing is not None:
-            plain = _mixed(np.linalg.inv(self.mixing), response)
-        found = [n.columns(self.rows, plain, load, poisson_ratio) for n in nuisances]
-        return _mixed(self.mixing, np.concatenate(found, axis=1))
+        unwhitened = _pointwise(self.inverse_whitening, response)
+        columns = [
+            nuisance.columns(self.rows, unwhitened, load, poisson_ratio) for nuisance in nuisances
+        ]
+        return _pointwise(self.whitening, np.concatenate(columns, axis=1))
 
     def nuisance_curvature(
         self, load: Float[np.ndarray, " c"], poisson_ratio: float
     ) -> list[tuple[tuple[NuisanceParameter, ...], Float[np.ndarray, "r p p"]]]:
         """Parameters in which displacement is not linear, with its second derivatives [m]."""
-        found = []
-        for one in self.nuisances:
-            if isinstance(one, CurvedNuisance):
-                plain = one.curvature(self.rows, load, poisson_ratio)
-                mixed = _mixed(self.mixing, plain.reshape(len(plain), -1))
-                found.append((one.parameters, mixed.reshape(plain.shape)))
-        return found
+        curvatures = []
+        for nuisance in self.curved_nuisances:
+            curvature = nuisance.curvature(self.rows, load, poisson_ratio)
+            whitened = _pointwise(self.whitening, curvature.reshape(len(curvature), -1))
+            curvatures.append((nuisance.parameters, whitened.reshape(curvature.shape)))
+        return curvatures
 
     @property
     def force_components(self) -> int:
@@ -137,9 +150,8 @@ class ObservedRows:
         modulus, then motions. Force and motions are offset by `shift` standard deviations; entries
         of `shift` beyond them (nuisance parameters) do not enter."""
         force = self.force + self.force_std * shift[:3]
-        pushed = np.append(force, 1.0) / shear_modulus
-        moved = self.motion + self.motion_std * shift[3 : 3 + len(self.motion)]
-        return np.concatenate([pushed, moved])
+        motion = self.motion + self.motion_std * shift[3 : 3 + len(self.motion)]
+        return np.concatenate([np.append(force, 1.0) / shear_modulus, motion])
 
     def per_shift(
         self, response: Float[np.ndarray, "r c"], shear_modulus: float
@@ -164,12 +176,13 @@ class ObservedRows:
     def component_sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
         """1 sigma of the x, y and z components as measured, before whitening [m]."""
         sigma = self.sigma(level)
-        if self.mixing is None:
+        if self.inverse_whitening is None:
             return sigma
-        k = len(self.mixing)
-        share = np.linalg.inv(self.mixing) ** 2
-        own = np.einsum("kab,kb->ka", share, sigma[: 3 * k].reshape(k, 3) ** 2)
-        return np.append(np.sqrt(own).ravel(), sigma[3 * k :])
+        k = len(self.inverse_whitening)
+        variance = np.einsum(
+            "kab,kb->ka", self.inverse_whitening**2, sigma[: 3 * k].reshape(k, 3) ** 2
+        )
+        return np.append(np.sqrt(variance).ravel(), sigma[3 * k :])
 
     def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
         """Values of points, repeated for each row of the point."""
@@ -208,13 +221,13 @@ class ObservedRows:
         None: the response does not depend on G."""
         if self.settlement is None:
             return None
-        found = self._measured_rows(self.settlement.derivative(poisson_ratio), poisson_ratio)
-        return found * (shear_modulus / self.settlement.shear_modulus)
+        derivative = self._measured_rows(self.settlement.derivative(poisson_ratio), poisson_ratio)
+        return derivative * (shear_modulus / self.settlement.shear_modulus)
 
     def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
         # No copy where every row was measured: it would cost more than the fit itself.
-        whole = len(self.rows) == len(response)
-        chosen = response if whole else response[self.rows[self.rows < len(response)]]
+        complete = len(self.rows) == len(response)
+        chosen = response if complete else response[self.rows[self.rows < len(response)]]
         shape = (len(self.measured), 4 + len(self.motion))
         if chosen.shape != shape or not np.isfinite(chosen.sum()):
             raise InputError(
@@ -222,17 +235,18 @@ class ObservedRows:
                 f" {response.shape} and must be finite with three rows a point (and three for a"
                 f" measured tip) and {shape[1]} columns; check support, contact and mesh"
             )
-        return _mixed(self.mixing, chosen)
+        return _pointwise(self.whitening, chosen)
 
 
-def _mixed(
-    mixing: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r c"]
+def _pointwise(
+    matrices: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r c"]
 ) -> Float[np.ndarray, "r c"]:
-    """Rows with the three of each of the first k points whitened; unchanged without `mixing`."""
-    if mixing is None:
+    """Rows with the three of each of the first k points multiplied by that point's matrix;
+    unchanged without matrices."""
+    if matrices is None:
         return rows
-    k = 3 * len(mixing)
-    first = mixing @ rows[:k].reshape(len(mixing), 3, -1)
+    k = 3 * len(matrices)
+    first = matrices @ rows[:k].reshape(len(matrices), 3, -1)
     return np.concatenate([first.reshape(k, -1), rows[k:]])
 
 
@@ -252,8 +266,8 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
     InputError                              nothing was measured, or there is no load
     """
     displacement, unit, group = _stacked(probe)
-    seen = np.isfinite(displacement)
-    if not seen.any():
+    is_measured = np.isfinite(displacement)
+    if not is_measured.any():
         raise InputError(
             f"probing {probe.name!r} has no measured displacement among {len(probe.position)}"
             " points; leave the probing out, or check why every row is NaN"
@@ -263,14 +277,14 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
             f"probing {probe.name!r} has zero force and no other load, so it says nothing about"
             " the constants; give the force on the object in newton, or leave the probing out"
         )
-    rows = np.flatnonzero(seen)
+    rows = np.flatnonzero(is_measured)
     point, start, count = np.unique(rows // 3, return_index=True, return_counts=True)
     position = np.vstack([probe.position, np.full((1, 3), np.nan)])[point]
-    mixing = _mixing(probe)
+    whitening = _whitening(probe)
     return ObservedRows(
         name=probe.name,
         rows=rows,
-        measured=_mixed(mixing, displacement[rows, None])[:, 0],
+        measured=_pointwise(whitening, displacement[rows, None])[:, 0],
         unit=unit[rows],
         group=group[rows],
         start=start.astype(np.int64),
@@ -284,7 +298,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         response=probe.response,
         nuisances=probe.nuisances,
         settlement=probe.settlement,
-        mixing=mixing,
+        whitening=whitening,
         neighbours=_neighbours(probe, point, start, count),
         reference=probe.reference,
         considered=probe.considered,
@@ -298,23 +312,27 @@ def _neighbours(
     count: Int[np.ndarray, " p"],
 ) -> csr_array | None:
     """`ObservedRows.neighbours` of the points with all three components measured."""
-    whole = np.flatnonzero(count == 3)
-    whole = whole[point[whole] < len(probe.position)]
-    known = probe.correlation.among(point[whole], len(probe.position))
-    if not len(known.value):
+    complete = np.flatnonzero(count == 3)
+    complete = complete[point[complete] < len(probe.position)]
+    correlation = probe.correlation.among(point[complete], len(probe.position))
+    if not len(correlation.value):
         return None
-    first, second = ((start[whole][side, None] + np.arange(3)).ravel() for side in known.pair.T)
+    first, second = (
+        (start[complete][side, None] + np.arange(3)).ravel() for side in correlation.pair.T
+    )
     rows = int(start[-1] + count[-1])
-    upper = coo_array((np.repeat(known.value, 3), (first, second)), shape=(rows, rows)).tocsr()
+    upper = coo_array(
+        (np.repeat(correlation.value, 3), (first, second)), shape=(rows, rows)
+    ).tocsr()
     return csr_array(upper + upper.T)
 
 
-def _mixing(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"] | None:
-    """`ObservedRows.mixing` of the measured points."""
+def _whitening(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"] | None:
+    """`ObservedRows.whitening` of the measured points."""
     if probe.covariance is None:
         return None
-    known = probe.covariance[np.isfinite(probe.displacement).all(axis=1)]
-    value, vector = np.linalg.eigh(known)
+    covariance = probe.covariance[np.isfinite(probe.displacement).all(axis=1)]
+    value, vector = np.linalg.eigh(covariance)
     size = np.sqrt(value.mean(axis=1, keepdims=True) / value)
     return (vector * size[:, None, :]) @ vector.swapaxes(1, 2)
 

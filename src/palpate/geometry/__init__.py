@@ -15,6 +15,7 @@ from palpate.geometry.closest_point import (
 )
 from palpate.geometry.files import (
     MESH_SUFFIXES as MESH_SUFFIXES,
+    check_packed_arrays as check_packed_arrays,
     read_mesh as read_mesh,
     welded as welded,
     write_mesh as write_mesh,
@@ -24,7 +25,7 @@ from palpate.geometry.mesh_quality import (
     checked_mesh as checked_mesh,
     mesh_quality as mesh_quality,
 )
-from palpate.geometry.midpoints import (
+from palpate.geometry.midside_nodes import (
     QuadraticNodes as QuadraticNodes,
     displacement_nodes as displacement_nodes,
     free_nodes as free_nodes,
@@ -50,8 +51,8 @@ from palpate.geometry.registration import (
     check_registration as check_registration,
     compact_groups as compact_groups,
     free_motions_text as free_motions_text,
+    initial_pose as initial_pose,
     register as register,
-    rough_pose as rough_pose,
 )
 from palpate.geometry.self_intersection import intersecting_pairs as intersecting_pairs
 from palpate.geometry.sides import (
@@ -65,7 +66,7 @@ from palpate.geometry.triangle_mesh import (
     TriangleMesh as TriangleMesh,
     area_vectors as area_vectors,
     bounding_diagonal as bounding_diagonal,
-    connected_groups as connected_groups,
+    connected_components as connected_components,
     enclosed_volume as enclosed_volume,
     half_edges as half_edges,
     triangle_areas as triangle_areas,

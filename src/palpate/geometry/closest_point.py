@@ -12,7 +12,7 @@ from palpate.arrays import fixed_array, lengths
 from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
 
-_POINTS_A_BLOCK = 4096
+_POINTS_PER_BLOCK = 4096
 # Up to this many points, a loop is faster than setting up a `SurfaceSearch`.
 _FEW_POINTS = 4
 
@@ -57,8 +57,8 @@ class SurfaceSearch:
     def closest(self, points: Points) -> SurfacePoints:
         """Point of the surface nearest to each of n finite points; see `closest_points`."""
         triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
-        for begin in range(0, len(points), _POINTS_A_BLOCK):
-            block = slice(begin, begin + _POINTS_A_BLOCK)
+        for begin in range(0, len(points), _POINTS_PER_BLOCK):
+            block = slice(begin, begin + _POINTS_PER_BLOCK)
             triangle[block], barycentric[block] = _closest_in_block(self, points[block])
         return _surface_points(self.mesh, triangle, barycentric, points)
 

@@ -10,7 +10,7 @@ from palpate.geometry.self_intersection import intersecting_pairs
 from palpate.geometry.triangle_mesh import (
     HalfEdges,
     TriangleMesh,
-    connected_groups,
+    connected_components,
     enclosed_volume,
     half_edges,
     triangle_areas,
@@ -186,10 +186,10 @@ def _check_vertex_fans(mesh: TriangleMesh, halves: HalfEdges) -> None:
     end = np.where(along, following[opposite], opposite)
     own = np.arange(len(opposite))
     links = np.stack([np.concatenate([own, following]), np.concatenate([start, end])], axis=1)
-    count, group = connected_groups(links, len(opposite))
+    count, component = connected_components(links, len(opposite))
     if count == len(mesh.vertices):
         return
-    fans = np.unique(np.stack([halves.tail, group], axis=1), axis=0)[:, 0]
+    fans = np.unique(np.stack([halves.tail, component], axis=1), axis=0)[:, 0]
     pinched = np.flatnonzero(np.bincount(fans) > 1)
     raise MeshError(
         f"at {len(pinched)} vertices separate parts of the surface touch in a point, the first:"
@@ -199,10 +199,10 @@ def _check_vertex_fans(mesh: TriangleMesh, halves: HalfEdges) -> None:
 
 
 def _check_one_component(mesh: TriangleMesh, halves: HalfEdges) -> None:
-    count, group = connected_groups(halves.pairs() // 3, len(mesh.triangles))
+    count, component = connected_components(halves.pairs() // 3, len(mesh.triangles))
     if count > 1:
-        sizes = np.bincount(group)
-        firsts = np.unique(group, return_index=True)[1]
+        sizes = np.bincount(component)
+        firsts = np.unique(component, return_index=True)[1]
         raise MeshError(
             f"the surface has {count} separate components of {_first(np.sort(sizes)[::-1])}"
             f" triangles, their first triangles: {_first(firsts)}; keep one object: delete stray"
@@ -243,13 +243,13 @@ def _turned(mesh: TriangleMesh, halves: HalfEdges) -> Bool[np.ndarray, " m"]:
     links = np.concatenate(
         [np.stack([a, b + m * clash], axis=1), np.stack([a + m, b + m * ~clash], axis=1)]
     )
-    _, group = connected_groups(links, 2 * m)
-    if group[0] == group[m]:
+    _, component = connected_components(links, 2 * m)
+    if component[0] == component[m]:
         raise MeshError(
             "the surface is one-sided (like a Moebius strip): no choice of outward normals is"
             " consistent; make it the boundary of a solid in a mesh program"
         )
-    return group[:m] != group[0]
+    return component[:m] != component[0]
 
 
 def _check_self_intersection(mesh: TriangleMesh) -> None:

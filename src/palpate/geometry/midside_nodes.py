@@ -86,8 +86,8 @@ def side_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> Quadratic
     rows = _half_edge_weights(mesh, sides, rings)
     n_sides = sides.vertex.size
     half = np.arange(sides.edge.size).reshape(-1, 3)
-    midpoint = n_sides + np.where(sides.cut[sides.edge], half, np.minimum(half, sides.twin))
-    return QuadraticNodes(np.concatenate([sides.corner, midpoint], axis=1), n_sides, rows)
+    midside = n_sides + np.where(sides.cut[sides.edge], half, np.minimum(half, sides.twin))
+    return QuadraticNodes(np.concatenate([sides.corner, midside], axis=1), n_sides, rows)
 
 
 def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.errors import InputError
-from palpate.geometry.midpoints import displacement_nodes, interpolation_matrix
+from palpate.geometry.midside_nodes import displacement_nodes, interpolation_matrix
 from palpate.geometry.sides import split_sides
 from palpate.geometry.triangle_mesh import TriangleMesh
 from palpate.shapes import Triangles, Vertices
@@ -38,11 +38,11 @@ def refined_surface(mesh: TriangleMesh, *, pieces: int = 4) -> tuple[Vertices, T
     count = len(mesh.triangles)
     sides = split_sides(mesh, np.zeros(count, dtype=np.int64))
     nodes = displacement_nodes(mesh, sides)
-    place = interpolation_matrix(
+    interpolation = interpolation_matrix(
         nodes, np.repeat(np.arange(count), len(lattice)), np.tile(lattice, (count, 1))
     )
     triangles = small[None] + len(lattice) * np.arange(count)[:, None, None]
-    return np.asarray(place @ mesh.vertices), triangles.reshape(-1, 3)
+    return np.asarray(interpolation @ mesh.vertices), triangles.reshape(-1, 3)
 
 
 def piece_middles(pieces: int) -> Float[np.ndarray, "s 3"]:

@@ -5,9 +5,9 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 
-_PAIRS_A_BLOCK = 200_000
+_PAIRS_PER_BLOCK = 200_000
 # Relative to the bounding diagonal: far above rounding (1e-16), far below any real element.
-_TOUCH = 1e-10
+_TOLERANCE = 1e-10
 
 
 def intersecting_pairs(mesh: TriangleMesh) -> Int[np.ndarray, "k 2"]:
@@ -32,18 +32,18 @@ def intersecting_pairs(mesh: TriangleMesh) -> Int[np.ndarray, "k 2"]:
     single point in common.
     """
     corner = mesh.vertices[mesh.triangles] - mesh.vertices.mean(axis=0)
-    touch = _TOUCH * bounding_diagonal(mesh)
-    pairs = _box_pairs(corner, touch)
+    tolerance = _TOLERANCE * bounding_diagonal(mesh)
+    pairs = _box_pairs(corner, tolerance)
     found = [
-        block[~_apart(mesh, corner, block, touch)]
-        for block in np.split(pairs, np.arange(_PAIRS_A_BLOCK, len(pairs), _PAIRS_A_BLOCK))
+        block[~_separated(mesh, corner, block, tolerance)]
+        for block in np.split(pairs, np.arange(_PAIRS_PER_BLOCK, len(pairs), _PAIRS_PER_BLOCK))
     ]
     return np.concatenate(found)
 
 
-def _box_pairs(corner: Float[np.ndarray, "m 3 3"], touch: float) -> Int[np.ndarray, "p 2"]:
+def _box_pairs(corner: Float[np.ndarray, "m 3 3"], tolerance: float) -> Int[np.ndarray, "p 2"]:
     """Pairs of triangles whose boxes overlap, by a sweep along the longest axis."""
-    low, high = corner.min(axis=1) - touch, corner.max(axis=1) + touch
+    low, high = corner.min(axis=1) - tolerance, corner.max(axis=1) + tolerance
     axis = int(np.ptp(corner.reshape(-1, 3), axis=0).argmax())
     order = np.argsort(low[:, axis], kind="stable")
     low, high = low[order], high[order]
@@ -53,7 +53,7 @@ def _box_pairs(corner: Float[np.ndarray, "m 3 3"], touch: float) -> Int[np.ndarr
     begin = 0
     while begin < len(order):
         total = np.cumsum(count[begin:])
-        size = max(1, int(np.searchsorted(total, 10 * _PAIRS_A_BLOCK)))
+        size = max(1, int(np.searchsorted(total, 10 * _PAIRS_PER_BLOCK)))
         rows = np.arange(begin, min(begin + size, len(order)))
         first = np.repeat(rows, count[rows])
         start = np.cumsum(count[rows]) - count[rows]
@@ -64,28 +64,28 @@ def _box_pairs(corner: Float[np.ndarray, "m 3 3"], touch: float) -> Int[np.ndarr
     return np.sort(np.concatenate(found), axis=1)
 
 
-def _apart(
+def _separated(
     mesh: TriangleMesh,
     corner: Float[np.ndarray, "m 3 3"],
     pairs: Int[np.ndarray, "p 2"],
-    touch: float,
+    tolerance: float,
 ) -> Bool[np.ndarray, " p"]:
     """True where two triangles have nothing in common but shared vertices and edges."""
     a, b = sides = corner[pairs[:, 0]], corner[pairs[:, 1]]
     ids_a, ids_b = mesh.triangles[pairs[:, 0]], mesh.triangles[pairs[:, 1]]
     neighbours = (ids_a[:, :, None] == ids_b[:, None, :]).any(axis=(1, 2))
     # Largest overlap that counts as apart: neighbours may touch, other triangles must not.
-    limit = np.where(neighbours, touch, -touch)
+    limit = np.where(neighbours, tolerance, -tolerance)
     edge_a, edge_b = _edges(a), _edges(b)
     normal_a, normal_b = _normal(edge_a), _normal(edge_b)
     span_a = _overlap(a, b, normal_a)
     span_b = _overlap(a, b, normal_b)
-    flat = (_thickness(b, normal_a) <= touch) & (_thickness(a, normal_b) <= touch)
+    flat = (_thickness(b, normal_a) <= tolerance) & (_thickness(a, normal_b) <= tolerance)
     # Projections of coplanar triangles on their normals coincide, and separate nothing.
-    apart = np.where(flat, span_a < -touch, (span_a <= limit) | (span_b <= limit))
+    separated = np.where(flat, span_a < -tolerance, (span_a <= limit) | (span_b <= limit))
     # Most are by now; the others are tested on the axes in their planes and normal to both edges.
     for i in range(3):
-        left = np.flatnonzero(~apart)
+        left = np.flatnonzero(~separated)
         a, b, allowed = sides[0][left], sides[1][left], limit[left]
         along_a, along_b = edge_a[left, i], edge_b[left]
         found = _overlap(a, b, np.cross(normal_a[left], along_a)) <= allowed
@@ -93,8 +93,8 @@ def _apart(
         for j in range(3):
             across = _overlap(a, b, np.cross(along_a, along_b[:, j])) <= allowed
             found |= ~flat[left] & across
-        apart[left] = found
-    return apart
+        separated[left] = found
+    return separated
 
 
 def _edges(corner: Float[np.ndarray, "p 3 3"]) -> Float[np.ndarray, "p 3 3"]:
@@ -124,10 +124,10 @@ def _overlap(
 
 
 def _ends(
-    shadow: Float[np.ndarray, "p 3"],
+    projection: Float[np.ndarray, "p 3"],
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
     """Smallest and largest of three numbers; `min` over so short an axis is ten times slower."""
-    x, y, z = shadow.T
+    x, y, z = projection.T
     return np.minimum(np.minimum(x, y), z), np.maximum(np.maximum(x, y), z)
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Int
 
 from palpate.geometry.triangle_mesh import (
     TriangleMesh,
-    connected_groups,
+    connected_components,
     half_edges,
     unit_normals,
 )
@@ -72,7 +72,7 @@ def split_sides(
     across = twin[joined]
     corners = np.concatenate([joined, following[joined]])
     partners = np.concatenate([following[across], across])
-    count, label = connected_groups(np.stack([corners, partners], axis=1), edge.size)
+    count, label = connected_components(np.stack([corners, partners], axis=1), edge.size)
     vertex = np.empty(count, dtype=np.int64)
     vertex[label] = halves.tail
     return Sides(label.reshape(-1, 3), vertex, edge.reshape(-1, 3), twin.reshape(-1, 3), cut)
@@ -97,6 +97,6 @@ def cut_distance(
     cut = sides.cut[sides.edge[triangles]]
     corner = mesh.vertices[mesh.triangles[triangles]]
     start, along = corner[cut], (np.roll(corner, -1, axis=1) - corner)[cut]
-    share = np.einsum("ei,ei->e", point - start, along) / np.einsum("ei,ei->e", along, along)
-    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    fraction = np.einsum("ei,ei->e", point - start, along) / np.einsum("ei,ei->e", along, along)
+    nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * along
     return float(np.linalg.norm(nearest - point, axis=1).min(initial=np.inf))

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_array, csgraph
 
 from palpate.arrays import fixed_array
 from palpate.errors import MeshError
@@ -121,9 +120,10 @@ def vertex_normals(vertices: Vertices, triangles: Triangles) -> Vertices:
     """
     corner = vertices[triangles]
     area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    place = triangles.ravel()
+    corner_vertex = triangles.ravel()
     total = np.stack(
-        [np.bincount(place, np.repeat(area[:, k], 3), len(vertices)) for k in range(3)], axis=1
+        [np.bincount(corner_vertex, np.repeat(area[:, k], 3), len(vertices)) for k in range(3)],
+        axis=1,
     )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return total / np.where(length > 0.0, length, 1.0)
@@ -227,7 +227,7 @@ def half_edges(triangles: Triangles) -> HalfEdges:
     return HalfEdges(tail, following, edge.ravel(), ends, count)
 
 
-def connected_groups(links: Int[np.ndarray, "p 2"], count: int) -> tuple[int, Indices]:
+def connected_components(links: Int[np.ndarray, "p 2"], count: int) -> tuple[int, Indices]:
     """Connected components of a graph.
 
     Parameters
@@ -241,5 +241,5 @@ def connected_groups(links: Int[np.ndarray, "p 2"], count: int) -> tuple[int, In
     (count,) int              component of each item
     """
     graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    groups, label = connected_components(graph, directed=False)
-    return int(groups), label.astype(np.int64)
+    components, label = csgraph.connected_components(graph, directed=False)
+    return int(components), label.astype(np.int64)

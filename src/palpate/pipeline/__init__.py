@@ -51,9 +51,9 @@ from palpate.pipeline.motion_figures import (
     write_flow_document as write_flow_document,
 )
 from palpate.pipeline.observations import (
+    converged_observations as converged_observations,
     graded_observations as graded_observations,
     session_observations as session_observations,
-    settled_observations as settled_observations,
 )
 from palpate.pipeline.planning import (
     MeasurementPlan as MeasurementPlan,

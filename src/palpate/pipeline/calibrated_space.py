@@ -51,14 +51,12 @@ def with_stretch(
     if strains is None:
         return list(observations)
     return [
-        replace(one, nuisances=(*one.nuisances, SpaceStretch(strains, len(one.position))))
-        for one in observations
+        replace(probe, nuisances=(*probe.nuisances, SpaceStretch(strains, len(probe.position))))
+        for probe in observations
     ]
 
 
-def known_lengths(
-    session: Session, strains: Float[np.ndarray, "m 3 3"] | None
-) -> dict[str, object]:
+def length_error(session: Session, strains: Float[np.ndarray, "m 3 3"] | None) -> dict[str, object]:
     """Source and size of the relative error of lengths along x, y and z, for the result's settings.
 
     Parameters

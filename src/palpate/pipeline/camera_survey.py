@@ -124,19 +124,19 @@ def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
     state = method.start(rig, grey, session.mesh)
     # Match to the same picture with new noise: windows lost here cannot be tracked later, either.
     rng = np.random.default_rng(0)
-    again = [one + rng.normal(0.0, _NOISE, one.shape).astype(np.float32) for one in grey]
-    flow = method.follow(state, again)[1]
+    noisy = [levels + rng.normal(0.0, _NOISE, levels.shape).astype(np.float32) for levels in grey]
+    flow = method.follow(state, noisy)[1]
     vertices = method.vertices(flow, rig, session.mesh)
-    there = measured_vertices(vertices)
-    found = ViewSurvey(
+    measured = measured_vertices(vertices)
+    survey = ViewSurvey(
         points=len(flow.point),
         followed=int(is_valid(flow).sum()),
-        vertices=int(there.sum()),
-        windows=float(np.median(vertices.count[there])) if there.any() else 0.0,
-        structure=tuple(map(_structure, grey, state.scene.inner)),
+        vertices=int(measured.sum()),
+        windows=float(np.median(vertices.count[measured])) if measured.any() else 0.0,
+        structure=tuple(map(_structure, grey, state.scene.interior)),
     )
     names = [camera.name for camera in rig.cameras]
-    return found, (*remarks, *_view_doubts(found, flow, names, whose))
+    return survey, (*remarks, *_view_notes(survey, flow, names, whose))
 
 
 def _structure(
@@ -157,22 +157,22 @@ def _structure(
     return float(np.sqrt(np.mean(off**2) / max(float(np.mean(slope**2)), 1e-12)))
 
 
-def _view_doubts(found: ViewSurvey, flow: RangeFlow, names: list[str], whose: str) -> list[str]:
+def _view_notes(survey: ViewSurvey, flow: RangeFlow, names: list[str], whose: str) -> list[str]:
     """Defects of the first pictures, and what to do about them."""
     texts = []
-    if found.vertices == 0:
+    if survey.vertices == 0:
         causes = ", ".join(f"{count} {cause}" for cause, count in cause_counts(flow).items())
         texts.append(
-            f"No vertex could be measured in the pictures of {whose} ({found.points} windows:"
+            f"No vertex could be measured in the pictures of {whose} ({survey.points} windows:"
             f" {causes or 'none on the surface'})."
         )
     plain = int((flow.outcome == Outcome.TEXTURE).sum())
-    if plain > _MAX_PLAIN * max(found.points, 1):
+    if plain > _MAX_PLAIN * max(survey.points, 1):
         texts.append(
-            f"{100 * plain / found.points:.0f} % of the windows have too little texture to be"
+            f"{100 * plain / survey.points:.0f} % of the windows have too little texture to be"
             " followed: speckle the surface, or light it better."
         )
-    for name, length in zip(names, found.structure, strict=True):
+    for name, length in zip(names, survey.structure, strict=True):
         if length > _COARSEST:
             texts.append(
                 f"Camera {name}: structure of {length:.1f} px is coarse or out of focus; a sharp"
@@ -209,15 +209,22 @@ def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[st
     rig = read_rig(session.rig)
     instants = _instants(session)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = list(pool.map(partial(_look, session, rig), instants, instants.values()))
-    pictures, remarks = [each for each, _ in found], [text for _, notes in found for text in notes]
+        surveyed = list(
+            pool.map(partial(_survey_instant, session, rig), instants, instants.values())
+        )
+    pictures = [each for each, _ in surveyed]
+    remarks = [text for _, notes in surveyed for text in notes]
     _check_copies(session, rig, instants, pictures)
     surveys = tuple(
-        CameraSurvey(camera.name, _seen_share(session, rig, k), tuple(each[k] for each in pictures))
+        CameraSurvey(
+            camera.name, _visible_fraction(session, rig, k), tuple(each[k] for each in pictures)
+        )
         for k, camera in enumerate(rig.cameras)
     )
-    doubts = [f"Camera {survey.name}: {text}" for survey in surveys for text in _doubts(survey)]
-    return surveys, tuple(dict.fromkeys([*remarks, *doubts]))
+    camera_notes = [
+        f"Camera {survey.name}: {text}" for survey in surveys for text in _picture_notes(survey)
+    ]
+    return surveys, tuple(dict.fromkeys([*remarks, *camera_notes]))
 
 
 def _instants(session: Session) -> dict[str, str]:
@@ -230,18 +237,18 @@ def _instants(session: Session) -> dict[str, str]:
     return whose
 
 
-def _look(
+def _survey_instant(
     session: Session, rig: Rig, pattern: str, whose: str
 ) -> tuple[list[PictureSurvey], tuple[str, ...]]:
     """Figures of all cameras' pictures at one instant, and notes about them."""
-    found = read_pictures(rig, pattern, folder=session.path.parent, what=whose)
+    read = read_pictures(rig, pattern, folder=session.path.parent, what=whose)
     pictures = []
-    for grey, saturated in zip(found.grey, found.saturated, strict=True):
+    for grey, saturated in zip(read.grey, read.saturated, strict=True):
         low, high = np.percentile(grey[::4, ::4], (1.0, 99.0))
         digest = blake2b(grey.tobytes(), digest_size=16).digest()
         size = grey.shape[1], grey.shape[0]
         pictures.append(PictureSurvey(size, (float(low), float(high)), saturated, digest))
-    return pictures, found.notes
+    return pictures, read.notes
 
 
 def _check_copies(
@@ -264,7 +271,7 @@ def _check_copies(
                 )
 
 
-def _seen_share(session: Session, rig: Rig, k: int) -> float:
+def _visible_fraction(session: Session, rig: Rig, k: int) -> float:
     """Fraction of the mesh's vertices in a camera's picture; NaN where its size is not known."""
     camera = rig.cameras[k]
     if camera.size is None:
@@ -273,7 +280,7 @@ def _seen_share(session: Session, rig: Rig, k: int) -> float:
     return float(((pixel >= 0) & (pixel < camera.size)).all(axis=1).mean())
 
 
-def _doubts(survey: CameraSurvey) -> list[str]:
+def _picture_notes(survey: CameraSurvey) -> list[str]:
     """What makes a camera's pictures hard to track."""
     texts = []
     if survey.sees == 0.0:

@@ -18,7 +18,7 @@ from palpate.estimation import (
     ProbeObservations,
     fit,
 )
-from palpate.pipeline.calibrated_space import calibration_strains, known_lengths, with_stretch
+from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
 from palpate.pipeline.model import (
     ObjectModel,
     fit_at_finite_strain,
@@ -27,11 +27,11 @@ from palpate.pipeline.model import (
     largest_change,
     make_object_model,
     resolved_session,
-    touched_session,
+    with_contact_radii,
 )
 from palpate.pipeline.observations import (
-    coarser_observations,
-    settled_observations,
+    converged_observations,
+    ungraded_observations,
     with_considered_errors,
 )
 from palpate.pipeline.rejections import rejection_note, rejections
@@ -51,11 +51,11 @@ _GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
 _OWN = 0.4
 # Contact radii vary only with the cube root of the modulus, so they converge with the constants.
 # The relative tolerance is a tenth of the prior standard deviation of such a radius.
-_MOST_TOUCHES, _TOUCH_SETTLED = 6, 0.005
+_MOST_RADIUS_ROUNDS, _RADIUS_TOLERANCE = 6, 0.005
 # At one half the formulae of the contact have a removable singularity.
 _LARGEST_RATIO = 0.4999
 # A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
-_LARGE_TURN = 5e-3
+_LARGE_ROTATION = 5e-3
 
 
 def fit_session(
@@ -95,8 +95,8 @@ def fit_session(
     progress("the given mesh", 0.0)
     resolved = resolved_session(session, surface=surface)
     # First, so that its memory is free again before the graded model is made.
-    beside = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
-    resolved, coarser = _beside_given_mesh(resolved, settings, surface, cache, beside)
+    report = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
+    resolved, ungraded = _on_ungraded_mesh(resolved, settings, surface, cache, report)
     compared = time.perf_counter()
     progress("integrals over the surface", _GRADED)
     graded = graded_session(resolved, surface=surface)
@@ -104,8 +104,8 @@ def fit_session(
     model = make_object_model(graded, surface=surface, cache=cache, progress=integrals)
     assembled = time.perf_counter()
     progress("factorisation", _ASSEMBLED)
-    observations = settled_observations(
-        graded, model, settings=settings, coarser=coarser, with_surface=True
+    observations = converged_observations(
+        graded, model, settings=settings, coarser=ungraded, with_surface=True
     )
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
@@ -131,7 +131,7 @@ def fit_session(
             **result.estimate.settings,
             "surface": asdict(surface),
             "finite_strain": finite_strain,
-            "lengths": known_lengths(session, strains),
+            "lengths": length_error(session, strains),
             **_described(session, resolved, graded),
         },
     )
@@ -143,16 +143,19 @@ def _notes(
 ) -> list[str]:
     """Notes from the session, its support motions, its contacts and its pictures."""
     # A warning of bias does not apply where finite strain is corrected for.
-    told = [note for note in session.notes if not (finite_strain and BIASED in note)]
-    return [*told, *_turn_notes(probes), *_touch_notes(resolved), *_rejection_notes(session)]
+    notes = [note for note in session.notes if not (finite_strain and BIASED in note)]
+    notes += _rotation_notes(probes) + _contact_radius_notes(resolved)
+    return notes + _rejection_notes(session)
 
 
 def _described(session: Session, resolved: Session, graded: Session) -> dict[str, Any]:
     """Prior errors and assumed forces of a session, and the sizes of its meshes."""
     return {
         "errors": asdict(session.errors),
-        "vertices": [len(one.mesh.vertices) for one in (session, resolved, graded)],
-        "assumed_forces": [one.name for one in session.probings if one.force_std is None],
+        "vertices": [len(each.mesh.vertices) for each in (session, resolved, graded)],
+        "assumed_forces": [
+            probing.name for probing in session.probings if probing.force_std is None
+        ],
     }
 
 
@@ -160,11 +163,12 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
     """Surfaces restricted to the vertices of the given mesh, which come first in the graded one."""
     count = len(session.mesh.vertices)
     return tuple(
-        one if one.surface is None else replace(one, surface=one.surface[:count]) for one in probes
+        probe if probe.surface is None else replace(probe, surface=probe.surface[:count])
+        for probe in probes
     )
 
 
-def _beside_given_mesh(
+def _on_ungraded_mesh(
     session: Session,
     settings: FitSettings,
     surface: SurfaceSettings,
@@ -173,21 +177,21 @@ def _beside_given_mesh(
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with the contact radii of its tools, and its observations with the model of the
     mesh before grading."""
-    own = part_of(progress, 0.0, _OWN)
+    report = part_of(progress, 0.0, _OWN)
     if has_tools(session):
-        session, seen = _with_touched_circles(session, settings, surface, cache, own)
+        session, observations = _with_consistent_radii(session, settings, surface, cache, report)
     else:
         # The model is not kept, so that its memory is free before the next model is made.
-        seen = coarser_observations(
-            session, settings=settings, surface=surface, cache=cache, progress=own
+        observations = ungraded_observations(
+            session, settings=settings, surface=surface, cache=cache, progress=report
         )[1]
     return session, with_considered_errors(
-        session, seen, settings=settings, surface=surface, cache=cache,
+        session, observations, settings=settings, surface=surface, cache=cache,
         progress=part_of(progress, _OWN, 1.0),
     )  # fmt: skip
 
 
-def _with_touched_circles(
+def _with_consistent_radii(
     session: Session,
     settings: FitSettings,
     surface: SurfaceSettings,
@@ -197,75 +201,75 @@ def _with_touched_circles(
     """A session with contact radii that are consistent with the constants fitted to it, and its
     observations with the model of the mesh before grading."""
     model = None
-    for turn in range(_MOST_TOUCHES):
+    for iteration in range(_MOST_RADIUS_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
-        model, observations = coarser_observations(
+        model, observations = ungraded_observations(
             session, settings=settings, surface=surface, cache=cache, like=model,
-            progress=part_of(progress, 1.0 - 0.5**turn, 1.0 - 0.5 ** (turn + 1)),
+            progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
         )  # fmt: skip
-        found = fit(observations, settings=settings).estimate
-        touched = touched_session(
+        estimate = fit(observations, settings=settings).estimate
+        updated = with_contact_radii(
             session,
-            shear_modulus=found.shear_modulus.value,
-            poisson_ratio=min(found.poisson_ratio.value, _LARGEST_RATIO),
+            shear_modulus=estimate.shear_modulus.value,
+            poisson_ratio=min(estimate.poisson_ratio.value, _LARGEST_RATIO),
         )
-        if largest_change(session, touched) < _TOUCH_SETTLED:
+        if largest_change(session, updated) < _RADIUS_TOLERANCE:
             return session, observations
-        session = touched
+        session = updated
     raise NotConvergedError(
-        f"the circles that the tools touch still change after {_MOST_TOUCHES} fits: the force and"
-        " the displacements do not belong together; check tool_radius and the unit of the force"
+        f"the circles that the tools touch still change after {_MOST_RADIUS_ROUNDS} fits: the force"
+        " and the displacements do not belong together; check tool_radius and the unit of the force"
     )
 
 
-def _turn_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
+def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
     """Notes on rotations of supports that are not small."""
     notes = []
     for probe in probes:
         for support in probe.supports:
-            turn = float(np.linalg.norm(support.rotation))
-            if turn > _LARGE_TURN:
+            rotation = float(np.linalg.norm(support.rotation))
+            if rotation > _LARGE_ROTATION:
                 notes.append(
-                    f"Support {support.support} turned by {turn:.2g} rad in probing {probe.name!r}."
-                    " Displacements are taken as linear in the turn, which leaves a false strain of"
-                    f" {0.5 * turn**2:.1g} across its axis: where that counts, turn the measured"
-                    " displacements back first."
+                    f"Support {support.support} turned by {rotation:.2g} rad in probing"
+                    f" {probe.name!r}. Displacements are taken as linear in the turn, which leaves"
+                    f" a false strain of {0.5 * rotation**2:.1g} across its axis: where that"
+                    " counts, turn the measured displacements back first."
                 )
     return notes
 
 
-def _touch_notes(session: Session) -> list[str]:
+def _contact_radius_notes(session: Session) -> list[str]:
     """A note on the contact radii computed for the tools."""
-    touched = [
-        f"{1e3 * radius:.3g} mm in {one.name}"
-        for one in session.probings
-        if one.contact.tool is not None and (radius := one.contact.radius) is not None
+    radii = [
+        f"{1e3 * radius:.3g} mm in {probing.name}"
+        for probing in session.probings
+        if probing.contact.tool is not None and (radius := probing.contact.radius) is not None
     ]
-    return [f"Radius that the tool touches: {', '.join(touched)}."] if touched else []
+    return [f"Radius that the tool touches: {', '.join(radii)}."] if radii else []
 
 
 def _rejection_notes(session: Session) -> list[str]:
     """A note on points that could not be tracked in the pictures."""
-    found = rejections(session)
-    return [rejection_note(found)] if any(one.lost for one in found) else []
+    counts = rejections(session)
+    return [rejection_note(counts)] if any(each.lost for each in counts) else []
 
 
 def _probe_estimates(model: ObjectModel, result: FitResult) -> tuple[ProbeEstimate, ...]:
     """The result's probe estimates, with the motions of their supports."""
     return tuple(
-        replace(one, supports=_support_estimates(model, k, result.probes[k]))
-        for k, one in enumerate(result.estimate.probes)
+        replace(probe, supports=_support_estimates(model, k, result.probes[k]))
+        for k, probe in enumerate(result.estimate.probes)
     )
 
 
 def _support_estimates(
-    model: ObjectModel, index: int, found: ProbeFit
+    model: ObjectModel, index: int, fitted: ProbeFit
 ) -> tuple[SupportEstimate, ...]:
     """Motions of the supports in a probing; NaN for translations of a support that is pulled."""
-    lifts = model.lifts(index)
-    left = [j for j in range(6 * len(model.supports)) if j not in lifts]
+    pulled = model.pulled_translations(index)
+    rest = [j for j in range(6 * len(model.supports)) if j not in pulled]
     value, std = np.full((2, 6 * len(model.supports)), np.nan)
-    value[left], std[left] = found.motion[: len(left)], found.motion_std[: len(left)]
+    value[rest], std[rest] = fitted.motion[: len(rest)], fitted.motion_std[: len(rest)]
     estimates = []
     for support, moved, error in zip(
         model.supports, value.reshape(-1, 2, 3), std.reshape(-1, 2, 3), strict=True

@@ -213,10 +213,10 @@ def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
     ------
     InputError                      a probing whose pictures could not be used or show no motion
     """
-    found = {motion.probing: motion for motion in flow.motions if motion.last}
+    by_probing = {motion.probing: motion for motion in flow.motions if motion.last}
     probings = tuple(
-        replace(probing, displacement=_displacement_field(session, found[probing.name]))
-        if probing.displacement is None and probing.name in found
+        replace(probing, displacement=_displacement_field(session, by_probing[probing.name]))
+        if probing.displacement is None and probing.name in by_probing
         else probing
         for probing in session.probings
     )
@@ -263,7 +263,7 @@ def _followed(
 ) -> Iterator[tuple[MeasuredMotion, tuple[str, ...]]]:
     """Motions of one sequence in temporal order, with notes on their pictures."""
     rig, reference, state = start
-    begun = {name: getattr(state, name) for name in getattr(state, "__dataclass_fields__", ())}
+    initial = {name: getattr(state, name) for name in getattr(state, "__dataclass_fields__", ())}
     for instant in later:
         head = instant.name, probing, instant.last, reference
         try:
@@ -271,10 +271,10 @@ def _followed(
         except InputError as error:
             yield MeasuredMotion(*head, None, None, str(error)), ()
             continue
-        known = begun | {f"picture {c}": grey for c, grey in enumerate(pictures.grey)}
+        inputs = initial | {f"picture {c}": grey for c, grey in enumerate(pictures.grey)}
         estimated = instant.last and probing is not None
         follow = partial(_follow, method, state, pictures, rig, session.mesh, estimated)
-        state, flow, vertices = parts.kept(f"{probing} {instant.name}", follow, known)
+        state, flow, vertices = parts.kept(f"{probing} {instant.name}", follow, inputs)
         yield MeasuredMotion(*head, flow, vertices, None), pictures.notes
 
 
@@ -289,8 +289,8 @@ def _follow(
     """Measure one instant: the method's state, the range flow and the vertices' displacement, with
     its window average where constants are estimated from it."""
     after, flow = method.follow(state, pictures.grey)
-    found = method.vertices(flow, rig, mesh)
-    return after, flow, method.averaged(found, flow, rig, mesh) if estimated else found
+    moved = method.vertices(flow, rig, mesh)
+    return after, flow, method.averaged(moved, flow, rig, mesh) if estimated else moved
 
 
 def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:

@@ -93,10 +93,10 @@ def motion_figures(motion: MeasuredMotion, rig: Rig, seen: Flags) -> MotionFigur
             noise=dict.fromkeys(cameras, math.nan),
         )
     valid = is_valid(flow)
-    known, covariance = np.zeros_like(seen), none
+    measured, covariance = np.zeros_like(seen), none
     if motion.vertices is not None:
-        known = measured_vertices(motion.vertices)
-        covariance = motion.vertices.covariance[known]
+        measured = measured_vertices(motion.vertices)
+        covariance = motion.vertices.covariance[measured]
     return MotionFigures(
         name=motion.name,
         probing=motion.probing,
@@ -105,7 +105,7 @@ def motion_figures(motion: MeasuredMotion, rig: Rig, seen: Flags) -> MotionFigur
         points=len(valid),
         valid=int(valid.sum()),
         rejected=cause_counts(flow),
-        vertices={"seen": int((seen | known).sum()), "measured": int(known.sum())},
+        vertices={"seen": int((seen | measured).sum()), "measured": int(measured.sum())},
         median_displacement=known_median(np.linalg.norm(flow.displacement[valid], axis=1)),
         median_sigma=_median_sigma(flow.covariance[valid], camera),
         median_vertex_sigma=_median_sigma(covariance, camera),

@@ -70,8 +70,8 @@ def posed_rig(
     if choice == "given":
         return rig, checked.notes
     stereo = stereo_points(prepared)
-    found = register_object(rig, stereo, smooth_surface(mesh))
-    if found is None:
+    registration = register_object(rig, stereo, smooth_surface(mesh))
+    if registration is None:
         count = int(near_object(stereo.point, mesh).sum())
         if choice == "auto":
             return rig, (*checked.notes, _unchecked(count))
@@ -80,12 +80,12 @@ def posed_rig(
             " is the object in view of two cameras, and the guess of its pose within 5 degrees and"
             " 20 mm?"
         )
-    free = free_motions_text(found)
-    left = (_free_note(free),) if free else ()
-    if choice == "auto" and _agrees(found, _distance(stereo, mesh)):
-        return rig, (*checked.notes, *left)
-    posed, note = _registered(rig, found)
-    return posed, (*checked.notes, note, *left)
+    free = free_motions_text(registration)
+    free_notes = (_free_note(free),) if free else ()
+    if choice == "auto" and _agrees(registration, _distance(stereo, mesh)):
+        return rig, (*checked.notes, *free_notes)
+    posed, note = _registered(rig, registration)
+    return posed, (*checked.notes, note, *free_notes)
 
 
 def _free_note(free: str) -> str:
@@ -96,41 +96,44 @@ def _free_note(free: str) -> str:
     return f"the shape is symmetric about {axes}, so rotation is kept as given"
 
 
-def _agrees(found: Registration, distance: float) -> bool:
+def _agrees(registration: Registration, distance: float) -> bool:
     """Whether the given pose explains the stereo points as well as the registered one.
 
     `distance` [m] is the median distance of the points from the mesh in the given pose.
     """
-    if not found.converged:
-        return distance < _MAX_MEDIAN_RESIDUAL * found.residual
-    middle = found.T_mesh_points @ np.append(found.centre, 1.0)
-    shift = float(np.linalg.norm(middle[:3] - found.centre))
-    moved = np.hypot(shift, _turn(found.T_mesh_points) * found.size)
-    return bool(moved < max(_MIN_SIGNIFICANCE * found.weakest_std, _MIN_MOVE * found.diagonal))
+    if not registration.converged:
+        return distance < _MAX_MEDIAN_RESIDUAL * registration.residual
+    centre = registration.T_mesh_points @ np.append(registration.centre, 1.0)
+    shift = float(np.linalg.norm(centre[:3] - registration.centre))
+    moved = np.hypot(shift, _rotation_angle(registration.T_mesh_points) * registration.size)
+    return bool(
+        moved < max(_MIN_SIGNIFICANCE * registration.weakest_std, _MIN_MOVE * registration.diagonal)
+    )
 
 
-def _turn(pose: Float[np.ndarray, "4 4"]) -> float:
+def _rotation_angle(pose: Float[np.ndarray, "4 4"]) -> float:
     """Angle of a rigid motion [rad]."""
     return float(np.arccos(np.clip((np.trace(pose[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
 
 
-def _registered(rig: Rig, found: Registration) -> tuple[Rig, str]:
+def _registered(rig: Rig, registration: Registration) -> tuple[Rig, str]:
     """The rig with the registered pose of the object, and a note on it."""
     try:
-        check_registration(found)
+        check_registration(registration)
     except CalibrationError as error:
         raise CalibrationError(
             f"{rig.source}: {error} (`--pose given` takes the rig's pose as it is)"
         ) from error
-    back = np.linalg.inv(found.T_mesh_points)
-    middle = found.centre - (back @ np.append(found.centre, 1.0))[:3]
+    back = np.linalg.inv(registration.T_mesh_points)
+    shift = registration.centre - (back @ np.append(registration.centre, 1.0))[:3]
     note = (
-        f"the object was registered: turned by {np.degrees(_turn(back)):.2f} degrees and shifted by"
-        f" {1e3 * np.linalg.norm(middle):.2f} mm from where the rig has it; stereo points lie"
-        f" {1e3 * found.residual:.2g} mm rms off the mesh, the pose is known to"
-        f" {1e3 * found.weakest_std:.2g} mm in its weakest direction"
+        "the object was registered: turned by"
+        f" {np.degrees(_rotation_angle(back)):.2f} degrees and shifted by"
+        f" {1e3 * np.linalg.norm(shift):.2f} mm from where the rig has it; stereo points lie"
+        f" {1e3 * registration.residual:.2g} mm rms off the mesh, the pose is known to"
+        f" {1e3 * registration.weakest_std:.2g} mm in its weakest direction"
     )
-    return object_frame(rig, found), note
+    return object_frame(rig, registration), note
 
 
 def _distance(stereo: StereoPoints, mesh: TriangleMesh) -> float:
@@ -147,11 +150,11 @@ def _check_view(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], mesh: Tr
         with np.errstate(invalid="ignore"):
             inside = ((pixel >= 0.0) & (pixel <= [columns - 1, rows - 1])).all(axis=1)
         if not inside.any():
-            seen = np.nanmedian(pixel, axis=0) if np.isfinite(pixel).any() else [np.nan, np.nan]
+            middle = np.nanmedian(pixel, axis=0) if np.isfinite(pixel).any() else [np.nan, np.nan]
             raise CalibrationError(
                 f"{rig.source}: camera '{camera.name}' does not see the object: none of its"
                 f" {len(pixel)} vertices is in the picture of {columns} x {rows} pixels (their"
-                f" middle is at {seen[0]:.0f}, {seen[1]:.0f}); check R, t and the length units"
+                f" middle is at {middle[0]:.0f}, {middle[1]:.0f}); check R, t and the length units"
             )
 
 

@@ -22,7 +22,7 @@ from palpate.geometry import bounding_diagonal, interpolation_matrix
 from palpate.pipeline.model import (
     check_balance,
     compliances,
-    giving_supports,
+    compliant_supports,
     graded_session,
     held_directions,
     resolved_session,
@@ -101,32 +101,36 @@ def poke_session(
                                         support, a point outside or too close to the surface
     SingularSystemError                 the support does not hold the object
     """
-    say = progress or silent
-    say("integrals over the surface", 0.0)
-    dense = bool(giving_supports(session))
+    report = progress or silent
+    # A point off the surface is refused before the integrals are computed.
+    find_contact_patch(
+        session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
+    )
+    report("integrals over the surface", 0.0)
+    dense = bool(compliant_supports(session))
     session, system = held_object(session, surface=surface, cache=cache, dense=dense)
     patch = find_contact_patch(
         session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
     )
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
-    say("factorisation", 0.6)
+    report("factorisation", 0.6)
     elastic_map = make_elastic_map(
         system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio,
         springs=session_springs(session, system), compliance=compliances(session),
     )  # fmt: skip
     load = surface_load(patch)
     (state,) = elastic_map.respond([load], force[None])
-    say("interior points", 0.8)
+    report("interior points", 0.8)
     inside = None if interior is None else interior_state(elastic_map, load, force, interior)
     at_contact = interpolation_matrix(
         system.surface.displacement, np.array([patch.triangle]), patch.barycentric[None]
     )
-    most = int(np.argmax(np.linalg.norm(state.displacement, axis=1)))
+    farthest = int(np.argmax(np.linalg.norm(state.displacement, axis=1)))
     return PokedState(
         contact=contact,
         displacement=(at_contact @ state.displacement)[0],
-        largest=state.displacement[most],
-        largest_point=session.mesh.vertices[most],
+        largest=state.displacement[farthest],
+        largest_point=session.mesh.vertices[farthest],
         reaction=state.reaction,
         interior=inside,
     )

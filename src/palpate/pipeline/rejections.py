@@ -69,20 +69,20 @@ def rejections(session: Session) -> tuple[Rejections, ...]:
     )
 
 
-def rejection_note(found: Sequence[Rejections]) -> str:
+def rejection_note(counts: Sequence[Rejections]) -> str:
     """Note on the number and location of lost vertices, and whether that is usual.
 
     Parameters
     ----------
-    found : sequence of Rejections      at least one
+    counts : sequence of Rejections     at least one
 
     Returns
     -------
     str
     """
-    seen, lost = (sum(getattr(one, name) for one in found) for name in ("seen", "lost"))
+    seen, lost = (sum(getattr(each, name) for each in counts) for name in ("seen", "lost"))
     tool, oblique, view = (
-        sum(getattr(one, name) for one in found) for name in ("near_tool", "oblique", "in_view")
+        sum(getattr(each, name) for each in counts) for name in ("near_tool", "oblique", "in_view")
     )
     text = (
         f"{lost} of {seen} vertices that a camera saw were not measured"
@@ -106,8 +106,8 @@ def _rejections(probing: Probing, rig: Rig, normals: Points) -> Rejections:
     # A contact without a radius hides nothing.
     reach = TOOL_RADII * (probing.contact.radius or 0.0)
     near = np.linalg.norm(field.points - probing.contact.point, axis=1) < reach
-    turned = ~near & ~_faced(field.points, normals, rig)
-    counts = [int((lost & where).sum()) for where in (near, turned, ~near & ~turned)]
+    inclined = ~near & ~_faced(field.points, normals, rig)
+    counts = [int((lost & where).sum()) for where in (near, inclined, ~near & ~inclined)]
     return Rejections(probing.name, len(lost), *counts)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from palpate.arrays import known_median
 from palpate.bem import LARGEST_DENSE, memory_needed
 from palpate.geometry import triangle_distances, unit_normals
-from palpate.pipeline.model import giving_supports
+from palpate.pipeline.model import compliant_supports
 from palpate.records import DisplacementField, Probing, Session, observed_rows
 
 # Within this many contact radii a push shows as an indentation, farther away only as bending.
@@ -112,22 +112,22 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
     elements = contact.radius / edge if contact.radius else np.nan
     if field is None:
         return ProbingSurvey(probing.name, len(patch), elements, 0, 0, np.nan, np.nan, np.nan, 0)
-    found, measured = survey_field(field), observed_rows(field)
-    moved = field.displacement[measured]
+    counts, measured = survey_field(field), observed_rows(field)
+    displacement = field.displacement[measured]
     normal = unit_normals(mesh)[field.surface.triangle[measured]]
-    along = moved - np.einsum("na,na->n", moved, normal)[:, None] * normal
+    tangential = displacement - np.einsum("na,na->n", displacement, normal)[:, None] * normal
     sigma = np.nan if field.std is None else field.std[measured].mean(axis=1)
-    away = np.linalg.norm(field.points[measured] - contact.point, axis=1)
+    distance = np.linalg.norm(field.points[measured] - contact.point, axis=1)
     return ProbingSurvey(
         name=probing.name,
         patch_triangles=len(patch),
         elements_per_radius=elements,
-        observed=found.observed,
-        missing=found.missing,
-        median_displacement=found.median_displacement,
-        signal_to_noise=known_median(np.linalg.norm(moved, axis=1) / sigma),
-        tangential_signal=known_median(np.linalg.norm(along, axis=1) / sigma),
-        near=int((away < NEAR_RADII * (contact.radius or edge)).sum()),
+        observed=counts.observed,
+        missing=counts.missing,
+        median_displacement=counts.median_displacement,
+        signal_to_noise=known_median(np.linalg.norm(displacement, axis=1) / sigma),
+        tangential_signal=known_median(np.linalg.norm(tangential, axis=1) / sigma),
+        near=int((distance < NEAR_RADII * (contact.radius or edge)).sum()),
     )
 
 
@@ -146,10 +146,10 @@ def size_notes(session: Session) -> list[str]:
     if count <= _LARGE or not session.probings:
         return []
     rollers = any(support.directions is not None for support in session.supports)
-    gives = bool(giving_supports(session))
-    memory = memory_needed(count, len(session.probings), rollers=rollers, dense=gives)
+    compliant = bool(compliant_supports(session))
+    memory = memory_needed(count, len(session.probings), rollers=rollers, dense=compliant)
     minutes = count / _COMPRESSED_MINUTE
-    if count <= LARGEST_DENSE or rollers or gives:
+    if count <= LARGEST_DENSE or rollers or compliant:
         minutes = (count / _DENSE_MINUTE) ** 2
     text = (
         f"The mesh has {count} vertices: a fit will take about {minutes:.0f} minutes and"

@@ -1,12 +1,12 @@
-"""What a tool does to the object, and the plain compression test beside it.
+"""Contact of a tool with the object, and the uniaxial compression test of a cylinder.
 
 Purpose    : the triangles under a tool and the pressure there; the contact circle of a tool;
              Young's modulus of a compressed cylinder, with a 95 % interval.
 Takes      : a mesh and a `Contact`; files of testing machines, or shortening and force.
-Gives      : `ContactPatch`, `Touch`; `CompressionResult` per specimen, `CompressionSeries` over
-             several.
+Gives      : `ContactPatch`, `ContactCircle`; `CompressionResult` per specimen, `CompressionSeries`
+             over several.
 Depends on : `records`, `geometry`, `shapes`, `errors`.
-Read first : `contact_patch.py`, `touch.py`, then `compression_test.py`.
+Read first : `contact_patch.py`, `contact_circle.py`, then `compression_test.py`.
 """
 
 from palpate.probe.compression_files import (
@@ -22,13 +22,13 @@ from palpate.probe.compression_test import (
     compression_test as compression_test,
     gent_lindley_factor as gent_lindley_factor,
 )
+from palpate.probe.contact_circle import (
+    ContactCircle as ContactCircle,
+    contact_circle as contact_circle,
+    inward_force as inward_force,
+    surface_curvature as surface_curvature,
+)
 from palpate.probe.contact_patch import (
     ContactPatch as ContactPatch,
     find_contact_patch as find_contact_patch,
-)
-from palpate.probe.touch import (
-    Touch as Touch,
-    inward_push as inward_push,
-    surface_curvature as surface_curvature,
-    touch as touch,
 )

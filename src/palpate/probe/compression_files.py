@@ -125,8 +125,8 @@ def read_compression(
     scale = _unit(columns[0], METRES, displacement_unit, "mm", "displacement", notes)
     force_scale = _unit(columns[1], NEWTONS, force_unit, "N", "force", notes)
     return CompressionRecord(
-        displacement=_turned(values[:, 0] * scale, "displacement", notes),
-        force=_turned(values[:, 1] * force_scale, "force", notes),
+        displacement=_compression_positive(values[:, 0] * scale, "displacement", notes),
+        force=_compression_positive(values[:, 1] * force_scale, "force", notes),
         source=str(path),
         diameter=_size_above(table.preamble, "diameter"),
         height=_size_above(table.preamble, "height"),
@@ -235,7 +235,7 @@ def _unit(
     return known[usual]
 
 
-def _turned(values: PointScalars, what: str, notes: list[str]) -> PointScalars:
+def _compression_positive(values: PointScalars, what: str, notes: list[str]) -> PointScalars:
     """Values with compression positive: the sign of a mostly negative column is reversed."""
     if len(values) and values[np.argmax(np.abs(values))] < 0 and np.median(values) < 0:
         notes.append(f"The {what} is negative in the file; its sign was turned.")

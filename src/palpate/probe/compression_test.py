@@ -91,7 +91,7 @@ def compression_test(
     """Young's modulus of a cylinder from its shortening under a growing force.
 
     A straight line with a free intercept is fitted to stress against strain inside `strain_range`.
-    Its interval does not assume independent readings (see `slope_deviation`).
+    Its interval does not assume independent readings (see `slope_std`).
 
     Parameters
     ----------
@@ -127,17 +127,17 @@ def compression_test(
             f"{where}the force does not rise while the cylinder is pressed (slope {slope:.4g} Pa); "
             "compression and its force must both be positive: check the signs of the columns"
         )
-    deviation, freedom = slope_deviation(strain, stress)
-    half_width = float(stdtrit(freedom, 0.975)) * deviation
-    sizes = slope * np.hypot(2 * dimension_std[0] / diameter, dimension_std[1] / height)
-    half_width = float(np.hypot(half_width, ndtri(0.975) * sizes))
+    fitted_std, degrees_of_freedom = slope_std(strain, stress)
+    half_width = float(stdtrit(degrees_of_freedom, 0.975)) * fitted_std
+    dimension_part = slope * np.hypot(2 * dimension_std[0] / diameter, dimension_std[1] / height)
+    half_width = float(np.hypot(half_width, ndtri(0.975) * dimension_part))
     residual = stress - (intercept + slope * strain)
     half = len(strain) // 2
     lower, _ = _line(strain[: half + 1], stress[: half + 1])
     upper, _ = _line(strain[half:], stress[half:])
     return CompressionResult(
         young_modulus=slope,
-        std=float(np.hypot(deviation, sizes)),
+        std=float(np.hypot(fitted_std, dimension_part)),
         ci95=(slope - half_width, slope + half_width),
         strain_range=(float(strain_range[0]), float(strain_range[1])),
         readings=len(strain),
@@ -203,7 +203,7 @@ def gent_lindley_factor(diameter: float, height: float) -> float:
     return 1.0 + 2.0 * (diameter / (4.0 * height)) ** 2
 
 
-def slope_deviation(strain: PointScalars, stress: PointScalars) -> tuple[float, int]:
+def slope_std(strain: PointScalars, stress: PointScalars) -> tuple[float, int]:
     """Standard deviation of a fitted slope when the errors of neighbouring readings are correlated.
 
     Departures from the line are slow (curvature, drift, stick-slip), so n readings are not n
@@ -227,13 +227,13 @@ def slope_deviation(strain: PointScalars, stress: PointScalars) -> tuple[float, 
     Sun, J. Econometrics 178 (2014) 659-677; here with polynomials in place of cosines because
     these stay orthogonal to a fitted line.
     """
-    shapes = min(SLOW_POLYNOMIALS, len(strain) - 2)
+    n_polynomials = min(SLOW_POLYNOMIALS, len(strain) - 2)
     centred = strain - strain.mean()
     scaled = centred / np.abs(centred).max()
-    columns: Float[np.ndarray, "n d"] = np.polynomial.legendre.legvander(scaled, shapes + 1)
+    columns: Float[np.ndarray, "n d"] = np.polynomial.legendre.legvander(scaled, n_polynomials + 1)
     orthonormal, _ = np.linalg.qr(columns)
-    strength = (orthonormal[:, 2:].T @ (stress - stress.mean())) ** 2
-    return float(np.sqrt(strength.mean() / (centred @ centred))), shapes
+    squared_projections = (orthonormal[:, 2:].T @ (stress - stress.mean())) ** 2
+    return float(np.sqrt(squared_projections.mean() / (centred @ centred))), n_polynomials
 
 
 def _line(strain: PointScalars, stress: PointScalars) -> tuple[float, float]:

@@ -17,15 +17,15 @@ from palpate.shapes import Vector3
 
 # The curvature is fitted to vertices within so many mean edge lengths, or so many radii of the
 # tool, whichever is larger.
-_EDGES, _RADII = 2.5, 1.0
+_FIT_EDGES, _FIT_RADII = 2.5, 1.0
 # Coefficients of the fit: a quadratic surface, and the fourth-order term of a sphere.
-_FEWEST = 7
+_MIN_VERTICES = 7
 # Largest contact radius over the tool's radius; beyond it the tool is practically buried.
-_LARGEST = 0.98
+_MAX_RADIUS_RATIO = 0.98
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class ContactCircle:
     """Contact circle of a tool.
 
     Attributes
@@ -38,22 +38,22 @@ class Touch:
     profile: str
 
 
-def touch(
-    tool: Tool, curvature: float, push: float, *, shear_modulus: float, poisson_ratio: float
-) -> Touch:
+def contact_circle(
+    tool: Tool, curvature: float, force: float, *, shear_modulus: float, poisson_ratio: float
+) -> ContactCircle:
     """The contact circle of a tool on a curved half space.
 
     Parameters
     ----------
     tool : Tool
     curvature : float [1/m]         mean curvature of the surface, > 0 where it is convex
-    push : float [N]                force of the tool on the object along the inward normal, > 0
+    force : float [N]               force of the tool on the object along the inward normal, > 0
     shear_modulus : float [Pa]      > 0
-    poisson_ratio : float [-]       -1 < nu < 0.5
+    poisson_ratio : float [-]       -1 < nu <= 0.5
 
     Returns
     -------
-    Touch
+    ContactCircle
 
     Raises
     ------
@@ -67,32 +67,39 @@ def touch(
     305 (1968) 55) and within 2 % for a sphere. The pressure under a cone is that of a cone as long
     as more of the force is due to its slope than to the curvature of the surface.
     """
-    if not push > 0.0:
+    if not force > 0.0:
         raise InputError(
-            f"the tool pulls with {-push:.3g} N: its force must point into the object; check the"
+            f"the tool pulls with {-force:.3g} N: its force must point into the object; check the"
             " force's sign and frame"
         )
-    reduced = 2.0 * shear_modulus / (1.0 - poisson_ratio)
+    reduced_modulus = 2.0 * shear_modulus / (1.0 - poisson_ratio)
     if tool.friction == STICKS:
-        reduced *= _stiffer_when_stuck(poisson_ratio)
+        reduced_modulus *= _no_slip_factor(poisson_ratio)
     if tool.is_flat:
-        rounded = (0.75 * push / (reduced * curvature)) ** (1 / 3) if curvature > 0.0 else np.inf
-        if rounded < tool.radius:
-            return Touch(rounded, "hertz")
-        return Touch(tool.radius, "flat")
+        hertz_radius = (
+            (0.75 * force / (reduced_modulus * curvature)) ** (1 / 3) if curvature > 0.0 else np.inf
+        )
+        if hertz_radius < tool.radius:
+            return ContactCircle(hertz_radius, "hertz")
+        return ContactCircle(tool.radius, "flat")
 
-    def excess(share: float) -> float:
-        radius = share * tool.radius
-        return reduced * (_own_push(tool, radius) + _curved_push(curvature, radius)) - push
+    def excess(ratio: float) -> float:
+        radius = ratio * tool.radius
+        return (
+            reduced_modulus * (_flat_force(tool, radius) + _curvature_force(curvature, radius))
+            - force
+        )
 
-    if excess(_LARGEST) < 0.0:
+    if excess(_MAX_RADIUS_RATIO) < 0.0:
         raise InputError(
-            f"a force of {push:.3g} N would bury a {tool.shape} of {1e3 * tool.radius:.3g} mm in a"
+            f"a force of {force:.3g} N would bury a {tool.shape} of {1e3 * tool.radius:.3g} mm in a"
             f" material of G = {shear_modulus:.3g} Pa; check the tool's radius and the force"
         )
-    radius = tool.radius * float(brentq(excess, 1e-6, _LARGEST, xtol=1e-9))
-    pointed = tool.shape == CONE and _own_push(tool, radius) > abs(_curved_push(curvature, radius))
-    return Touch(radius, "cone" if pointed else "hertz")
+    radius = tool.radius * float(brentq(excess, 1e-6, _MAX_RADIUS_RATIO, xtol=1e-9))
+    conical = tool.shape == CONE and _flat_force(tool, radius) > abs(
+        _curvature_force(curvature, radius)
+    )
+    return ContactCircle(radius, "cone" if conical else "hertz")
 
 
 def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> float:
@@ -109,17 +116,17 @@ def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> floa
     float [1/m]                     > 0 where it is convex; 0 where there are too few vertices for
                                     the fit
     """
-    place = closest_points(mesh, point[None])
+    nearest = closest_points(mesh, point[None])
     normals = unit_normals(mesh)
-    normal = normals[place.triangle[0]]
+    normal = normals[nearest.triangle[0]]
     corner = mesh.vertices[mesh.triangles]
     edge = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
     level = normals @ normal > np.cos(CREASE_ANGLE)
     vertices = mesh.vertices[np.unique(mesh.triangles[level])]
-    offset = vertices - place.position[0]
-    reach = max(_EDGES * edge, _RADII * radius)
+    offset = vertices - nearest.position[0]
+    reach = max(_FIT_EDGES * edge, _FIT_RADII * radius)
     near = np.linalg.norm(offset, axis=1) < reach
-    if near.sum() < _FEWEST:
+    if near.sum() < _MIN_VERTICES:
         return 0.0
     frame = np.linalg.svd(normal[None])[2]
     x, y = (offset[near] @ frame[1:].T).T / reach
@@ -129,13 +136,13 @@ def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> floa
     return -float(found[3] + found[5]) / reach**2
 
 
-def inward_push(mesh: TriangleMesh, point: Vector3, force: Float[np.ndarray, "3"]) -> float:
+def inward_force(mesh: TriangleMesh, point: Vector3, force: Float[np.ndarray, "3"]) -> float:
     """Component of a force along the inward normal of the surface at a point [N]."""
     triangle = closest_points(mesh, point[None]).triangle[0]
     return -float(unit_normals(mesh)[triangle] @ force)
 
 
-def _own_push(tool: Tool, radius: float) -> float:
+def _flat_force(tool: Tool, radius: float) -> float:
     """Force over the reduced modulus E / (1 - nu^2) for a contact radius on a flat surface [m^2]:
     of a sphere, or of a cone (Sneddon 1965, equations 6.15 and 6.4)."""
     if tool.angle is not None:
@@ -144,11 +151,14 @@ def _own_push(tool: Tool, radius: float) -> float:
     return float(0.5 * (radius**2 + tool.radius**2) * log - radius * tool.radius)
 
 
-def _curved_push(curvature: float, radius: float) -> float:
+def _curvature_force(curvature: float, radius: float) -> float:
     """The same due to the curvature of the surface, to be added [m^2]."""
     return 4.0 / 3.0 * curvature * radius**3
 
 
-def _stiffer_when_stuck(poisson_ratio: float) -> float:
-    loose = 1.0 - 2.0 * poisson_ratio
-    return float((1.0 - poisson_ratio) * np.log(3.0 - 4.0 * poisson_ratio) / loose)
+def _no_slip_factor(poisson_ratio: float) -> float:
+    """Stiffness of a contact without slip over that of one without friction."""
+    compressibility = 1.0 - 2.0 * poisson_ratio
+    if compressibility == 0.0:
+        return 1.0  # the limit: ln(3 - 4 nu) = ln(1 + 2 (1 - 2 nu)) approaches 2 (1 - 2 nu)
+    return float((1.0 - poisson_ratio) * np.log(3.0 - 4.0 * poisson_ratio) / compressibility)

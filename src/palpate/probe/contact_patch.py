@@ -91,9 +91,9 @@ def find_contact_patch(
     ------
     InputError                        the contact misses the surface, or reaches the support
     """
-    place = closest_points(mesh, contact.point[None])
-    first = int(place.triangle[0])
-    barycentric = place.barycentric[0]
+    nearest = closest_points(mesh, contact.point[None])
+    first = int(nearest.triangle[0])
+    barycentric = nearest.barycentric[0]
     vertex = int(mesh.triangles[first][np.argmax(barycentric)])
     if contact.triangles is not None:
         triangles = contact.triangles
@@ -101,14 +101,14 @@ def find_contact_patch(
         vertex = int(np.argmin(np.linalg.norm(mesh.vertices - contact.point, axis=1)))
         triangles = np.flatnonzero((mesh.triangles == vertex).any(axis=1))
     else:
-        distance = float(place.distance[0])
+        distance = float(nearest.distance[0])
         if distance >= contact.radius:
             raise InputError(
                 f"probe '{name}': the contact point is {1e3 * distance:.3g} mm from the surface, "
                 f"farther than its radius of {1e3 * contact.radius:.3g} mm; check the frame and "
                 f"the units of {point_name}"
             )
-        triangles = _reached(mesh, contact.point, contact.radius, first)
+        triangles = _connected_triangles(mesh, contact.point, contact.radius, first)
     held = np.intersect1d(triangles, held_triangles)
     if held.size:
         raise InputError(
@@ -119,7 +119,7 @@ def find_contact_patch(
     return ContactPatch(contact, triangles, first, barycentric, vertex, mesh.triangles)
 
 
-def _reached(
+def _connected_triangles(
     mesh: TriangleMesh, point: Float[np.ndarray, "3"], radius: float, first: int
 ) -> Int[np.ndarray, " k"]:
     """Triangles within a sphere that are connected with the first one and turned from it by less

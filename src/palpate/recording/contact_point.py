@@ -1,7 +1,7 @@
-"""Where the tool touched, from the motion of the whole surface: the elastic model decides.
+"""Estimate of the contact point from the measured motion of the surface and the elastic model.
 
-For places around a first guess the boundary element model says how the surface would have moved,
-for a few Poisson's ratios and any stiffness; the place whose motion fits best is the contact.
+For points around a first guess the boundary element model predicts the displacement of the surface,
+for a few Poisson's ratios and with a free scale (stiffness); the best-fitting point is the contact.
 """
 
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ from palpate.bem import (
     assemble_system,
     check_memory,
     factorise,
+    indentation_corrections,
     load_right_hand,
-    load_shapes,
     make_surface,
     solve,
 )
@@ -29,28 +29,30 @@ from palpate.probe import find_contact_patch
 from palpate.records import Contact
 from palpate.shapes import Indices, Points, Vector3
 
-# The best of these is taken; where the tool pressed hardly depends on it.
+# Poisson's ratios that are tried; the contact point hardly depends on the ratio.
 _POISSON_RATIOS = (0.2, 0.35, 0.48)
-# Steps of the search in radii of the contact, and how often a step may be repeated.
+# Step sizes of the search in contact radii, and largest number of moves for each.
 _STEPS, _MOST_MOVES = (1.0, 0.4), 8
-# Points nearer than so many radii are bent by how the tool presses, not where.
+# Points closer to the contact than this many radii are ignored: their motion depends on the
+# pressure distribution.
 _NEAREST = 1.2
-# The search begins in the middle of the points that move farther than so many of all [%].
+# The search begins at the middle of the points whose displacement exceeds this percentile.
 _MOST_MOVED = 97.0
-# Fewer points, or less of the motion explained, is no contact.
+# Least number of points, and least fraction of the motion that a contact must explain.
 _LEAST_POINTS, _LEAST_EXPLAINED = 30, 0.5
 _HEXAGON = np.array([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3.0)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundContact:
-    """A contact point that was not told.
+    """An estimated contact point.
 
     Attributes
     ----------
     point : (3,) float [m]          on the surface
-    std : float [m]                 along the surface, of each of two directions
-    explained : float [-]           share of the motion that a push there explains, 0 to 1
+    std : float [m]                 standard deviation along each of two tangents
+    explained : float [-]           fraction of the sum of squared displacements that a push at
+                                    this point explains, 0 to 1
     """
 
     point: Vector3
@@ -60,14 +62,14 @@ class FoundContact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactModel:
-    """An object's boundary element model for a few Poisson's ratios.
+    """Factorised boundary element model of an object for a few Poisson's ratios.
 
     Attributes
     ----------
     mesh : TriangleMesh
-    held : (k,) int
+    held : (k,) int                 triangles of the support
     system : BoundarySystem
-    factors : tuple of FactorisedSystem     for each of the ratios
+    factors : tuple of FactorisedSystem     one for each ratio
     """
 
     mesh: TriangleMesh
@@ -77,7 +79,7 @@ class ContactModel:
 
 
 def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
-    """Prepare the search on an object.
+    """Assemble and factorise the model for the search.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
 
     Raises
     ------
-    InputError                      its matrices do not fit into memory
+    InputError                      the matrices do not fit into memory
     """
     check_memory(len(mesh.vertices), dense=True)
     system = assemble_system(make_surface(mesh, held))
@@ -99,7 +101,7 @@ def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What was measured of one press."""
+    """Measured force and displacements of one press, and the interpolation to its points."""
 
     force: Vector3
     radius: float
@@ -118,16 +120,16 @@ def find_contact(
     radius: float,
     profile: str,
 ) -> FoundContact:
-    """The point of the surface at which the force moves it as was measured.
+    """Find the surface point at which the force best explains the measured displacement.
 
     Parameters
     ----------
     model : ContactModel
-    points : (n, 3) float [m]       on the surface
-    displacement : (n, 3) float [m]
+    points : (n, 3) float [m]       measured points, on the surface
+    displacement : (n, 3) float [m] measured displacements
     force : (3,) float [N]          on the object
-    radius : float [m]              of the contact
-    profile : str                   of `PRESSURES`
+    radius : float [m]              contact radius
+    profile : str                   pressure profile, a key of `PRESSURES`
 
     Returns
     -------
@@ -135,7 +137,8 @@ def find_contact(
 
     Raises
     ------
-    RecordError                     no place explains the motion; a contact on the support
+    RecordError                     too few points, no point explains the motion, or all fit alike
+    InputError                      a contact on the support
     """
     if len(points) < _LEAST_POINTS:
         raise RecordError(
@@ -163,7 +166,8 @@ def find_contact(
             f"no place of the surface explains how it moved (the best one {100 * explained:.0f} %):"
             " the contact cannot be found; give `points` or `poses` in [contact]"
         )
-    # Neighbouring points err alike: as many count as patches of the contact's size they fill.
+    # Errors of neighbouring points are correlated: the effective number of independent points is
+    # that of patches of the contact's size in the measured area.
     span = np.ptp((points - guess) @ across.T, axis=0)
     count = float(np.clip(span.prod() / (np.pi * radius**2), 8.0, len(points)))
     variance = float(rest.min()) / count * np.linalg.inv(curve)
@@ -171,9 +175,9 @@ def find_contact(
 
 
 def _start(mesh: TriangleMesh, points: Points, displacement: Points, force: Vector3) -> Vector3:
-    """The middle of what moves most along the force, brought to the surface.
+    """First guess: centroid of the points that move most along the force, moved to the surface.
 
-    The tool hides the contact itself, so that this may be a tool's radius away from it.
+    The tool occludes the contact itself, so this may be off by a tool radius.
     """
     along = np.maximum(displacement @ force, 0.0)
     most = along >= np.percentile(along, _MOST_MOVED)
@@ -185,25 +189,25 @@ def _start(mesh: TriangleMesh, points: Points, displacement: Points, force: Vect
 def _ring(
     mesh: TriangleMesh, centre: Vector3, size: float
 ) -> tuple[Points, Float[np.ndarray, "2 3"]]:
-    """A point of the surface and six around it, and the directions along the surface there."""
+    """A surface point and six around it, and two unit tangents there."""
     place = closest_points(mesh, centre[None])
     across = np.linalg.svd(unit_normals(mesh)[place.triangle[0]][None])[2][1:]
     return closest_points(mesh, centre + size * _HEXAGON @ across).position, across
 
 
 def _square(seen: _Seen, centre: Vector3) -> float:
-    """Sum of the squares of what was measured away from a contact."""
+    """Sum of squared measured displacements of the points away from a contact [m^2]."""
     away = np.linalg.norm(seen.point - centre, axis=1) > _NEAREST * seen.radius
     return float(np.square(seen.displacement[away]).sum())
 
 
 def _unexplained(model: ContactModel, seen: _Seen, places: Points) -> Float[np.ndarray, " k"]:
-    """Sum of the squares of what is left at each place, at the best ratio and stiffness.
+    """Sum of squared residuals for each candidate, at the best ratio and stiffness [m^2].
 
-    The points that count are the same for all places.
+    The same measured points are used for all candidates.
     """
     loads = [_load(model, seen, place) for place in places]
-    shapes = load_shapes(model.system.surface, loads)
+    shapes = indentation_corrections(model.system.surface, loads)
     right = load_right_hand(model.system, loads, shapes)
     away = np.linalg.norm(seen.point - places[0], axis=1) > _NEAREST * seen.radius
     measured = seen.displacement[away].ravel()
@@ -233,7 +237,7 @@ def _load(model: ContactModel, seen: _Seen, place: Vector3) -> SurfaceLoad:
 def _lowest(
     place: Float[np.ndarray, "k 2"], value: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
-    """Where a paraboloid through values is lowest, within reach of them, and half its curvature."""
+    """Minimum of a fitted paraboloid, limited to the fitted region, and half its Hessian."""
     x, y = place.T
     matrix = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     _, bx, by, cxx, cxy, cyy = np.linalg.lstsq(matrix, value, rcond=None)[0]

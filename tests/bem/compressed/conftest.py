@@ -8,7 +8,7 @@ from palpate.bem import Compression, assemble_system, compressed_system, make_su
 
 SIZE, CELLS = np.array([5.0, 1.0, 1.0]), (20, 4, 4)
 # Small clusters, close together: as much as can be is far at this size.
-FINE = Compression(leaf=(32, 64))
+FINE = Compression(leaf_size=(32, 64))
 
 
 @pytest.fixture(scope="package")

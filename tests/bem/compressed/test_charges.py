@@ -5,9 +5,9 @@ import pytest
 
 from palpate.bem.compressed.charges import (
     charge_sphere,
+    interpolative_decomposition,
     inverse_distances,
     points_on_sphere,
-    telling_points,
 )
 
 
@@ -34,7 +34,7 @@ def test_charges_stand_for_all_sources_inside(count, most):
     inside = rng.normal(size=(60, 3))
     inside *= (0.8 * rng.random(60) / np.linalg.norm(inside, axis=1))[:, None]
     strength = rng.random(60)
-    charges = (strength @ inverse_distances(inside, sphere.check)) @ sphere.matched
+    charges = (strength @ inverse_distances(inside, sphere.check)) @ sphere.check_to_charge
     outside = 2.5 * points_on_sphere(91)
     outside[::2] *= 3.0
     wanted = strength @ inverse_distances(inside, outside)
@@ -44,13 +44,13 @@ def test_charges_stand_for_all_sources_inside(count, most):
     assert np.abs(found / wanted - 1.0).max() < most
 
 
-def test_telling_points_tell_the_others():
+def test_skeleton_points_interpolate_the_others():
     rng = np.random.default_rng(2)
     cluster = np.column_stack([rng.random((80, 2)), np.zeros(80)])
     around = np.array([0.5, 0.5, 0.0]) + 2.5 * points_on_sphere(300)
     values = inverse_distances(cluster, around)
     for tolerance in (1e-3, 1e-6):
-        chosen, weights = telling_points(values, tolerance)
+        chosen, weights = interpolative_decomposition(values, tolerance)
         assert len(chosen) < 80
         left = np.abs(values - weights @ values[chosen])
         # The tolerance is of the diagonal of R; what it leaves out adds up over the points.

@@ -4,24 +4,24 @@ import numba
 import numpy as np
 import pytest
 
-from palpate.bem.compressed.moments import Mix
+from palpate.bem.compressed.moments import KernelWeights
 
 PARTS = {
-    "A": Mix(1.0, 0.0, 0.0, 0.0),
-    "B": Mix(0.0, 1.0, 0.0, 0.0),
-    "constant": Mix(0.0, 0.0, 1.0, 0.0),
-    "slope": Mix(0.0, 0.0, 0.0, 1.0),
+    "A": KernelWeights(1.0, 0.0, 0.0, 0.0),
+    "B": KernelWeights(0.0, 1.0, 0.0, 0.0),
+    "constant": KernelWeights(0.0, 0.0, 1.0, 0.0),
+    "slope": KernelWeights(0.0, 0.0, 0.0, 1.0),
 }
 
 
 def vectors(system, columns=4):
     rng = np.random.default_rng(5)
-    moved = rng.normal(size=(len(system.surface.mesh.vertices), 3, columns))
-    pressed = rng.normal(size=(system.unknowns.held_sides.size, 3, columns))
-    return moved, pressed
+    displacement = rng.normal(size=(len(system.surface.mesh.vertices), 3, columns))
+    traction = rng.normal(size=(system.unknowns.held_sides.size, 3, columns))
+    return displacement, traction
 
 
-def dense_product(system, mix, moved, pressed):
+def dense_product(system, weights, displacement, traction):
     """Written from the fields, as `traction_parts` and `displacement_parts` define them."""
     h, g = system.traction_kernel, system.displacement_kernel
     sx, sy, sz, xx, yy, zz, yz, zx, xy = np.moveaxis(h.values, 2, 0)
@@ -33,11 +33,16 @@ def dense_product(system, mix, moved, pressed):
     tensor = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
     ball = np.array([[trace, none, none], [none, trace, none], [none, none, trace]])
     c = 1.5 * ball + 0.5 * tensor
-    by_lane = np.einsum("ijbnl,njc->blic", mix.skew * a + mix.rest * b, moved, optimize=True)
-    by_lane += np.einsum(
-        "ijbnl,njc->blic", mix.constant * c - 2.0 * mix.slope * ball, pressed, optimize=True
+    by_lane = np.einsum(
+        "ijbnl,njc->blic", weights.skew * a + weights.rest * b, displacement, optimize=True
     )
-    out = np.empty((h.n_rows, 3, moved.shape[2]))
+    by_lane += np.einsum(
+        "ijbnl,njc->blic",
+        weights.constant * c - 2.0 * weights.slope * ball,
+        traction,
+        optimize=True,
+    )
+    out = np.empty((h.n_rows, 3, displacement.shape[2]))
     out[h.rows.ravel()[: h.n_rows]] = by_lane.reshape(-1, *out.shape[1:])[: h.n_rows]
     return out
 
@@ -45,8 +50,9 @@ def dense_product(system, mix, moved, pressed):
 def test_enough_is_far(compressed):
     tree, far = compressed.operator.far.receivers.tree, compressed.operator.far
     pairs = sum(
-        (tree.stop[k] - tree.start[k]) * (far.sources.stop[seen] - far.sources.start[seen]).sum()
-        for k, seen in enumerate(far.far)
+        (tree.stop[k] - tree.start[k])
+        * (far.sources.stop[far_clusters] - far.sources.start[far_clusters]).sum()
+        for k, far_clusters in enumerate(far.far)
     )
     every = len(compressed.collocation.point) * len(compressed.surface.mesh.triangles)
     assert pairs > 0.1 * every
@@ -54,32 +60,32 @@ def test_enough_is_far(compressed):
 
 @pytest.mark.parametrize("part", PARTS)
 def test_every_part_is_that_of_the_dense_matrices(dense, compressed, part):
-    moved, pressed = vectors(dense)
-    wanted = dense_product(dense, PARTS[part], moved, pressed)
-    found = compressed.operator.apply(PARTS[part], moved, pressed)
+    displacement, traction = vectors(dense)
+    wanted = dense_product(dense, PARTS[part], displacement, traction)
+    found = compressed.operator.apply(PARTS[part], displacement, traction)
     error = np.linalg.norm(found - wanted, axis=(0, 1)) / np.linalg.norm(wanted, axis=(0, 1))
     # Single precision leaves 3e-8, 250 charges at two radii 5e-8 of the sum.
     assert error.max() < 2e-7
 
 
 def test_rigid_translations_give_no_traction(compressed):
-    moved = np.tile(np.eye(3), (len(compressed.surface.mesh.vertices), 1, 1))
-    nothing = np.zeros((compressed.unknowns.held_sides.size, 3, 3))
+    displacement = np.tile(np.eye(3), (len(compressed.surface.mesh.vertices), 1, 1))
+    no_traction = np.zeros((compressed.unknowns.held_sides.size, 3, 3))
     for part in ("A", "B"):
-        found = compressed.operator.apply(PARTS[part], moved, nothing)
+        found = compressed.operator.apply(PARTS[part], displacement, no_traction)
         # Rounding of sums whose terms are of the order of 4 pi.
         assert np.abs(found).max() < 1e-12
 
 
 def test_the_number_of_threads_changes_nothing(compressed):
-    moved, pressed = vectors(compressed)
-    mix = Mix(0.4, 1.0, -1.0, -0.3)
+    displacement, traction = vectors(compressed)
+    weights = KernelWeights(0.4, 1.0, -1.0, -0.3)
     threads = numba.get_num_threads()
     found = []
     try:
         for count in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
             numba.set_num_threads(count)
-            found.append(compressed.operator.apply(mix, moved, pressed))
+            found.append(compressed.operator.apply(weights, displacement, traction))
     finally:
         numba.set_num_threads(threads)
     assert np.array_equal(*found)

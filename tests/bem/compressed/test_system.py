@@ -6,6 +6,7 @@ import pytest
 from benchmarks.meshes import cube
 from palpate.bem import (
     Compression,
+    Quadrature,
     SurfaceSettings,
     assemble_system,
     compressed_system,
@@ -16,7 +17,7 @@ from palpate.bem import (
     make_elastic_map,
     make_springs,
     make_surface,
-    snapshot_model,
+    reduced_basis,
     solve,
     support_columns,
     system_slope,
@@ -65,7 +66,7 @@ def test_given_displacements_are_those_of_the_dense_system(dense, compressed):
 
 @pytest.mark.parametrize("nu", [0.1, 0.4999])
 def test_solutions_are_those_of_the_dense_system(dense, compressed, right, nu):
-    found = solve_compressed(cluster_inverse(compressed, nu, most=128), right.at(nu))
+    found = solve_compressed(cluster_inverse(compressed, nu, max_points=128), right.at(nu))
     wanted = solve(factorise(dense, nu), right.at(nu))
     first = 3 * compressed.unknowns.free_vertices.size
     # The support that turns takes the body with it: no traction, the last column.
@@ -77,19 +78,19 @@ def test_solutions_are_those_of_the_dense_system(dense, compressed, right, nu):
 
 
 def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
-    model = snapshot_model(compressed, right.terms, poisson_range=(0.1, 0.45), tolerance=1e-6)
+    basis = reduced_basis(compressed, right.terms, poisson_range=(0.1, 0.45), tolerance=1e-6)
     for nu in (0.1, 0.23, 0.45):
-        weights, residual = model.coefficients(nu)
+        weights, residual = basis.coefficients(nu)
         assert residual <= 1e-6
-        found = np.einsum("jkc,jc->kc", np.stack(model.directions), weights)
+        found = np.einsum("jkc,jc->kc", np.stack(basis.directions), weights)
         wanted = solve(factorise(dense, nu), right.at(nu))
         free = slice(0, 3 * compressed.unknowns.free_vertices.size)
         error = np.abs(found - wanted)[free].max(axis=0)
         # The residual that is allowed, times the condition.
         assert (error < 1e-4 * np.abs(wanted[free]).max(axis=0)).all()
     # Of some columns as of all.
-    some, _ = model.coefficients(0.2, np.array([1, 3]))
-    assert np.array_equal(some, model.coefficients(0.2)[0][:, [1, 3]])
+    some, _ = basis.coefficients(0.2, np.array([1, 3]))
+    assert np.array_equal(some, basis.coefficients(0.2)[0][:, [1, 3]])
 
 
 def test_the_residual_that_is_asked_for_decides_how_many_solutions_are_made(compressed, right):
@@ -107,11 +108,24 @@ def test_linear_elements_on_flat_facets_are_served_too(long_surface):
         np.flatnonzero(long_surface.held),
         settings=SurfaceSettings(smooth=False, quadratic=False),
     )
-    found = compressed_system(flat, compression=Compression(leaf=(32, 64)))
+    found = compressed_system(flat, compression=Compression(leaf_size=(32, 64)))
     wanted = assemble_system(flat)
     x = unknown_vectors(wanted)
     product = system_matrix(wanted, 0.3) @ x
     assert np.abs(found.product(0.3, x) - product).max() < 1e-6 * np.abs(product).max()
+
+
+def test_rules_of_low_degree_alone_serve_too(long_surface):
+    """The far field has a rule of its own, whichever are those of the near field."""
+    low = Quadrature(tolerance=1e-4, degrees=(2, 4))
+    found = compressed_system(
+        long_surface, compression=Compression(leaf_size=(32, 64)), quadrature=low
+    )
+    wanted = assemble_system(long_surface, quadrature=low)
+    x = unknown_vectors(wanted)
+    product = system_matrix(wanted, 0.3) @ x
+    # What is far differs by the errors of both rules, each within the tolerance of an integral.
+    assert np.abs(found.product(0.3, x) - product).max() < 2e-4 * np.abs(product).max()
 
 
 def test_size_chooses(monkeypatch):

@@ -60,6 +60,6 @@ def test_area_of_a_smooth_sphere():
 def test_linear_elements_do_not_follow_dips():
     mesh, face = cube_with_faces(1)
     held = np.flatnonzero(face == 4)
-    assert make_surface(mesh, held).follows_dips
+    assert make_surface(mesh, held).corrects_indentation
     for settings in (SurfaceSettings(smooth=False), SurfaceSettings(quadratic=False)):
-        assert not make_surface(mesh, held, settings=settings).follows_dips
+        assert not make_surface(mesh, held, settings=settings).corrects_indentation

@@ -1,13 +1,20 @@
-"""The known dip under a tool makes coarse elements see it."""
+"""The known indentation under a tool corrects coarse elements."""
 
 import numpy as np
 import pytest
 from elastic_bodies import held_part
 from surfaces import box, sphere
 
-from palpate.bem import PressureDisc, SurfaceLoad, factorise, load_right_hand, load_shapes, solve
+from palpate.bem import (
+    PressureDisc,
+    SurfaceLoad,
+    factorise,
+    indentation_corrections,
+    load_right_hand,
+    solve,
+)
 from palpate.bem.elastic_map import sorted_state
-from palpate.bem.loads.contact_shape import ContactShape, shape_columns
+from palpate.bem.loads.local_indentation import IndentationCorrection, correction_columns
 from palpate.bem.system.system import system_matrix
 
 TOP = np.array([0.0, 0.0, 1.0])
@@ -36,10 +43,10 @@ def ball(subdivisions, **options):
     return held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3, **options)
 
 
-def pressed(system, *, shaped):
+def pressed(system, *, corrected):
     load = top_load(system.surface.mesh)
-    (shape,) = load_shapes(system.surface, [load]) if shaped else [None]
-    right = load_right_hand(system, [load], [shape])
+    (local,) = indentation_corrections(system.surface, [load]) if corrected else [None]
+    right = load_right_hand(system, [load], [local])
     x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.3, 0.0, -1.0])
     return sorted_state(system, x, 1.0).displacement
 
@@ -47,7 +54,7 @@ def pressed(system, *, shaped):
 @pytest.fixture(scope="module")
 def fine():
     system = ball(4)
-    return system.surface.mesh.vertices, pressed(system, shaped=True)
+    return system.surface.mesh.vertices, pressed(system, corrected=True)
 
 
 @pytest.fixture(scope="module")
@@ -55,25 +62,27 @@ def coarse():
     return ball(2)
 
 
-def test_the_dip_brings_a_coarse_mesh_closer_to_a_fine_one(fine, coarse):
+def test_the_correction_brings_a_coarse_mesh_closer_to_a_fine_one(fine, coarse):
     vertices, reference = fine
     own = coarse.surface.mesh.vertices
     same = np.linalg.norm(own[:, None] - vertices[None], axis=2).argmin(axis=1)
     exact = reference[same]
-    with_dip, without = (
-        np.linalg.norm(pressed(coarse, shaped=shaped) - exact) / np.linalg.norm(exact)
-        for shaped in (True, False)
+    with_correction, without = (
+        np.linalg.norm(pressed(coarse, corrected=corrected) - exact) / np.linalg.norm(exact)
+        for corrected in (True, False)
     )
     # The patch is narrower than an element here; half of the error at least must go.
-    assert with_dip < 0.5 * without
-    assert with_dip < 0.04
+    assert with_correction < 0.5 * without
+    assert with_correction < 0.04
 
 
 def test_without_a_disc_or_on_facets_nothing_is_added(coarse):
     load = top_load(coarse.surface.mesh)
-    assert load_shapes(coarse.surface, [SurfaceLoad(load.triangles, load.density)]) == [None]
+    assert indentation_corrections(coarse.surface, [SurfaceLoad(load.triangles, load.density)]) == [
+        None
+    ]
     facets = ball(2, smooth=False).surface
-    assert load_shapes(facets, [load]) == [None]
+    assert indentation_corrections(facets, [load]) == [None]
 
 
 def test_across_the_rim_of_the_support_nothing_is_added(coarse):
@@ -81,28 +90,28 @@ def test_across_the_rim_of_the_support_nothing_is_added(coarse):
     cut = surface.sides.cut[surface.sides.edge].any(axis=1) & ~surface.held
     corner = mesh.triangles[np.flatnonzero(cut)[0]]
     load = top_load(mesh, mesh.vertices[corner].mean(axis=0))
-    assert load_shapes(surface, [load]) == [None]
+    assert indentation_corrections(surface, [load]) == [None]
 
 
-def pressed_cube(cells, *, shaped):
+def pressed_cube(cells, *, corrected):
     """Corner displacement of a cube that a patch presses beside its edge."""
     mesh = box(cells=cells)
     system = held_part(mesh, np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
     load = top_load(mesh, BESIDE_EDGE, 0.22)
-    (shape,) = load_shapes(system.surface, [load]) if shaped else [None]
-    right = load_right_hand(system, [load], [shape])
+    (local,) = indentation_corrections(system.surface, [load]) if corrected else [None]
+    right = load_right_hand(system, [load], [local])
     x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.0, 0.0, -1.0])
     return mesh.vertices, sorted_state(system, x, 1.0).displacement
 
 
-def test_the_dip_is_followed_up_to_an_edge_of_the_object():
-    vertices, exact = pressed_cube(12, shaped=True)
-    own, with_dip = pressed_cube(4, shaped=True)
+def test_the_correction_holds_up_to_an_edge_of_the_object():
+    vertices, exact = pressed_cube(12, corrected=True)
+    own, with_correction = pressed_cube(4, corrected=True)
     same = np.linalg.norm(own[:, None] - vertices[None], axis=2).argmin(axis=1)
-    _, without = pressed_cube(4, shaped=False)
+    _, without = pressed_cube(4, corrected=False)
     errors = [
         np.linalg.norm(found - exact[same]) / np.linalg.norm(exact[same])
-        for found in (with_dip, without)
+        for found in (with_correction, without)
     ]
     # A half space knows nothing of the edge: what that changes stays, a little more than half.
     assert errors[0] < 0.75 * errors[1]
@@ -114,24 +123,24 @@ def test_a_patch_crosses_an_edge_that_is_nearer_than_its_radius(radius, crosses)
     surface = held_part(
         mesh, np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1)
     ).surface
-    (shape,) = load_shapes(surface, [top_load(mesh, BESIDE_EDGE, radius)])
-    assert (shape is None) == crosses
+    (local,) = indentation_corrections(surface, [top_load(mesh, BESIDE_EDGE, radius)])
+    assert (local is None) == crosses
 
 
-def test_only_midpoints_around_the_patch_are_touched(coarse):
+def test_only_midside_nodes_around_the_patch_are_corrected(coarse):
     surface = coarse.surface
-    (shape,) = load_shapes(surface, [top_load(surface.mesh)])
+    (local,) = indentation_corrections(surface, [top_load(surface.mesh)])
     row = surface.displacement.element[:, 3:] - surface.displacement.n_nodes
     place = np.empty((surface.displacement.weights.shape[0], 3))
     place[row.ravel()] = surface.element_nodes[:, 3:].reshape(-1, 3)
     # 2.5 edges of at most 0.6 beyond the radius.
-    assert np.linalg.norm(place[shape.midpoints] - TOP, axis=1).max() < RADIUS + 2.5 * 0.6
-    assert (place[shape.midpoints][:, 2] > 0).all()
+    assert np.linalg.norm(place[local.midside_nodes] - TOP, axis=1).max() < RADIUS + 2.5 * 0.6
+    assert (place[local.midside_nodes][:, 2] > 0).all()
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
-def test_what_midpoints_miss_is_what_the_matrix_would_have_with_them(coarse, nu):
-    """Linear elements with the quadratic midpoints as `missing` are the quadratic elements."""
+def test_the_correction_is_what_the_matrix_would_have_with_quadratic_elements(coarse, nu):
+    """Linear elements with the quadratic midside nodes as `correction` are quadratic elements."""
     linear = ball(2, quadratic=False)
     rng = np.random.default_rng(0)
     vertices = coarse.surface.mesh.vertices
@@ -140,9 +149,11 @@ def test_what_midpoints_miss_is_what_the_matrix_would_have_with_them(coarse, nu)
         size=(2, coarse.unknowns.free_vertices.size, 3)
     )
     change = coarse.surface.displacement.weights - linear.surface.displacement.weights
-    missing = np.zeros((2, change.shape[0], 3, 3))
-    missing[..., 1] = np.stack([change @ field for field in fields])
-    columns = shape_columns(linear, [ContactShape(np.arange(change.shape[0]), missing)]).at(nu)
+    correction = np.zeros((2, change.shape[0], 3, 3))
+    correction[..., 1] = np.stack([change @ field for field in fields])
+    columns = correction_columns(
+        linear, [IndentationCorrection(np.arange(change.shape[0]), correction)]
+    ).at(nu)
     assert not columns[:, [0, 2]].any()
     count = 3 * coarse.unknowns.free_vertices.size
     field = (fields[0] + nu * fields[1])[coarse.unknowns.free_vertices].ravel()

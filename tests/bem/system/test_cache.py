@@ -111,8 +111,18 @@ def test_all_that_matters_changes_the_hash(surface):
 def test_a_cache_that_cannot_be_written_is_said(surface, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
-    with pytest.raises(InputError, match="the cache cannot be written"):
+    with pytest.raises(InputError, match="cannot be written"):
         cached_system(surface, blocked)
+
+
+def test_a_full_disk_leaves_no_empty_folder(surface, tmp_path, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module.np, "savez", full)
+    with pytest.raises(InputError, match="No space left"):
+        cached_system(surface, tmp_path / "kept" / "here")
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_lies_in_the_place_of_the_cache_and_is_no_file_is_said(surface, tmp_path):

@@ -10,12 +10,12 @@ from palpate.bem import (
     body_force_columns,
     dilation_factor,
     factorise,
-    loose_motions,
     make_surface,
     solve,
     support_columns,
     system_slope,
     traction_column,
+    unrestrained_motions,
 )
 from palpate.bem.system.system import system_matrix
 
@@ -80,9 +80,9 @@ def test_linear_fields_between_rollers(rolling, kind, nu):
     )
     count = 3 * unknowns.free_vertices.size
     found[unknowns.free_vertices] += x[:count].reshape(-1, 3)
-    loose = loose_motions(system.surface).reshape(exact.size, left)
+    unrestrained = unrestrained_motions(system.surface).reshape(exact.size, left)
     away = (found - exact).ravel()
-    away -= loose @ np.linalg.lstsq(loose, away, rcond=None)[0]
+    away -= unrestrained @ np.linalg.lstsq(unrestrained, away, rcond=None)[0]
     # The elements hold a linear field exactly: what is left is round-off, times the condition of
     # the supports (2e-6 at worst) and the pressure that belongs to the field.
     assert np.abs(away).max() < 1e-11 * np.abs(exact).max()
@@ -97,14 +97,14 @@ def test_linear_fields_between_rollers(rolling, kind, nu):
 
 def test_motions_that_are_left(rolling):
     system, left = rolling
-    loose = loose_motions(system.surface)
-    assert loose.shape[2] == left
+    unrestrained = unrestrained_motions(system.surface)
+    assert unrestrained.shape[2] == left
     held = system.unknowns.held_vertices
     # Nothing that is held moves with them, and each is rigid: no length changes.
-    answered = np.einsum("hij,hjq->hiq", system.unknowns.vertex_directions, loose[held])
+    answered = np.einsum("hij,hjq->hiq", system.unknowns.vertex_directions, unrestrained[held])
     assert np.abs(answered).max(initial=0.0) < 1e-12
     offset = MESH.vertices[:, None] - MESH.vertices
-    stretch = np.einsum("abi,abiq->abq", offset, loose[:, None] - loose)
+    stretch = np.einsum("abi,abiq->abq", offset, unrestrained[:, None] - unrestrained)
     assert np.abs(stretch).max(initial=0.0) < 1e-12
 
 
@@ -116,7 +116,7 @@ def test_a_solution_does_not_slide(rolling):
     x = solve(factorise(system, 0.3), load.at(0.3))[:, 0]
     free = system.unknowns.free_vertices
     moved = x[: 3 * free.size].reshape(-1, 3)
-    slid = np.einsum("vi,viq->q", moved, loose_motions(system.surface)[free])
+    slid = np.einsum("vi,viq->q", moved, unrestrained_motions(system.surface)[free])
     assert slid.shape == (left,)
     assert np.abs(slid).max(initial=0.0) < 1e-10 * np.abs(moved).sum()
 
@@ -166,8 +166,8 @@ def test_a_block_that_stands_on_rollers_under_its_weight(nu):
     found += factor * body.particular / material.shear
     bottom = system.unknowns.held_vertices
     found[bottom, 2] = exact[bottom, 2]
-    loose = loose_motions(surface).reshape(exact.size, 3)
+    unrestrained = unrestrained_motions(surface).reshape(exact.size, 3)
     away = (found - exact).ravel()
-    away -= loose @ np.linalg.lstsq(loose, away, rcond=None)[0]
+    away -= unrestrained @ np.linalg.lstsq(unrestrained, away, rcond=None)[0]
     # The displacement is quadratic and so are the elements: as for the glued block.
     assert np.abs(away).max() < 3e-7 * np.abs(exact).max()

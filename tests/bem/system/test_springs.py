@@ -54,7 +54,7 @@ def moved(system, *, stiffness, shear, nu, force=FORCE, triangles=TOP):
         compliance=np.array([1.0 / stiffness]),
     )  # fmt: skip
     right = face_columns(system, triangles).on_springs(
-        elastic.springs.give, np.zeros((0, springs.share.shape[0]))
+        elastic.springs.compliance, np.zeros((0, springs.support_fraction.shape[0]))
     )
     return elastic.state(elastic.springs.solve(right.at(nu)) @ force / shear)
 
@@ -101,23 +101,23 @@ def test_springs_that_do_not_give_are_no_springs(glued):
     )
 
 
-@pytest.mark.parametrize("give", [0.0, 0.5])
-def test_what_a_softer_support_changes(glued, give):
+@pytest.mark.parametrize("compliance", [0.0, 0.5])
+def test_what_a_softer_support_changes(glued, compliance):
     """The derivative that comes with the solution, against a central difference."""
     springs = make_springs(glued, [BOTTOM], np.array([], dtype=np.int64))
     factors = make_spring_factors(factorise(glued, NU), glued, springs)
     right = face_columns(glued, TOP)
-    one = springs.give(np.ones(1))
+    one = springs.compliance(np.ones(1))
 
-    def solved(at, changes):
-        found = make_spring_system(factors, at * one, changes)
-        return found.solve(right.on_springs(at * one, changes).at(NU))
+    def solved(at, compliance_derivatives):
+        found = make_spring_system(factors, at * one, compliance_derivatives)
+        return found.solve(right.on_springs(at * one, compliance_derivatives).at(NU))
 
     step = 1e-5
-    difference = (solved(give + step, one[None][:0]) - solved(give - step, one[None][:0])) / (
-        2 * step
-    )
-    value, slope = np.split(solved(give, one[None]), 2)
-    np.testing.assert_allclose(value, solved(give, one[None][:0]), rtol=1e-12)
+    difference = (
+        solved(compliance + step, one[None][:0]) - solved(compliance - step, one[None][:0])
+    ) / (2 * step)
+    value, slope = np.split(solved(compliance, one[None]), 2)
+    np.testing.assert_allclose(value, solved(compliance, one[None][:0]), rtol=1e-12)
     # A difference of 1e-5 leaves 1e-10 of the third derivative, and rounding of 1e-16 / 1e-5.
     np.testing.assert_allclose(slope, difference, atol=1e-6 * np.abs(difference).max())

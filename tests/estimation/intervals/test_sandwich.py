@@ -55,9 +55,9 @@ def test_covariance_is_the_sandwich() -> None:
     inverse = np.linalg.inv(bread.sum(0))
     # The ridge is 1e-11 of the diagonal.
     np.testing.assert_allclose(scores.covariance(), inverse @ meat.sum(0) @ inverse, rtol=1e-8)
-    turn = np.array([0.3, -1.2])
-    expected = turn @ np.linalg.inv(bare.sum(0)) @ turn
-    assert scores.curvature_variance(turn) == pytest.approx(expected, rel=1e-8)
+    direction = np.array([0.3, -1.2])
+    expected = direction @ np.linalg.inv(bare.sum(0)) @ direction
+    assert scores.curvature_variance(direction) == pytest.approx(expected, rel=1e-8)
 
 
 def test_nothing_known_has_no_finite_variance() -> None:
@@ -90,10 +90,10 @@ def test_scatter_has_mean_one_where_claims_are_right() -> None:
     rng = np.random.default_rng(8)
     information, noise = _random_matrices(rng, 5), _random_matrices(rng, 5)
     root = np.linalg.cholesky(noise)
-    turn, ratios = np.array([1.0, 0.4]), []
+    direction, ratios = np.array([1.0, 0.4]), []
     for _ in range(3000):
         drawn = (root @ rng.normal(size=(5, 2, 1)))[..., 0]
-        ratios.append(Scores(drawn, information, noise, noise).scatter(turn).ratio)
+        ratios.append(Scores(drawn, information, noise, noise).scatter(direction).ratio)
     # Chi-square with about three degrees over three, 3000 draws: 1.5 % of Monte Carlo error.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
@@ -124,8 +124,8 @@ def test_intervals_hold_where_the_claim_is_half_of_the_truth(count: int) -> None
         value = 2.0 * rng.normal(size=count)
         score = np.column_stack([value - value.mean(), np.zeros(count)])
         scores = Scores(score, information, information, information)
-        turn = np.array([1.0, 0.0])
-        found = scores.variance(turn, scores.scatter(turn))
+        direction = np.array([1.0, 0.0])
+        found = scores.variance(direction, scores.scatter(direction))
         held += abs(value.mean()) < found.quantile * np.sqrt(found.total)
     # 93.4 to 96.4 % by simulation (1e6 draws); three standard errors of 1500 draws are 1.9 %.
     assert held / 1500 > 0.915
@@ -176,10 +176,10 @@ def test_what_probings_share_does_not_scatter() -> None:
     information, noise = _random_matrices(rng, 5), _random_matrices(rng, 5)
     root, common = np.linalg.cholesky(noise), rng.normal(size=(5, 3, 2))
     shared = np.einsum("kri,lrj->klij", common, common)
-    turn, ratios = np.array([1.0, 0.4]), []
+    direction, ratios = np.array([1.0, 0.4]), []
     for _ in range(3000):
         drawn = (root @ rng.normal(size=(5, 2, 1)))[..., 0] + rng.normal(size=3) @ common
-        ratios.append(Scores(drawn, information, noise, noise, shared).scatter(turn).ratio)
+        ratios.append(Scores(drawn, information, noise, noise, shared).scatter(direction).ratio)
     # As above.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
@@ -217,7 +217,7 @@ def test_points_of_one_reference_err_together(sharing: float) -> None:
             share = np.outer(mine, theirs) if k == m else 0.5 * seen
             alike = (near * share)[mine][:, theirs]
             expected += first.T @ alike @ second
-    together = found.noise.sum(0) + found.common.sum(axis=(0, 1))
+    together = found.noise.sum(0) + found.common_covariance.sum(axis=(0, 1))
     # A claim worth one degree of freedom and a scatter of 3 with two: a factor of 7 / 3.
     np.testing.assert_allclose(together, 7.0 / 3.0 * expected, rtol=1e-9)
 
@@ -303,7 +303,7 @@ def test_what_is_considered_moves_the_estimate_by_its_prior(shared: bool) -> Non
 def test_other_references_are_independent() -> None:
     probes = [replace(probe, reference=f"rest {k}") for k, probe in enumerate(_probes())]
     local = minimum_of(misfit_of(probes)).probes
-    assert not scores_of(misfit_of(probes), local, noise=CLAIMED)[0].common.any()
+    assert not scores_of(misfit_of(probes), local, noise=CLAIMED)[0].common_covariance.any()
 
 
 def test_score_is_the_slope_of_the_misfit() -> None:

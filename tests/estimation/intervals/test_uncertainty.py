@@ -190,8 +190,8 @@ def test_a_narrow_interval_is_the_quantile_times_the_error() -> None:
     # As many degrees as the claim and two of the scatter; its factor is 1.
     quantile = t.ppf(0.975, 3.0)
     centre = uncertainty.minimum
-    for name, turn in directions(centre.poisson_ratio).items():
-        error = float(np.sqrt(turn @ uncertainty.scores.covariance() @ turn))
+    for name, direction in directions(centre.poisson_ratio).items():
+        error = float(np.sqrt(direction @ uncertainty.scores.covariance() @ direction))
         constant = getattr(found, name)
         low, high = constant.ci95
         if name == "poisson_ratio":

@@ -78,25 +78,25 @@ def test_predictions_are_those_of_the_constants() -> None:
 
 
 def test_points_are_counted_and_residuals_averaged() -> None:
-    constant = Constant(1.0, 0.1, (0.8, 1.2))
+    modulus, ratio = Constant(1.0, 0.1, (0.8, 1.2)), Constant(0.3, 0.1, (0.1, 0.5))
     residual = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 5.0], [9.0, 9.0, 9.0], [np.nan] * 3,
                          [np.nan, 1.0, np.nan]])  # fmt: skip
     weight = np.array([0.25, 0.9, 0.249, 0.0, 0.5])[:, None] * np.isfinite(residual)
     fit = ProbeFit("n", np.zeros((5, 3)), residual, weight, np.full((5, 3), 2.0))
-    found = probe_estimate(IntervalSet(constant, constant, constant), TOLD, fit)
+    found = probe_estimate(IntervalSet(ratio, modulus, modulus), TOLD, fit)
     assert (found.observed, found.missing, found.rejected) == (4, 1, 1)
     # Lengths 5, 5 and 1 of the three that are kept.
     assert found.rms_residual == pytest.approx(np.sqrt(51 / 3), rel=1e-12)
     squares = 1 + 4 + 4 + 4 + 4 + 9 + 1
     assert found.prediction_error == pytest.approx(np.sqrt(squares / 3), rel=1e-12)
     alone = probe_estimate(
-        IntervalSet(constant, constant, constant), TOLD, replace(fit, left_out_predicted=None)
+        IntervalSet(ratio, modulus, modulus), TOLD, replace(fit, left_out_predicted=None)
     )
     assert alone.prediction_error is None
 
 
 def test_nothing_kept_has_no_residual() -> None:
-    constant = Constant(1.0, 0.1, (0.8, 1.2))
+    modulus, ratio = Constant(1.0, 0.1, (0.8, 1.2)), Constant(0.3, 0.1, (0.1, 0.5))
     fit = ProbeFit("n", np.zeros((1, 3)), np.ones((1, 3)), np.zeros((1, 3)), None)
-    found = probe_estimate(IntervalSet(constant, constant, constant), TOLD, fit)
+    found = probe_estimate(IntervalSet(ratio, modulus, modulus), TOLD, fit)
     assert (found.rms_residual, found.rejected) == (0.0, 1)

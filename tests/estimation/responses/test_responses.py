@@ -56,7 +56,7 @@ def setting():
         csr_array(hstack([surface, rest])),
         (at_points @ body.particular).ravel(),
         tip,
-        weighs=True,
+        has_body_force=True,
     )
     return system, right, body, rows, at_points, top
 

@@ -11,9 +11,9 @@ from palpate.estimation.search.misfit import Misfit
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum
 from palpate.estimation.search.scoring import (
     Minimum,
+    aitken_relaxation,
     diagonal_root,
     scored_minimum,
-    taken_share,
 )
 
 
@@ -29,10 +29,10 @@ def _misfit(noise: str = "student-t", **options: object) -> Misfit:
     return misfit_of(probes, noise)
 
 
-def _slope(misfit: Misfit, nu: float, modulus: float, turn: np.ndarray) -> float:
+def _slope(misfit: Misfit, nu: float, modulus: float, direction: np.ndarray) -> float:
     step = 1e-6
     high, low = (
-        misfit(nu + sign * step * turn[0], modulus * np.exp(sign * step * turn[1]))
+        misfit(nu + sign * step * direction[0], modulus * np.exp(sign * step * direction[1]))
         for sign in (1, -1)
     )
     return (high - low) / (2 * step)
@@ -157,10 +157,10 @@ def test_changes_that_swing_back_end_in_a_few_steps(
 
 def test_of_changes_that_swing_the_part_is_taken_that_leads_to_their_end() -> None:
     change = np.array([1.0, -2.0])
-    assert taken_share(change, np.zeros(0), 1.0) == 1.0
-    assert taken_share(change, 0.5 * change, 1.0) == 1.0
+    assert aitken_relaxation(change, np.zeros(0), 1.0) == 1.0
+    assert aitken_relaxation(change, 0.5 * change, 1.0) == 1.0
     # A map whose distance from its end turns by -0.25, and by -3, each time.
-    assert taken_share(-0.25 * change, change, 1.0) == pytest.approx(1 / 1.25)
-    assert taken_share(-3.0 * change, change, 1.0) == pytest.approx(1 / 4)
+    assert aitken_relaxation(-0.25 * change, change, 1.0) == pytest.approx(1 / 1.25)
+    assert aitken_relaxation(-3.0 * change, change, 1.0) == pytest.approx(1 / 4)
     # With that share it is at its end; with half of it, half of the change is left.
-    assert taken_share(0.5 * change, change, 0.125) == pytest.approx(1 / 4)
+    assert aitken_relaxation(0.5 * change, change, 0.125) == pytest.approx(1 / 4)

@@ -14,7 +14,7 @@ from palpate.estimation.search.variable_projection import (
     best_constants,
     deviance_of,
     fixed_weights,
-    sharpened_minimum,
+    refined_minimum,
 )
 
 GRID = np.array([0.0, 0.1, 0.33, 0.4999])
@@ -65,10 +65,10 @@ def test_the_deviance_is_that_of_dense_least_squares(problem: tuple) -> None:
 def test_some_probings_alone(problem: tuple) -> None:
     compliance = np.full(len(GRID), 5e-5)
     for chosen in ([1], [0, 2]):
-        found, _, _ = deviance_of(problem[-1].only(np.array(chosen)).at(GRID), compliance)
+        found, _, _ = deviance_of(problem[-1].subset(np.array(chosen)).at(GRID), compliance)
         expected = [_dense(problem, nu, 2e4, chosen) for nu in GRID]
         np.testing.assert_allclose(found, expected, rtol=1e-8)
-    alone, _, _ = deviance_of(problem[-1].only(1).at(GRID), compliance)
+    alone, _, _ = deviance_of(problem[-1].subset(1).at(GRID), compliance)
     np.testing.assert_allclose(alone, [_dense(problem, nu, 2e4, [1]) for nu in GRID], rtol=1e-8)
 
 
@@ -128,7 +128,7 @@ def test_exact_data_give_their_constants() -> None:
 @settings(max_examples=50, deadline=None)
 def test_a_parabola_is_sharpened_exactly(centre: float, bend: float, height: float) -> None:
     place = np.linspace(0, 1, 21)
-    found = sharpened_minimum(place, height + bend * (place - centre) ** 2)
+    found = refined_minimum(place, height + bend * (place - centre) ** 2)
     # Differences of neighbouring heights: rounding of the height over the bend.
     assert found[0] == pytest.approx(centre, abs=1e-7 + 1e-11 * (abs(height) / bend))
     assert found[1] == pytest.approx(height, abs=1e-9 * (bend + abs(height)))
@@ -136,8 +136,8 @@ def test_a_parabola_is_sharpened_exactly(centre: float, bend: float, height: flo
 
 def test_an_end_of_the_table_is_not_sharpened() -> None:
     place = np.linspace(1.0, 2.0, 5)
-    assert sharpened_minimum(place, place) == (1.0, 1.0)
-    assert sharpened_minimum(place, -place) == (2.0, -2.0)
+    assert refined_minimum(place, place) == (1.0, 1.0)
+    assert refined_minimum(place, -place) == (2.0, -2.0)
     # Where the curve is level there is nothing to sharpen.
-    assert sharpened_minimum(place, np.zeros(5)) == (1.0, 0.0)
-    assert sharpened_minimum(place, np.array([1.0, 0.0, 0.0, 0.0, 1.0])) == (1.375, -0.125)
+    assert refined_minimum(place, np.zeros(5)) == (1.0, 0.0)
+    assert refined_minimum(place, np.array([1.0, 0.0, 0.0, 0.0, 1.0])) == (1.375, -0.125)

@@ -93,7 +93,7 @@ def test_one_side_of_a_solid_is_found_from_a_rough_guess(shared_data, outliers):
     measured = _moved(truth, points) + rng.normal(scale=NOISE, size=points.shape)
     wrong = rng.uniform(size=len(points)) < outliers
     measured[wrong] += rng.normal(scale=0.01, size=(int(wrong.sum()), 3))
-    found = register(measured, None, mesh, eye=_moved(truth, eye[None])[0])
+    found = register(measured, None, mesh, viewpoint=_moved(truth, eye[None])[0])
     check_registration(found)
     # 27.9 is the 99.99 % point of chi-squared with six degrees of freedom.
     assert _mahalanobis(found, truth) < 27.9
@@ -133,9 +133,9 @@ def test_noise_shared_by_neighbours_widens_the_covariance():
     alone = register(points + rng.normal(scale=NOISE, size=points.shape), None, mesh, settings=NEAR)
     shared = np.repeat(rng.normal(scale=NOISE, size=spots.shape), 10, axis=0)
     together = register(points + shared, None, mesh, settings=NEAR)
-    assert alone.correlation < 1.5
+    assert alone.variance_inflation < 1.5
     # Ten; 64 groups give it to sqrt(2 / (64 * 6)) = 7 %, and cut some of the tens in two.
-    assert together.correlation == pytest.approx(10.0, rel=0.25)
+    assert together.variance_inflation == pytest.approx(10.0, rel=0.25)
 
 
 def test_precise_points_decide_where_noise_is_given():
@@ -338,7 +338,7 @@ def test_a_sheet_does_not_slide(of_mesh, of_points, over, noise):
     measured = points + rng.normal(scale=noise, size=points.shape) + offset
     eye = np.array([0.02, 0.01, 0.4])
     mesh = TriangleMesh(*refined_surface(_sheet(of_mesh), pieces=2))
-    found = register(measured, None, mesh, eye=eye, settings=RegistrationSettings(0.01, 2e-3))
+    found = register(measured, None, mesh, viewpoint=eye, settings=RegistrationSettings(0.01, 2e-3))
     check_registration(found)
     moved = _moved(found.T_mesh_points, points.mean(axis=0) + offset) - points.mean(axis=0)
     # An arch fixes the place along it to two thousandths of its diagonal, 1 sigma, or not at all.
@@ -393,5 +393,5 @@ def test_input_is_checked():
         register(points, np.zeros((100, 3, 3)), mesh)
     with pytest.raises(InputError, match="angle is -1; must be positive"):
         RegistrationSettings(angle=-1.0)
-    with pytest.raises(InputError, match="most_points is 3"):
-        RegistrationSettings(most_points=3)
+    with pytest.raises(InputError, match="max_points is 3"):
+        RegistrationSettings(max_points=3)

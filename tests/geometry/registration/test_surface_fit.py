@@ -11,8 +11,8 @@ from palpate.geometry.registration.surface_fit import (
     linearised,
     motion_pose,
     motion_scale,
+    null_space_basis,
     placed,
-    unheld_basis,
 )
 
 
@@ -59,12 +59,12 @@ def test_points_inside_have_a_negative_distance():
 
 def test_held_combinations_stay_at_zero():
     rng = np.random.default_rng(2)
-    held = rng.normal(size=(2, 6))
-    basis = unheld_basis(held)
+    constraints = rng.normal(size=(2, 6))
+    basis = null_space_basis(constraints)
     assert basis.shape == (6, 4)
-    np.testing.assert_allclose(held @ basis, 0.0, atol=1e-12)
+    np.testing.assert_allclose(constraints @ basis, 0.0, atol=1e-12)
     np.testing.assert_allclose(basis.T @ basis, np.eye(4), atol=1e-12)
-    assert unheld_basis(np.zeros((0, 6))).shape == (6, 6)
+    assert null_space_basis(np.zeros((0, 6))).shape == (6, 6)
 
 
 def test_expected_noise_is_that_across_the_surface_at_the_pose():
@@ -85,7 +85,11 @@ def test_a_step_is_a_tenth_of_the_object_at_most():
     points = np.random.default_rng(3).normal(size=(200, 3))
     points = 0.01 * points / np.abs(points).max(axis=1, keepdims=True) + [0.04, 0.01, 0.01]
     fit = fit_pose(
-        surface_search(mesh), _measured(points), np.eye(4), held=np.zeros((0, 6)), iterations=1
+        surface_search(mesh),
+        _measured(points),
+        np.eye(4),
+        constraints=np.zeros((0, 6)),
+        iterations=1,
     )
     moved = placed(fit.pose, points) - points
     # The scaled motions move the points by their length, but for the square of the turn.

@@ -4,7 +4,7 @@ Purpose    : solve bodies of tens of thousands of vertices in memory and time th
              number, for all materials at once.
 Takes      : a `BoundarySurface`, right-hand sides.
 Gives      : `CompressedSystem` (a `BoundarySystem` without matrices), iterative solutions,
-             `SnapshotModel`, a reduced basis for every Poisson's ratio.
+             `ReducedBasis`, a reduced basis for every Poisson's ratio.
 Depends on : `bem.system`, `bem.integrals`, `geometry`.
 Read first : `operator.py`, then `far_field.py` and `near_field.py`; `system.py`, `snapshots.py`.
 """
@@ -17,9 +17,9 @@ from palpate.bem.compressed.preconditioner import (
     solve_compressed as solve_compressed,
 )
 from palpate.bem.compressed.snapshots import (
-    SnapshotModel as SnapshotModel,
+    ReducedBasis as ReducedBasis,
     orthogonalised as orthogonalised,
-    snapshot_model as snapshot_model,
+    reduced_basis as reduced_basis,
 )
 from palpate.bem.compressed.system import (
     CompressedSystem as CompressedSystem,

@@ -19,9 +19,9 @@ from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
 
 # Check points per charge.
-_POINTS_A_CHARGE = 1.6
+_CHECK_POINTS_PER_CHARGE = 1.6
 # Cutoff of the pseudo-inverse, relative to the largest singular value.
-_ROUNDING = 1e-12
+_CUTOFF = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,30 +32,30 @@ class ChargeSphere:
     ----------
     charge : (k, 3) float         positions of the charges, on the unit sphere
     check : (p, 3) float          check points on a wider sphere, at which potentials are matched
-    matched : (p, k) float        charges from the potentials there: values @ matched
+    check_to_charge : (p, k) float    charges from the potentials there: values @ check_to_charge
     """
 
     charge: Float[np.ndarray, "k 3"]
     check: Float[np.ndarray, "p 3"]
-    matched: Float[np.ndarray, "p k"]
+    check_to_charge: Float[np.ndarray, "p k"]
 
 
-def charge_sphere(count: int, apart: float) -> ChargeSphere:
+def charge_sphere(count: int, check_radius: float) -> ChargeSphere:
     """Charges on the unit sphere, matched on a wider one.
 
     Parameters
     ----------
     count : int                   number of charges
-    apart : float                 > 1, radius of the wider sphere
+    check_radius : float          > 1, radius of the wider sphere
 
     Returns
     -------
     ChargeSphere
     """
     charge = points_on_sphere(count)
-    check = apart * points_on_sphere(int(_POINTS_A_CHARGE * count))
-    matched = np.linalg.pinv(inverse_distances(check, charge), rcond=_ROUNDING).T
-    return ChargeSphere(charge, check, np.ascontiguousarray(matched))
+    check = check_radius * points_on_sphere(int(_CHECK_POINTS_PER_CHARGE * count))
+    check_to_charge = np.linalg.pinv(inverse_distances(check, charge), rcond=_CUTOFF).T
+    return ChargeSphere(charge, check, np.ascontiguousarray(check_to_charge))
 
 
 def points_on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
@@ -106,7 +106,7 @@ def fill_inverse_distances(first, second, out):
             row[j] = one / np.sqrt(square)
 
 
-def telling_points(
+def interpolative_decomposition(
     values: Float[np.ndarray, "m p"], tolerance: float
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "m k"]]:
     """Interpolative decomposition: the few rows of a matrix from which all others are interpolated.

@@ -39,35 +39,35 @@ class ClusterTree:
 
 
 def cluster_tree(
-    place: Float[np.ndarray, "n 3"], reach: Float[np.ndarray, " n"], leaf: int
+    position: Float[np.ndarray, "n 3"], item_radius: Float[np.ndarray, " n"], leaf_size: int
 ) -> ClusterTree:
     """Bisect items across their longest extent until every part is small.
 
     Parameters
     ----------
-    place : (n, 3) float [m]      position of each item
-    reach : (n,) float [m]        radius of a sphere about its position that contains each item
-    leaf : int                    most items in a leaf; a part is cut at a multiple of `LANES`
-                                  where it is large enough
+    position : (n, 3) float [m]   position of each item
+    item_radius : (n,) float [m]  radius of a sphere about its position that contains each item
+    leaf_size : int               largest number of items in a leaf; a part is cut at a multiple of
+                                  `LANES` where it is large enough
 
     Returns
     -------
     ClusterTree
     """
-    order = np.arange(len(place))
-    bounds, children = [(0, len(place))], []
+    order = np.arange(len(position))
+    bounds, children = [(0, len(position))], []
     centre, radius = [], []
     # The list grows within the loop: children are appended to all clusters found before.
     for start, stop in bounds:
         own = order[start:stop]
-        low, high = place[own].min(axis=0), place[own].max(axis=0)
+        low, high = position[own].min(axis=0), position[own].max(axis=0)
         centre.append(0.5 * (low + high))
-        distance = np.linalg.norm(place[own] - centre[-1], axis=1)
-        radius.append(float((distance + reach[own]).max()))
-        if stop - start <= leaf:
+        distance = np.linalg.norm(position[own] - centre[-1], axis=1)
+        radius.append(float((distance + item_radius[own]).max()))
+        if stop - start <= leaf_size:
             children.append((-1, -1))
             continue
-        along = place[own, int(np.argmax(high - low))]
+        along = position[own, int(np.argmax(high - low))]
         order[start:stop] = own[np.argsort(along, kind="stable")]
         half = (stop - start) // 2
         middle = start + max(half // LANES, 1) * LANES if half > LANES else start + half
@@ -93,7 +93,7 @@ class ClusterPairs:
     near: list[Int[np.ndarray, " _"]]
 
 
-def seen_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[np.ndarray, " c"]:
+def far_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[np.ndarray, " c"]:
     """Clusters that belong to a far pair, by themselves or as parts of larger ones.
 
     Parameters
@@ -105,18 +105,18 @@ def seen_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[n
     -------
     (c,) bool
     """
-    seen = np.zeros(len(tree.start), dtype=bool)
-    seen[np.concatenate([np.zeros(0, dtype=np.int64), *far])] = True
+    is_far = np.zeros(len(tree.start), dtype=bool)
+    is_far[np.concatenate([np.zeros(0, dtype=np.int64), *far])] = True
     for one, children in enumerate(tree.children):
-        if seen[one] and children[0] >= 0:
-            seen[children] = True
-    return seen
+        if is_far[one] and children[0] >= 0:
+            is_far[children] = True
+    return is_far
 
 
 def cluster_pairs(
     first: ClusterTree,
     second: ClusterTree,
-    apart: tuple[float, float],
+    admissibility: tuple[float, float],
     gap: Float[np.ndarray, " c"],
 ) -> ClusterPairs:
     """Pair the clusters of two trees so that every pair of items is covered exactly once.
@@ -124,8 +124,8 @@ def cluster_pairs(
     Parameters
     ----------
     first, second : ClusterTree
-    apart : (float, float)        least distance of a far partner from a cluster's centre, in radii
-                                  of the cluster, for the first tree and for the second
+    admissibility : (float, float)    least distance of a far partner from a cluster's centre, in
+                                  radii of the cluster, for the first tree and for the second
     gap : (c,) float [m]          least distance of a far partner from the sphere of each cluster of
                                   the second tree
 
@@ -135,23 +135,25 @@ def cluster_pairs(
     """
     far: list[list[int]] = [[] for _ in first.start]
     near: list[list[int]] = [[] for _ in first.start]
-    waiting = np.zeros((1, 2), dtype=np.int64)
-    while waiting.size:
-        a, b = waiting.T
-        between = np.linalg.norm(first.centre[a] - second.centre[b], axis=1)
-        size_a, size_b = first.radius[a], second.radius[b]
-        admissible = between - size_b >= apart[0] * size_a
-        admissible &= between - size_a >= np.maximum(apart[1] * size_b, size_b + gap[b])
-        whole_a, whole_b = first.children[a, 0] < 0, second.children[b, 0] < 0
-        left = ~admissible & whole_a & whole_b
-        for pairs, chosen in ((far, admissible), (near, left)):
-            for i, j in waiting[chosen]:
+    pending = np.zeros((1, 2), dtype=np.int64)
+    while pending.size:
+        a, b = pending.T
+        distance = np.linalg.norm(first.centre[a] - second.centre[b], axis=1)
+        radius_a, radius_b = first.radius[a], second.radius[b]
+        admissible = distance - radius_b >= admissibility[0] * radius_a
+        admissible &= distance - radius_a >= np.maximum(
+            admissibility[1] * radius_b, radius_b + gap[b]
+        )
+        is_leaf_a, is_leaf_b = first.children[a, 0] < 0, second.children[b, 0] < 0
+        near_leaves = ~admissible & is_leaf_a & is_leaf_b
+        for pairs, chosen in ((far, admissible), (near, near_leaves)):
+            for i, j in pending[chosen]:
                 pairs[i].append(int(j))
-        open_pairs = ~admissible & ~left
+        open_pairs = ~admissible & ~near_leaves
         # The larger of the two clusters is divided.
-        divide_a = open_pairs & ~whole_a & (whole_b | (size_a >= size_b))
+        divide_a = open_pairs & ~is_leaf_a & (is_leaf_b | (radius_a >= radius_b))
         divide_b = open_pairs & ~divide_a
-        waiting = np.concatenate(
+        pending = np.concatenate(
             [np.stack([first.children[a[divide_a], k], b[divide_a]], axis=1) for k in (0, 1)]
             + [np.stack([a[divide_b], second.children[b[divide_b], k]], axis=1) for k in (0, 1)]
         )

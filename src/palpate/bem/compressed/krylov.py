@@ -21,13 +21,13 @@ from palpate.errors import NotConvergedError
 
 _TINY = np.finfo(float).tiny
 # Right-hand sides that share a Krylov space; more would cost more memory than they save.
-_TOGETHER = 24
-# Reduction of the residual per round of rough products; their rounding of 3e-7 stays below it, as
-# amplified by the iteration in slender bodies.
-_ROUGHLY = 1e-5
-# Rough products are given up once the residual exceeds its target by this factor, or a round took
-# more than so many iterations: each round starts with an empty Krylov space.
-_TOO_ROUGH, _FEW = 10.0, 20
+_BLOCK_SIZE = 24
+# Reduction of the residual per round of low-precision products; their rounding of 3e-7 stays below
+# it, as amplified by the iteration in slender bodies.
+_LOW_PRECISION_REDUCTION = 1e-5
+# Low-precision products are given up once the residual exceeds its target by this factor, or a
+# round took more than so many iterations: each round starts with an empty Krylov space.
+_MAX_EXCESS, _MAX_ROUND_ITERATIONS = 10.0, 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,15 +49,15 @@ class IterativeSolution:
     residual: Float[np.ndarray, " c"]
 
 
-def solve_together(
+def block_gmres(
     product: Callable[[np.ndarray], np.ndarray],
     inverse: Callable[[np.ndarray], np.ndarray],
     right: Float[np.ndarray, "k c"],
     *,
-    rough: Callable[[np.ndarray], np.ndarray] | None = None,
+    low_precision: Callable[[np.ndarray], np.ndarray] | None = None,
     scale: Float[np.ndarray, " c"] | None = None,
     tolerance: float = 1e-9,
-    most: int = 150,
+    max_iterations: int = 150,
 ) -> IterativeSolution:
     """Solve one system for many right-hand sides.
 
@@ -67,12 +67,13 @@ def solve_together(
     inverse : callable            (k, c) -> (k, c): preconditioner, its approximate inverse times
                                   vectors
     right : (k, c) float
-    rough : callable or None      cheaper `product` of lower precision for the iteration, while
-                                  `product` itself gives the residuals; None: `product` for both
+    low_precision : callable or None    cheaper `product` of lower precision for the iteration,
+                                  while `product` itself gives the residuals; None: `product` for
+                                  both
     scale : (c,) float or None    norms to which residuals are relative; None: those of the
                                   right-hand sides
     tolerance : float             of the residual, relative to the scale
-    most : int                    largest number of iterations, over all rounds of refinement
+    max_iterations : int          largest number of iterations, over all rounds of refinement
 
     Returns
     -------
@@ -84,19 +85,19 @@ def solve_together(
     """
     size = np.linalg.norm(right, axis=0) + _TINY if scale is None else scale
     parts = []
-    for first in range(0, right.shape[1], _TOGETHER):
-        own = slice(first, first + _TOGETHER)
+    for first in range(0, right.shape[1], _BLOCK_SIZE):
+        own = slice(first, first + _BLOCK_SIZE)
         wanted = right[:, own] / size[own]
-        if rough is None:
-            found = _solve_block(product, inverse, wanted, tolerance, most)
+        if low_precision is None:
+            found = _solve_block(product, inverse, wanted, tolerance, max_iterations)
         else:
-            found = _refined(product, rough, inverse, wanted, tolerance, most)
+            found = _refined(product, low_precision, inverse, wanted, tolerance, max_iterations)
         if found.residual.max(initial=0.0) > tolerance:
             raise NotConvergedError(
-                f"a system of {len(right)} equations is not solved after {most} iterations"
-                f" (residual {found.residual.max():.1e}, at most {tolerance:.0e} is allowed): a"
-                " part that nothing holds makes this impossible (run `palpate check`), thin parts"
-                " make it hard: simplify the surface until dense matrices serve"
+                f"a system of {len(right)} equations is not solved after {max_iterations}"
+                f" iterations (residual {found.residual.max():.1e}, at most {tolerance:.0e} is"
+                " allowed): a part that nothing holds makes this impossible (run `palpate check`),"
+                " thin parts make it hard: simplify the surface until dense matrices serve"
             )
         parts.append(found)
     return IterativeSolution(
@@ -109,29 +110,39 @@ def solve_together(
 
 def _refined(
     product: Callable[[np.ndarray], np.ndarray],
-    rough: Callable[[np.ndarray], np.ndarray],
+    low_precision: Callable[[np.ndarray], np.ndarray],
     inverse: Callable[[np.ndarray], np.ndarray],
     right: Float[np.ndarray, "k c"],
     tolerance: float,
-    most: int,
+    max_iterations: int,
 ) -> IterativeSolution:
-    """Iterative refinement: every round solves for the remaining residual, with rough products as
-    long as these suffice."""
+    """Iterative refinement: every round solves for the remaining residual, with low-precision
+    products as long as these suffice."""
     solution, known, iterations = np.zeros_like(right), np.zeros_like(right), 0
-    residual, roughly = np.linalg.norm(right, axis=0), True
-    while (worst := residual.max(initial=0.0)) > tolerance and iterations < most:
-        rounds = np.ceil(np.log(tolerance / worst) / np.log(_ROUGHLY)) if roughly else 1.0
+    residual, use_low_precision = np.linalg.norm(right, axis=0), True
+    while (worst := residual.max(initial=0.0)) > tolerance and iterations < max_iterations:
+        rounds = (
+            np.ceil(np.log(tolerance / worst) / np.log(_LOW_PRECISION_REDUCTION))
+            if use_low_precision
+            else 1.0
+        )
         # Half, as a margin: rounding must not cost another round.
-        aim = 0.5 * worst * (tolerance / worst) ** (1.0 / rounds)
+        target = 0.5 * worst * (tolerance / worst) ** (1.0 / rounds)
         own = np.flatnonzero(residual > tolerance)
         step = _solve_block(
-            rough if roughly else product, inverse, (right - known)[:, own], aim, most - iterations
+            low_precision if use_low_precision else product,
+            inverse,
+            (right - known)[:, own],
+            target,
+            max_iterations - iterations,
         )
         solution[:, own] += step.solution
-        known[:, own] += product(step.solution) if roughly else step.product
+        known[:, own] += product(step.solution) if use_low_precision else step.product
         iterations += step.iterations
         residual = np.linalg.norm(right - known, axis=0)
-        roughly &= step.iterations <= _FEW and residual.max() <= _TOO_ROUGH * aim
+        use_low_precision &= (
+            step.iterations <= _MAX_ROUND_ITERATIONS and residual.max() <= _MAX_EXCESS * target
+        )
     return IterativeSolution(solution, known, iterations, residual)
 
 
@@ -140,25 +151,25 @@ def _solve_block(
     inverse: Callable[[np.ndarray], np.ndarray],
     right: Float[np.ndarray, "k c"],
     tolerance: float,
-    most: int,
+    max_iterations: int,
 ) -> IterativeSolution:
     """Block GMRES, with one Krylov space for all right-hand sides."""
     count = right.shape[1]
     block, start = np.linalg.qr(right)
     basis, hessenberg = [block], np.zeros((count, 0))
     residual, weights = np.linalg.norm(start, axis=0), np.zeros((0, count))
-    while residual.max(initial=0.0) > tolerance and len(basis) <= most:
-        block, step = _orthogonalised(product(inverse(block)), basis)
+    while residual.max(initial=0.0) > tolerance and len(basis) <= max_iterations:
+        block, coefficients = _orthogonalised(product(inverse(block)), basis)
         basis.append(block)
-        hessenberg = np.hstack([np.pad(hessenberg, ((0, count), (0, 0))), step])
-        wanted = np.zeros((len(hessenberg), count))
-        wanted[:count] = start
+        hessenberg = np.hstack([np.pad(hessenberg, ((0, count), (0, 0))), coefficients])
+        projected = np.zeros((len(hessenberg), count))
+        projected[:count] = start
         q, r = np.linalg.qr(hessenberg)
-        weights = np.linalg.solve(r, q.T @ wanted)
-        residual = np.linalg.norm(wanted - hessenberg @ weights, axis=0)
-    mixed = _combined(basis[:-1], weights, right)
+        weights = np.linalg.solve(r, q.T @ projected)
+        residual = np.linalg.norm(projected - hessenberg @ weights, axis=0)
+    combination = _combined(basis[:-1], weights, right)
     known = _combined(basis, hessenberg @ weights, right)
-    return IterativeSolution(inverse(mixed), known, len(basis) - 1, residual)
+    return IterativeSolution(inverse(combination), known, len(basis) - 1, residual)
 
 
 def _combined(
@@ -178,12 +189,12 @@ def _orthogonalised(
 ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
     """Vectors orthonormalised against the basis, and their coefficients: products with the basis,
     then the triangular factor."""
-    step = np.zeros((len(basis) * vectors.shape[1], vectors.shape[1]))
+    coefficients = np.zeros((len(basis) * vectors.shape[1], vectors.shape[1]))
     # Twice: the first pass leaves rounding errors in proportion to what it subtracts.
     for _ in range(2):
         for i, block in enumerate(basis):
             along = block.T @ vectors
             vectors = vectors - block @ along
-            step[i * vectors.shape[1] : (i + 1) * vectors.shape[1]] += along
+            coefficients[i * vectors.shape[1] : (i + 1) * vectors.shape[1]] += along
     block, rest = np.linalg.qr(vectors)
-    return block, np.concatenate([step, rest])
+    return block, np.concatenate([coefficients, rest])

@@ -25,7 +25,7 @@ from palpate.bem.compressed.charges import ChargeSphere
 _TRACTION, _DISPLACEMENT = 16, 13
 
 
-class Mix(NamedTuple):
+class KernelWeights(NamedTuple):
     """Weights of the parts of the equations, at one Poisson's ratio or for the slope in it.
 
     Attributes
@@ -46,49 +46,52 @@ class LeafMoments:
 
     Attributes
     ----------
-    nodes : (n,) int                   vertices
-    traction : (16, k, n) float        k charges for each of their 16 moments
-    sides : (s,) int                   held sides
-    displacement : (13, k, s) float    k charges for each of their 13 moments
+    nodes : (n,) int                          vertices
+    traction_kernel : (16, k, n) float        k charges for each of their 16 moments
+    sides : (s,) int                          held sides
+    displacement_kernel : (13, k, s) float    k charges for each of their 13 moments
     """
 
     nodes: Int[np.ndarray, " n"]
-    traction: Float[np.ndarray, "16 k n"]
+    traction_kernel: Float[np.ndarray, "16 k n"]
     sides: Int[np.ndarray, " s"]
-    displacement: Float[np.ndarray, "13 k s"]
+    displacement_kernel: Float[np.ndarray, "13 k s"]
 
     def charges(
-        self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
+        self,
+        weights: KernelWeights,
+        displacement: Float[np.ndarray, "v 3 c"],
+        traction: Float[np.ndarray, "h 3 c"],
     ) -> Float[np.ndarray, "k 4 c"]:
         """Charges of the four harmonic functions, F and psi.
 
         Parameters
         ----------
-        mix : Mix
-        moved : (v, 3, c) float        displacement of all vertices
-        pressed : (h, 3, c) float      traction of all held sides
+        weights : KernelWeights
+        displacement : (v, 3, c) float    of all vertices
+        traction : (h, 3, c) float        of all held sides
         """
-        u = moved[self.nodes]
-        count, columns = self.traction.shape[1], u.shape[2]
-        out = np.zeros((count, 4, columns), dtype=moved.dtype)
-        self._add_traction(mix, u, out)
+        u = displacement[self.nodes]
+        count, columns = self.traction_kernel.shape[1], u.shape[2]
+        out = np.zeros((count, 4, columns), dtype=displacement.dtype)
+        self._add_traction(weights, u, out)
         if self.sides.size:
-            self._add_displacement(mix, pressed[self.sides], out)
+            self._add_displacement(weights, traction[self.sides], out)
         return out
 
     def _add_traction(
-        self, mix: Mix, u: Float[np.ndarray, "n 3 c"], out: Float[np.ndarray, "k 4 c"]
+        self, weights: KernelWeights, u: Float[np.ndarray, "n 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
         matrix = np.empty((len(out), 4, 3, len(u)), dtype=out.dtype)
-        _fill_traction(mix.skew, mix.rest, self.traction, matrix)
+        _fill_traction(weights.skew, weights.rest, self.traction_kernel, matrix)
         out += _product(matrix, u)
 
     def _add_displacement(
-        self, mix: Mix, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
+        self, weights: KernelWeights, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
     ) -> None:
         matrix = np.empty((len(out), 4, 3, len(q)), dtype=out.dtype)
-        trace = 1.5 * mix.constant - 2.0 * mix.slope
-        _fill_displacement(trace, mix.constant, self.displacement, matrix)
+        trace = 1.5 * weights.constant - 2.0 * weights.slope
+        _fill_displacement(trace, weights.constant, self.displacement_kernel, matrix)
         out += _product(matrix, q)
 
 
@@ -104,8 +107,8 @@ def leaf_moments(
     sphere: ChargeSphere,
     centre: Float[np.ndarray, "3"],
     radius: float,
-    displaced: tuple[Float[np.ndarray, "q 6"], csr_array],
-    pressed: tuple[Float[np.ndarray, "p 6"], csr_array],
+    vertex_sources: tuple[Float[np.ndarray, "q 6"], csr_array],
+    side_sources: tuple[Float[np.ndarray, "p 6"], csr_array],
 ) -> LeafMoments:
     """Moments of the nodes of a leaf cluster of triangles, as equivalent charges.
 
@@ -114,9 +117,9 @@ def leaf_moments(
     sphere : ChargeSphere
     centre : (3,) float [m]
     radius : float [m]
-    displaced : (q, 6) float, (q, v) sparse     quadrature points with normals times weights; shape
-                                                functions of the vertices there
-    pressed : (p, 6) float, (p, h) sparse       the same for the held triangles and their sides
+    vertex_sources : (q, 6) float, (q, v) sparse    quadrature points with normals times weights;
+                                                shape functions of the vertices there
+    side_sources : (p, 6) float, (p, h) sparse  the same for the held triangles and their sides
 
     Returns
     -------
@@ -124,12 +127,14 @@ def leaf_moments(
     """
     check = np.ascontiguousarray((centre + radius * sphere.check).T)
     return LeafMoments(
-        *_gathered(_traction_values, _TRACTION, sphere, centre, radius, check, *displaced),
-        *_gathered(_displacement_values, _DISPLACEMENT, sphere, centre, radius, check, *pressed),
+        *_node_moments(_traction_values, _TRACTION, sphere, centre, radius, check, *vertex_sources),
+        *_node_moments(
+            _displacement_values, _DISPLACEMENT, sphere, centre, radius, check, *side_sources
+        ),
     )
 
 
-def _gathered(
+def _node_moments(
     kernel: Callable[..., None],
     count: int,
     sphere: ChargeSphere,
@@ -148,8 +153,8 @@ def _gathered(
         shape=(len(sources), used.size),
     )
     at_check = (own.T @ values).reshape(-1, check.shape[1])
-    charges = radius * (at_check @ sphere.matched)
-    charges = charges.reshape(used.size, count, sphere.matched.shape[1]).transpose(1, 2, 0)
+    charges = radius * (at_check @ sphere.check_to_charge)
+    charges = charges.reshape(used.size, count, sphere.check_to_charge.shape[1]).transpose(1, 2, 0)
     return used, np.ascontiguousarray(charges, dtype=np.float32)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 from scipy.sparse import csr_array
 
 from palpate.bem.compressed.clusters import ClusterTree
-from palpate.bem.compressed.moments import Mix
+from palpate.bem.compressed.moments import KernelWeights
 from palpate.bem.integrals import (
     DISPLACEMENT,
     TRACTION,
@@ -34,34 +34,34 @@ class NearBlock:
     ----------
     points : (m,) int                     collocation points
     nodes : (n,) int                      vertices
-    traction : (9, m, n) float            for their displacements, in single precision
+    traction_kernel : (9, m, n) float     for their displacements, in single precision
     sides : (s,) int                      held sides
-    displacement : (6, m, s) float        for their tractions, in single precision
+    displacement_kernel : (6, m, s) float    for their tractions, in single precision
     """
 
     points: Int[np.ndarray, " m"]
     nodes: Int[np.ndarray, " n"]
-    traction: Float[np.ndarray, "9 m n"]
+    traction_kernel: Float[np.ndarray, "9 m n"]
     sides: Int[np.ndarray, " s"]
-    displacement: Float[np.ndarray, "6 m s"]
+    displacement_kernel: Float[np.ndarray, "6 m s"]
 
     def traction_matrix(
-        self, mix: Mix, dtype: DTypeLike = np.float64
+        self, weights: KernelWeights, dtype: DTypeLike = np.float64
     ) -> Float[np.ndarray, "m 3 3 n"]:
         """Coefficients of the displacements, [.., i, j, ..]: equation i, component j."""
-        count, nodes = self.traction.shape[1:]
+        count, nodes = self.traction_kernel.shape[1:]
         out = np.empty((count, 3, 3, nodes), dtype=dtype)
-        _fill_traction(mix.skew, mix.rest, self.traction, out)
+        _fill_traction(weights.skew, weights.rest, self.traction_kernel, out)
         return out
 
     def displacement_matrix(
-        self, mix: Mix, dtype: DTypeLike = np.float64
+        self, weights: KernelWeights, dtype: DTypeLike = np.float64
     ) -> Float[np.ndarray, "m 3 3 s"]:
         """Coefficients of the tractions, [.., i, j, ..]: equation i, component j."""
-        count, sides = self.displacement.shape[1:]
+        count, sides = self.displacement_kernel.shape[1:]
         out = np.empty((count, 3, 3, sides), dtype=dtype)
-        trace, rest = 1.5 * mix.constant - 2.0 * mix.slope, 0.5 * mix.constant
-        _fill_displacement(trace, rest, self.displacement, out)
+        trace, rest = 1.5 * weights.constant - 2.0 * weights.slope, 0.5 * weights.constant
+        _fill_displacement(trace, rest, self.displacement_kernel, out)
         return out
 
 
@@ -79,27 +79,32 @@ class NearField:
     n_points: int
 
     def apply(
-        self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
+        self,
+        weights: KernelWeights,
+        displacement: Float[np.ndarray, "v 3 c"],
+        traction: Float[np.ndarray, "h 3 c"],
     ) -> Float[np.ndarray, "r 3 c"]:
         """Near-field part of the equations; arguments as for `FarField.apply`."""
-        out = np.empty((self.n_points, 3, moved.shape[2]), dtype=moved.dtype)
-        in_threads(self._multiply, len(self.blocks), mix, moved, pressed, out)
+        out = np.empty((self.n_points, 3, displacement.shape[2]), dtype=displacement.dtype)
+        in_threads(self._multiply, len(self.blocks), weights, displacement, traction, out)
         return out
 
     def _multiply(
         self,
         begin: int,
         end: int,
-        mix: Mix,
-        moved: Float[np.ndarray, "v 3 c"],
-        pressed: Float[np.ndarray, "h 3 c"],
+        weights: KernelWeights,
+        displacement: Float[np.ndarray, "v 3 c"],
+        traction: Float[np.ndarray, "h 3 c"],
         out: Float[np.ndarray, "r 3 c"],
     ) -> None:
         for block in self.blocks[begin:end]:
-            found = _product(block.traction_matrix(mix, moved.dtype), moved[block.nodes])
+            found = _product(
+                block.traction_matrix(weights, displacement.dtype), displacement[block.nodes]
+            )
             if block.sides.size:
-                matrix = block.displacement_matrix(mix, moved.dtype)
-                found += _product(matrix, pressed[block.sides])
+                matrix = block.displacement_matrix(weights, displacement.dtype)
+                found += _product(matrix, traction[block.sides])
             out[block.points] = found
 
 
@@ -130,22 +135,26 @@ def near_field(
     """
     points, triangles = clusters
     leaves = points.leaves
-    place = np.cumsum(surface.held) - 1
+    held_index = np.cumsum(surface.held) - 1
     blocks: list[NearBlock | None] = [None] * len(leaves)
 
-    def gather(begin: int, end: int) -> None:
+    def integrate(begin: int, end: int) -> None:
         for number in range(begin, end):
             leaf = int(leaves[number])
             own = np.sort(np.concatenate([triangles.members(int(k)) for k in near[leaf]]))
             held = own[surface.held[own]]
-            here = _chosen(collocation, points.members(leaf))
-            ask = surface, here, quadrature
-            nodes, traction = _fields(*ask, TRACTION, surface.displacement, own, own)
-            sides, press = _fields(*ask, DISPLACEMENT, held_nodes, place[held], held)
-            blocks[number] = NearBlock(points.members(leaf), nodes, traction, sides, press)
+            points_here = _chosen(collocation, points.members(leaf))
+            shared = surface, points_here, quadrature
+            nodes, traction_fields = _fields(*shared, TRACTION, surface.displacement, own, own)
+            sides, displacement_fields = _fields(
+                *shared, DISPLACEMENT, held_nodes, held_index[held], held
+            )
+            blocks[number] = NearBlock(
+                points.members(leaf), nodes, traction_fields, sides, displacement_fields
+            )
             progress("integrals nearby", sum(one is not None for one in blocks) / len(blocks))
 
-    in_threads(gather, len(leaves))
+    in_threads(integrate, len(leaves))
     return NearField([block for block in blocks if block is not None], len(collocation.point))
 
 

@@ -17,10 +17,10 @@ from palpate.bem.compressed.clusters import (
     ClusterTree,
     cluster_pairs,
     cluster_tree,
-    seen_clusters,
+    far_clusters,
 )
-from palpate.bem.compressed.far_field import FarField, make_lifts, make_receivers
-from palpate.bem.compressed.moments import LeafMoments, Mix, leaf_moments
+from palpate.bem.compressed.far_field import FarField, make_child_to_parent, make_receivers
+from palpate.bem.compressed.moments import KernelWeights, LeafMoments, leaf_moments
 from palpate.bem.compressed.near_field import NearField, near_field
 from palpate.bem.integrals import BoundarySurface, Collocation, Quadrature, triangle_rule
 from palpate.bem.system import Unknowns, restricted_nodes
@@ -44,16 +44,17 @@ class Compression:
     Attributes
     ----------
     charges : int                 equivalent charges per cluster of triangles
-    apart : (float, float)        distance from its centre, in its radii, beyond which everything is
-                                  far from a cluster of points, and from a cluster of triangles
+    admissibility : (float, float)    distance from its centre, in its radii, beyond which
+                                  everything is far from a cluster of points, and from a cluster
+                                  of triangles
     tolerance : float             relative error of values interpolated within a cluster of points
-    leaf : (int, int)             most collocation points, and most triangles, in a leaf cluster
+    leaf_size : (int, int)        largest numbers of collocation points and of triangles in a leaf
     """
 
     charges: int = 250
-    apart: tuple[float, float] = (1.5, 2.0)
+    admissibility: tuple[float, float] = (1.5, 2.0)
     tolerance: float = 1e-6
-    leaf: tuple[int, int] = (64, 64)
+    leaf_size: tuple[int, int] = (64, 64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,36 +65,41 @@ class CompressedOperator:
     ----------
     near : NearField
     far : FarField
-    own : (r, v) sparse           displacement at the collocation points from that of the vertices
-    total : (2, r, 3, 3) float    A and B, summed over all vertices: subtracted at the collocation
-                                  point, so that a rigid translation gives no traction
+    to_points : (r, v) sparse     displacement at the collocation points from that of the vertices
+    row_sums : (2, r, 3, 3) float    A and B, summed over all vertices: subtracted at the
+                                  collocation point, so that a rigid translation gives no traction
     """
 
     near: NearField
     far: FarField
-    own: csr_array
-    total: Float[np.ndarray, "2 r 3 3"]
+    to_points: csr_array
+    row_sums: Float[np.ndarray, "2 r 3 3"]
 
     def apply(
-        self, mix: Mix, moved: Float[np.ndarray, "v 3 c"], pressed: Float[np.ndarray, "h 3 c"]
+        self,
+        weights: KernelWeights,
+        displacement: Float[np.ndarray, "v 3 c"],
+        traction: Float[np.ndarray, "h 3 c"],
     ) -> Float[np.ndarray, "r 3 c"]:
         """Left-hand sides of the integral equations at every collocation point.
 
         Parameters
         ----------
-        mix : Mix                         weights of their parts
-        moved : (v, 3, c) float [m]       displacement of all vertices
-        pressed : (h, 3, c) float         traction of all held sides, scaled as `mix` requires
+        weights : KernelWeights           of the parts of the equations
+        displacement : (v, 3, c) float [m]    of all vertices
+        traction : (h, 3, c) float        of all held sides, scaled as `weights` requires
 
         Returns
         -------
         (r, 3, c) float
         """
-        found = self.near.apply(mix, moved, pressed)
-        found += self.far.apply(mix, moved, pressed)
-        own = (self.own @ moved.reshape(len(moved), -1)).reshape(found.shape)
-        total = mix.skew * self.total[0] + mix.rest * self.total[1]
-        found -= total.astype(found.dtype) @ own.astype(found.dtype)
+        found = self.near.apply(weights, displacement, traction)
+        found += self.far.apply(weights, displacement, traction)
+        at_points = (self.to_points @ displacement.reshape(len(displacement), -1)).reshape(
+            found.shape
+        )
+        row_sums = weights.skew * self.row_sums[0] + weights.rest * self.row_sums[1]
+        found -= row_sums.astype(found.dtype) @ at_points.astype(found.dtype)
         return found
 
 
@@ -121,12 +127,13 @@ def compress(
     -------
     CompressedOperator
     """
-    points = cluster_tree(collocation.point, np.zeros(len(collocation.point)), compression.leaf[0])
-    middle, reach = element_spheres(surface.element_nodes)
-    triangles = cluster_tree(middle, reach, compression.leaf[1])
-    least = quadrature.ratios()[np.searchsorted(quadrature.degrees, _DEGREE)]
-    gap = least * _largest(triangles, reach)
-    pairs = cluster_pairs(points, triangles, compression.apart, gap)
+    points = cluster_tree(
+        collocation.point, np.zeros(len(collocation.point)), compression.leaf_size[0]
+    )
+    centre, radius = element_spheres(surface.element_nodes)
+    triangles = cluster_tree(centre, radius, compression.leaf_size[1])
+    gap = quadrature.ratio(_DEGREE) * _largest(triangles, radius)
+    pairs = cluster_pairs(points, triangles, compression.admissibility, gap)
     held = np.flatnonzero(surface.held)
     index = np.full(surface.traction.n_nodes, -1)
     index[unknowns.held_sides] = np.arange(unknowns.held_sides.size)
@@ -136,23 +143,23 @@ def compress(
         part_of(progress, 0.0, 0.6),
     )  # fmt: skip
     progress("integrals far away", 0.6)
-    sphere = charge_sphere(compression.charges, compression.apart[1])
-    seen, whole = seen_clusters(triangles, pairs.far), triangles.children[:, 0] < 0
-    moments = _all_moments(surface, held_nodes, triangles, np.flatnonzero(seen & whole), sphere)
-    lifts = make_lifts(triangles, np.flatnonzero(seen & ~whole), sphere)
-    proxies = compression.apart[0] * sphere.check / compression.apart[1]
+    sphere = charge_sphere(compression.charges, compression.admissibility[1])
+    is_far, is_leaf = far_clusters(triangles, pairs.far), triangles.children[:, 0] < 0
+    moments = _all_moments(surface, held_nodes, triangles, np.flatnonzero(is_far & is_leaf), sphere)
+    child_to_parent = make_child_to_parent(triangles, np.flatnonzero(is_far & ~is_leaf), sphere)
+    proxies = compression.admissibility[0] * sphere.check / compression.admissibility[1]
     receivers = make_receivers(points, collocation.point, proxies, compression.tolerance)
     offset = np.empty_like(collocation.point)
     for leaf in points.leaves:
         own = points.members(int(leaf))
         offset[own] = collocation.point[own] - points.centre[leaf]
-    far = FarField(triangles, moments, lifts, receivers, pairs.far, sphere, offset)
-    at_points = _own_displacement(surface.displacement, collocation)
-    return CompressedOperator(near, far, at_points, _totals(near, far, surface, held_nodes))
+    far = FarField(triangles, moments, child_to_parent, receivers, pairs.far, sphere, offset)
+    to_points = _own_displacement(surface.displacement, collocation)
+    return CompressedOperator(near, far, to_points, _row_sums(near, far, surface, held_nodes))
 
 
-def _largest(tree: ClusterTree, reach: Float[np.ndarray, " m"]) -> Float[np.ndarray, " c"]:
-    return np.array([reach[tree.members(k)].max() for k in range(len(tree.start))])
+def _largest(tree: ClusterTree, radius: Float[np.ndarray, " m"]) -> Float[np.ndarray, " c"]:
+    return np.array([radius[tree.members(k)].max() for k in range(len(tree.start))])
 
 
 def _all_moments(
@@ -163,7 +170,7 @@ def _all_moments(
     sphere: ChargeSphere,
 ) -> dict[int, LeafMoments]:
     """Moments of some leaf clusters of triangles."""
-    place = np.cumsum(surface.held) - 1
+    held_index = np.cumsum(surface.held) - 1
     moments: dict[int, LeafMoments] = {}
 
     def gather(begin: int, end: int) -> None:
@@ -175,7 +182,7 @@ def _all_moments(
                 tree.centre[leaf],
                 float(tree.radius[leaf]),
                 _sources(surface.displacement, own, surface.element_nodes[own]),
-                _sources(held_nodes, place[held], surface.element_nodes[held]),
+                _sources(held_nodes, held_index[held], surface.element_nodes[held]),
             )
 
     in_threads(gather, leaves.size)
@@ -207,13 +214,17 @@ def _own_displacement(nodes: QuadraticNodes, collocation: Collocation) -> csr_ar
     return csr_array((value, (row, column)), shape=(len(collocation.point), nodes.n_nodes))
 
 
-def _totals(
+def _row_sums(
     near: NearField, far: FarField, surface: BoundarySurface, held_nodes: QuadraticNodes
 ) -> Float[np.ndarray, "2 r 3 3"]:
     """Products of A and of B with the three unit translations."""
-    shifts = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
-    nothing = np.zeros((held_nodes.n_nodes, 3, 3))
-    parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))
+    translations = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
+    no_traction = np.zeros((held_nodes.n_nodes, 3, 3))
+    parts = (KernelWeights(1.0, 0.0, 0.0, 0.0), KernelWeights(0.0, 1.0, 0.0, 0.0))
     return np.stack(
-        [near.apply(mix, shifts, nothing) + far.apply(mix, shifts, nothing) for mix in parts]
+        [
+            near.apply(weights, translations, no_traction)
+            + far.apply(weights, translations, no_traction)
+            for weights in parts
+        ]
     )

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lu_factor, lu_solve
 
-from palpate.bem.compressed.krylov import IterativeSolution, solve_together
-from palpate.bem.compressed.moments import Mix
+from palpate.bem.compressed.krylov import IterativeSolution, block_gmres
+from palpate.bem.compressed.moments import KernelWeights
 from palpate.bem.compressed.near_field import NearBlock
-from palpate.bem.compressed.system import SLACK, CompressedSystem, scaled_mix
+from palpate.bem.compressed.system import SLACK, CompressedSystem, scaled_weights
 from palpate.threads import in_threads
 
 
@@ -25,8 +25,8 @@ class ClusterInverse:
     points : list of (m,) int             collocation points of each cluster
     unknowns : list of (m,) int           unknown vectors that are paired with them
     factors : list                        LAPACK's LU factors of each block
-    answer : (k - 3, 3) float             block solutions for a unit slack
-    pressed : (3, 3) float                force balance of `answer`
+    slack_solutions : (k - 3, 3) float    block solutions for a unit slack
+    slack_force : (3, 3) float            force balance of `slack_solutions`
     """
 
     system: CompressedSystem
@@ -34,8 +34,8 @@ class ClusterInverse:
     points: list[Int[np.ndarray, " _"]]
     unknowns: list[Int[np.ndarray, " _"]]
     factors: list[tuple[np.ndarray, np.ndarray]]
-    answer: Float[np.ndarray, "k 3"]
-    pressed: Float[np.ndarray, "3 3"]
+    slack_solutions: Float[np.ndarray, "k 3"]
+    slack_force: Float[np.ndarray, "3 3"]
 
     def solve(self, right: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
         """An approximate solution.
@@ -44,12 +44,12 @@ class ClusterInverse:
         ----------
         right : (k, c) float
         """
-        own = self.each(self.system.by_point(right))
-        left = right[-3:] - self.force(own)
-        slack = np.linalg.solve(-self.pressed, left)
-        return np.concatenate([own - self.answer @ slack, slack])
+        block_solutions = self.solve_blocks(self.system.by_point(right))
+        residual = right[-3:] - self.force(block_solutions)
+        slack = np.linalg.solve(-self.slack_force, residual)
+        return np.concatenate([block_solutions - self.slack_solutions @ slack, slack])
 
-    def each(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "k c"]:
+    def solve_blocks(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "k c"]:
         """Solve the equations of every cluster, without slack."""
         out = np.empty_like(rows)
 
@@ -65,12 +65,12 @@ class ClusterInverse:
     def force(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "3 c"]:
         """Left-hand side of the force balance, for unknowns without slack."""
         first = 3 * self.system.unknowns.free_vertices.size
-        pressed = unknowns[first:].reshape(-1, 3, unknowns.shape[1])
-        return np.einsum("h,hic->ic", self.system.balance_weights, pressed)
+        traction = unknowns[first:].reshape(-1, 3, unknowns.shape[1])
+        return np.einsum("h,hic->ic", self.system.balance_weights, traction)
 
 
 def cluster_inverse(
-    system: CompressedSystem, poisson_ratio: float, *, most: int = 256
+    system: CompressedSystem, poisson_ratio: float, *, max_points: int = 256
 ) -> ClusterInverse:
     """Factorise the diagonal blocks of all clusters at one Poisson's ratio.
 
@@ -78,16 +78,16 @@ def cluster_inverse(
     ----------
     system : CompressedSystem
     poisson_ratio : float
-    most : int                    largest number of collocation points in a block
+    max_points : int              largest number of collocation points in a block
 
     Returns
     -------
     ClusterInverse
     """
-    mix = scaled_mix(system, poisson_ratio)
+    weights = scaled_weights(system, poisson_ratio)
     tree = system.operator.far.receivers.tree
     size = tree.stop - tree.start
-    chosen = np.flatnonzero(size <= most)
+    chosen = np.flatnonzero(size <= max_points)
     inner = tree.children[chosen].ravel()
     chosen = np.setdiff1d(chosen, inner[inner >= 0])
     points = [tree.members(int(one)) for one in chosen]
@@ -99,14 +99,18 @@ def cluster_inverse(
     def factorise(begin: int, end: int) -> None:
         for k in range(begin, end):
             blocks = [system.operator.near.blocks[b] for b in np.unique(block_of[points[k]])]
-            own = _own_matrix(system, mix, blocks, points[k], unknowns[k])
+            own = _diagonal_block(system, weights, blocks, points[k], unknowns[k])
             factors[k] = lu_factor(own, overwrite_a=True, check_finite=False)
 
     in_threads(factorise, len(points))
-    nothing = np.zeros((system.size - 3, 3)), np.eye(3)
-    bare = ClusterInverse(system, poisson_ratio, points, unknowns, factors, *nothing)
-    answer = bare.each(np.tile(SLACK * np.eye(3), (len(pair), 1, 1)))
-    return replace(bare, answer=answer, pressed=bare.force(answer))
+    no_slack = np.zeros((system.size - 3, 3)), np.eye(3)
+    without_slack = ClusterInverse(system, poisson_ratio, points, unknowns, factors, *no_slack)
+    slack_solutions = without_slack.solve_blocks(np.tile(SLACK * np.eye(3), (len(pair), 1, 1)))
+    return replace(
+        without_slack,
+        slack_solutions=slack_solutions,
+        slack_force=without_slack.force(slack_solutions),
+    )
 
 
 def solve_compressed(
@@ -138,13 +142,13 @@ def solve_compressed(
     def product(vectors: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
         return inverse.system.product(inverse.poisson_ratio, vectors)
 
-    def rough(vectors: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
+    def low_precision(vectors: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
         # Half the time. Used alone, its rounding errors, different in every product, would change
         # the deflection of a slender body by up to 1e-4.
         return product(vectors.astype(np.float32)).astype(np.float64)
 
-    return solve_together(
-        product, inverse.solve, right, rough=rough, scale=scale, tolerance=tolerance
+    return block_gmres(
+        product, inverse.solve, right, low_precision=low_precision, scale=scale, tolerance=tolerance
     )
 
 
@@ -173,26 +177,26 @@ def _blocks_by_point(system: CompressedSystem) -> Int[np.ndarray, " r"]:
     return number
 
 
-def _own_matrix(
+def _diagonal_block(
     system: CompressedSystem,
-    mix: Mix,
+    weights: KernelWeights,
     blocks: list[NearBlock],
     points: Int[np.ndarray, " m"],
     unknowns: Int[np.ndarray, " m"],
 ) -> Float[np.ndarray, "k k"]:
     """Diagonal block of a cluster: the near-field coefficients of its own unknowns."""
-    place = np.full(system.size // 3, -1)
-    place[unknowns] = np.arange(points.size)
+    index = np.full(system.size // 3, -1)
+    index[unknowns] = np.arange(points.size)
     row_of = np.full(len(system.collocation.point), -1)
     row_of[points] = np.arange(points.size)
     free = system.unknowns.free_vertices
     of_vertex = np.full(len(system.surface.mesh.vertices), -1)
-    of_vertex[free] = place[: free.size]
-    of_side = place[free.size : free.size + system.unknowns.held_sides.size]
+    of_vertex[free] = index[: free.size]
+    of_side = index[free.size : free.size + system.unknowns.held_sides.size]
     matrix = np.zeros((points.size, 3, points.size, 3))
     for block in blocks:
-        parts = [(of_vertex[block.nodes], block.traction_matrix(mix))]
-        parts.append((of_side[block.sides], block.displacement_matrix(mix)))
+        parts = [(of_vertex[block.nodes], block.traction_matrix(weights))]
+        parts.append((of_side[block.sides], block.displacement_matrix(weights)))
         for column, values in parts:
             kept = np.flatnonzero(column >= 0)
             entries = np.ix_(row_of[block.points], range(3), column[kept])
@@ -200,6 +204,8 @@ def _own_matrix(
     vertex = system.collocation.vertex[points]
     column = np.where(vertex >= 0, of_vertex[vertex], -1)
     own = np.flatnonzero(column >= 0)
-    total = mix.skew * system.operator.total[0] + mix.rest * system.operator.total[1]
-    matrix[own, :, column[own], :] -= total[points[own]]
+    row_sums = (
+        weights.skew * system.operator.row_sums[0] + weights.rest * system.operator.row_sums[1]
+    )
+    matrix[own, :, column[own], :] -= row_sums[points[own]]
     return matrix.reshape(3 * points.size, -1)

@@ -25,17 +25,19 @@ from palpate.bem.compressed.system import CompressedSystem
 from palpate.errors import NotConvergedError
 
 # Poisson's ratios over the range at which the residual is evaluated.
-_LOOKED_AT = 41
-_MOST_SOLUTIONS = 20
+_TRAINING_RATIOS = 41
+_MAX_SNAPSHOTS = 20
 # Poisson's ratio of the first snapshot, typical of most materials.
 _CENTRE = 0.3
 # Tolerance of a snapshot over that of the model.
-_SHARE = 0.1
+_SNAPSHOT_TOLERANCE = 0.1
 _TINY = np.finfo(float).tiny
+# Rounding of a vector per basis vector subtracted from it, relative to its length.
+_ROUNDING = 4 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SnapshotModel:
+class ReducedBasis:
     """Basis vectors that span the solutions for all Poisson's ratios; used as `ReducedModel` is.
 
     Attributes
@@ -71,8 +73,8 @@ class SnapshotModel:
         float                     largest preconditioned residual over the columns, relative to the
                                   preconditioned right-hand side
         """
-        weights, left = self._weights(poisson_ratio, columns)
-        return weights.T, float(left.max(initial=0.0))
+        weights, residual = self._weights(poisson_ratio, columns)
+        return weights.T, float(residual.max(initial=0.0))
 
     def _weights(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice
@@ -82,20 +84,20 @@ class SnapshotModel:
         right = constant + poisson_ratio * (slope + poisson_ratio * curvature)
         size = np.linalg.norm(right, axis=1) + _TINY
         weights = np.zeros((len(matrix), matrix.shape[2]))
-        left = np.zeros(len(matrix))
+        residual = np.zeros(len(matrix))
         for k, (one, wanted) in enumerate(zip(matrix, right, strict=True)):
             weights[k] = np.linalg.lstsq(one, wanted)[0]
-            left[k] = np.linalg.norm(one @ weights[k] - wanted) / size[k]
-        return weights, left
+            residual[k] = np.linalg.norm(one @ weights[k] - wanted) / size[k]
+        return weights, residual
 
 
-def snapshot_model(
+def reduced_basis(
     system: CompressedSystem,
     right: Float[np.ndarray, "3 k c"],
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = 5e-7,
-) -> SnapshotModel:
+) -> ReducedBasis:
     """Solve at a few Poisson's ratios until their span contains the solutions of the whole range.
 
     Parameters
@@ -107,30 +109,30 @@ def snapshot_model(
 
     Returns
     -------
-    SnapshotModel
+    ReducedBasis
 
     Raises
     ------
     NotConvergedError                 an iteration does not converge, or the tolerance is not met
     """
-    ratios = np.linspace(*poisson_range, _LOOKED_AT)
-    gathered = _Gathered(system, cluster_inverse(system, _CENTRE), right)
+    ratios = np.linspace(*poisson_range, _TRAINING_RATIOS)
+    snapshots = _Snapshots(system, cluster_inverse(system, _CENTRE), right)
     ratio, found = _CENTRE, None
-    while len(gathered.ratios) < _MOST_SOLUTIONS:
-        gathered.add(ratio, found, _SHARE * tolerance)
-        found = gathered.model()
+    while len(snapshots.ratios) < _MAX_SNAPSHOTS:
+        snapshots.add(ratio, found, _SNAPSHOT_TOLERANCE * tolerance)
+        found = snapshots.basis()
         residuals = [found.coefficients(float(nu))[1] for nu in ratios]
         if max(residuals) <= tolerance:
             return found
         ratio = float(ratios[int(np.argmax(residuals))])
     raise NotConvergedError(
-        f"{_MOST_SOLUTIONS} solutions leave a residual of {max(residuals):.1e} over Poisson's"
+        f"{_MAX_SNAPSHOTS} solutions leave a residual of {max(residuals):.1e} over Poisson's"
         f" ratios {poisson_range[0]} to {poisson_range[1]}, at most {tolerance:.0e} is allowed;"
         " narrow the range"
     )
 
 
-class _Gathered:
+class _Snapshots:
     """Snapshots so far, and their products with the matrix."""
 
     def __init__(
@@ -147,39 +149,41 @@ class _Gathered:
         self.ratios: list[float] = []
         self._iterations: list[int] = []
         # Preconditioned, residuals are approximate errors of the unknowns.
-        self._seen = [inverse.solve(term) for term in right]
+        self._preconditioned = [inverse.solve(term) for term in right]
 
-    def add(self, ratio: float, model: SnapshotModel | None, tolerance: float) -> None:
+    def add(self, ratio: float, basis: ReducedBasis | None, tolerance: float) -> None:
         """Add the snapshot at one ratio, which is solved for the residual of the model."""
         constant, slope, curvature = self.right
         wanted = constant + ratio * (slope + ratio * curvature)
         size = np.linalg.norm(wanted, axis=0) + _TINY
-        left = wanted
-        if model is not None:
-            weights, _ = model.coefficients(ratio)
+        residual = wanted
+        if basis is not None:
+            weights, _ = basis.coefficients(ratio)
             for weight, (first, second) in zip(weights, self._products, strict=True):
-                left = left - weight * (first + ratio * second)
+                residual = residual - weight * (first + ratio * second)
         inverse = cluster_inverse(self.system, ratio)
-        found = solve_compressed(inverse, left, scale=size, tolerance=tolerance)
+        found = solve_compressed(inverse, residual, scale=size, tolerance=tolerance)
         sloped = self.system.slope_product(found.solution)
-        direction, step = orthogonalised(found.solution, self.directions)
-        products = self._products_of_direction(found.product - ratio * sloped, sloped, step)
+        direction, coefficients = orthogonalised(found.solution, self.directions)
+        products = self._products_of_direction(found.product - ratio * sloped, sloped, coefficients)
         self.directions.append(direction)
         self._products.append(products)
         self.ratios.append(ratio)
         self._iterations.append(found.iterations)
-        self._seen += [self._inverse.solve(one) for one in products]
+        self._preconditioned += [self._inverse.solve(one) for one in products]
 
-    def model(self) -> SnapshotModel:
+    def basis(self) -> ReducedBasis:
         """The model of the snapshots so far."""
         count = len(self.directions)
         upper = np.stack(
             [
-                np.linalg.qr(np.stack([term[:, c] for term in self._seen], axis=1), mode="r")
+                np.linalg.qr(
+                    np.stack([term[:, c] for term in self._preconditioned], axis=1), mode="r"
+                )
                 for c in range(self.right.shape[2])
             ]
         )
-        return SnapshotModel(
+        return ReducedBasis(
             tuple(self.directions),
             upper[:, :, 3::2],
             upper[:, :, 4::2],
@@ -192,13 +196,17 @@ class _Gathered:
         self,
         first: Float[np.ndarray, "k c"],
         second: Float[np.ndarray, "k c"],
-        step: Float[np.ndarray, "rows c"],
+        coefficients: Float[np.ndarray, "rows c"],
     ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
         """Products of a new basis vector, from those of the vectors given to `orthogonalised`."""
-        for along, (known, sloped) in zip(step[:-1], self._products, strict=True):
+        for along, (known, sloped) in zip(coefficients[:-1], self._products, strict=True):
             first, second = first - along * known, second - along * sloped
-        length = step[-1] + _TINY
-        return first / length, second / length
+        length = coefficients[-1]
+        first, second = (
+            np.divide(product, length, out=np.zeros_like(product), where=length > 0.0)
+            for product in (first, second)
+        )
+        return first, second
 
 
 def orthogonalised(
@@ -213,16 +221,22 @@ def orthogonalised(
 
     Returns
     -------
-    (k, c) float                            of length 1; 0 where a vector lies in the span
+    (k, c) float                            of length 1; 0 where a vector lies in the span to
+                                            rounding
     (j + 1, c) float                        products with the basis, then the length of the
-                                            orthogonal component
+                                            orthogonal component, 0 likewise
     """
-    step = np.zeros((len(basis) + 1, vectors.shape[1]))
+    scale = np.linalg.norm(vectors, axis=0)
+    coefficients = np.zeros((len(basis) + 1, vectors.shape[1]))
     # Twice: the first pass leaves rounding errors in proportion to what it subtracts.
     for _ in range(2):
         for i, direction in enumerate(basis):
             along = np.einsum("kc,kc->c", direction, vectors)
             vectors = vectors - along * direction
-            step[i] += along
-    step[-1] = np.linalg.norm(vectors, axis=0)
-    return vectors / (step[-1] + _TINY), step
+            coefficients[i] += along
+    length = np.linalg.norm(vectors, axis=0)
+    # What rounding leaves of a vector in the span is not a direction: it would not be orthogonal to
+    # the others, and its products with the matrix would be rounding errors as well.
+    outside = length > _ROUNDING * (len(basis) + 1) * scale
+    coefficients[-1] = np.where(outside, length, 0.0)
+    return np.where(outside, vectors / (length + _TINY), 0.0), coefficients

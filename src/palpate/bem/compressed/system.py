@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from palpate.bem.compressed.moments import Mix
+from palpate.bem.compressed.moments import KernelWeights
 from palpate.bem.compressed.operator import CompressedOperator, Compression, compress
 from palpate.bem.integrals import (
     DISPLACEMENT,
@@ -56,9 +56,9 @@ class CompressedSystem(BoundarySystem):
         poisson_ratio : float
         unknowns : (k, c) float
         """
-        found, pressed = self._applied(scaled_mix(self, poisson_ratio), unknowns)
+        found, traction = self._applied(scaled_weights(self, poisson_ratio), unknowns)
         found += SLACK * unknowns[-3:]
-        return np.concatenate([self.by_component(found), self._balance(pressed)])
+        return np.concatenate([self.by_component(found), self._balance(traction)])
 
     def slope_product(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
         """The derivative of the matrix with respect to Poisson's ratio times vectors.
@@ -67,27 +67,30 @@ class CompressedSystem(BoundarySystem):
         ----------
         unknowns : (k, c) float
         """
-        mix = Mix(-2.0, 0.0, 0.0, -1.0 / self.traction_length)
-        found, _ = self._applied(mix, unknowns)
+        weights = KernelWeights(-2.0, 0.0, 0.0, -1.0 / self.traction_length)
+        found, _ = self._applied(weights, unknowns)
         return np.concatenate([self.by_component(found), np.zeros((3, unknowns.shape[1]))])
 
     def given_products(
-        self, moved: Float[np.ndarray, "v 3 c"]
+        self, displacement: Float[np.ndarray, "v 3 c"]
     ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
         """Contributions of prescribed vertex displacements to the integral equations.
 
         Parameters
         ----------
-        moved : (v, 3, c) float [m]       zero where the displacement is unknown
+        displacement : (v, 3, c) float [m]    zero where it is unknown
 
         Returns
         -------
         (k, c) float, (k, c) float        for A and for B (`traction_parts`), without the rows of
                                           the force balance
         """
-        nothing = np.zeros((self.unknowns.held_sides.size, 3, moved.shape[2]))
-        parts = (Mix(1.0, 0.0, 0.0, 0.0), Mix(0.0, 1.0, 0.0, 0.0))
-        a, b = (self.by_component(self.operator.apply(mix, moved, nothing)) for mix in parts)
+        no_traction = np.zeros((self.unknowns.held_sides.size, 3, displacement.shape[2]))
+        parts = (KernelWeights(1.0, 0.0, 0.0, 0.0), KernelWeights(0.0, 1.0, 0.0, 0.0))
+        a, b = (
+            self.by_component(self.operator.apply(weights, displacement, no_traction))
+            for weights in parts
+        )
         return a, b
 
     def by_component(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "n c"]:
@@ -101,16 +104,16 @@ class CompressedSystem(BoundarySystem):
         return rows
 
     def _applied(
-        self, mix: Mix, unknowns: Float[np.ndarray, "k c"]
+        self, weights: KernelWeights, unknowns: Float[np.ndarray, "k c"]
     ) -> tuple[Float[np.ndarray, "r 3 c"], Float[np.ndarray, "h 3 c"]]:
         free, columns = self.unknowns.free_vertices, unknowns.shape[1]
-        moved = np.zeros((len(self.surface.mesh.vertices), 3, columns), dtype=unknowns.dtype)
-        moved[free] = unknowns[: 3 * free.size].reshape(-1, 3, columns)
-        pressed = unknowns[3 * free.size : -3].reshape(-1, 3, columns)
-        return self.operator.apply(mix, moved, pressed), pressed
+        displacement = np.zeros((len(self.surface.mesh.vertices), 3, columns), dtype=unknowns.dtype)
+        displacement[free] = unknowns[: 3 * free.size].reshape(-1, 3, columns)
+        traction = unknowns[3 * free.size : -3].reshape(-1, 3, columns)
+        return self.operator.apply(weights, displacement, traction), traction
 
-    def _balance(self, pressed: Float[np.ndarray, "h 3 c"]) -> Float[np.ndarray, "3 c"]:
-        return np.einsum("h,hic->ic", self.balance_weights, pressed)
+    def _balance(self, traction: Float[np.ndarray, "h 3 c"]) -> Float[np.ndarray, "3 c"]:
+        return np.einsum("h,hic->ic", self.balance_weights, traction)
 
     @property
     def balance_weights(self) -> Float[np.ndarray, " h"]:
@@ -119,7 +122,7 @@ class CompressedSystem(BoundarySystem):
         return weights[self.unknowns.held_sides] / self.traction_length**2
 
 
-def scaled_mix(system: BoundarySystem, poisson_ratio: float) -> Mix:
+def scaled_weights(system: BoundarySystem, poisson_ratio: float) -> KernelWeights:
     """Weights of the parts of a system's equations at one Poisson's ratio.
 
     Parameters
@@ -128,7 +131,7 @@ def scaled_mix(system: BoundarySystem, poisson_ratio: float) -> Mix:
     poisson_ratio : float
     """
     length = system.traction_length
-    return Mix(1 - 2 * poisson_ratio, 1.0, -1.0 / length, -poisson_ratio / length)
+    return KernelWeights(1 - 2 * poisson_ratio, 1.0, -1.0 / length, -poisson_ratio / length)
 
 
 def compressed_system(
@@ -167,14 +170,14 @@ def compressed_system(
         surface, unknowns, collocation, compression=compression, quadrature=quadrature,
         progress=progress,
     )  # fmt: skip
-    h, g = (_rows_alone(surface, collocation, kernel) for kernel in (TRACTION, DISPLACEMENT))
+    h, g = (_row_layout(surface, collocation, kernel) for kernel in (TRACTION, DISPLACEMENT))
     return CompressedSystem(
         surface=surface, unknowns=unknowns, collocation=collocation, traction_kernel=h,
         displacement_kernel=g, operator=operator,
     )  # fmt: skip
 
 
-def _rows_alone(
+def _row_layout(
     surface: BoundarySurface, collocation: Collocation, kernel: FieldLayout
 ) -> FieldBlocks:
     """The row layout of a kernel's integrals, without any node."""

@@ -129,7 +129,7 @@ class Rules(NamedTuple):
     polar: np.ndarray
 
 
-class _Midpoints(NamedTuple):
+class _MidsideNodes(NamedTuple):
     """Sparse matrix by rows: weights that distribute each midside node's integral to the nodes."""
 
     start: np.ndarray
@@ -179,7 +179,7 @@ def assemble(
     number = nodes.element.copy()
     number[dependent] = nodes.n_nodes + used_number
     weights = csr_array(nodes.weights[used - nodes.n_nodes])
-    midpoints = _Midpoints(
+    midside = _MidsideNodes(
         weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data
     )
     elements = _Elements(
@@ -188,9 +188,7 @@ def assemble(
     )  # fmt: skip
     n_blocks = points.rows.shape[0]
     values = np.empty((n_blocks, nodes.n_nodes * kernel.count * LANES))
-    in_threads(
-        _integrate_blocks, n_blocks, kernel.count, points, elements, rules, midpoints, values
-    )
+    in_threads(_integrate_blocks, n_blocks, kernel.count, points, elements, rules, midside, values)
     shape = (n_blocks, nodes.n_nodes, kernel.count, LANES)
     return FieldBlocks(values.reshape(shape), points.rows, collocation.point.shape[0])
 
@@ -221,8 +219,12 @@ def with_rigid_body_sum(
     blocks.values[block, vertex[block, lane], :, lane] -= total[block, :, lane]
     for b, i in zip(*np.nonzero(vertex < 0), strict=True):
         row = blocks.rows[b, i, None]
-        own = interpolation_matrix(nodes, collocation.triangle[row], collocation.barycentric[row])
-        blocks.values[b, own.indices, :, i] -= own.data[:, None] * total[b, :, i]
+        interpolation = interpolation_matrix(
+            nodes, collocation.triangle[row], collocation.barycentric[row]
+        )
+        blocks.values[b, interpolation.indices, :, i] -= (
+            interpolation.data[:, None] * total[b, :, i]
+        )
     return blocks
 
 
@@ -276,16 +278,16 @@ def _points_in_blocks(collocation: Collocation) -> _Points:
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-def _integrate_blocks(begin, end, n_fields, points, elements, rules, midpoints, out):
+def _integrate_blocks(begin, end, n_fields, points, elements, rules, midside, out):
     """Integrals of the blocks from begin to end, first for all nodes and midside nodes."""
     width = n_fields * LANES
-    n_own = out.shape[1]
-    gathered = np.empty(n_own + (midpoints.start.size - 1) * width)
+    n_nodal = out.shape[1]
+    accumulated = np.empty(n_nodal + (midside.start.size - 1) * width)
     start = rules.start
     buffer = np.empty((start[-1] - start[-2]) * width)
     ratio = np.empty(LANES)
     for b in range(begin, end):
-        gathered[:] = 0.0
+        accumulated[:] = 0.0
         for e in range(elements.nodes.shape[0]):
             rule, nearest = _choose_rule(
                 points.lanes[b], elements.centre[e], elements.radius[e], rules.ratios, ratio
@@ -297,19 +299,19 @@ def _integrate_blocks(begin, end, n_fields, points, elements, rules, midpoints, 
             if near:
                 _clear_near_lanes(ratio, rules.ratios[-1], fields)
             for a in range(SHAPES):
-                place = elements.number[e, a] * width
+                offset = elements.number[e, a] * width
                 add_shape_moment(
-                    fields, rules.shapes[a, first:last], gathered[place : place + width]
+                    fields, rules.shapes[a, first:last], accumulated[offset : offset + width]
                 )
             if near:
                 for i in range(LANES):
                     if ratio[i] < rules.ratios[-1]:
-                        _add_near_lane(n_fields, points, b, i, elements, e, rules, gathered)
-        out[b] = gathered[:n_own]
-        for t in range(midpoints.start.size - 1):
-            source = gathered[n_own + t * width : n_own + (t + 1) * width]
-            for p in range(midpoints.start[t], midpoints.start[t + 1]):
-                node, weight = midpoints.node[p], midpoints.weight[p]
+                        _add_near_lane(n_fields, points, b, i, elements, e, rules, accumulated)
+        out[b] = accumulated[:n_nodal]
+        for t in range(midside.start.size - 1):
+            source = accumulated[n_nodal + t * width : n_nodal + (t + 1) * width]
+            for p in range(midside.start[t], midside.start[t + 1]):
+                node, weight = midside.node[p], midside.weight[p]
                 target = out[b, node * width : (node + 1) * width]
                 for i in range(width):
                     target[i] += weight * source[i]
@@ -344,11 +346,11 @@ def _clear_near_lanes(ratio, limit, fields):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def _add_near_lane(n_fields, points, b, i, elements, e, rules, gathered):
+def _add_near_lane(n_fields, points, b, i, elements, e, rules, accumulated):
     """Add the near or singular integrals of one load point over one triangle."""
     row = points.rows[b, i]
     point, nodes, vertices = points.point[row], elements.nodes[e], elements.vertices[e]
-    local, own, corners = np.zeros((SHAPES, n_fields)), np.zeros(SHAPES), np.zeros((3, 3))
+    local, subtracted, corners = np.zeros((SHAPES, n_fields)), np.zeros(SHAPES), np.zeros((3, 3))
     corner = -1
     for k in range(3):
         if vertices[k] == points.vertex[row]:
@@ -356,21 +358,21 @@ def _add_near_lane(n_fields, points, b, i, elements, e, rules, gathered):
     if points.triangle[row] == elements.triangle[e]:
         b0, b1, b2 = points.barycentric[row]
         if n_fields == _N_TRACTION:
-            shapes_at(b0, b1, b2, own)
+            shapes_at(b0, b1, b2, subtracted)
         for k in range(3):
             corners[:] = 0.0
             corners[0] = points.barycentric[row]
             corners[1, k] = corners[2, (k + 1) % 3] = 1.0
-            add_singular(n_fields, point, nodes, corners, rules.polar, own, local)
+            add_singular(n_fields, point, nodes, corners, rules.polar, subtracted, local)
     elif corner >= 0:
         if n_fields == _N_TRACTION:
-            own[corner] = 1.0
+            subtracted[corner] = 1.0
         for j in range(3):
             corners[j, (corner + j) % 3] = 1.0
-        add_singular(n_fields, point, nodes, corners, rules.polar, own, local)
+        add_singular(n_fields, point, nodes, corners, rules.polar, subtracted, local)
     else:
         add_near(n_fields, point, nodes, rules.points, rules.start, rules.ratios, local)
     for a in range(SHAPES):
-        place = elements.number[e, a] * n_fields * LANES + i
+        offset = elements.number[e, a] * n_fields * LANES + i
         for f in range(n_fields):
-            gathered[place + f * LANES] += local[a, f]
+            accumulated[offset + f * LANES] += local[a, f]

@@ -17,7 +17,7 @@ SHAPES = 6
 # Subdivision ends below this fraction of the triangle's area: after ten quarterings.
 _SMALLEST_PART = 1e-6
 # Size of the stack of pending parts: each of ten levels adds three.
-_MOST_WAITING = 34
+_STACK_SIZE = 34
 # Widest panel in the hyperbolic angle of the singular integrals that 12 points resolve.
 _WIDEST_PANEL = 2.0
 
@@ -110,7 +110,7 @@ def surface_point(nodes, b0, b1, b2, shape, source):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def add_singular(n_fields, point, nodes, corners, polar, own, out):
+def add_singular(n_fields, point, nodes, corners, polar, subtracted, out):
     """Add the integrals over a subtriangle that has the load point as its first corner.
 
     Parameters
@@ -123,9 +123,8 @@ def add_singular(n_fields, point, nodes, corners, polar, own, out):
     polar : (p, 3) float                    radius and hyperbolic angle, from 0 to 1, and weight
                                             times radius; the hyperbolic angle keeps the integrand
                                             smooth for subtriangles of any aspect ratio
-    own : (6,) float                        subtracted from the shape functions: their values at the
-                                            load point for the strongly singular traction kernel,
-                                            else zero
+    subtracted : (6,) float                 from the shape functions: their values at the load point
+                                            for the strongly singular traction kernel, else zero
     out : (6, n_fields) float               added to
     """
     shape, source = np.empty(SHAPES), np.empty(6)
@@ -150,7 +149,7 @@ def add_singular(n_fields, point, nodes, corners, polar, own, out):
                 b[k] = (1 - s) * corners[0, k] + s * ((1 - t) * corners[1, k] + t * corners[2, k])
             surface_point(nodes, b[0], b[1], b[2], shape, source)
             for a in range(SHAPES):
-                shape[a] -= own[a]
+                shape[a] -= subtracted[a]
             add_point_fields(n_fields, point, source, weight, shape, out)
 
 
@@ -162,17 +161,17 @@ def _foot_and_height(nodes, corners):
     third. Measured in the tangent plane at the first corner, where the integrand is large; the
     corners of a curved element may lie off this plane.
     """
-    place = np.zeros((3, 3))
+    tangent = np.zeros((3, 3))
     b0, b1, b2 = corners[0]
     for a in range(6):
         slope = _slopes_at(a, b0, b1, b2)
         for k in range(1, 3):
-            change = slope[0] * (corners[k, 1] - b1) + slope[1] * (corners[k, 2] - b2)
+            weight = slope[0] * (corners[k, 1] - b1) + slope[1] * (corners[k, 2] - b2)
             for i in range(3):
-                place[k, i] += change * nodes[a, i]
+                tangent[k, i] += weight * nodes[a, i]
     edge2, along, away2 = 0.0, 0.0, 0.0
     for i in range(3):
-        edge, away = place[2, i] - place[1, i], place[1, i] - place[0, i]
+        edge, away = tangent[2, i] - tangent[1, i], tangent[1, i] - tangent[0, i]
         edge2 += edge * edge
         along += edge * away
         away2 += away * away
@@ -198,10 +197,10 @@ def add_near(n_fields, point, nodes, rules, start, ratios, out):
     out : (6, n_fields) float               added to
     """
     shape, source = np.empty(SHAPES), np.empty(6)
-    waiting, part = whole_triangle(), np.empty(10)
-    top = 1
-    while top > 0:
-        top, rule, _ = next_part(point, nodes, ratios, waiting, top, part)
+    stack, part = whole_triangle(), np.empty(10)
+    depth = 1
+    while depth > 0:
+        depth, rule, _ = next_part(point, nodes, ratios, stack, depth, part)
         for q in range(start[rule], start[rule + 1]):
             weight = part_point(nodes, rules[q], part, shape, source)
             add_point_fields(n_fields, point, source, weight, shape, out)
@@ -216,13 +215,13 @@ def whole_triangle():
     (34, 10) float                          barycentric coordinates of the three corners, then the
                                             fraction of the triangle's area
     """
-    waiting = np.zeros((_MOST_WAITING, 10))
-    waiting[0, 0] = waiting[0, 4] = waiting[0, 8] = waiting[0, 9] = 1.0
-    return waiting
+    stack = np.zeros((_STACK_SIZE, 10))
+    stack[0, 0] = stack[0, 4] = stack[0, 8] = stack[0, 9] = 1.0
+    return stack
 
 
 @numba.njit(error_model="numpy", cache=True)
-def next_part(point, nodes, ratios, waiting, top, part):
+def next_part(point, nodes, ratios, stack, depth, part):
     """Pop the last pending part, subdivided until it is far enough from a point.
 
     Parameters
@@ -230,8 +229,8 @@ def next_part(point, nodes, ratios, waiting, top, part):
     point : (3,) float [m]                  finite; NaN would subdivide everything to the last level
     nodes : (6, 3) float [m]                six-node triangle
     ratios : (k,) float                     distance over radius above which each rule may be used
-    waiting : (34, 10) float                changed: the stack (`whole_triangle`)
-    top : int                               number of pending parts, >= 1
+    stack : (34, 10) float                  changed: the pending parts (`whole_triangle`)
+    depth : int                             number of pending parts, >= 1
     part : (10,) float                      overwritten: the part
 
     Returns
@@ -241,17 +240,17 @@ def next_part(point, nodes, ratios, waiting, top, part):
     float                                   distance of the point over the part's radius
     """
     while True:
-        top -= 1
-        part[:] = waiting[top]
+        depth -= 1
+        part[:] = stack[depth]
         ratio = _ratio(point, nodes, part)
         if ratio >= ratios[-1] or part[9] <= _SMALLEST_PART:
             break
-        _divide(part, waiting[top : top + 4])
-        top += 4
+        _divide(part, stack[depth : depth + 4])
+        depth += 4
     rule = 0
     while rule < ratios.size - 1 and ratio < ratios[rule]:
         rule += 1
-    return top, rule, ratio
+    return depth, rule, ratio
 
 
 @numba.njit(error_model="numpy", cache=True)

@@ -50,7 +50,20 @@ class Quadrature:
         (k,) float [-]            decreasing with the degree; a rule of degree d has a relative
                                   error of (radius / distance)^(d + 1)
         """
-        return np.array([self.tolerance ** (-1.0 / (degree + 1)) for degree in self.degrees])
+        return np.array([self.ratio(degree) for degree in self.degrees])
+
+    def ratio(self, degree: int) -> float:
+        """Distance over triangle radius above which a rule of some degree meets the tolerance.
+
+        Parameters
+        ----------
+        degree : int              of any rule, whether or not it is one of `degrees`
+
+        Returns
+        -------
+        float [-]
+        """
+        return float(self.tolerance ** (-1.0 / (degree + 1)))
 
 
 def triangle_rule(degree: int) -> TriangleRule:

@@ -64,8 +64,8 @@ class BoundarySurface:
     traction : QuadraticNodes         one node per side of a vertex
     held_length : float [m]           square root of the mean area of the held triangles: scales
                                       tractions to displacements
-    follows_dips : bool               whether midside nodes near a load are corrected for the local
-                                      indentation (`contact_shape`)
+    corrects_indentation : bool       whether midside nodes near a load are corrected for the local
+                                      indentation (`local_indentation`)
     """
 
     mesh: TriangleMesh
@@ -76,7 +76,7 @@ class BoundarySurface:
     displacement: QuadraticNodes
     traction: QuadraticNodes
     held_length: float
-    follows_dips: bool
+    corrects_indentation: bool
 
 
 def make_surface(
@@ -124,9 +124,17 @@ def make_surface(
     position = np.concatenate([mesh.vertices, geometry.weights @ mesh.vertices])
     nodes = position[geometry.element]
     length = float(np.sqrt(triangle_areas(mesh)[held].mean()))
-    follows_dips = settings.smooth and settings.quadratic
+    corrects_indentation = settings.smooth and settings.quadratic
     return BoundarySurface(
-        mesh, sides, held, held_directions, nodes, displacement, traction, length, follows_dips
+        mesh,
+        sides,
+        held,
+        held_directions,
+        nodes,
+        displacement,
+        traction,
+        length,
+        corrects_indentation,
     )
 
 
@@ -144,13 +152,13 @@ def integral_weights(
     -------
     (s,) float [m^2]          one per side of a vertex; integral = weights @ values
     """
-    from_corner, from_middle = _element_integrals(surface.element_nodes[triangles])
+    corner_integrals, midside_integrals = _element_integrals(surface.element_nodes[triangles])
     nodes = surface.traction
     weights = np.zeros(nodes.n_nodes)
-    np.add.at(weights, nodes.element[triangles, :3], from_corner)
-    middle = np.zeros(nodes.weights.shape[0])
-    np.add.at(middle, nodes.element[triangles, 3:] - nodes.n_nodes, from_middle)
-    return weights + nodes.weights.T @ middle
+    np.add.at(weights, nodes.element[triangles, :3], corner_integrals)
+    midside = np.zeros(nodes.weights.shape[0])
+    np.add.at(midside, nodes.element[triangles, 3:] - nodes.n_nodes, midside_integrals)
+    return weights + nodes.weights.T @ midside
 
 
 def _element_integrals(
@@ -158,5 +166,5 @@ def _element_integrals(
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
     rule = triangle_rule(7)
     area = np.linalg.norm(element_points(nodes, rule.barycentric)[:, :, 3:], axis=2)
-    share = np.einsum("q,aq,kq->ka", rule.weight, quadratic_shapes(rule.barycentric), area)
-    return share[:, :3], share[:, 3:]
+    integrals = np.einsum("q,aq,kq->ka", rule.weight, quadratic_shapes(rule.barycentric), area)
+    return integrals[:, :3], integrals[:, 3:]

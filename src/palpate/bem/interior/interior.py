@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from palpate.bem.elastic_map import ElasticMap, ElasticState
 from palpate.bem.integrals import Quadrature, all_rules
 from palpate.bem.interior.somigliana import VALUES, sum_forces, sum_surface
-from palpate.bem.loads import LoadCells, SurfaceLoad, load_points, load_shapes
+from palpate.bem.loads import LoadCells, SurfaceLoad, indentation_corrections, load_points
 from palpate.errors import InputError
 from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads
@@ -91,10 +91,12 @@ def interior_state(
     modulus, nu = elastic_map.shear_modulus, elastic_map.poisson_ratio
     fields = _solved_fields(elastic_map, state, load, force)
     inside = interior_values(fields, points, shear_modulus=modulus, poisson_ratio=nu)
-    pushed = load_points(elastic_map.system.surface, load, cells=_LOAD_CELLS, near=points)
-    forces = pushed.weight[:, None] * force
+    load_samples = load_points(elastic_map.system.surface, load, cells=_LOAD_CELLS, near=points)
+    forces = load_samples.weight[:, None] * force
     out = np.zeros((len(points), VALUES))
-    in_threads(sum_forces, len(points), np.array(points), pushed.position, forces, modulus, nu, out)
+    in_threads(
+        sum_forces, len(points), np.array(points), load_samples.position, forces, modulus, nu, out
+    )
     added = _as_state(out, nu)
     return InteriorState(inside.displacement + added.displacement, inside.stress + added.stress)
 
@@ -126,9 +128,9 @@ def interior_values(
     out, clearance = np.zeros((len(points), VALUES)), np.full(len(points), np.inf)
     values = np.concatenate([fields.displacement, fields.traction], axis=2)
     # NaN counts as outside; the kernels would subdivide every triangle to the last level for it.
-    places = np.where(np.isfinite(points).all(axis=1)[:, None], points, _FAR_AWAY)
+    positions = np.where(np.isfinite(points).all(axis=1)[:, None], points, _FAR_AWAY)
     in_threads(
-        sum_surface, len(points), places, np.array(fields.element_nodes), values,
+        sum_surface, len(points), positions, np.array(fields.element_nodes), values,
         all_rules(_QUADRATURE), shear_modulus, poisson_ratio, out, clearance,
     )  # fmt: skip
     angle = out[:, 12] / (4 * np.pi)
@@ -166,14 +168,16 @@ def _solved_fields(
     """Displacement of all elements and traction of the support, as interpolated in the solution."""
     system, nu = elastic_map.system, elastic_map.poisson_ratio
     surface = system.surface
-    displacement = _with_midpoints(surface.displacement, state.displacement)
-    (shape,) = load_shapes(surface, [load])
-    if shape is not None:
-        missing = (shape.missing[0] + nu * shape.missing[1]) @ force / elastic_map.shear_modulus
-        displacement[surface.displacement.n_nodes + shape.midpoints] += missing
+    displacement = _with_midside_values(surface.displacement, state.displacement)
+    (local,) = indentation_corrections(surface, [load])
+    if local is not None:
+        correction = (
+            (local.correction[0] + nu * local.correction[1]) @ force / elastic_map.shear_modulus
+        )
+        displacement[surface.displacement.n_nodes + local.midside_nodes] += correction
     traction = np.zeros((surface.traction.n_nodes, 3))
     traction[system.unknowns.held_sides] = state.support_traction
-    traction = _with_midpoints(surface.traction, traction)
+    traction = _with_midside_values(surface.traction, traction)
     return BoundaryFields(
         surface.element_nodes,
         displacement[surface.displacement.element],
@@ -181,7 +185,7 @@ def _solved_fields(
     )
 
 
-def _with_midpoints(
+def _with_midside_values(
     nodes: QuadraticNodes, values: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "p 3"]:
     return np.concatenate([values, csr_array(nodes.weights) @ values])

@@ -28,15 +28,15 @@ def _dot(a, b):
 
 
 @numba.njit(error_model="numpy", inline="always")
-def _direction(point, place):
+def _direction(point, position):
     """Unit vector from a point to a place, and their reciprocal distance."""
-    x, y, z = place[0] - point[0], place[1] - point[1], place[2] - point[2]
+    x, y, z = position[0] - point[0], position[1] - point[1], position[2] - point[2]
     s = 1.0 / np.sqrt(x * x + y * y + z * z)
     return (x * s, y * s, z * s), s
 
 
 @numba.njit(error_model="numpy", cache=True)
-def add_force(point, place, force, shear_modulus, nu, out):
+def add_force(point, position, force, shear_modulus, nu, out):
     """Add displacement and stress at a point due to a point force in unbounded space.
 
     Both are multiplied by 8 pi (1 - nu).
@@ -44,13 +44,13 @@ def add_force(point, place, force, shear_modulus, nu, out):
     Parameters
     ----------
     point : (3,) float [m]
-    place : (3,) or longer float [m]        position of the force, distinct from the point
+    position : (3,) or longer float [m]     of the force, distinct from the point
     force : (3,) float [N]                  traction times area
     shear_modulus, nu : float               [Pa], [-]
     out : (13,) float                       added to: displacement (3), stress (9, by rows); the
                                             last entry, the solid angle, is unchanged
     """
-    e, s = _direction(point, place)
+    e, s = _direction(point, position)
     a, along = 1 - 2 * nu, _dot(e, force)
     for i in range(3):
         out[i] += 0.5 * s / shear_modulus * ((3 - 4 * nu) * force[i] + e[i] * along)
@@ -110,10 +110,12 @@ def sum_surface(begin, end, points, nodes, values, rules, shear_modulus, nu, out
     u, force = np.empty(3), np.empty(3)
     for k in range(begin, end):
         for e in range(nodes.shape[0]):
-            waiting = whole_triangle()
-            top = 1
-            while top > 0:
-                top, rule, ratio = next_part(points[k], nodes[e], rules.ratios, waiting, top, part)
+            stack = whole_triangle()
+            depth = 1
+            while depth > 0:
+                depth, rule, ratio = next_part(
+                    points[k], nodes[e], rules.ratios, stack, depth, part
+                )
                 clearance[k] = min(clearance[k], ratio * np.sqrt(part[9]))
                 for r in range(rules.start[rule], rules.start[rule + 1]):
                     weight = part_point(nodes[e], rules.points[r], part, shape, source)
@@ -131,8 +133,8 @@ def sum_surface(begin, end, points, nodes, values, rules, shear_modulus, nu, out
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
-def sum_forces(begin, end, points, places, forces, shear_modulus, nu, out):
+def sum_forces(begin, end, points, positions, forces, shear_modulus, nu, out):
     """Add all forces for the points from begin to end; see `add_force`."""
     for k in range(begin, end):
-        for q in range(places.shape[0]):
-            add_force(points[k], places[q], forces[q], shear_modulus, nu, out[k])
+        for q in range(positions.shape[0]):
+            add_force(points[k], positions[q], forces[q], shear_modulus, nu, out[k])

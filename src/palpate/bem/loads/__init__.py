@@ -12,12 +12,12 @@ from palpate.bem.loads.body_force import (
     body_force_columns as body_force_columns,
     dilation_factor as dilation_factor,
 )
-from palpate.bem.loads.contact_shape import (
-    ContactShape as ContactShape,
-    load_shapes as load_shapes,
-    shape_columns as shape_columns,
-)
 from palpate.bem.loads.half_space import PressureDisc as PressureDisc
+from palpate.bem.loads.local_indentation import (
+    IndentationCorrection as IndentationCorrection,
+    correction_columns as correction_columns,
+    indentation_corrections as indentation_corrections,
+)
 from palpate.bem.loads.right_hand import (
     RightHand as RightHand,
     face_columns as face_columns,

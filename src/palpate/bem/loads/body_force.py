@@ -80,14 +80,14 @@ def body_force_columns(
     square = np.einsum("vi,vi->v", y, y)[:, None]
     particular = 0.5 * square * force_density - (y @ force_density)[:, None] * y
     # Along held directions the support carries the traction of the particular solution.
-    left = np.eye(3) - surface.held_directions
-    free = np.flatnonzero(left.any(axis=(1, 2)))
+    free_directions = np.eye(3) - surface.held_directions
+    free = np.flatnonzero(free_directions.any(axis=(1, 2)))
     traction = _hydrostatic_traction(surface, free, force_density, origin)
-    traction = np.einsum("kij,kqj->kqi", left[free], traction)
-    pressed = traction_column(system, free, traction, quadrature=quadrature)
+    traction = np.einsum("kij,kqj->kqi", free_directions[free], traction)
+    traction_part = traction_column(system, free, traction, quadrature=quadrature)
     held_traction = _at_sides(system, force_density, origin)
     return BodyForce(
-        joined([pressed, support_columns(system, -particular)]), particular, held_traction
+        joined([traction_part, support_columns(system, -particular)]), particular, held_traction
     )
 
 

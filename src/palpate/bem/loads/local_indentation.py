@@ -32,35 +32,35 @@ _REACH_EDGES = 2.5
 # Cosine between the normals of a triangle and of the patch: below the first the triangle does not
 # belong to the half space, above the second it does fully. The transition between the two makes the
 # correction continuous in the position of the contact.
-_TURNED = (0.6, 0.8)
+_NORMAL_COSINES = (0.6, 0.8)
 # Corrections below this fraction of the largest indentation are dropped.
 _NEGLIGIBLE = 2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ContactShape:
+class IndentationCorrection:
     """Indentation near a load minus its fit, at midside nodes.
 
     Attributes
     ----------
-    midpoints : (p,) int              rows of `QuadraticNodes.weights` whose correction exceeds
+    midside_nodes : (p,) int              rows of `QuadraticNodes.weights` whose correction exceeds
                                       2e-3 of the largest indentation; none on a fine mesh
-    missing : (2, p, 3, c) float      displacement times shear modulus, constant and slope in nu;
+    correction : (2, p, 3, c) float   displacement times shear modulus, constant and slope in nu;
                                       [.., i, j]: component i under force j: one newton along each
                                       of three axes [1/m], or one given force [N/m]
     """
 
-    midpoints: Int[np.ndarray, " p"]
-    missing: Float[np.ndarray, "2 p 3 c"]
+    midside_nodes: Int[np.ndarray, " p"]
+    correction: Float[np.ndarray, "2 p 3 c"]
 
-    def under(self, force: Float[np.ndarray, "3"]) -> "ContactShape":
+    def under(self, force: Float[np.ndarray, "3"]) -> "IndentationCorrection":
         """The correction under one given force [N]."""
-        return ContactShape(self.midpoints, (self.missing @ force)[..., None])
+        return IndentationCorrection(self.midside_nodes, (self.correction @ force)[..., None])
 
 
-def load_shapes(
+def indentation_corrections(
     surface: BoundarySurface, loads: Sequence[SurfaceLoad]
-) -> list[ContactShape | None]:
+) -> list[IndentationCorrection | None]:
     """Corrections of midside nodes for the local indentation under loads.
 
     Parameters
@@ -70,18 +70,18 @@ def load_shapes(
 
     Returns
     -------
-    list of k ContactShape or None    None for a load that is not a round patch, for linear or flat
-                                      elements, and where an edge of the object or the rim of the
-                                      support crosses the patch
+    list of k IndentationCorrection or None    None for a load that is not a round patch, for linear
+                                      or flat elements, and where an edge of the object or the rim
+                                      of the support crosses the patch
     """
-    edge, found = _edge_lengths(surface.mesh), list[ContactShape | None]()
+    edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
     for load in loads:
-        disc = load.disc if surface.follows_dips else None
+        disc = load.disc if surface.corrects_indentation else None
         if disc is None or _crosses_edge(surface, load, disc):
             found.append(None)
         else:
             normal = _normal_at(surface, load.triangles, disc.centre)
-            found.append(_contact_shape(surface, edge, disc, normal))
+            found.append(_indentation_correction(surface, edge, disc, normal))
     return found
 
 
@@ -91,9 +91,9 @@ def _normal_at(
     """Outward unit normal of the curved elements at the position nearest to a point: unlike that of
     the flat triangles, it varies continuously within an element."""
     near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
-    place = closest_points(near, point[None])
-    element = surface.element_nodes[triangles[place.triangle]]
-    normal = element_points(element, place.barycentric)[0, 0, 3:]
+    nearest = closest_points(near, point[None])
+    element = surface.element_nodes[triangles[nearest.triangle]]
+    normal = element_points(element, nearest.barycentric)[0, 0, 3:]
     return np.asarray(normal / np.linalg.norm(normal))
 
 
@@ -104,47 +104,50 @@ def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad, disc: PressureDis
 
 
 def _edge_lengths(mesh: TriangleMesh) -> Float[np.ndarray, "m 3"]:
-    """Length of the edges of every triangle [m], in the order of its midpoints."""
+    """Length of the edges of every triangle [m], in the order of its midside nodes."""
     corner = mesh.vertices[mesh.triangles]
     return lengths(corner - np.roll(corner, -1, axis=1))
 
 
-def _contact_shape(
+def _indentation_correction(
     surface: BoundarySurface,
     edge: Float[np.ndarray, "m 3"],
     disc: PressureDisc,
     normal: Float[np.ndarray, "3"],
-) -> ContactShape:
+) -> IndentationCorrection:
     """Indentation of a half space of this outward normal minus its fit, at the midside nodes around
     the load; `edge`: `_edge_lengths`."""
     mesh, nodes = surface.mesh, surface.displacement
-    middle = surface.element_nodes[:, 3:]
-    within = lengths(middle - disc.centre) < disc.radius + _REACH_EDGES * edge
+    midside = surface.element_nodes[:, 3:]
+    within = lengths(midside - disc.centre) < disc.radius + _REACH_EDGES * edge
     # A midside node is within reach of the load in both of its triangles, or in neither.
     near = np.flatnonzero(within.any(axis=1))
-    low, high = _TURNED
+    low, high = _NORMAL_COSINES
     a, b, c = mesh.vertices[mesh.triangles[near]].transpose(1, 0, 2)
     area = np.cross(b - a, c - a)
-    level = np.clip((area @ normal / lengths(area) - low) / (high - low), 0.0, 1.0)
-    edge_level = np.ones(nodes.weights.shape[0])
+    taper = np.clip((area @ normal / lengths(area) - low) / (high - low), 0.0, 1.0)
+    edge_taper = np.ones(nodes.weights.shape[0])
     row = nodes.element[near, 3:] - nodes.n_nodes
-    np.minimum.at(edge_level, row, np.where(surface.held[near], 0.0, level)[:, None])
-    chosen = within[near] & (edge_level[row] > 0.0) & ~surface.sides.cut[surface.sides.edge[near]]
-    midpoints, first = np.unique(row[chosen], return_index=True)
-    position = middle[near][chosen][first]
-    weights = csr_array(nodes.weights[midpoints])
+    np.minimum.at(edge_taper, row, np.where(surface.held[near], 0.0, taper)[:, None])
+    corrected = (
+        within[near] & (edge_taper[row] > 0.0) & ~surface.sides.cut[surface.sides.edge[near]]
+    )
+    midside_nodes, first = np.unique(row[corrected], return_index=True)
+    position = midside[near][corrected][first]
+    weights = csr_array(nodes.weights[midside_nodes])
     vertices = np.unique(weights.indices)
     at_vertices = disc_displacement(disc, normal, mesh.vertices[vertices])
     fitted = np.einsum("pv,svij->spij", weights[:, vertices].toarray(), at_vertices)
-    dip = disc_displacement(disc, normal, position)
-    missing = edge_level[midpoints, None, None] * (dip - fitted)
-    counts = np.abs(missing).max(axis=(0, 2, 3)) > _NEGLIGIBLE * np.abs(dip).max(initial=0.0)
-    return ContactShape(midpoints[counts], missing[:, counts])
+    indentation = disc_displacement(disc, normal, position)
+    correction = edge_taper[midside_nodes, None, None] * (indentation - fitted)
+    largest = np.abs(indentation).max(initial=0.0)
+    significant = np.abs(correction).max(axis=(0, 2, 3)) > _NEGLIGIBLE * largest
+    return IndentationCorrection(midside_nodes[significant], correction[:, significant])
 
 
-def shape_columns(
+def correction_columns(
     system: BoundarySystem,
-    shapes: Sequence[ContactShape],
+    corrections: Sequence[IndentationCorrection],
     *,
     quadrature: Quadrature = Quadrature(),
 ) -> RightHand:
@@ -153,15 +156,15 @@ def shape_columns(
     Parameters
     ----------
     system : BoundarySystem
-    shapes : sequence of k ContactShape   with the same number of forces
+    corrections : sequence of k IndentationCorrection    with the same number of forces
     quadrature : Quadrature
 
     Returns
     -------
-    RightHand                         one column for each force of each shape
+    RightHand                         one column for each force of each correction
     """
-    surface, forces = system.surface, shapes[0].missing.shape[3]
-    nodes, triangles = _shape_nodes(surface.displacement, shapes)
+    surface, forces = system.surface, corrections[0].correction.shape[3]
+    nodes, triangles = _correction_nodes(surface.displacement, corrections)
     blocks = assemble(
         surface, system.collocation, nodes, TRACTION, triangles=triangles, quadrature=quadrature
     )
@@ -169,34 +172,34 @@ def shape_columns(
     # Both parts of the kernel: component i of a row from component j of the correction and a field.
     kernel = np.stack(traction_parts(np.eye(n_fields))).reshape(6, 3 * n_fields)
     parts = kernel @ blocks.values.reshape(-1, 3 * n_fields, lanes)
-    parts = parts.reshape(n_blocks, len(shapes), 2, forces, 2, 3, lanes)
+    parts = parts.reshape(n_blocks, len(corrections), 2, forces, 2, 3, lanes)
     parts = parts.transpose(4, 2, 5, 0, 6, 1, 3).reshape(2, 2, 3, n_blocks * lanes, -1)
     scaled, constant = parts[:, :, :, : blocks.n_rows].reshape(2, 2, 3 * blocks.n_rows, -1)
     constant, slope = scaled + constant, -2 * scaled
-    terms = np.zeros((3, 3 * blocks.n_rows + 3, forces * len(shapes)))
+    terms = np.zeros((3, 3 * blocks.n_rows + 3, forces * len(corrections)))
     terms[:, :-3] = -constant[0], -(constant[1] + slope[0]), -slope[1]
     return RightHand(terms)
 
 
-def _shape_nodes(
-    nodes: QuadraticNodes, shapes: Sequence[ContactShape]
+def _correction_nodes(
+    nodes: QuadraticNodes, corrections: Sequence[IndentationCorrection]
 ) -> tuple[QuadraticNodes, Int[np.ndarray, " t"]]:
-    """Auxiliary nodes, one for each entry of every shape's `missing` at a midside node, whose shape
+    """Auxiliary nodes, one for each entry of every `correction` at a midside node, whose shape
     functions are scaled by these entries (constant and slope, then forces, then components); and
     the triangles on which they are not zero."""
-    entries = shapes[0].missing[:, 0].size
-    used = np.unique(np.concatenate([shape.midpoints for shape in shapes]))
+    entries = corrections[0].correction[:, 0].size
+    used = np.unique(np.concatenate([one.midside_nodes for one in corrections]))
     number = np.full(nodes.weights.shape[0], -1)
     number[used] = np.arange(used.size)
     parts = []
-    for k, shape in enumerate(shapes):
-        values = shape.missing.transpose(1, 0, 3, 2).reshape(-1, entries)
-        row = np.repeat(number[shape.midpoints], entries)
-        column = np.tile(entries * k + np.arange(entries), shape.midpoints.size)
+    for k, one in enumerate(corrections):
+        values = one.correction.transpose(1, 0, 3, 2).reshape(-1, entries)
+        row = np.repeat(number[one.midside_nodes], entries)
+        column = np.tile(entries * k + np.arange(entries), one.midside_nodes.size)
         parts.append((row, column, values.ravel()))
     row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     # One more row of zeros, for corners and for midside nodes that are not corrected.
-    count = entries * len(shapes)
+    count = entries * len(corrections)
     weights = csr_array((value, (row, column)), shape=(used.size + 1, count))
     local = number[nodes.element[:, 3:] - nodes.n_nodes]
     triangles = np.flatnonzero((local >= 0).any(axis=1))

@@ -71,16 +71,16 @@ class RightHand:
 
     def on_springs(
         self,
-        give: Float[np.ndarray, " e"],
-        changes: Float[np.ndarray, "d e"],
+        compliance: Float[np.ndarray, " e"],
+        compliance_derivatives: Float[np.ndarray, "d e"],
         known: Float[np.ndarray, "e c"] | None = None,
     ) -> "RightHand":
         """The same loads for an object on springs (`SpringSystem`).
 
         Parameters
         ----------
-        give : (e,) float               dimensionless compliance of each spring
-        changes : (d, e) float          its derivatives
+        compliance : (e,) float         dimensionless compliance of each spring
+        compliance_derivatives : (d, e) float    with respect to that of each support
         known : (e, c) float or None    known traction on each spring in addition to the unknown
                                         one, times `traction_length`; None: none
 
@@ -89,10 +89,12 @@ class RightHand:
         RightHand                 1 + d blocks of rows: the equations, then those of the springs
         """
         count, columns = self.terms.shape[1:]
-        terms = np.zeros((3, 1 + len(changes), count + give.size, columns))
+        terms = np.zeros((3, 1 + len(compliance_derivatives), count + compliance.size, columns))
         terms[:, 0, :count] = self.terms
         if known is not None:
-            terms[0, :, count:] = -np.vstack([give, changes])[:, :, None] * known
+            terms[0, :, count:] = (
+                -np.vstack([compliance, compliance_derivatives])[:, :, None] * known
+            )
         return RightHand(terms.reshape(3, -1, columns))
 
 
@@ -151,9 +153,9 @@ def _compressed_columns(
     system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3"]
 ) -> RightHand:
     """The same column by products with the operator."""
-    moved = np.zeros((len(system.surface.mesh.vertices), 3, 1))
-    moved[held, :, 0] = given
-    scaled, constant = system.given_products(moved)
+    displacement = np.zeros((len(system.surface.mesh.vertices), 3, 1))
+    displacement[held, :, 0] = given
+    scaled, constant = system.given_products(displacement)
     terms = np.zeros((3, len(scaled) + 3, 1))
     terms[0, :-3] = -(scaled + constant)
     terms[1, :-3] = 2 * scaled

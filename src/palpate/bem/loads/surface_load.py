@@ -37,7 +37,7 @@ Density = Callable[
 
 _N_FIELDS = DISPLACEMENT.count
 # Quarterings of a triangle: at most so many everywhere, and so many more at the rim of the patch.
-_MOST_LEVELS, _RIM_LEVELS = 2, 3
+_MAX_LEVELS, _RIM_LEVELS = 2, 3
 # Panels, and Gauss points of each, along the radius and along the angle.
 _POLAR_PANELS, _POLAR_POINTS = 3, 4
 # Sources whose fields are computed before they are summed: they fit into the L1 cache.
@@ -55,7 +55,7 @@ class SurfaceLoad:
     density : callable            (triangle (n,), barycentric (n, 3), position (n, 3) [m]) -> (n,)
                                   >= 0, up to a factor: it is divided by its surface integral
     disc : PressureDisc or None   the load as a round patch, where it is one; required for the
-                                  correction by the local indentation (`load_shapes`)
+                                  correction by the local indentation (`indentation_corrections`)
     """
 
     triangles: Int[np.ndarray, " k"]
@@ -141,12 +141,12 @@ def load_points(
         barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
         position, area, density = _load_at(surface, load, triangle, barycentric)
         loaded = density > 0
-        touched = loaded.any(axis=1)
-        divide = touched & ~loaded.all(axis=1) & np.array(level < cells.finest_rim)
+        is_loaded = loaded.any(axis=1)
+        divide = is_loaded & ~loaded.all(axis=1) & np.array(level < cells.finest_rim)
         if tree is not None and level < cells.finest:
             centre = position.mean(axis=1)
             size = np.linalg.norm(position - centre[:, None], axis=2).max(axis=1)
-            divide |= touched & (tree.query(centre)[0] < cells.ratio * size)
+            divide |= is_loaded & (tree.query(centre)[0] < cells.ratio * size)
         kept = loaded & ~divide[:, None]
         positions.append(position[kept])
         weights.append((density * area * rule.weight)[kept] * 0.25**level)
@@ -163,11 +163,11 @@ def load_points(
 
 
 def _cells_of(surface: BoundarySurface, load: SurfaceLoad) -> LoadCells:
-    coarsest = _MOST_LEVELS
+    coarsest = _MAX_LEVELS
     if load.disc is not None:
         corner = surface.element_nodes[load.triangles, :3]
         edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max()
-        coarsest = int(np.clip(np.ceil(np.log2(4 * edge / load.disc.radius)), 1, _MOST_LEVELS))
+        coarsest = int(np.clip(np.ceil(np.log2(4 * edge / load.disc.radius)), 1, _MAX_LEVELS))
     finest = coarsest + _RIM_LEVELS
     return LoadCells(degree=5, coarsest=coarsest, finest_rim=finest, finest=finest)
 
@@ -236,7 +236,7 @@ def integrate_load(
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
     fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
     fields = fields.reshape(-1, DISPLACEMENT.count)[: blocks.n_rows].copy()
-    _mend_touching_rows(surface, load, points, sources, collocation, order, fields)
+    _recompute_rows_on_patch(surface, load, points, sources, collocation, order, fields)
     return fields
 
 
@@ -248,7 +248,7 @@ def _as_sources(
     return np.column_stack([position, weight, np.zeros((weight.size, 2))])
 
 
-def _mend_touching_rows(
+def _recompute_rows_on_patch(
     surface: BoundarySurface,
     load: SurfaceLoad,
     points: LoadPoints,
@@ -258,29 +258,29 @@ def _mend_touching_rows(
     fields: Float[np.ndarray, "r 6"],
 ) -> None:
     """Recompute the rows of collocation points on the patch in polar coordinates around them."""
-    place, triangle, corners = _touching_parts(surface, points.triangle, collocation, order)
-    if not place.size:
+    row, triangle, corners = _subtriangles_on_patch(surface, points.triangle, collocation, order)
+    if not row.size:
         return
     s, t, polar_weight = _polar_panels()
-    far_side = np.einsum("q,pj->pqj", 1 - t, corners[:, 1]) + np.einsum(
+    opposite = np.einsum("q,pj->pqj", 1 - t, corners[:, 1]) + np.einsum(
         "q,pj->pqj", t, corners[:, 2]
     )
-    barycentric = np.einsum("q,pj->pqj", 1 - s, corners[:, 0]) + s[:, None] * far_side
+    barycentric = np.einsum("q,pj->pqj", 1 - s, corners[:, 0]) + s[:, None] * opposite
     position, area, density = _load_at(surface, load, triangle, barycentric)
     scale = np.abs(np.linalg.det(corners))[:, None] * polar_weight / points.total
     weight = density * area * scale
     around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
-    by_row = np.argsort(place, kind="stable")
-    rows, start = np.unique(place[by_row], return_index=True)
-    mended = np.zeros((rows.size, 1, DISPLACEMENT.count))
+    by_row = np.argsort(row, kind="stable")
+    rows, start = np.unique(row[by_row], return_index=True)
+    recomputed = np.zeros((rows.size, 1, DISPLACEMENT.count))
     in_threads(
         _sum_around, rows.size, collocation.point[order[rows]], around[by_row], triangle[by_row],
-        np.append(start, place.size), sources, points.triangle, mended,
+        np.append(start, row.size), sources, points.triangle, recomputed,
     )  # fmt: skip
-    fields[rows] = mended[:, 0]
+    fields[rows] = recomputed[:, 0]
 
 
-def _touching_parts(
+def _subtriangles_on_patch(
     surface: BoundarySurface,
     loaded: Int[np.ndarray, " q"],
     collocation: Collocation,
@@ -289,24 +289,26 @@ def _touching_parts(
     """Rows, in this order, whose collocation point lies on a loaded triangle; that triangle; and
     barycentric corners of each of its subtriangles with the point as first corner."""
     triangles = np.unique(loaded)
-    place_of = np.full(collocation.point.shape[0], -1)
-    place_of[order] = np.arange(order.size)
-    row_of = np.full(surface.mesh.vertices.shape[0], -1)
+    row_of_point = np.full(collocation.point.shape[0], -1)
+    row_of_point[order] = np.arange(order.size)
+    row_of_vertex = np.full(surface.mesh.vertices.shape[0], -1)
     at_vertex = np.flatnonzero(collocation.vertex >= 0)
-    row_of[collocation.vertex[at_vertex]] = place_of[at_vertex]
-    place = row_of[surface.mesh.triangles[triangles]].ravel()
+    row_of_vertex[collocation.vertex[at_vertex]] = row_of_point[at_vertex]
+    row = row_of_vertex[surface.mesh.triangles[triangles]].ravel()
     turned = np.stack([np.roll(np.eye(3), -k, axis=0) for k in range(3)])
     corners = np.tile(turned, (triangles.size, 1, 1))
     triangle = np.repeat(triangles, 3)
-    found = place >= 0
-    parts = [(place[found], triangle[found], corners[found])]
+    found = row >= 0
+    parts = [(row[found], triangle[found], corners[found])]
     unit = np.eye(3)
-    for row in np.flatnonzero(np.isin(collocation.triangle, triangles)):
-        point = collocation.barycentric[row]
+    for inner in np.flatnonzero(np.isin(collocation.triangle, triangles)):
+        point = collocation.barycentric[inner]
         around = np.stack([np.stack([point, unit[k], unit[(k + 1) % 3]]) for k in range(3)])
-        parts.append((np.full(3, place_of[row]), np.full(3, collocation.triangle[row]), around))
-    place, triangle, corners = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return place, triangle, corners
+        parts.append(
+            (np.full(3, row_of_point[inner]), np.full(3, collocation.triangle[inner]), around)
+        )
+    row, triangle, corners = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return row, triangle, corners
 
 
 def _polar_panels() -> tuple[Float[np.ndarray, " p"], ...]:

@@ -19,7 +19,7 @@ from palpate.bem.system.memory import (
     check_memory as check_memory,
     memory_needed as memory_needed,
 )
-from palpate.bem.system.rollers import loose_motions as loose_motions
+from palpate.bem.system.rollers import unrestrained_motions as unrestrained_motions
 from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope
 from palpate.bem.system.springs import (
     SpringFactors as SpringFactors,

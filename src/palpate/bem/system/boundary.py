@@ -57,8 +57,8 @@ class Unknowns:
         -------
         (h,) bool
         """
-        place = np.searchsorted(self.held_vertices, side_vertex)
-        tractions = np.bincount(place, ranks(self.side_directions), self.held_vertices.size)
+        index = np.searchsorted(self.held_vertices, side_vertex)
+        tractions = np.bincount(index, ranks(self.side_directions), self.held_vertices.size)
         return ranks(self.vertex_directions) == tractions
 
 
@@ -76,9 +76,9 @@ def find_unknowns(surface: BoundarySurface) -> Unknowns:
     held_vertices = np.unique(surface.mesh.triangles[surface.held])
     held_sides, first = np.unique(surface.sides.corner[surface.held], return_index=True)
     side_directions = surface.held_directions[np.flatnonzero(surface.held)[first // 3]]
-    place = np.searchsorted(held_vertices, surface.sides.vertex[held_sides])
+    index = np.searchsorted(held_vertices, surface.sides.vertex[held_sides])
     total = np.zeros((held_vertices.size, 3, 3))
-    np.add.at(total, place, side_directions)
+    np.add.at(total, index, side_directions)
     vertex_directions = _span(total)
     rolling = held_vertices[ranks(vertex_directions) < 3]
     fixed = np.setdiff1d(held_vertices, rolling)
@@ -124,15 +124,15 @@ def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocati
     side_vertex = surface.sides.vertex[unknowns.held_sides]
     several = np.zeros(surface.mesh.vertices.shape[0], dtype=bool)
     several[unknowns.held_vertices] = ~unknowns.shares_one_point(side_vertex)
-    left_out = several.copy()
-    left_out[unknowns.free_vertices] = False
-    vertex = np.flatnonzero(~left_out)
-    moved = unknowns.held_sides[several[side_vertex]]
-    triangle, barycentric = _points_inside(surface, moved)
+    dropped = several.copy()
+    dropped[unknowns.free_vertices] = False
+    vertex = np.flatnonzero(~dropped)
+    shifted = unknowns.held_sides[several[side_vertex]]
+    triangle, barycentric = _points_inside(surface, shifted)
     inside = np.einsum("ak,kai->ki", quadratic_shapes(barycentric), surface.element_nodes[triangle])
     return Collocation(
         point=np.concatenate([surface.mesh.vertices[vertex], inside]),
-        vertex=np.concatenate([vertex, np.full(moved.size, -1)]),
+        vertex=np.concatenate([vertex, np.full(shifted.size, -1)]),
         triangle=np.concatenate([np.full(vertex.size, -1), triangle]),
         barycentric=np.concatenate([np.zeros((vertex.size, 3)), barycentric]),
     )

@@ -15,7 +15,7 @@ import numpy as np
 from palpate.bem.integrals import BoundarySurface, FieldBlocks, Quadrature
 from palpate.bem.system.boundary import find_unknowns, place_collocation
 from palpate.bem.system.system import BoundarySystem, assemble_system
-from palpate.disk import placed
+from palpate.disk import folder_made, placed
 from palpate.errors import InputError, InUseError, RecordError
 from palpate.files import stored_arrays
 from palpate.parts import content_digest
@@ -103,13 +103,18 @@ def _read(path: Path, surface: BoundarySurface) -> BoundarySystem | None:
 
 def _write(path: Path, system: BoundarySystem) -> None:
     """Write atomically; leave it to another process that is writing the same file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     blocks = (system.traction_kernel, system.displacement_kernel)
     arrays: dict[str, Any] = {}
     for name, kernel in zip(_KERNELS, blocks, strict=True):
         arrays |= {f"{name}_values": kernel.values, f"{name}_rows": kernel.rows}
-    with suppress(InUseError), placed([path]) as (staged,), staged.open("wb") as file:
-        np.savez(file, **arrays, sha256=np.array(_digest(path, arrays)))
+    arrays["sha256"] = np.array(_digest(path, arrays))
+    with (
+        folder_made(path.parent),
+        suppress(InUseError),
+        placed([path]) as (staged,),
+        staged.open("wb") as file,
+    ):
+        np.savez(file, **arrays)
 
 
 def _digest(path: Path, arrays: dict[str, Any]) -> str:

@@ -15,22 +15,22 @@ except ModuleNotFoundError:  # Windows has no such limits
 _PROGRAM = 0.4e9
 # Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
 # slope; for rollers the matrix twice, before there is a slope.
-_DOUBLES_A_PAIR, _WITH_ROLLERS = 22, 27
+_DOUBLES_PER_PAIR, _DOUBLES_PER_PAIR_WITH_ROLLERS = 22, 27
 # Vectors of unknowns that are kept for each of a probing's three directions of force and three
 # changes of its contact: at most 80 basis vectors of the reduced model, and as many again while it
 # is assembled.
-_VECTORS_A_COLUMN = 160
-_COLUMNS_A_PROBING = 6
+_VECTORS_PER_COLUMN = 160
+_COLUMNS_PER_PROBING = 6
 # Above this many vertices a compressed operator takes less time than dense matrices, and far less
 # memory; it handles only rigid supports that hold all directions.
 LARGEST_DENSE = 5000
 # Memory of the operator and its preconditioners per vertex [bytes], and vectors per column that the
-# iteration and the snapshot model keep.
-_BYTES_A_VERTEX = 170e3
-_VECTORS_BESIDE = 110
-_USABLE_SHARE = 0.9
+# iteration and the reduced basis keep.
+_BYTES_PER_VERTEX = 170e3
+_COMPRESSED_VECTORS_PER_COLUMN = 110
+_USABLE_FRACTION = 0.9
 # A surface of fewer vertices does not represent an object: other cures are offered then.
-_LEAST_VERTICES = 100
+_MIN_VERTICES = 100
 # Files in which Linux states the memory limit of a container.
 _CONTAINER_LIMITS = (
     Path("/sys/fs/cgroup/memory.max"),
@@ -63,17 +63,17 @@ def check_memory(
     InputError                        more than 90 % of the available memory is needed
     """
     needed = memory_needed(n_vertices, n_probings, rollers=rollers, dense=dense)
-    usable = _USABLE_SHARE * (_machine_memory() if available is None else available)
+    usable = _USABLE_FRACTION * (_machine_memory() if available is None else available)
     if needed > usable:
         model = "model needs"
         if rollers or dense:
             model = "dense matrices (as supports that roll or give take them) need"
-        most = _most_vertices(n_probings, rollers, dense, usable)
+        max_vertices = _max_vertices(n_probings, rollers, dense, usable)
         cure = (
-            f"simplify the surface to at most {most} vertices in a mesh program (decimate, remesh;"
-            " 1000 to 3000 serve most objects)"
+            f"simplify the surface to at most {max_vertices} vertices in a mesh program (decimate,"
+            " remesh; 1000 to 3000 serve most objects)"
         )
-        if most < _LEAST_VERTICES:
+        if max_vertices < _MIN_VERTICES:
             fewer = "choose fewer probings (--probe), or " if n_probings > 1 else ""
             cure = f"{fewer}decimate the surface, or use a machine with more memory"
         raise InputError(
@@ -97,18 +97,22 @@ def memory_needed(
     -------
     float [byte]
     """
-    columns = 3.0 * n_vertices * _COLUMNS_A_PROBING * n_probings
+    columns = 3.0 * n_vertices * _COLUMNS_PER_PROBING * n_probings
     if n_vertices > LARGEST_DENSE and not rollers and not dense:
-        return _PROGRAM + _BYTES_A_VERTEX * n_vertices + 8.0 * _VECTORS_BESIDE * columns
-    doubles = _WITH_ROLLERS if rollers else _DOUBLES_A_PAIR
-    return _PROGRAM + 8.0 * (doubles * float(n_vertices) ** 2 + _VECTORS_A_COLUMN * columns)
+        return (
+            _PROGRAM
+            + _BYTES_PER_VERTEX * n_vertices
+            + 8.0 * _COMPRESSED_VECTORS_PER_COLUMN * columns
+        )
+    doubles = _DOUBLES_PER_PAIR_WITH_ROLLERS if rollers else _DOUBLES_PER_PAIR
+    return _PROGRAM + 8.0 * (doubles * float(n_vertices) ** 2 + _VECTORS_PER_COLUMN * columns)
 
 
 def _for(n_probings: int) -> str:
     return "for one probing" if n_probings == 1 else f"for {n_probings} probings"
 
 
-def _most_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) -> int:
+def _max_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) -> int:
     """The largest number of vertices that fits, in hundreds; zero: none.
 
     Memory grows up to the largest dense mesh, drops there, and grows again.

@@ -22,7 +22,7 @@ from palpate.bem.integrals import BoundarySurface, Collocation
 from palpate.bem.system.boundary import Unknowns, find_unknowns
 
 # Singular value, relative to the largest, up to which a rigid-body motion counts as not held.
-_NOT_HELD = 1e-6
+_UNRESTRAINED = 1e-6
 # The equations are multiplied by 8 pi (1 - nu): added rows and columns are scaled alike.
 _SCALE = 8 * np.pi
 _CHUNK = 1000
@@ -32,7 +32,7 @@ _CHUNK = 1000
 class Elimination:
     """Reduction of the full system, r rows and k unknowns, to the square one that is solved.
 
-    The square matrix is [[rows M columns, slack], [pins columns, 0]], its right-hand side
+    The square matrix is [[rows M columns, slack], [constraints columns, 0]], its right-hand side
     [rows b, 0]; `columns` times its first n unknowns solves the full system.
 
     Attributes
@@ -40,46 +40,46 @@ class Elimination:
     rows : (m, r) sparse
     columns : (k, n) sparse               orthonormal
     slack : (m, e) float                  of the moment balances that no support provides
-    pins : (q, k) float                   mean of each rigid-body motion that is not held, up to a
+    constraints : (q, k) float            mean of each rigid-body motion that is not held, up to a
                                           factor
     """
 
     rows: csr_array
     columns: csr_array
     slack: Float[np.ndarray, "m e"]
-    pins: Float[np.ndarray, "q k"]
+    constraints: Float[np.ndarray, "q k"]
 
-    def matrix(self, whole: Float[np.ndarray, "r k"]) -> Float[np.ndarray, "s s"]:
+    def matrix(self, full: Float[np.ndarray, "r k"]) -> Float[np.ndarray, "s s"]:
         """The square matrix, in Fortran order.
 
         Parameters
         ----------
-        whole : (r, k) float
+        full : (r, k) float
 
         Returns
         -------
         (s, s) float
         """
         m, n = self.rows.shape[0], self.columns.shape[1]
-        square = np.zeros((n + self.slack.shape[1], m + len(self.pins))).T
+        square = np.zeros((n + self.slack.shape[1], m + len(self.constraints))).T
         # By blocks of columns: the product as a whole would double the memory.
         for first in range(0, n, _CHUNK):
             part = slice(first, min(first + _CHUNK, n))
-            square[:m, part] = self.rows @ (self.columns[:, part].T @ whole.T).T
+            square[:m, part] = self.rows @ (self.columns[:, part].T @ full.T).T
         square[:m, n:] = self.slack
-        square[m:, :n] = (self.columns.T @ self.pins.T).T
+        square[m:, :n] = (self.columns.T @ self.constraints.T).T
         return square
 
-    def right(self, whole: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "s c"]:
+    def right(self, full: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "s c"]:
         """Right-hand sides of the square system."""
-        return np.concatenate([self.rows @ whole, np.zeros((len(self.pins), whole.shape[1]))])
+        return np.concatenate([self.rows @ full, np.zeros((len(self.constraints), full.shape[1]))])
 
     def unknowns(self, solution: Float[np.ndarray, "s c"]) -> Float[np.ndarray, "k c"]:
         """All unknowns from a solution of the square system."""
         return self.columns @ solution[: self.columns.shape[1]]
 
 
-def loose_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:
+def unrestrained_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:
     """Infinitesimal rigid-body motions that no support restrains.
 
     Parameters
@@ -92,7 +92,7 @@ def loose_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:
     """
     unknowns = find_unknowns(surface)
     modes = _rigid_modes(surface.mesh.vertices, surface.mesh.vertices[unknowns.held_vertices])
-    return modes @ _loose(modes, unknowns)
+    return modes @ _unrestrained(modes, unknowns)
 
 
 def make_elimination(
@@ -117,33 +117,36 @@ def make_elimination(
     n_free, n_points = unknowns.free_vertices.size, order.size
     if unknowns.free_vertices.size + unknowns.held_vertices.size == len(surface.mesh.vertices):
         return None
-    open_directions = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
-    open_directions[unknowns.held_vertices] -= unknowns.vertex_directions
-    moving = bases(open_directions[unknowns.free_vertices])
-    columns = block_diag([moving, bases(unknowns.side_directions), eye_array(3)], format="csr")
-    answered = orth(unknowns.side_directions.sum(axis=0), rcond=_NOT_HELD)
-    by_point = bases(_equations(surface, unknowns, collocation, open_directions)[order])
+    free_directions = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
+    free_directions[unknowns.held_vertices] -= unknowns.vertex_directions
+    free_basis = bases(free_directions[unknowns.free_vertices])
+    columns = block_diag([free_basis, bases(unknowns.side_directions), eye_array(3)], format="csr")
+    supported = orth(unknowns.side_directions.sum(axis=0), rcond=_UNRESTRAINED)
+    by_point = bases(_equations(surface, unknowns, collocation, free_directions)[order])
     # Rows of the full system are ordered by component first.
-    place = (np.arange(n_points)[:, None] + n_points * np.arange(3)).ravel()
-    shuffled = csr_array(
-        (np.ones(3 * n_points), (np.arange(3 * n_points), place)), shape=(3 * n_points,) * 2
+    rows_of_points = (np.arange(n_points)[:, None] + n_points * np.arange(3)).ravel()
+    permutation = csr_array(
+        (np.ones(3 * n_points), (np.arange(3 * n_points), rows_of_points)),
+        shape=(3 * n_points,) * 2,
     )
-    rows = block_diag([by_point.T @ shuffled, answered.T], format="csr")
-    loose = loose_motions(surface)
-    turns = _slack(surface, unknowns, collocation.point[order], 3 - answered.shape[1])
-    slack = np.zeros((rows.shape[0], turns.shape[2]))
-    slack[: -answered.shape[1]] = by_point.T @ turns.reshape(3 * n_points, -1)
-    pins = np.zeros((loose.shape[2], columns.shape[0]))
-    pins[:, : 3 * n_free] = loose[unknowns.free_vertices].reshape(3 * n_free, -1).T
-    norm = np.linalg.norm(pins, axis=1, keepdims=True)
-    return Elimination(csr_array(rows), csr_array(columns), _SCALE * slack, _SCALE * pins / norm)
+    rows = block_diag([by_point.T @ permutation, supported.T], format="csr")
+    unrestrained = unrestrained_motions(surface)
+    rotations = _slack(surface, unknowns, collocation.point[order], 3 - supported.shape[1])
+    slack = np.zeros((rows.shape[0], rotations.shape[2]))
+    slack[: -supported.shape[1]] = by_point.T @ rotations.reshape(3 * n_points, -1)
+    constraints = np.zeros((unrestrained.shape[2], columns.shape[0]))
+    constraints[:, : 3 * n_free] = unrestrained[unknowns.free_vertices].reshape(3 * n_free, -1).T
+    norm = np.linalg.norm(constraints, axis=1, keepdims=True)
+    return Elimination(
+        csr_array(rows), csr_array(columns), _SCALE * slack, _SCALE * constraints / norm
+    )
 
 
 def _equations(
     surface: BoundarySurface,
     unknowns: Unknowns,
     collocation: Collocation,
-    open_directions: Float[np.ndarray, "v 3 3"],
+    free_directions: Float[np.ndarray, "v 3 3"],
 ) -> Float[np.ndarray, "p 3 3"]:
     """Projector onto the components of the integral equation that are used at each point."""
     side_vertex = surface.sides.vertex[unknowns.held_sides]
@@ -152,18 +155,18 @@ def _equations(
     at_vertex = collocation.vertex >= 0
     used = np.tile(np.eye(3), (at_vertex.size, 1, 1))
     vertex = collocation.vertex[at_vertex]
-    used[at_vertex] = np.where(several[vertex, None, None], open_directions[vertex], np.eye(3))
+    used[at_vertex] = np.where(several[vertex, None, None], free_directions[vertex], np.eye(3))
     used[~at_vertex] = unknowns.side_directions[several[side_vertex]]
     return used
 
 
 def _slack(
-    surface: BoundarySurface, unknowns: Unknowns, point: Float[np.ndarray, "p 3"], shifts: int
+    surface: BoundarySurface, unknowns: Unknowns, point: Float[np.ndarray, "p 3"], translations: int
 ) -> Float[np.ndarray, "p 3 e"]:
     """The unrestrained rigid-body motions other than translations, at points."""
     held = surface.mesh.vertices[unknowns.held_vertices]
-    loose = _loose(_rigid_modes(surface.mesh.vertices, held), unknowns)
-    return _rigid_modes(point, held) @ loose[:, shifts:]
+    unrestrained = _unrestrained(_rigid_modes(surface.mesh.vertices, held), unknowns)
+    return _rigid_modes(point, held) @ unrestrained[:, translations:]
 
 
 def _rigid_modes(
@@ -173,25 +176,31 @@ def _rigid_modes(
     move these by about one."""
     offset = points - held.mean(axis=0)
     length = np.sqrt(((held - held.mean(axis=0)) ** 2).sum(axis=1).mean())
-    turns = np.cross(np.eye(3)[None], offset[:, None]) / length
-    shifts = np.tile(np.eye(3), (len(points), 1, 1))
-    return np.concatenate([shifts, turns.transpose(0, 2, 1)], axis=2)
+    rotations = np.cross(np.eye(3)[None], offset[:, None]) / length
+    translations = np.tile(np.eye(3), (len(points), 1, 1))
+    return np.concatenate([translations, rotations.transpose(0, 2, 1)], axis=2)
 
 
-def _loose(modes: Float[np.ndarray, "v 3 6"], unknowns: Unknowns) -> Float[np.ndarray, "6 q"]:
+def _unrestrained(
+    modes: Float[np.ndarray, "v 3 6"], unknowns: Unknowns
+) -> Float[np.ndarray, "6 q"]:
     """Combinations of rigid-body modes that no support restrains, translations first."""
     held = unknowns.vertex_directions @ modes[unknowns.held_vertices]
     motions = _null_space(held.reshape(-1, 6))
-    shifts = _null_space(unknowns.side_directions.sum(axis=0))
-    shifts = np.concatenate([shifts, np.zeros((3, shifts.shape[1]))])
-    others = np.linalg.svd(motions - shifts @ (shifts.T @ motions), full_matrices=False)[0]
-    return np.concatenate([shifts, others[:, : motions.shape[1] - shifts.shape[1]]], axis=1)
+    translations = _null_space(unknowns.side_directions.sum(axis=0))
+    translations = np.concatenate([translations, np.zeros((3, translations.shape[1]))])
+    others = np.linalg.svd(
+        motions - translations @ (translations.T @ motions), full_matrices=False
+    )[0]
+    return np.concatenate(
+        [translations, others[:, : motions.shape[1] - translations.shape[1]]], axis=1
+    )
 
 
 def _null_space(matrix: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k q"]:
     """Orthonormal basis of the null space of a matrix of k rows or more."""
     _, size, vectors = np.linalg.svd(matrix, full_matrices=False)
-    return vectors[size <= _NOT_HELD * size.max()].T
+    return vectors[size <= _UNRESTRAINED * size.max()].T
 
 
 def bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
@@ -207,8 +216,8 @@ def bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
     """
     value, vector = np.linalg.eigh(projectors)
     kept = value > 0.5
-    whole = np.isclose(projectors, np.eye(3), atol=1e-12).all(axis=(1, 2))
-    vector[whole] = np.eye(3)
+    is_identity = np.isclose(projectors, np.eye(3), atol=1e-12).all(axis=(1, 2))
+    vector[is_identity] = np.eye(3)
     block, column = np.nonzero(kept)
     data = vector[block, :, column].ravel()
     row = (3 * block[:, None] + np.arange(3)).ravel()

@@ -43,16 +43,16 @@ class SystemSlope:
         (n_rows, n_free), count = self.flux.shape, unknowns.shape[1]
         u = unknowns[: 3 * n_free].reshape(n_free, 3, count)
         q = unknowns[3 * n_free : -3].reshape(self.trace.shape[1], 3 * count)
-        along = self.flux @ u.reshape(n_free, 3 * count) + self.trace @ q
-        along = along.reshape(n_rows, 3, count)
+        product = self.flux @ u.reshape(n_free, 3 * count) + self.trace @ q
+        product = product.reshape(n_rows, 3, count)
         for axis, part in enumerate(self.skew):
             # A cross product with the axis involves the two other components only.
             after, last = (axis + 1) % 3, (axis + 2) % 3
-            beside = u[:, [after, last]].reshape(n_free, 2 * count)
-            beside = (part @ beside).reshape(n_rows, 2, count)
-            along[:, after] -= beside[:, 1]
-            along[:, last] += beside[:, 0]
-        return np.concatenate([*along.transpose(1, 0, 2), np.zeros((3, count))])
+            others = u[:, [after, last]].reshape(n_free, 2 * count)
+            others = (part @ others).reshape(n_rows, 2, count)
+            product[:, after] -= others[:, 1]
+            product[:, last] += others[:, 0]
+        return np.concatenate([*product.transpose(1, 0, 2), np.zeros((3, count))])
 
 
 def system_slope(system: BoundarySystem) -> SystemSlope:

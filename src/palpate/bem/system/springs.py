@@ -3,10 +3,10 @@
 The foundation exerts the traction -k u, with k its stiffness and u the displacement of the surface
 against it. The displacements w of the held vertices become unknowns in addition to x:
 
-    matrix(nu) x - columns(nu) w = right,        give * pressed x + w = right of the springs,
+    matrix(nu) x - columns(nu) w = right,      compliance * mean_traction x + w = right of springs,
 
-with the dimensionless compliance give = G / (k traction_length); x and w are displacements times
-the shear modulus. Like the system of a rigid support, which give = 0 recovers, this one is linear
+with the dimensionless compliance G / (k traction_length); x and w are displacements times the shear
+modulus. Like the system of a rigid support, which a compliance of zero recovers, this one is linear
 in nu. The factorisation of the rigid system is reused, which leaves a small dense system for w. The
 derivative with respect to the compliance is exact and takes one more solve.
 
@@ -36,35 +36,38 @@ class Springs:
 
     Attributes
     ----------
-    place : (3 v, e) sparse       displacement of all vertices per unit displacement of each spring
-    pressed : (e, k) sparse       mean traction on each spring from the unknowns of the system
-    share : (e, s) float          fraction of each spring that belongs to each of s supports; rows
-                                  sum to 1
+    displacement_basis : (3 v, e) sparse    displacement of all vertices per unit displacement of
+                                  each spring
+    mean_traction : (e, k) sparse on each spring from the unknowns of the system
+    support_fraction : (e, s) float    fraction of each spring that belongs to each of s supports;
+                                  rows sum to 1
     """
 
-    place: csr_array
-    pressed: csr_array
-    share: Float[np.ndarray, "e s"]
+    displacement_basis: csr_array
+    mean_traction: csr_array
+    support_fraction: Float[np.ndarray, "e s"]
 
-    def give(self, each: Float[np.ndarray, " s"]) -> Float[np.ndarray, " e"]:
+    def compliance(self, support_compliance: Float[np.ndarray, " s"]) -> Float[np.ndarray, " e"]:
         """Compliance of every spring; zero where one of the supports that share it is rigid.
 
         Parameters
         ----------
-        each : (s,) float         compliance of the supports; 0: rigid
+        support_compliance : (s,) float    0: rigid
         """
-        return each @ self.changes(each)
+        return support_compliance @ self.compliance_derivatives(support_compliance)
 
-    def changes(self, each: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s e"]:
-        """Derivative of `give` with respect to the compliance of each support.
+    def compliance_derivatives(
+        self, support_compliance: Float[np.ndarray, " s"]
+    ) -> Float[np.ndarray, "s e"]:
+        """Derivative of `compliance` with respect to the compliance of each support.
 
         Parameters
         ----------
-        each : (s,) float         compliance of the supports; 0: rigid
+        support_compliance : (s,) float    0: rigid
         """
-        shared = self.share > 0.0
-        fixed = (shared.sum(axis=1) > 1) & (shared & (each == 0.0)).any(axis=1)
-        return np.where(fixed, 0.0, self.share.T)
+        supported = self.support_fraction > 0.0
+        fixed = (supported.sum(axis=1) > 1) & (supported & (support_compliance == 0.0)).any(axis=1)
+        return np.where(fixed, 0.0, self.support_fraction.T)
 
 
 def make_springs(
@@ -94,21 +97,21 @@ def make_springs(
     basis = bases(unknowns.vertex_directions * (weight[held].sum(axis=1) > 0.0)[:, None, None])
     # From the held vertices to all vertices, three rows each.
     rows = (3 * held[:, None] + np.arange(3)).ravel()
-    spread = csr_array(
+    extension = csr_array(
         (np.ones(rows.size), (rows, np.arange(rows.size))), shape=(3 * count, rows.size)
     )
-    place = csr_array(spread @ basis)
-    by_column = place.tocsc()
+    displacement_basis = csr_array(extension @ basis)
+    by_column = displacement_basis.tocsc()
     vertex = by_column.indices[by_column.indptr[:-1]] // 3
     return Springs(
-        place,
-        _mean_traction(system, place, side_vertex),
+        displacement_basis,
+        _mean_traction(system, displacement_basis, side_vertex),
         weight[vertex] / weight[vertex].sum(axis=1, keepdims=True),
     )
 
 
 def _mean_traction(
-    system: BoundarySystem, place: csr_array, side_vertex: Int[np.ndarray, " s"]
+    system: BoundarySystem, displacement_basis: csr_array, side_vertex: Int[np.ndarray, " s"]
 ) -> csr_array:
     """Traction on each spring: the area-weighted mean over the sides of its vertex, so that all
     springs together carry the force on the support."""
@@ -120,9 +123,10 @@ def _mean_traction(
     first = 3 * system.unknowns.free_vertices.size
     row = (3 * side_vertex[:, None] + np.arange(3)).ravel()
     mean = csr_array(
-        (value, (row, first + np.arange(row.size))), shape=(place.shape[0], system.size)
+        (value, (row, first + np.arange(row.size))),
+        shape=(displacement_basis.shape[0], system.size),
     )
-    return csr_array(place.T @ mean)
+    return csr_array(displacement_basis.T @ mean)
 
 
 def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray, "2 r e"]:
@@ -141,7 +145,7 @@ def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray
     blocks = system.traction_kernel
     held = system.unknowns.held_vertices
     rows = (3 * held[:, None] + np.arange(3)).ravel()
-    basis = springs.place[rows]
+    basis = springs.displacement_basis[rows]
     terms = np.zeros((2, 3 * blocks.n_rows + 3, basis.shape[1]))
     for b, values in enumerate(blocks.values):
         part = slice(b * LANES, min((b + 1) * LANES, blocks.n_rows))
@@ -166,13 +170,13 @@ class SpringFactors:
     factorised : FactorisedSystem         of the same object on a rigid support
     springs : Springs
     columns : (2, r, e) float             `spring_columns`
-    answer : (k, e) float                 x for a unit displacement w of each spring alone
+    unit_solutions : (k, e) float         x for a unit displacement w of each spring alone
     """
 
     factorised: FactorisedSystem
     springs: Springs
     columns: Float[np.ndarray, "2 r e"]
-    answer: Float[np.ndarray, "k e"]
+    unit_solutions: Float[np.ndarray, "k e"]
 
 
 def make_spring_factors(
@@ -192,8 +196,8 @@ def make_spring_factors(
     """
     columns = spring_columns(system, springs)
     constant, slope = columns
-    answer = solve(factorised, constant + factorised.poisson_ratio * slope)
-    return SpringFactors(factorised, springs, columns, answer)
+    unit_solutions = solve(factorised, constant + factorised.poisson_ratio * slope)
+    return SpringFactors(factorised, springs, columns, unit_solutions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,15 +211,15 @@ class SpringSystem:
     Attributes
     ----------
     factors : SpringFactors
-    give : (e,) float                     G / (k traction_length); 0: rigid
-    changes : (d, e) float                derivatives of `give`
-    below : (e, e) float, (e,) int        LU factors of the Schur complement for w
+    compliance : (e,) float               G / (k traction_length); 0: rigid
+    compliance_derivatives : (d, e) float    with respect to that of each of d sets of springs
+    schur_factors : (e, e) float, (e,) int    LU factors of the Schur complement for w
     """
 
     factors: SpringFactors
-    give: Float[np.ndarray, " e"]
-    changes: Float[np.ndarray, "d e"]
-    below: tuple[Float[np.ndarray, "e e"], Int[np.ndarray, " e"]]
+    compliance: Float[np.ndarray, " e"]
+    compliance_derivatives: Float[np.ndarray, "d e"]
+    schur_factors: tuple[Float[np.ndarray, "e e"], Int[np.ndarray, " e"]]
 
     def solve(self, right: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "n c"]:
         """Solve for several right-hand sides.
@@ -228,40 +232,53 @@ class SpringSystem:
         -------
         (n, c) float              1 + d blocks of x and w
         """
-        pressed, answer = self.factors.springs.pressed, self.factors.answer
-        count, give = self.give.size, self.give[:, None]
-        blocks = np.split(right, 1 + len(self.changes))
+        mean_traction, unit_solutions = (
+            self.factors.springs.mean_traction,
+            self.factors.unit_solutions,
+        )
+        count, compliance = self.compliance.size, self.compliance[:, None]
+        blocks = np.split(right, 1 + len(self.compliance_derivatives))
         # One solve for all blocks: the factors are read once for many columns.
-        above = solve(self.factors.factorised, np.hstack([block[:-count] for block in blocks]))
+        rigid_solutions = solve(
+            self.factors.factorised, np.hstack([block[:-count] for block in blocks])
+        )
         solved: list[np.ndarray] = []
         for k, (block, rigid) in enumerate(
-            zip(blocks, np.split(above, len(blocks), axis=1), strict=True)
+            zip(blocks, np.split(rigid_solutions, len(blocks), axis=1), strict=True)
         ):
-            left = block[-count:] - give * (pressed @ rigid)
+            residual = block[-count:] - compliance * (mean_traction @ rigid)
             if k:
-                left -= self.changes[k - 1][:, None] * (pressed @ solved[0][:-count])
-            moved = lu_solve(self.below, left, check_finite=False)
-            solved.append(np.concatenate([rigid + answer @ moved, moved]))
+                residual -= self.compliance_derivatives[k - 1][:, None] * (
+                    mean_traction @ solved[0][:-count]
+                )
+            displacement = lu_solve(self.schur_factors, residual, check_finite=False)
+            solved.append(np.concatenate([rigid + unit_solutions @ displacement, displacement]))
         return np.concatenate(solved)
 
 
 def make_spring_system(
-    factors: SpringFactors, give: Float[np.ndarray, " e"], changes: Float[np.ndarray, "d e"]
+    factors: SpringFactors,
+    compliance: Float[np.ndarray, " e"],
+    compliance_derivatives: Float[np.ndarray, "d e"],
 ) -> SpringSystem:
     """Factorise the Schur complement for the displacements of the springs.
 
     Parameters
     ----------
     factors : SpringFactors
-    give : (e,) float                     G / (k traction_length); 0: rigid
-    changes : (d, e) float                derivatives of `give`
+    compliance : (e,) float               G / (k traction_length); 0: rigid
+    compliance_derivatives : (d, e) float    with respect to that of each of d sets of springs
 
     Returns
     -------
     SpringSystem
     """
-    left = np.eye(give.size) + give[:, None] * (factors.springs.pressed @ factors.answer)
-    return SpringSystem(factors, give, changes, lu_factor(left, check_finite=False))
+    schur = np.eye(compliance.size) + compliance[:, None] * (
+        factors.springs.mean_traction @ factors.unit_solutions
+    )
+    return SpringSystem(
+        factors, compliance, compliance_derivatives, lu_factor(schur, check_finite=False)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,6 +310,6 @@ class SpringSlope:
         count = self.columns.shape[1]
         parts = []
         for block in np.split(unknowns, self.blocks):
-            above, below = block[:-count], block[-count:]
-            parts += [self.slope.apply(above) - self.columns @ below, np.zeros_like(below)]
+            x, w = block[:-count], block[-count:]
+            parts += [self.slope.apply(x) - self.columns @ w, np.zeros_like(w)]
         return np.concatenate(parts)

@@ -191,9 +191,9 @@ def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndar
     n_blocks = len(system.traction_kernel.rows)
     in_threads(_fill_rows, n_blocks, system, poisson_ratio, entries)
     weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
-    share = weights[system.unknowns.held_sides] / system.traction_length**2
+    balance = weights[system.unknowns.held_sides] / system.traction_length**2
     for axis in range(3):
-        matrix[3 * n_free + axis : -3 : 3, 3 * n_rows + axis] = share
+        matrix[3 * n_free + axis : -3 : 3, 3 * n_rows + axis] = balance
         matrix[axis - 3, axis * n_rows : (axis + 1) * n_rows] = 8 * np.pi
     return matrix.T
 

@@ -1,4 +1,4 @@
-"""What the probings say about the constants beyond their best values.
+"""Uncertainty of the constants, and how well the model fits each probing.
 
 Purpose    : intervals, identifiability, the likelihood map, and predictions of the probings.
 Takes      : a `Misfit` and its `Minimum`.
@@ -16,8 +16,8 @@ from palpate.estimation.intervals.contradiction import (
 from palpate.estimation.intervals.identifiability import (
     identifiable_combination as identifiable_combination,
     identifiable_constants as identifiable_constants,
-    with_open_ratio as with_open_ratio,
     with_prior_ranges as with_prior_ranges,
+    with_undetermined_ratio as with_undetermined_ratio,
 )
 from palpate.estimation.intervals.information import (
     Information as Information,
@@ -38,7 +38,7 @@ from palpate.estimation.intervals.uncertainty import (
 from palpate.estimation.intervals.validation import (
     ProbeFit as ProbeFit,
     error_estimates as error_estimates,
-    found_errors as found_errors,
+    fitted_errors as fitted_errors,
     predicted_points as predicted_points,
     predicted_surface as predicted_surface,
     probe_estimate as probe_estimate,

@@ -17,14 +17,14 @@ from palpate.estimation.intervals.sandwich import (
     force_moments,
     shift_projections,
 )
-from palpate.estimation.intervals.score_noise import ScoreNoise, considered_pulls
+from palpate.estimation.intervals.score_noise import ScoreNoise, considered_score_changes
 from palpate.estimation.search import LocalProbe, Misfit
 from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 POINTS, FORCES, MOTIONS = "noise of the points", "measured forces", "motions of supports"
 SCATTER = "disagreement of the probings"
 # Source of a quantity, and the change of the scores, (d,), per standard deviation of it.
-_Pulls = list[tuple[str, np.ndarray]]
+_ScoreChanges = list[tuple[str, np.ndarray]]
 
 
 def uncertainty_budget(
@@ -62,10 +62,10 @@ def uncertainty_budget(
     """
     if "poisson_ratio" not in factors:
         return ()
-    turns = directions(poisson_ratio)
+    direction_of = directions(poisson_ratio)
     own, considered = _of_probings(misfit, local, noise)
     parts = {
-        name: _variances(misfit, scores, own, considered, turns[name], factor)
+        name: _variances(misfit, scores, own, considered, direction_of[name], factor)
         for name, factor in factors.items()
     }
     sources = dict.fromkeys(source for part in parts.values() for source in part)
@@ -89,52 +89,62 @@ def _size(entry: BudgetEntry) -> float:
 
 
 def _variances(
-    misfit: Misfit, scores: Scores, own: _Pulls, considered: _Pulls, turn: np.ndarray, factor: float
+    misfit: Misfit,
+    scores: Scores,
+    own: _ScoreChanges,
+    considered: _ScoreChanges,
+    direction: np.ndarray,
+    factor: float,
 ) -> dict[str, float]:
     """Contribution of each source to the variance of nu, log G or log E."""
-    influence = scores.influence(turn)
-    alone, known = _added(own, influence), _added(considered, influence)
+    influence = scores.influence(direction)
+    independent = _variance_by_source(own, influence)
+    variance = _variance_by_source(considered, influence)
     # Common noise that is not from considered errors is from shared reference pictures.
-    common = 0.0 if scores.common is None else influence @ scores.common.sum((0, 1)) @ influence
-    at_rest = float(common) - sum(known.values())
-    for parameter, moved in zip(misfit.shared, influence[2:], strict=True):
-        known[parameter.source] += float(moved**2)
-    claimed = float(turn @ scores.covariance()[:2, :2] @ turn)
-    claimed -= at_rest + sum(known.values())
-    alone[POINTS] += claimed - sum(alone.values())
+    common = 0.0
+    if scores.common_covariance is not None:
+        common = float(influence @ scores.common_covariance.sum((0, 1)) @ influence)
+    reference_pictures = common - sum(variance.values())
+    for parameter, effect in zip(misfit.shared, influence[2:], strict=True):
+        variance[parameter.source] += float(effect**2)
+    claimed = float(direction @ scores.covariance()[:2, :2] @ direction)
+    claimed -= reference_pictures + sum(variance.values())
+    independent[POINTS] += claimed - sum(independent.values())
     # Where probings agree better than claimed, all independent contributions shrink.
-    for source, value in alone.items():
-        known[source] += min(factor, 1.0) * value
-    known[POINTS] += at_rest
+    for source, value in independent.items():
+        variance[source] += min(factor, 1.0) * value
+    variance[POINTS] += reference_pictures
     if factor > 1.0:
-        known[SCATTER] = (factor - 1.0) * claimed
-    return {source: max(value, 0.0) for source, value in known.items()}
+        variance[SCATTER] = (factor - 1.0) * claimed
+    return {source: max(value, 0.0) for source, value in variance.items()}
 
 
-def _added(pulls: _Pulls, influence: Float[np.ndarray, " d"]) -> defaultdict[str, float]:
-    """Contributions of some pulls to the variance, by source."""
-    found = defaultdict[str, float](float)
-    for source, pull in pulls:
-        found[source] += float(pull @ influence) ** 2
-    return found
+def _variance_by_source(
+    changes: _ScoreChanges, influence: Float[np.ndarray, " d"]
+) -> defaultdict[str, float]:
+    """Contributions of some changes of the scores to the variance, by source."""
+    variance = defaultdict[str, float](float)
+    for source, change in changes:
+        variance[source] += float(change @ influence) ** 2
+    return variance
 
 
 def _of_probings(
     misfit: Misfit, local: Sequence[LocalProbe], noise: ScoreNoise
-) -> tuple[_Pulls, _Pulls]:
+) -> tuple[_ScoreChanges, _ScoreChanges]:
     """Change of the scores per standard deviation of each shift of a single probing, and of each
     considered error."""
     forces = force_moments(misfit, local)
-    turns = shift_projections(local, noise, forces)
-    own: _Pulls = []
-    for probe, turn, (power, _) in zip(local, turns, forces, strict=True):
-        pulls = np.sqrt(probe.prior(power))[:, None] * turn[probe.common :]
-        own += zip(_sources(misfit, probe), pulls, strict=True)
-    considered = considered_pulls(local, turns, noise)
-    return own, [(one.source, pulls.sum(axis=0)) for one, pulls in considered.items()]
+    projections = shift_projections(local, noise, forces)
+    own: _ScoreChanges = []
+    for probe, projection, (power, _) in zip(local, projections, forces, strict=True):
+        changes = np.sqrt(probe.prior(power))[:, None] * projection[probe.common :]
+        own += zip(_sources(misfit, probe), changes, strict=True)
+    considered = considered_score_changes(local, projections, noise)
+    return own, [(error.source, changes.sum(axis=0)) for error, changes in considered.items()]
 
 
 def _sources(misfit: Misfit, probe: LocalProbe) -> list[str]:
     """Source in the budget of each shift of a probing."""
     motions = [MOTIONS] * len(probe.rows.motion)
-    return [FORCES] * 3 + motions + [one.source for one in misfit.own(probe.rows)]
+    return [FORCES] * 3 + motions + [error.source for error in misfit.own(probe.rows)]

@@ -23,7 +23,7 @@ from palpate.shapes import Points, PointScalars, Vector3
 _MIN_POINTS, _MAX_POINTS = 30, 1000
 # Lengths below are fractions of the diagonal of the points' bounding box.
 _BLOCK = 0.1
-_APART = (0.2, 0.4)
+_DISTANT = (0.2, 0.4)
 _NEAR = 0.15
 # Correlation across the body: standard errors, and share of the motion.
 _SIGNIFICANT, _LEAST_SHARED = 10.0, 0.02
@@ -68,21 +68,21 @@ def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | No
     Contradiction or None           None if it does not, or with fewer than 30 points, which do not
                                     suffice to tell
     """
-    known = np.flatnonzero(np.isfinite(fit.residual).all(axis=1))
-    if len(known) < _MIN_POINTS or not probe.displacement[known].any():
+    measured = np.flatnonzero(np.isfinite(fit.residual).all(axis=1))
+    if len(measured) < _MIN_POINTS or not probe.displacement[measured].any():
         return None
-    known = known[morton_order(probe.position[known])][:: -(-len(known) // _MAX_POINTS)]
-    doubt = _doubt(probe)[known, None]
-    place, residual = probe.position[known], fit.residual[known] / doubt
+    measured = measured[morton_order(probe.position[measured])][:: -(-len(measured) // _MAX_POINTS)]
+    relative_std = _relative_std(probe)[measured, None]
+    place, residual = probe.position[measured], fit.residual[measured] / relative_std
     size = float(np.linalg.norm(np.ptp(place, axis=0)))
-    motion = float(np.sqrt(((probe.displacement[known] / doubt) ** 2).sum(axis=1).mean()))
+    motion = float(np.sqrt(((probe.displacement[measured] / relative_std) ** 2).sum(axis=1).mean()))
     count = max(_NEIGHBOURS, len(place) // _NEIGHBOUR_SHARE)
     smooth = np.median(residual[cKDTree(place).query(place, count)[1]], axis=1)
     square = (smooth**2).sum(axis=1)
     noise = _MEAN_OVER_MEDIAN * float(np.median(square))
     local = np.sqrt(max(float(square.mean()) - noise, 0.0)) / motion
     stands_out = square.mean() > _CONCENTRATED * noise and local > _LEAST_LOCAL
-    errors, shared = _agreement(place / size, residual)
+    errors, shared = _distant_correlation(place / size, residual)
     if not (stands_out or (errors > _SIGNIFICANT and shared > _LEAST_SHARED * motion)):
         return None
     worst = place[int(square.argmax())]
@@ -90,7 +90,7 @@ def contradiction(probe: ProbeObservations, fit: ProbeFit) -> Contradiction | No
     return Contradiction(probe.name, share, worst, _landmark(probe, worst, _NEAR * size))
 
 
-def _doubt(probe: ProbeObservations) -> PointScalars:
+def _relative_std(probe: ProbeObservations) -> PointScalars:
     """Claimed standard deviation of every point over their median; 1 where none is claimed.
 
     Where the surface turns away from the cameras, displacements are ten times as uncertain, and
@@ -102,7 +102,7 @@ def _doubt(probe: ProbeObservations) -> PointScalars:
     return claim / np.nanmedian(claim)
 
 
-def _agreement(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+def _distant_correlation(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
     """Correlation of residuals of distant blocks: in standard errors, and as a length [m].
 
     Residuals are summed over blocks; under the null hypothesis of noise the signs of the blocks'
@@ -111,14 +111,16 @@ def _agreement(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float
     """
     length = np.linalg.norm(residual, axis=1)
     longest = _LONGEST * float(np.median(length))
-    kept = residual * np.minimum(1.0, longest / np.maximum(length, np.finfo(float).tiny))[:, None]
+    truncated = (
+        residual * np.minimum(1.0, longest / np.maximum(length, np.finfo(float).tiny))[:, None]
+    )
     cells = np.floor(place / _BLOCK).astype(np.int64)
     _, block, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     sums = np.zeros((len(count), 6))
-    np.add.at(sums, block.ravel(), np.hstack([place, kept]))
+    np.add.at(sums, block.ravel(), np.hstack([place, truncated]))
     centre, total = sums[:, :3] / count[:, None], sums[:, 3:] / np.sqrt(count)[:, None]
-    apart = np.linalg.norm(centre[:, None] - centre[None], axis=2)
-    first, second = np.nonzero(np.triu((apart > _APART[0]) & (apart < _APART[1])))
+    distance = np.linalg.norm(centre[:, None] - centre[None], axis=2)
+    first, second = np.nonzero(np.triu((distance > _DISTANT[0]) & (distance < _DISTANT[1])))
     products = (total[first] * total[second]).sum(axis=1)
     spread = float(np.sqrt((products**2).sum()))
     if spread == 0.0:
@@ -129,9 +131,9 @@ def _agreement(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float
 
 def _landmark(probe: ProbeObservations, place: Vector3, reach: float) -> str:
     """The landmark nearest to a place, if one is within reach."""
-    away = {
+    distance = {
         name: float(np.linalg.norm(points - place, axis=1).min())
         for name, points in probe.landmarks.items()
     }
-    nearest = min(away, key=lambda name: away[name], default="")
-    return nearest if nearest and away[nearest] < reach else ""
+    nearest = min(distance, key=lambda name: distance[name], default="")
+    return nearest if nearest and distance[nearest] < reach else ""

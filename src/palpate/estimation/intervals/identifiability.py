@@ -45,7 +45,7 @@ def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dic
     return identifiable
 
 
-def with_open_ratio(intervals: IntervalSet, weights: FixedWeights) -> IntervalSet:
+def with_undetermined_ratio(intervals: IntervalSet, weights: FixedWeights) -> IntervalSet:
     """Intervals where the data point beyond the range of nu, which then counts as undetermined.
 
     An estimate at the end of the range is no measurement. The intervals of the moduli are extended
@@ -68,12 +68,12 @@ def with_open_ratio(intervals: IntervalSet, weights: FixedWeights) -> IntervalSe
     )
     return IntervalSet(
         replace(ratio, ci95=weights.poisson_range),
-        _stretched(shear, modulus),
-        _stretched(young, 2 * modulus * (1 + nu)),
+        _extended(shear, modulus),
+        _extended(young, 2 * modulus * (1 + nu)),
     )
 
 
-def _stretched(constant: Constant, line: np.ndarray) -> Constant:
+def _extended(constant: Constant, line: np.ndarray) -> Constant:
     """The same value, its interval extended to hold a whole line of values."""
     low, high = constant.ci95
     return replace(constant, ci95=(min(low, float(line.min())), max(high, float(line.max()))))
@@ -110,12 +110,12 @@ def with_prior_ranges(
         if np.isfinite(shear.ci95[1]):
             compliance, _ = best_compliance(weights.at(np.array([middle])))
             modulus = 1.0 / float(compliance[0])
-            shear = _moved(shear, modulus)
-            young = _moved(young, 2 * modulus * (1 + middle))
+            shear = _with_value(shear, modulus)
+            young = _with_value(young, 2 * modulus * (1 + middle))
     return replace(intervals, poisson_ratio=ratio, shear_modulus=shear, young_modulus=young)
 
 
-def _moved(constant: Constant, value: float) -> Constant:
+def _with_value(constant: Constant, value: float) -> Constant:
     """The same interval with another value, clipped to it."""
     return replace(constant, value=float(np.clip(value, *constant.ci95)))
 
@@ -139,13 +139,13 @@ def identifiable_combination(weights: FixedWeights) -> str:
     str                             formula, and by how much it changes over the range of nu
     """
     nu, modulus = _valley_line(weights)
-    shapes = {
+    combinations = {
         "E = 2 G (1 + nu)": modulus * (1 + nu),
         "G": modulus,
         "G / (1 - nu)": modulus / (1 - nu),
         "G / (1 - 2 nu)": modulus / (1 - 2 * nu),
     }
-    change = {name: float(np.ptp(np.log(shape))) for name, shape in shapes.items()}
+    change = {name: float(np.ptp(np.log(values))) for name, values in combinations.items()}
     best = min(change, key=lambda name: change[name])
     return f"{best} (it changes by {100 * change[best]:.1f} % over all of nu)"
 

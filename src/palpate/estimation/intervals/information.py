@@ -42,9 +42,11 @@ class Information:
 
     def of(self, probings: Sequence[int]) -> Float[np.ndarray, "2 2"]:
         """Information of some probings together about (nu, log G), shared errors eliminated."""
-        whole = self.scores.information[list(probings)].sum(axis=0)
-        whole[2:, 2:] += np.eye(len(whole) - 2)
-        return whole[:2, :2] - whole[:2, 2:] @ np.linalg.solve(whole[2:, 2:], whole[2:, :2])
+        information = self.scores.information[list(probings)].sum(axis=0)
+        information[2:, 2:] += np.eye(len(information) - 2)
+        return information[:2, :2] - information[:2, 2:] @ np.linalg.solve(
+            information[2:, 2:], information[2:, :2]
+        )
 
     def bound(self, probings: Sequence[int]) -> dict[str, float]:
         """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
@@ -63,14 +65,15 @@ class Information:
         """
         information = self.of(probings)
         covariance = np.linalg.pinv(information, hermitian=True)
-        spread = self.scores.among(probings).covariance()[:2, :2]
+        estimate_covariance = self.scores.subset(probings).covariance()[:2, :2]
         young = 2 * self.shear_modulus * (1 + self.poisson_ratio)
         bound = {}
-        for (name, turn), value in zip(
+        for (name, direction), value in zip(
             directions(self.poisson_ratio).items(), (1.0, self.shear_modulus, young), strict=True
         ):
-            identifiable = np.allclose(information @ covariance @ turn, turn, atol=1e-6)
-            bound[name] = value * float(np.sqrt(turn @ spread @ turn)) if identifiable else np.inf
+            identifiable = np.allclose(information @ covariance @ direction, direction, atol=1e-6)
+            std = float(np.sqrt(direction @ estimate_covariance @ direction))
+            bound[name] = value * std if identifiable else np.inf
         return bound
 
 
@@ -106,13 +109,13 @@ def fisher_information(
     local = misfit.linearised(scaled, 0.0, shear_modulus, shifts, errors)
     claimed = ScoreNoise(1.0, 1.0, np.inf, neighbours_sharing(local, 1.0), NO_SCATTER)
     scores, _ = scores_of(misfit, local, noise=claimed)
-    found = Information(scores, (), poisson_ratio, shear_modulus)
-    bound = found.bound(range(len(probes)))
+    information = Information(scores, (), poisson_ratio, shear_modulus)
+    bound = information.bound(range(len(probes)))
     factors = {name: 1.0 for name in CONSTANT_NAMES if np.isfinite(bound[name])}
     budget = uncertainty_budget(
         misfit, local, scores, claimed, poisson_ratio=poisson_ratio, factors=factors
     )
-    return replace(found, budget=budget)
+    return replace(information, budget=budget)
 
 
 def cramer_rao_bound(
@@ -134,5 +137,7 @@ def cramer_rao_bound(
     ------
     InputError                              a probing has no standard deviations
     """
-    found = fisher_information(probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus)
-    return found.bound(range(len(probes)))
+    information = fisher_information(
+        probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
+    )
+    return information.bound(range(len(probes)))

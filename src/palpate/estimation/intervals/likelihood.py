@@ -34,18 +34,18 @@ class LikelihoodMap:
     deviance: Float[np.ndarray, "k l"]
 
     @staticmethod
-    def height(share: float) -> float:
+    def height(probability: float) -> float:
         """Deviance at the edge of the joint confidence region of a given probability.
 
         Parameters
         ----------
-        share : float [-]           between 0 and 1
+        probability : float [-]     between 0 and 1
 
         Returns
         -------
         float [-]                   quantile of chi-squared with two degrees of freedom
         """
-        return float(chdtri(2, 1 - share))
+        return float(chdtri(2, 1 - probability))
 
 
 def likelihood_map(uncertainty: Uncertainty, intervals: IntervalSet) -> LikelihoodMap:
@@ -68,9 +68,9 @@ def likelihood_map(uncertainty: Uncertainty, intervals: IntervalSet) -> Likeliho
     best = intervals.shear_modulus.value
     soft, stiff = intervals.shear_modulus.ci95
     soft, stiff = max(soft, best / _LARGEST_FACTOR), min(stiff, best * _LARGEST_FACTOR)
-    room = _MARGIN * np.log(stiff / soft)
+    log_margin = _MARGIN * np.log(stiff / soft)
     nu = np.linspace(low, high, _SIZE)
-    modulus = np.exp(np.linspace(np.log(soft) - room, np.log(stiff) + room, _SIZE))
+    modulus = np.exp(np.linspace(np.log(soft) - log_margin, np.log(stiff) + log_margin, _SIZE))
     compliance = np.repeat(1.0 / modulus[:, None], _SIZE, axis=1)
     value, _, _ = deviance_of(weights.at(nu), compliance)
     centre = weights.at(np.array([intervals.poisson_ratio.value]))

@@ -17,7 +17,7 @@ from palpate.estimation.search import (
     ProjectedProbes,
     best_compliance,
     deviance_of,
-    sharpened_minimum,
+    refined_minimum,
 )
 
 _NEAR_POINTS, _FAR_POINTS = 65, 161
@@ -90,8 +90,8 @@ def profile_intervals(
         stiff, soft = _edges(curve, allowed[name])
         inside = np.isfinite(stiff)
         place = nu[inside]
-        _, low = sharpened_minimum(place, np.log(scale[inside] / soft[inside]))
-        _, high = sharpened_minimum(place, -np.log(scale[inside] / stiff[inside]))
+        _, low = refined_minimum(place, np.log(scale[inside] / soft[inside]))
+        _, high = refined_minimum(place, -np.log(scale[inside] / stiff[inside]))
         ceiling = np.inf if curve.no_signal <= allowed[name] else float(np.exp(-high))
         intervals[name] = (float(np.exp(low)), ceiling)
     return intervals
@@ -101,7 +101,7 @@ def _curve(weights: FixedWeights, grid: np.ndarray) -> ProfileCurve:
     """Valley on a grid of Poisson's ratios, its height above the minimum between grid points."""
     probes = weights.at(grid)
     compliance, height = best_compliance(probes)
-    _, lowest = sharpened_minimum(grid, height)
+    _, lowest = refined_minimum(grid, height)
     no_signal = float(probes.yy.sum(0).min()) - lowest
     return ProfileCurve(probes, grid, compliance, np.maximum(height - lowest, 0.0), no_signal)
 
@@ -130,30 +130,30 @@ def crossings(
     first, last = int(inside[0]), int(inside[-1])
     low, high = float(place[first]), float(place[last])
     if first > 0:
-        share = (level - root[first]) / (root[first - 1] - root[first])
-        low -= float(share * (place[first] - place[first - 1]))
+        fraction = (level - root[first]) / (root[first - 1] - root[first])
+        low -= float(fraction * (place[first] - place[first - 1]))
     if last < len(place) - 1:
-        share = (level - root[last]) / (root[last + 1] - root[last])
-        high += float(share * (place[last + 1] - place[last]))
+        fraction = (level - root[last]) / (root[last + 1] - root[last])
+        high += float(fraction * (place[last + 1] - place[last]))
     return low, high
 
 
 def _edges(curve: ProfileCurve, allowed: float) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest 1 / G below a height at every Poisson's ratio, NaN where none is; at the
     lowest point of the valley there always is one."""
-    spare = np.maximum(allowed - curve.height, 0.0)
-    inside = spare > 0
+    headroom = np.maximum(allowed - curve.height, 0.0)
+    inside = headroom > 0
     inside[np.argmin(curve.height)] = True
-    floor, _, bend = deviance_of(curve.probes, curve.compliance)
-    reach = np.sqrt(2 * spare / np.maximum(bend, np.finfo(float).tiny))
+    floor, _, curvature = deviance_of(curve.probes, curve.compliance)
+    reach = np.sqrt(2 * headroom / np.maximum(curvature, np.finfo(float).tiny))
     edges = []
     for sign in (-1.0, 1.0):
         step = sign * np.minimum(reach, _FIRST_REACH)
         for _ in range(_EDGE_STEPS):
             value, first, _ = deviance_of(curve.probes, curve.compliance * np.exp(step))
-            short = spare - (value - floor)
+            shortfall = headroom - (value - floor)
             slope = np.where(np.abs(first) > 0, first, np.inf)
-            step = step + np.clip(short / slope, -_LONGEST_STEP, _LONGEST_STEP)
+            step = step + np.clip(shortfall / slope, -_LONGEST_STEP, _LONGEST_STEP)
             step = sign * np.clip(sign * step, 0.0, _FARTHEST_EDGE)
         edges.append(np.where(inside, curve.compliance * np.exp(step), np.nan))
     return edges[0], edges[1]

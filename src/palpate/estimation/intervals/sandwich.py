@@ -40,20 +40,23 @@ class Scores:
     noise : (k, d, d)           model-based covariance of the part of the score that is independent
                                 between probings
     curvature : (k, 2, 2)       second derivative of half the misfit at fixed weights and errors
-    common : (k, k, d, d) or None    covariance between the scores of all pairs of probings, from
-                                noise that they share and from considered errors; None: zero
+    common_covariance : (k, k, d, d) or None    covariance between the scores of all pairs of
+                                probings, from noise that they share and from considered errors;
+                                None: zero
     """
 
     score: Float[np.ndarray, "k d"]
     information: Float[np.ndarray, "k d d"]
     noise: Float[np.ndarray, "k d d"]
     curvature: Float[np.ndarray, "k 2 2"]
-    common: Float[np.ndarray, "k k d d"] | None = None
+    common_covariance: Float[np.ndarray, "k k d d"] | None = None
 
     @property
     def _common(self) -> Float[np.ndarray, "k k d d"]:
         count, d = self.score.shape
-        return np.zeros((count, count, d, d)) if self.common is None else self.common
+        if self.common_covariance is None:
+            return np.zeros((count, count, d, d))
+        return self.common_covariance
 
     @property
     def _shared(self) -> Float[np.ndarray, "d d"]:
@@ -65,15 +68,15 @@ class Scores:
         """Prior information on the shared errors, which is also the covariance of its score."""
         return np.diag(np.append(np.zeros(2), np.ones(self.score.shape[1] - 2)))
 
-    def among(self, probings: Sequence[int]) -> "Scores":
+    def subset(self, probings: Sequence[int]) -> "Scores":
         """Scores of some of the probings, by their indices."""
-        some = list(probings)
+        chosen, common = list(probings), self.common_covariance
         return Scores(
-            self.score[some],
-            self.information[some],
-            self.noise[some],
-            self.curvature[some],
-            None if self.common is None else self.common[np.ix_(some, some)],
+            self.score[chosen],
+            self.information[chosen],
+            self.noise[chosen],
+            self.curvature[chosen],
+            None if common is None else common[np.ix_(chosen, chosen)],
         )
 
     def covariance(self) -> Float[np.ndarray, "d d"]:
@@ -158,18 +161,18 @@ class Scores:
         inverse, _ = self._inverse()
         influence = self.influence(direction)
         share = np.einsum("i,kij,jl->kl", influence, self.information, inverse)
-        together = self._common @ influence
+        common = self._common @ influence
         crossed = np.einsum("ki,lij,j->kl", share, self.noise, influence)
-        crossed += share @ together.sum(axis=0).T
+        crossed += share @ common.sum(axis=0).T
         own = np.diag(np.einsum("i,kij,j->k", influence, self.noise, influence))
-        own += together @ influence
+        own += common @ influence
         total = share @ (self.noise.sum(0) + self._shared) @ share.T
         expected = own - crossed - crossed.T + total
         mean = float(np.trace(expected))
         if len(self.score) < 2 or mean <= 0.0:
             return Scatter(1.0, 0.0)
-        pull = (self.score - self.information @ self.step()) @ influence
-        ratio = float((pull**2).sum()) / mean
+        contribution = (self.score - self.information @ self.step()) @ influence
+        ratio = float((contribution**2).sum()) / mean
         return Scatter(ratio, mean**2 / float((expected**2).sum()))
 
     def _inverse(self) -> tuple[np.ndarray, np.ndarray]:
@@ -207,45 +210,47 @@ def scores_of(
     (Scores, ScoreNoise)
     """
     forces = force_moments(misfit, local)
-    to_be_measured = noise is None
+    is_estimated = noise is None
     if noise is None:
         noise = noise_of(misfit, local)
-    turns = shift_projections(local, noise, forces)
-    if to_be_measured:
-        constants = [turn[:, :2] for turn in turns]
+    projections = shift_projections(local, noise, forces)
+    if is_estimated:
+        constants = [projection[:, :2] for projection in projections]
         blocks = block_scatter(local, constants, score_variance=noise.power, sharing=noise.sharing)
         noise = replace(noise, blocks=blocks)
     parts = [
-        _scores(probe, turn, noise, *force)
-        for probe, turn, force in zip(local, turns, forces, strict=True)
+        _scores(probe, projection, noise, *force)
+        for probe, projection, force in zip(local, projections, forces, strict=True)
     ]
     scores = Scores(*(np.stack(column) for column in zip(*parts, strict=True)))
-    common = common_noise(local, turns, noise)
+    common = common_noise(local, projections, noise)
     own = scores.noise - np.einsum("kkij->kij", common)
-    return replace(scores, noise=own, common=common + considered_errors(local, turns, noise)), noise
+    common = common + considered_errors(local, projections, noise)
+    return replace(scores, noise=own, common_covariance=common), noise
 
 
 def _scores(
     probe: LocalProbe,
-    turn: np.ndarray,
+    projection: np.ndarray,
     noise: ScoreNoise,
     force_power: float,
     force_slope: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Score, information, covariance of the score and curvature of one probing."""
     d = probe.common
-    clean = probe.design @ turn
-    information = (
-        noise.slope * (clean.T @ clean) + (turn[d:].T * probe.prior(force_slope)) @ turn[d:]
-    )
-    spread = noise.power * noise.excess * (clean.T @ probe.rows.correlated(clean, noise.sharing))
-    spread += (turn[d:].T * probe.prior(force_power)) @ turn[d:]
+    projected = probe.design @ projection
+    shifts = projection[d:]
+    information = noise.slope * (projected.T @ projected)
+    information += (shifts.T * probe.prior(force_slope)) @ shifts
+    correlated = probe.rows.correlated(projected, noise.sharing)
+    covariance = noise.power * noise.excess * (projected.T @ correlated)
+    covariance += (shifts.T * probe.prior(force_power)) @ shifts
     weighted = probe.weighted_products()
     # Only force and motions are eliminated: in the misfit's profile all errors are held fixed.
     own = slice(d, d + 3 + len(probe.rows.motion))
     inner = weighted[own, own] + np.diag(probe.prior()[: own.stop - d])
     curvature = weighted[:2, :2] - weighted[:2, own] @ np.linalg.solve(inner, weighted[own, :2])
-    return weighted[:d, -1], information, spread, curvature
+    return weighted[:d, -1], information, covariance, curvature
 
 
 def force_moments(misfit: Misfit, local: Sequence[LocalProbe]) -> list[tuple[float, float]]:

@@ -42,8 +42,7 @@ class Variance:
         Satterthwaite, An approximate distribution of estimates of variance components, Biometrics
         Bulletin 2 (1946).
         """
-        known = self.degrees == np.inf or self.independent == 0.0
-        if known:
+        if self.degrees == np.inf or self.independent == 0.0:
             return float(ndtri(_UPPER_TAIL))
         degrees = self.degrees * (self.total / self.independent) ** 2
         return float(stdtrit(degrees, _UPPER_TAIL))

@@ -89,7 +89,7 @@ def _absorbed(local: Sequence[LocalProbe]) -> float:
 
 
 def common_noise(
-    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
+    local: Sequence[LocalProbe], projections: Sequence[np.ndarray], noise: ScoreNoise
 ) -> Float[np.ndarray, "k k d d"]:
     """Covariance between the scores of all pairs of probings from the noise of reference pictures
     that they share: half of the noise of each point that several probings have.
@@ -97,7 +97,7 @@ def common_noise(
     Parameters
     ----------
     local : sequence of k LocalProbe    at a minimum
-    turns : (d + n, d) for each         `shift_projections`
+    projections : (d + n, d) for each   `shift_projections`
     noise : ScoreNoise
 
     Returns
@@ -105,15 +105,15 @@ def common_noise(
     (k, k, d, d) float                  zero for probings that share nothing
     """
     names = [_reference_points(probe) for probe in local]
-    seen = Counter(name for own in names for name in own)
-    number = {name: k for k, name in enumerate(name for name in seen if seen[name] > 1)}
+    counts = Counter(name for own in names for name in own)
+    number = {name: k for k, name in enumerate(name for name in counts if counts[name] > 1)}
     count, d = len(local), local[0].common
-    found = np.zeros((count, count, d, d))
+    covariance = np.zeros((count, count, d, d))
     if not number:
-        return found
+        return covariance
     plain, mixed = np.zeros((2, count, 3 * len(number), d))
-    for k, (probe, turn) in enumerate(zip(local, turns, strict=True)):
-        rows = probe.design @ turn
+    for k, (probe, projection) in enumerate(zip(local, projections, strict=True)):
+        rows = probe.design @ projection
         neighbours = probe.rows.correlated(rows, noise.sharing)
         for name, start in names[k].items():
             if name in number:
@@ -121,19 +121,19 @@ def common_noise(
                 plain[k, at], mixed[k, at] = rows[start : start + 3], neighbours[start : start + 3]
     for k in range(count):
         for m in range(count):
-            found[k, m] = 0.5 * (mixed[k].T @ plain[m] + plain[k].T @ mixed[m])
-    return _REFERENCE_SHARE * noise.power * noise.excess * found
+            covariance[k, m] = 0.5 * (mixed[k].T @ plain[m] + plain[k].T @ mixed[m])
+    return _REFERENCE_SHARE * noise.power * noise.excess * covariance
 
 
 def considered_errors(
-    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
+    local: Sequence[LocalProbe], projections: Sequence[np.ndarray], noise: ScoreNoise
 ) -> Float[np.ndarray, "k k d d"]:
     """Covariance between the scores of all pairs of probings from considered errors: these are not
     fitted, so that they contribute with their whole prior variance.
 
     Parameters
     ----------
-    local, turns, noise                 as `common_noise`
+    local, projections, noise           as `common_noise`
 
     Returns
     -------
@@ -145,32 +145,32 @@ def considered_errors(
     3 (1966): consider parameters
     """
     count, d = len(local), local[0].common
-    found = np.zeros((count, count, d, d))
-    for pulls in considered_pulls(local, turns, noise).values():
-        found += np.einsum("ki,mj->kmij", pulls, pulls)
-    return found
+    covariance = np.zeros((count, count, d, d))
+    for changes in considered_score_changes(local, projections, noise).values():
+        covariance += np.einsum("ki,mj->kmij", changes, changes)
+    return covariance
 
 
-def considered_pulls(
-    local: Sequence[LocalProbe], turns: Sequence[np.ndarray], noise: ScoreNoise
+def considered_score_changes(
+    local: Sequence[LocalProbe], projections: Sequence[np.ndarray], noise: ScoreNoise
 ) -> dict[NuisanceParameter, Float[np.ndarray, "k d"]]:
     """Change of each probing's score per prior standard deviation of each considered error.
 
     Parameters
     ----------
-    local, turns, noise                 as `considered_errors`
+    local, projections, noise           as `considered_errors`
 
     Returns
     -------
     parameter -> (k, d) float           zero for probings that do not have it
     """
-    found: dict[NuisanceParameter, np.ndarray] = {}
-    for k, (probe, turn) in enumerate(zip(local, turns, strict=True)):
-        pulls = noise.slope * (probe.considered.T @ probe.design @ turn)
-        own = (one for nuisance in probe.rows.considered for one in nuisance.parameters)
-        for parameter, pull in zip(own, pulls, strict=True):
-            found.setdefault(parameter, np.zeros((len(local), probe.common)))[k] = pull
-    return found
+    by_parameter: dict[NuisanceParameter, np.ndarray] = {}
+    for k, (probe, projection) in enumerate(zip(local, projections, strict=True)):
+        changes = noise.slope * (probe.considered.T @ probe.design @ projection)
+        own = (parameter for nuisance in probe.rows.considered for parameter in nuisance.parameters)
+        for parameter, change in zip(own, changes, strict=True):
+            by_parameter.setdefault(parameter, np.zeros((len(local), probe.common)))[k] = change
+    return by_parameter
 
 
 def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:

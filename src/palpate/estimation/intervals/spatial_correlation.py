@@ -40,14 +40,14 @@ def neighbours_sharing(local: Sequence[LocalProbe], score_variance: float) -> fl
     ------
     Least squares over all pairs of rows: products of their scores against their expected values.
     """
-    seen = expected = 0.0
+    observed = expected = 0.0
     for probe in local:
-        known = probe.rows.neighbours
-        if known is not None:
+        correlation = probe.rows.neighbours
+        if correlation is not None:
             score = _row_scores(probe)
-            seen += float(score @ (known @ score))
-            expected += score_variance * float((known.data**2).sum())
-    return float(np.clip(seen / expected, 0.0, 1.0)) if expected > 0.0 else 0.0
+            observed += float(score @ (correlation @ score))
+            expected += score_variance * float((correlation.data**2).sum())
+    return float(np.clip(observed / expected, 0.0, 1.0)) if expected > 0.0 else 0.0
 
 
 def block_scatter(
@@ -71,19 +71,19 @@ def block_scatter(
     Scatter                             `NO_SCATTER` where no probing has eight blocks of six points
     """
     parts = [
-        _block_sums(probe, turn, sharing)
-        for probe, turn in zip(local, projection, strict=True)
-        if _located(probe) >= _BLOCKS * _MIN_POINTS_PER_BLOCK
+        _block_sums(probe, matrix, sharing)
+        for probe, matrix in zip(local, projection, strict=True)
+        if _point_count(probe) >= _BLOCKS * _MIN_POINTS_PER_BLOCK
     ]
     if not parts:
         return NO_SCATTER
     metric = np.linalg.pinv(sum(part.information.sum(0) for part in parts), hermitian=True)
-    seen = np.concatenate(
+    observed = np.concatenate(
         [np.einsum("bi,ij,bj->b", part.score, metric, part.score) for part in parts]
     )
     moments = [part.expected(metric) for part in parts]
     mean, square = (np.concatenate(column).sum() for column in zip(*moments, strict=True))
-    return Scatter(float(seen.sum() / (score_variance * mean)), float(mean**2 / square))
+    return Scatter(float(observed.sum() / (score_variance * mean)), float(mean**2 / square))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,8 +106,8 @@ class _BlockSums:
             "bij,jk,bkl,li->b", self.information, metric, self.information, metric
         )
         leak = np.einsum("bij,jk,blk,li->b", self.leak, self.shift_covariance, self.leak, metric)
-        left = 1.0 - (constants + leak) / np.maximum(plain, np.finfo(float).tiny)
-        noise = left[:, None, None] * (self.noise @ metric)
+        remaining = 1.0 - (constants + leak) / np.maximum(plain, np.finfo(float).tiny)
+        noise = remaining[:, None, None] * (self.noise @ metric)
         return np.einsum("bii->b", noise), np.einsum("bij,bji->b", noise, noise)
 
 
@@ -115,10 +115,10 @@ def _block_sums(probe: LocalProbe, projection: np.ndarray, sharing: float) -> _B
     """Sums over the blocks of one probing, without the tip."""
     rows = probe.rows
     block = np.repeat(_blocks(probe), rows.components.astype(np.int64))
-    clean, shifts = probe.design @ projection, probe.design[:, probe.common :]
-    near = clean
+    projected, shifts = probe.design @ projection, probe.design[:, probe.common :]
+    correlated = projected
     if rows.neighbours is not None:
-        near = clean + sharing * (_within(rows.neighbours, block) @ clean)
+        correlated = projected + sharing * (_within(rows.neighbours, block) @ projected)
 
     def summed(values: np.ndarray) -> np.ndarray:
         sums = np.zeros((_BLOCKS, *values.shape[1:]))
@@ -127,23 +127,23 @@ def _block_sums(probe: LocalProbe, projection: np.ndarray, sharing: float) -> _B
 
     normal = shifts.T @ shifts + np.eye(shifts.shape[1])
     return _BlockSums(
-        summed(clean * _row_scores(probe)[:, None]),
-        summed(clean[:, :, None] * clean[:, None, :]),
-        summed(clean[:, :, None] * near[:, None, :]),
-        summed(clean[:, :, None] * shifts[:, None, :]),
+        summed(projected * _row_scores(probe)[:, None]),
+        summed(projected[:, :, None] * projected[:, None, :]),
+        summed(projected[:, :, None] * correlated[:, None, :]),
+        summed(projected[:, :, None] * shifts[:, None, :]),
         np.linalg.inv(normal),
     )
 
 
 def _blocks(probe: LocalProbe) -> Int[np.ndarray, " p"]:
     """Number of the block that each point is in, -1 for the tip."""
-    order = morton_order(probe.rows.position)[: _located(probe)]
+    order = morton_order(probe.rows.position)[: _point_count(probe)]
     block = np.full(len(probe.rows.position), -1)
     block[order] = _BLOCKS * np.arange(len(order)) // len(order)
     return block
 
 
-def _located(probe: LocalProbe) -> int:
+def _point_count(probe: LocalProbe) -> int:
     """Number of points, not counting the tip."""
     return int(np.isfinite(probe.rows.position[:, 0]).sum())
 

@@ -69,10 +69,10 @@ class Uncertainty:
 
     def variance(self, name: str) -> Variance:
         """Variance of nu, log G or log E."""
-        turn = directions(self.minimum.poisson_ratio)[name]
-        found = self.scores.variance(turn, self.scatters[name])
-        known = min(self.noise.degrees, self.noise.blocks.total_degrees)
-        return replace(found, degrees=min(found.degrees, known))
+        direction = directions(self.minimum.poisson_ratio)[name]
+        variance = self.scores.variance(direction, self.scatters[name])
+        of_noise = min(self.noise.degrees, self.noise.blocks.total_degrees)
+        return replace(variance, degrees=min(variance.degrees, of_noise))
 
     def error(self, name: str) -> float:
         """Standard error of nu, log G or log E."""
@@ -81,7 +81,9 @@ class Uncertainty:
     def budget(self, misfit: Misfit, identifiable: Mapping[str, bool]) -> tuple[BudgetEntry, ...]:
         """Contribution of each source to the standard errors of the identifiable constants
         (`uncertainty_budget`)."""
-        factors = {name: s.factor for name, s in self.scatters.items() if identifiable[name]}
+        factors = {
+            name: scatter.factor for name, scatter in self.scatters.items() if identifiable[name]
+        }
         return uncertainty_budget(
             misfit, self.minimum.probes, self.scores, self.noise,
             poisson_ratio=self.minimum.poisson_ratio, factors=factors,
@@ -93,8 +95,8 @@ class Uncertainty:
 
     def calibration(self, name: str) -> float:
         """Variance of nu, log G or log E over that from the curvature of the misfit alone."""
-        turn = directions(self.minimum.poisson_ratio)[name]
-        return self.variance(name).total / self.scores.curvature_variance(turn)
+        direction = directions(self.minimum.poisson_ratio)[name]
+        return self.variance(name).total / self.scores.curvature_variance(direction)
 
 
 def uncertainty_of(misfit: Misfit, minimum: Minimum, weights: FixedWeights) -> Uncertainty:
@@ -111,8 +113,10 @@ def uncertainty_of(misfit: Misfit, minimum: Minimum, weights: FixedWeights) -> U
     Uncertainty                     with the scatter of these probings
     """
     scores, noise = scores_of(misfit, minimum.probes)
-    turns = directions(minimum.poisson_ratio)
-    scatters = {name: scores.scatter(turn) for name, turn in turns.items()}
+    scatters = {
+        name: scores.scatter(direction)
+        for name, direction in directions(minimum.poisson_ratio).items()
+    }
     return Uncertainty(minimum, scores, noise, scatters, weights)
 
 
@@ -146,8 +150,8 @@ def _is_narrow(uncertainty: Uncertainty) -> bool:
     """Whether the misfit is a parabola over the interval, and the bounds are far."""
     low, high = uncertainty.weights.poisson_range
     nu = uncertainty.minimum.poisson_ratio
-    room = min(nu - low, high - nu)
-    return uncertainty.error("poisson_ratio") < min(_SMALL_ERROR, room / _FAR_FROM_BOUND)
+    distance = min(nu - low, high - nu)
+    return uncertainty.error("poisson_ratio") < min(_SMALL_ERROR, distance / _FAR_FROM_BOUND)
 
 
 def _parabola(

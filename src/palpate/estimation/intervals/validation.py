@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.noise import relative_weight
-from palpate.estimation.nuisance import CurvedNuisance, NuisanceParameter
+from palpate.estimation.nuisance import Nuisance, NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import LocalProbe, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
@@ -65,17 +65,17 @@ def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
     """
     minimum, scores, weights = uncertainty.minimum, uncertainty.scores, uncertainty.weights
     low, high = weights.poisson_range
-    left = scores.curvature.sum(0) - scores.curvature
-    size = np.sqrt(np.maximum(np.einsum("kii->ki", left), np.finfo(float).tiny))
-    unit = left / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(2)
+    remaining = scores.curvature.sum(0) - scores.curvature
+    size = np.sqrt(np.maximum(np.einsum("kii->ki", remaining), np.finfo(float).tiny))
+    unit = remaining / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(2)
     score = scores.score[:, :2]
-    pull = (score.sum(0) - score) / size
-    step = np.linalg.solve(unit, pull[..., None])[..., 0] / size
+    gradient = (score.sum(0) - score) / size
+    step = np.linalg.solve(unit, gradient[..., None])[..., 0] / size
     nu = minimum.poisson_ratio + step[:, 0]
     if np.abs(step).max() < _SMALL_MOVE and nu.min() > low and nu.max() < high:
         return np.column_stack([nu, minimum.shear_modulus * np.exp(step[:, 1])])
     every = np.arange(len(step))
-    return np.array([best_constants(weights.only(np.delete(every, k))) for k in every])
+    return np.array([best_constants(weights.subset(np.delete(every, k))) for k in every])
 
 
 def probe_fits(
@@ -100,7 +100,7 @@ def probe_fits(
         n = len(probe.position)
         own = 3 + len(probe.motion)
         constants = minimum.poisson_ratio, minimum.shear_modulus
-        shared, sigmas = found_errors(misfit, local, minimum.errors)
+        shared, sigmas = fitted_errors(misfit, local, minimum.errors)
         predicted = predicted_points(probe, constants, local, local.shift, sigmas)
         factor = np.zeros(n + 1)
         factor[local.rows.point] = relative_weight(
@@ -141,7 +141,7 @@ def _sigma(local: LocalProbe, misfit: Misfit, count: int) -> Points:
     return sigma[: 3 * count].reshape(-1, 3)
 
 
-def found_errors(
+def fitted_errors(
     misfit: Misfit, local: LocalProbe, errors: Float[np.ndarray, " m"]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Fitted errors of a probing by name, in prior standard deviations.
@@ -156,8 +156,8 @@ def found_errors(
     -------
     two dict                        the shared errors; these and the probing's own
     """
-    shared = dict(zip((one.name for one in misfit.shared), errors.tolist(), strict=True))
-    own = [one.name for one in misfit.own(local.rows)]
+    shared = dict(zip((error.name for error in misfit.shared), errors.tolist(), strict=True))
+    own = [error.name for error in misfit.own(local.rows)]
     first = 3 + len(local.rows.motion)
     return shared, shared | dict(zip(own, local.shift[first:].tolist(), strict=True))
 
@@ -202,8 +202,14 @@ def error_estimates(
     tuple of p ErrorEstimate
     """
     return tuple(
-        ErrorEstimate(one.name, one.unit, float(one.std * x), float(one.std * s), one.std)
-        for one, x, s in zip(parameters, value, std, strict=True)
+        ErrorEstimate(
+            parameter.name,
+            parameter.unit,
+            float(parameter.std * x),
+            float(parameter.std * sigma),
+            parameter.std,
+        )
+        for parameter, x, sigma in zip(parameters, value, std, strict=True)
     )
 
 
@@ -211,10 +217,10 @@ def _shift_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray,
     """Standard deviations of a probing's shifts, including that of the common parameters."""
     noise, products, d = uncertainty.noise, probe.weighted_products(), probe.common
     inverse = np.linalg.inv(products[d:-1, d:-1] + np.diag(probe.prior()))
-    turn = inverse @ products[d:-1, :d]
+    projection = inverse @ products[d:-1, :d]
     # As in the sandwich: the curvature contains the mean slope of the score, its noise the power.
     own = noise.power / noise.slope * noise.excess * np.diag(inverse)
-    shared = np.einsum("ni,ij,nj->n", turn, uncertainty.scores.covariance(), turn)
+    shared = np.einsum("ni,ij,nj->n", projection, uncertainty.scores.covariance(), projection)
     # Noise of the displacements cannot make it exceed the prior.
     return np.sqrt(np.minimum(own, np.maximum(np.diag(inverse), 1.0)) + shared)
 
@@ -244,11 +250,15 @@ def predicted_points(
     response = probe.response_at(nu, modulus)[: len(rows)]
     load = local.rows.load(modulus, shift)
     moved = response @ load
+
+    def sigmas_of(nuisance: Nuisance) -> Float[np.ndarray, " p"]:
+        return np.array([errors.get(error.name, 0.0) for error in nuisance.parameters])
+
     for nuisance in probe.nuisances:
-        sigmas = np.array([errors.get(one.name, 0.0) for one in nuisance.parameters])
-        moved = moved + nuisance.columns(rows, response, load, nu) @ sigmas
-        if isinstance(nuisance, CurvedNuisance):
-            moved += 0.5 * (nuisance.curvature(rows, load, nu) @ sigmas) @ sigmas
+        moved = moved + nuisance.columns(rows, response, load, nu) @ sigmas_of(nuisance)
+    for curved in local.rows.curved_nuisances:
+        sigmas = sigmas_of(curved)
+        moved = moved + 0.5 * (curved.curvature(rows, load, nu) @ sigmas) @ sigmas
     return np.asarray(moved).reshape(-1, 3)
 
 
@@ -267,8 +277,8 @@ def probe_estimate(
     -------
     ProbeEstimate                   residuals [m] without the points that count as rejected
     """
-    seen = np.isfinite(fit.residual).any(axis=1)
-    kept = seen & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)
+    observed = np.isfinite(fit.residual).any(axis=1)
+    kept = observed & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)
     error = None
     if fit.left_out_predicted is not None:
         error = _rms(fit.residual[kept] + fit.predicted[kept] - fit.left_out_predicted[kept])
@@ -277,9 +287,9 @@ def probe_estimate(
         shear_modulus=constants.shear_modulus,
         poisson_ratio=constants.poisson_ratio,
         young_modulus=constants.young_modulus,
-        observed=int(seen.sum()),
-        missing=int((~seen).sum()),
-        rejected=int((seen & ~kept).sum()),
+        observed=int(observed.sum()),
+        missing=int((~observed).sum()),
+        rejected=int((observed & ~kept).sum()),
         rms_residual=_rms(fit.residual[kept]),
         prediction_error=error,
         errors=fit.errors,
@@ -288,7 +298,7 @@ def probe_estimate(
 
 
 def _rms(values: Float[np.ndarray, "n 3"]) -> float:
-    """Root mean square length of the vectors that are known [m]; 0 where there is none."""
-    known = np.isfinite(values)
-    points = int(known.any(axis=1).sum())
-    return float(np.sqrt((values[known] ** 2).sum() / points)) if points else 0.0
+    """Root mean square length of the vectors that are measured [m]; 0 where there is none."""
+    measured = np.isfinite(values)
+    points = int(measured.any(axis=1).sum())
+    return float(np.sqrt((values[measured] ** 2).sum() / points)) if points else 0.0

@@ -55,9 +55,9 @@ class ContactError:
     ) -> Float[np.ndarray, "r p p"]:
         """Second derivatives from the perturbed contacts (`CurvedNuisance.curvature`); zero in the
         rows of the tip."""
-        found = np.tensordot(self.change(poisson_ratio)[rows], load[3] * self.second, axes=1)
-        found[rows >= 3 * self.count] = 0.0
-        return found
+        curvature = np.tensordot(self.change(poisson_ratio)[rows], load[3] * self.second, axes=1)
+        curvature[rows >= 3 * self.count] = 0.0
+        return curvature
 
 
 def contact_error(
@@ -83,7 +83,9 @@ def contact_error(
     ContactError
     """
     p = len(parameters)
-    pairs = [x for x in combinations_with_replacement(range(p), 2) if _shown(steps, *x)]
+    pairs = [
+        pair for pair in combinations_with_replacement(range(p), 2) if _is_determined(steps, *pair)
+    ]
     products = [steps[:, i] * steps[:, j] / (1 + (i == j)) for i, j in pairs]
     weights = np.linalg.inv(np.column_stack([steps, *products])).T
     second = np.zeros((len(steps), p, p))
@@ -92,7 +94,7 @@ def contact_error(
     return ContactError(parameters, change, weights[:, :p], second, count)
 
 
-def _shown(steps: Float[np.ndarray, "m p"], i: int, j: int) -> bool:
+def _is_determined(steps: Float[np.ndarray, "m p"], i: int, j: int) -> bool:
     """Whether the perturbed contacts determine the second-order term of two parameters."""
     if i == j:
         return bool(np.unique(steps[np.flatnonzero(steps[:, i]), i]).size > 1)

@@ -25,9 +25,9 @@ class ForceDirection:
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """Three, shared by all probings."""
-        turn = "turn of the force sensor"
-        names = (f"{turn} about {axis}" for axis in "xyz")
-        return tuple(NuisanceParameter(name, self.std, "rad", turn) for name in names)
+        source = "turn of the force sensor"
+        names = (f"{source} about {axis}" for axis in "xyz")
+        return tuple(NuisanceParameter(name, self.std, "rad", source) for name in names)
 
     def columns(
         self,
@@ -37,5 +37,5 @@ class ForceDirection:
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
         """Displacement due to a small rotation of the force (`Nuisance.columns`)."""
-        turned = self.std * np.cross(np.eye(3), load[:3]) * np.array(self.measured)
-        return response[:, :3] @ turned.T
+        change = self.std * np.cross(np.eye(3), load[:3]) * np.array(self.measured)
+        return response[:, :3] @ change.T

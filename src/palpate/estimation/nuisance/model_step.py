@@ -16,13 +16,13 @@ class ModelStep:
     Parameters
     ----------
     name : str                      of the error, worded so that it can end a sentence
-    one, other : function           Poisson's ratio, shear modulus [Pa] -> (n_rows, c) float:
+    model, alternative : function   Poisson's ratio, shear modulus [Pa] -> (n_rows, c) float:
                                     responses of both (`ResponseModel`)
     """
 
     name: str
-    one: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
-    other: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
+    model: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
+    alternative: Callable[[float, float], Float[np.ndarray, "n_rows c"]]
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
@@ -36,7 +36,7 @@ class ModelStep:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """Displacement under `other` minus that under `one` (`Nuisance.columns`)."""
+        """Displacement under `alternative` minus that under `model` (`Nuisance.columns`)."""
         constants = poisson_ratio, 1.0 / load[3]
-        step = self.other(*constants)[rows] - self.one(*constants)[rows]
+        step = self.alternative(*constants)[rows] - self.model(*constants)[rows]
         return (step @ load)[:, None]

@@ -35,15 +35,15 @@ class Pose:
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         """Six, shared by all probings; three where one of the standard deviations is zero."""
-        shifts = (
+        translations = (
             NuisanceParameter(f"shift of the object along {axis}", self.translation, "m", _POSE)
             for axis in "xyz"
         )
-        turns = (
+        rotations = (
             NuisanceParameter(f"turn of the object about {axis}", self.rotation, "rad", _POSE)
             for axis in "xyz"
         )
-        return tuple(parameter for parameter in (*shifts, *turns) if parameter.std > 0.0)
+        return tuple(each for each in (*translations, *rotations) if each.std > 0.0)
 
     def columns(
         self,

@@ -42,8 +42,8 @@ class SpaceStretch:
     ) -> Float[np.ndarray, "r p"]:
         """Strains times displacement, with components that were not measured taken as zero
         (`Nuisance.columns`)."""
-        moved = np.zeros(3 * self.points + 3)
-        moved[rows] = response @ load
-        stretched = np.einsum("pij,nj->nip", self.strains, moved.reshape(-1, 3))
-        stretched[self.points :] = 0.0
-        return stretched.reshape(len(moved), -1)[rows]
+        displacement = np.zeros(3 * self.points + 3)
+        displacement[rows] = response @ load
+        columns = np.einsum("pij,nj->nip", self.strains, displacement.reshape(-1, 3))
+        columns[self.points :] = 0.0
+        return columns.reshape(len(displacement), -1)[rows]

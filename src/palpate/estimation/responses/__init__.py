@@ -1,4 +1,4 @@
-"""What the boundary element model says that each probing should have seen.
+"""Displacements that the boundary element model predicts for each probing.
 
 Purpose    : displacements of observed points at every Poisson's ratio, from one factorisation.
 Takes      : a `bem` system with its right-hand sides, and the displacements each probing observes.

@@ -31,7 +31,7 @@ from palpate.bem import (
     factorise,
     make_spring_system,
     orthogonalised,
-    snapshot_model,
+    reduced_basis,
     solve,
     system_slope,
 )
@@ -49,7 +49,7 @@ _TINY = np.finfo(float).tiny
 @runtime_checkable
 class SolutionModel(Protocol):
     """Reduced basis of the solutions at all Poisson's ratios, one for each of c right-hand sides:
-    `ReducedModel` from one factorisation, `SnapshotModel` from a few solutions."""
+    `ReducedModel` from one factorisation, `ReducedBasis` from a few solutions."""
 
     @property
     def directions(self) -> tuple[Float[np.ndarray, "k c"], ...]:
@@ -116,8 +116,8 @@ class ReducedModel:
         right[:, 0] = distance**2 * self.start[columns]
         q, r = np.linalg.qr(matrix)
         inner = np.linalg.solve(r, np.einsum("cij,ci->cj", q, right)[:, :, None])[:, :, 0]
-        left = right - np.einsum("cij,cj->ci", matrix, inner)
-        residual = np.linalg.norm(left, axis=1) / self.scale[columns]
+        remainder = right - np.einsum("cij,cj->ci", matrix, inner)
+        residual = np.linalg.norm(remainder, axis=1) / self.scale[columns]
         first = np.broadcast_to([1.0, distance], (inner.shape[0], 2))
         return np.concatenate([first, inner], axis=1), residual
 
@@ -146,7 +146,7 @@ def make_reduced_model(
 
     Returns
     -------
-    SolutionModel                     a `SnapshotModel` for a compressed system
+    SolutionModel                     a `ReducedBasis` for a compressed system
 
     Raises
     ------
@@ -154,11 +154,11 @@ def make_reduced_model(
     NotConvergedError                 the tolerance is not met with `MOST_DIRECTIONS`
     """
     if isinstance(system, CompressedSystem):
-        return snapshot_model(
+        return reduced_basis(
             system, right.terms, poisson_range=poisson_range, tolerance=snapshot_residual
         )
     factorised = factorise(system, CENTRE)
-    return _gathered(
+    return _krylov_model(
         lambda terms: solve(factorised, terms), system_slope(system).apply, right, poisson_range,
         tolerance,
     )  # fmt: skip
@@ -171,7 +171,7 @@ def make_spring_model(
     give: Float[np.ndarray, " e"],
     changes: Float[np.ndarray, "d e"],
     *,
-    known: Float[np.ndarray, "e c"] | None = None,
+    known_traction: Float[np.ndarray, "e c"] | None = None,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = DENSE_RESIDUAL,
 ) -> ReducedModel:
@@ -184,7 +184,7 @@ def make_spring_model(
     right : RightHand                 c columns, for the object on a rigid support
     give : (e,) float                 dimensionless compliance of each spring (`bem.SpringFactors`)
     changes : (d, e) float            directions in `give` to differentiate the solutions along
-    known : (e, c) float or None      known part of the traction on each spring, times
+    known_traction : (e, c) float or None    known part of the traction on each spring, times
                                       `traction_length`; None: there is none
     poisson_range : (float, float)
     tolerance : float
@@ -200,11 +200,11 @@ def make_spring_model(
     """
     solver = make_spring_system(factors, give, changes)
     slope = SpringSlope(system_slope(system), factors.columns[1], 1 + len(changes))
-    right = right.on_springs(give, changes, known)
-    return _gathered(solver.solve, slope.apply, right, poisson_range, tolerance)
+    right = right.on_springs(give, changes, known_traction)
+    return _krylov_model(solver.solve, slope.apply, right, poisson_range, tolerance)
 
 
-def _placed(
+def _among_zeros(
     columns: Float[np.ndarray, "k o"], where: Bool[np.ndarray, " c"]
 ) -> Float[np.ndarray, "k c"]:
     """Columns placed where `where` is true, among columns of zeros."""
@@ -213,9 +213,9 @@ def _placed(
     return placed
 
 
-def _gathered(
-    solved: Callable[[np.ndarray], np.ndarray],
-    sloped: Callable[[np.ndarray], np.ndarray],
+def _krylov_model(
+    solve_at_centre: Callable[[np.ndarray], np.ndarray],
+    apply_slope: Callable[[np.ndarray], np.ndarray],
     right: RightHand,
     poisson_range: tuple[float, float],
     tolerance: float | Float[np.ndarray, " c"],
@@ -224,29 +224,30 @@ def _gathered(
     as many vectors for each right-hand side as it needs."""
     _, slope, curvature = right.terms
     slope = slope + 2 * CENTRE * curvature
-    first = solved(right.at(CENTRE))
-    second = solved(slope - sloped(first))
-    third = solved(curvature - sloped(second))
+    first = solve_at_centre(right.at(CENTRE))
+    second = solve_at_centre(slope - apply_slope(first))
+    third = solve_at_centre(curvature - apply_slope(second))
     scale, start = (np.linalg.norm(term, axis=0) + _TINY for term in (first, third))
     identity, hessenberg = np.zeros((2, len(start), MOST_DIRECTIONS + 1, MOST_DIRECTIONS))
     directions = [first, second, third / start]
     # Basis of only those right-hand sides that need more vectors.
-    basis, open_ = directions[2:], np.ones(len(start), dtype=bool)
+    basis, unconverged = directions[2:], np.ones(len(start), dtype=bool)
     for rank in range(1, MOST_DIRECTIONS + 1):
-        direction, step = orthogonalised(solved(sloped(basis[-1])), basis)
-        hessenberg[open_, : rank + 1, rank - 1] = step.T
+        direction, step = orthogonalised(solve_at_centre(apply_slope(basis[-1])), basis)
+        hessenberg[unconverged, : rank + 1, rank - 1] = step.T
         # Where a basis is complete, rows of the identity make all further coefficients zero.
-        identity[open_, rank - 1, rank - 1] = identity[~open_, rank, rank - 1] = 1.0
-        known = identity[:, : rank + 1, :rank].copy(), hessenberg[:, : rank + 1, :rank].copy()
-        model = ReducedModel(CENTRE, tuple(directions), *known, start, scale)
+        identity[unconverged, rank - 1, rank - 1] = identity[~unconverged, rank, rank - 1] = 1.0
+        arnoldi = identity[:, : rank + 1, :rank].copy(), hessenberg[:, : rank + 1, :rank].copy()
+        model = ReducedModel(CENTRE, tuple(directions), *arnoldi, start, scale)
         residual = np.maximum(*(model.weights(nu)[1] for nu in poisson_range))
-        more = open_ & ~(residual <= tolerance)
-        if not more.any():
+        remaining = unconverged & ~(residual <= tolerance)
+        if not remaining.any():
             return model
         basis = [*basis, direction]
-        if not more[open_].all():
-            basis, open_ = [one[:, more[open_]] for one in basis], more
-        directions.append(basis[-1] if open_.all() else _placed(basis[-1], open_))
+        if not remaining[unconverged].all():
+            basis = [vector[:, remaining[unconverged]] for vector in basis]
+            unconverged = remaining
+        directions.append(basis[-1] if unconverged.all() else _among_zeros(basis[-1], unconverged))
     raise NotConvergedError(
         f"the reduced model leaves a residual of {residual.max():.1e} over Poisson's ratios "
         f"{poisson_range[0]} to {poisson_range[1]}, at most {np.min(tolerance):.0e} is allowed;"

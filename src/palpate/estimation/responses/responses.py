@@ -56,17 +56,17 @@ class ProbeMotions:
     ----------
     own : (n_rows, q) float           prescribed displacement per unit of each motion, at the rows
                                       of the probing; the solution adds that of the free surface
-    grip : (3, k) sparse or None      takes the unknowns to the resultant force on the support that
-                                      is pulled, for a shear modulus of one pascal
-    lifts : (3,) int                  indices of the motions that are that support's translations
+    support_force : (3, k) sparse or None    takes the unknowns to the resultant force on the
+                                      support that is pulled, for a shear modulus of one pascal
+    pulled_translations : (3,) int    indices of the motions that are that support's translations
                                       along x, y and z: its force replaces them
     holding : (3, 3) float            projector onto the directions in which the support holds the
                                       object and is pulled
     """
 
     own: Float[np.ndarray, "n_rows q"]
-    grip: csr_array | None = None
-    lifts: tuple[int, ...] = ()
+    support_force: csr_array | None = None
+    pulled_translations: tuple[int, ...] = ()
     holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
 
     def split(
@@ -82,16 +82,16 @@ class ProbeMotions:
 
         Returns
         -------
-        two arrays                    the second without the columns `lifts`
+        two arrays                    the second without the columns `pulled_translations`
         """
-        lifts = list(self.lifts)
-        others = np.setdiff1d(np.arange(moved.shape[1]), lifts)
+        pulled = list(self.pulled_translations)
+        others = np.setdiff1d(np.arange(moved.shape[1]), pulled)
         # A roller transmits force along the directions that it holds only.
         value, vector = np.linalg.eigh(self.holding)
         along = vector[:, value > 0.5]
-        compliance = along @ np.linalg.solve(along.T @ force[:, lifts] @ along, along.T)
-        pushed = moved[:, lifts] @ compliance
-        return pushed, moved[:, others] - pushed @ force[:, others]
+        compliance = along @ np.linalg.solve(along.T @ force[:, pulled] @ along, along.T)
+        per_newton = moved[:, pulled] @ compliance
+        return per_newton, moved[:, others] - per_newton @ force[:, others]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,8 +107,8 @@ class ProbeRows:
     particular : (3 n,) float [m Pa]  particular solution there for a body force, over
                                       `dilation_factor`
     tip : PointRows or None           None: the contact point's displacement was not measured
-    known : (l,) float                multiplier of each known load
-    weighs : bool                     whether a body force acts
+    known_loads : (l,) float          multiplier of each known load
+    has_body_force : bool             whether a body force acts
     motions : ProbeMotions or None    None: no support moves
     changes : int                     number of columns for perturbed contacts, the last ones
     """
@@ -117,30 +117,30 @@ class ProbeRows:
     surface: csr_array
     particular: Float[np.ndarray, " r"]
     tip: PointRows | None
-    known: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
-    weighs: bool = False
+    known_loads: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
+    has_body_force: bool = False
     motions: ProbeMotions | None = None
     changes: int = 0
 
     @property
-    def grip(self) -> csr_array | None:
+    def support_force(self) -> csr_array | None:
         """See `ProbeMotions`."""
-        return None if self.motions is None else self.motions.grip
+        return None if self.motions is None else self.motions.support_force
 
-    def seen(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
+    def observed(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
         """Observed displacements, then the six equations (constant, slope) of the contact point and
         the force on a support; zero where these are not needed."""
-        tip, grip = np.zeros((6, solution.shape[1])), np.zeros((3, solution.shape[1]))
+        tip, force = np.zeros((6, solution.shape[1])), np.zeros((3, solution.shape[1]))
         if self.tip is not None:
             tip = self.tip.matrix.reshape(6, -1) @ solution
-        if self.grip is not None:
-            grip = self.grip @ solution
-        return np.concatenate([self.surface @ solution, tip, grip])
+        if self.support_force is not None:
+            force = self.support_force @ solution
+        return np.concatenate([self.surface @ solution, tip, force])
 
     def response(
         self,
         moved: Float[np.ndarray, "n_rows c"],
-        grip: Float[np.ndarray, "3 c"],
+        force: Float[np.ndarray, "3 c"],
         particular: Float[np.ndarray, " n_rows"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "n_rows t"]:
@@ -149,31 +149,31 @@ class ProbeRows:
         Parameters
         ----------
         moved : (n_rows, c) float             displacement of each solution, for G = 1 Pa
-        grip : (3, c) float                   force on the support that is pulled
+        force : (3, c) float                  on the support that is pulled
         particular : (n_rows,) float          as the attribute, the tip included
         poisson_ratio : float
         """
-        mix = np.zeros((moved.shape[1], 4))
-        first = 0 if self.grip is not None else 3
-        mix[:first, :3] = np.eye(first, 3)
-        last = first + len(self.known)
-        mix[first:last, 3] = self.known
+        combination = np.zeros((moved.shape[1], 4))
+        first = 0 if self.support_force is not None else 3
+        combination[:first, :3] = np.eye(first, 3)
+        last = first + len(self.known_loads)
+        combination[first:last, 3] = self.known_loads
         offset = np.zeros((len(moved), 4))
-        if self.weighs:
+        if self.has_body_force:
             factor = dilation_factor(poisson_ratio)
-            mix[last : last + 2, 3] = 1.0, factor
+            combination[last : last + 2, 3] = 1.0, factor
             offset[:, 3] = factor * particular
-        pushing = moved @ mix + offset
+        per_load = moved @ combination + offset
         if self.motions is None:
-            return pushing
+            return per_load
         count = self.motions.own.shape[1]
-        motion = self.motions.own + moved[:, moved.shape[1] - count :]
-        if self.grip is not None:
-            pushed, motion = self.motions.split(motion, grip[:, -count:])
+        per_motion = self.motions.own + moved[:, moved.shape[1] - count :]
+        if self.support_force is not None:
+            per_newton, per_motion = self.motions.split(per_motion, force[:, -count:])
             # The force on the support is prescribed, so the support yields to the other loads.
-            pushing[:, 3] -= pushed @ (grip @ mix[:, 3])
-            pushing[:, :3] = pushed
-        return np.concatenate([pushing, motion], axis=1)
+            per_load[:, 3] -= per_newton @ (force @ combination[:, 3])
+            per_load[:, :3] = per_newton
+        return np.concatenate([per_load, per_motion], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,21 +183,21 @@ class ProbeResponse:
     Attributes
     ----------
     rows : ProbeRows
-    seen : callable                   Poisson's ratio -> `ProbeRows.seen` of the solution there
+    observed : callable               Poisson's ratio -> `ProbeRows.observed` of the solution there
     """
 
     rows: ProbeRows
-    seen: Callable[[float], Float[np.ndarray, "rows c"]]
+    observed: Callable[[float], Float[np.ndarray, "rows c"]]
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Displacement times shear modulus per unit force and under known loads, and displacement
         per unit of motion (`ResponseModel`)."""
-        moved, grip = self._moved(poisson_ratio)
+        moved, force = self._moved(poisson_ratio)
         particular, tip = self.rows.particular, self.rows.tip
         if tip is not None:
             particular = np.concatenate([particular, tip.particular])
         kept = moved.shape[1] - self.rows.changes
-        return self.rows.response(moved[:, :kept], grip[:, :kept], particular, poisson_ratio)
+        return self.rows.response(moved[:, :kept], force[:, :kept], particular, poisson_ratio)
 
     def change(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows p"]:
         """Displacement times shear modulus for the columns of perturbed contacts [m Pa].
@@ -213,15 +213,14 @@ class ProbeResponse:
         self, poisson_ratio: float
     ) -> tuple[Float[np.ndarray, "n_rows c"], Float[np.ndarray, "3 c"]]:
         """Displacement of the rows for every column, and the force on the pulled support."""
-        seen = self.seen(poisson_ratio)
-        observed, equations, grip = seen[:-9], seen[-9:-3], seen[-3:]
+        displacement, equations, force = np.split(self.observed(poisson_ratio), [-9, -3])
         tip = self.rows.tip
         if tip is not None:
             own = tip.own[0] + poisson_ratio * tip.own[1]
             right = tip.right[0] + poisson_ratio * (tip.right[1] + poisson_ratio * tip.right[2])
             left = equations[:3] + poisson_ratio * equations[3:]
-            observed = np.concatenate([observed, np.linalg.solve(own, left - right)])
-        return observed, grip
+            displacement = np.concatenate([displacement, np.linalg.solve(own, left - right)])
+        return displacement, force
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """Derivative of `value` with respect to Poisson's ratio, by a central difference (error
@@ -237,13 +236,13 @@ class SpringResponse:
     Attributes
     ----------
     rows : ProbeRows
-    seen : callable                   Poisson's ratio -> (1 + d, rows, c): `ProbeRows.seen` of the
-                                      solution there, and its derivatives with respect to the
+    observed : callable               Poisson's ratio -> (1 + d, rows, c): `ProbeRows.observed` of
+                                      the solution there, and its derivatives with respect to the
                                       compliance (give) of each of d supports
     """
 
     rows: ProbeRows
-    seen: Callable[[float], Float[np.ndarray, "n rows c"]]
+    observed: Callable[[float], Float[np.ndarray, "n rows c"]]
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         """As `ProbeResponse.value`."""
@@ -257,7 +256,9 @@ class SpringResponse:
         """As `ProbeResponse.change`."""
         return self._plain().change(poisson_ratio)
 
-    def softening(self, poisson_ratio: float, support: int) -> Float[np.ndarray, "n_rows c"]:
+    def compliance_derivative(
+        self, poisson_ratio: float, support: int
+    ) -> Float[np.ndarray, "n_rows c"]:
         """Derivative of `value` with respect to the compliance (give) of one of the supports.
 
         Parameters
@@ -265,8 +266,7 @@ class SpringResponse:
         poisson_ratio : float
         support : int                 index among the d supports
         """
-        both = self.seen(poisson_ratio)
-        value, change = both[0], both[1 + support]
+        value, change = self.observed(poisson_ratio)[[0, 1 + support]]
         # Nonlinear only for a support that is pulled: its force replaces its translations.
         size = max(float(np.linalg.norm(change)), _TINY)
         step = _SLOPE_STEP * float(np.linalg.norm(value)) / size
@@ -275,12 +275,12 @@ class SpringResponse:
         )
         return (higher - lower) / (2 * step)
 
-    def _from(self, seen: Float[np.ndarray, "rows c"]) -> ProbeResponse:
-        """The response of a solution from its observations (`ProbeRows.seen`)."""
-        return ProbeResponse(self.rows, lambda _: seen)
+    def _from(self, observed: Float[np.ndarray, "rows c"]) -> ProbeResponse:
+        """The response of a solution from its observations (`ProbeRows.observed`)."""
+        return ProbeResponse(self.rows, lambda _: observed)
 
     def _plain(self) -> ProbeResponse:
-        return ProbeResponse(self.rows, lambda poisson_ratio: self.seen(poisson_ratio)[0])
+        return ProbeResponse(self.rows, lambda poisson_ratio: self.observed(poisson_ratio)[0])
 
 
 def full_responses(
@@ -313,10 +313,10 @@ def full_responses(
     def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
         return solve(factorise(system, poisson_ratio), right.at(poisson_ratio))
 
-    def seen_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "rows c"]]:
-        return lambda poisson_ratio: probe.seen(solution(poisson_ratio)[:, probe.columns])
+    def observed_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "rows c"]]:
+        return lambda poisson_ratio: probe.observed(solution(poisson_ratio)[:, probe.columns])
 
-    return [ProbeResponse(probe, seen_by(probe)) for probe in rows]
+    return [ProbeResponse(probe, observed_by(probe)) for probe in rows]
 
 
 def full_spring_responses(
@@ -337,14 +337,14 @@ def full_spring_responses(
     """
     latest = lru_cache(maxsize=1)(solution)
 
-    def seen_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "n rows c"]]:
-        def seen(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
+    def observed_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "n rows c"]]:
+        def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
             parts = np.split(latest(poisson_ratio)[:, probe.columns], blocks)
-            return np.stack([probe.seen(part) for part in parts])
+            return np.stack([probe.observed(part) for part in parts])
 
-        return seen
+        return observed
 
-    return [SpringResponse(probe, seen_by(probe)) for probe in rows]
+    return [SpringResponse(probe, observed_by(probe)) for probe in rows]
 
 
 def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
@@ -359,14 +359,14 @@ def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
     -------
     ProbeResponse
     """
-    projected = _projected(rows, [one[:, rows.columns] for one in model.directions])
+    projected = _projected(rows, [direction[:, rows.columns] for direction in model.directions])
 
     @lru_cache(maxsize=1)
-    def seen(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:
+    def observed(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:
         weights, _ = model.coefficients(poisson_ratio, rows.columns)
         return (projected @ weights.T[:, :, None])[:, :, 0].T
 
-    return ProbeResponse(rows, seen)
+    return ProbeResponse(rows, observed)
 
 
 def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -> SpringResponse:
@@ -382,19 +382,19 @@ def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -
     -------
     SpringResponse
     """
-    parts = [np.split(one[:, rows.columns], blocks) for one in model.directions]
+    parts = [np.split(direction[:, rows.columns], blocks) for direction in model.directions]
     projected = np.stack([_projected(rows, part) for part in zip(*parts, strict=True)])
 
-    def seen(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
+    def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
         weights, _ = model.coefficients(poisson_ratio, rows.columns)
         return (projected @ weights.T[:, :, None])[..., 0].transpose(0, 2, 1)
 
-    return SpringResponse(rows, seen)
+    return SpringResponse(rows, observed)
 
 
 def _projected(
     rows: ProbeRows, directions: Sequence[Float[np.ndarray, "k c"]]
 ) -> Float[np.ndarray, "c rows j"]:
-    """Observations (`ProbeRows.seen`) of each basis vector."""
-    terms = [rows.seen(term) for term in directions]
+    """Observations (`ProbeRows.observed`) of each basis vector."""
+    terms = [rows.observed(direction) for direction in directions]
     return np.stack(terms, axis=2).transpose(1, 0, 2).copy()

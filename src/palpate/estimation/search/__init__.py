@@ -28,5 +28,5 @@ from palpate.estimation.search.variable_projection import (
     best_constants as best_constants,
     deviance_of as deviance_of,
     fixed_weights as fixed_weights,
-    sharpened_minimum as sharpened_minimum,
+    refined_minimum as refined_minimum,
 )

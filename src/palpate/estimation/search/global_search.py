@@ -95,13 +95,13 @@ def _convex_residuals(probes: Sequence[ObservedRows], table: ResponseTable) -> l
         for k, probe in enumerate(probes):
             free = np.append([True, True, True, np.any(middle[k][3])], probe.motion_std > 0)
             columns = middle[k][free]
-            known = probe.measured - probe.motion @ middle[k][4:]
-            both = np.vstack([columns, known])
-            products = (both * weights[k]) @ both.T
+            measured = probe.measured - probe.motion @ middle[k][4:]
+            stacked = np.vstack([columns, measured])
+            products = (stacked * weights[k]) @ stacked.T
             size = np.sqrt(np.maximum(np.diag(products)[:-1], np.finfo(float).tiny))
             unit = products[:-1, :-1] / np.outer(size, size) + 1e-12 * np.eye(len(size))
             fitted = np.linalg.solve(unit, products[:-1, -1] / size) / size
-            residuals[k] = known - fitted @ columns
+            residuals[k] = measured - fitted @ columns
         motions = sum(int(np.count_nonzero(probe.motion_std)) for probe in probes)
         level = noise_levels(probes, residuals, parameters=3 * len(probes) + motions)
         for k, probe in enumerate(probes):
@@ -122,7 +122,7 @@ def _at_best_force(
     """Residuals of a probing at its best true force and motions, and their shifts in sigmas."""
     prior = probe.prior(force_weight)
     plain = probe.measured - response @ probe.load(shear_modulus, np.zeros(len(prior)))
-    push = probe.per_shift(response, shear_modulus).T
-    inner = (push * row_weight) @ push.T + np.diag(prior)
-    shift = np.linalg.solve(inner, push @ (row_weight * plain))
-    return plain - shift @ push, shift
+    per_shift = probe.per_shift(response, shear_modulus).T
+    inner = (per_shift * row_weight) @ per_shift.T + np.diag(prior)
+    shift = np.linalg.solve(inner, per_shift @ (row_weight * plain))
+    return plain - shift @ per_shift, shift

@@ -20,9 +20,9 @@ class ScaledRows:
     base : (r, c) float             response at a reference Poisson's ratio, over the noise
     slope : (r, c) float            its derivative with respect to Poisson's ratio; zero if not
                                     requested
-    effects : (r, m + o) float      change in displacement per prior standard deviation of each
+    effects : (r, e) float          change in displacement per prior standard deviation of each
                                     error, at the reference: the m shared errors, then the o of its
-                                    own
+                                    own; e = m + o
     curvature : (r, o, o) float or None     second derivatives in its own errors; None: the effects
                                     are linear
     drift : (r, 3) float            derivative of the displacement explained by the errors at the
@@ -105,8 +105,8 @@ class LocalProbe:
     def prior(self, force_weight: float | None = None) -> Float[np.ndarray, " n"]:
         """Prior weight of each shift; that of the force as given, by default its robust weight."""
         weight = self.force_weight if force_weight is None else force_weight
-        known = self.rows.prior(weight)
-        return np.append(known, np.ones(len(self.shift) - len(known)))
+        prior = self.rows.prior(weight)
+        return np.append(prior, np.ones(len(self.shift) - len(prior)))
 
     def weighted_products(self) -> Float[np.ndarray, "t t"]:
         """Weighted Gram matrix of the table, table' W table, with the robust weights W."""
@@ -135,28 +135,28 @@ def linearised_probe(
     probe = rows.probe
     response = rows.response(offset, shear_modulus)
     load = probe.load(shear_modulus, shift)
-    pushed = response[:, :4] @ load[:4]
+    moved = response[:, :4] @ load[:4]
     shared, first = len(errors), 2 + len(errors)
     motions = 3 + len(probe.motion)
     scale = rows.shear_modulus / shear_modulus
     effects, drift = scale * rows.effects, scale * rows.drift
     explained = effects @ np.append(errors, shift[motions:])
     if rows.curvature is not None:
-        bend = scale * (rows.curvature @ shift[motions:])
-        explained += 0.5 * bend @ shift[motions:]
-        effects[:, shared:] += bend
+        effect_changes = scale * (rows.curvature @ shift[motions:])
+        explained += 0.5 * effect_changes @ shift[motions:]
+        effects[:, shared:] += effect_changes
     explained += drift @ (shift[:3] - rows.force)
-    pushed += explained
-    table = np.empty((len(pushed), first + len(shift) + 1))
+    moved += explained
+    table = np.empty((len(moved), first + len(shift) + 1))
     table[:, 0] = rows.slope @ load
-    np.negative(pushed, out=table[:, 1])
+    np.negative(moved, out=table[:, 1])
     if rows.settling is not None:
         table[:, 1] += (shear_modulus / rows.shear_modulus) * (rows.settling @ load)
     table[:, 2:first] = effects[:, :shared]
     table[:, first : first + motions] = probe.per_shift(response, shear_modulus)
     table[:, first : first + 3] += drift
     table[:, first + motions : -1] = effects[:, shared:]
-    np.subtract(rows.measured, pushed + response[:, 4:] @ load[4:], out=table[:, -1])
+    np.subtract(rows.measured, moved + response[:, 4:] @ load[4:], out=table[:, -1])
     squared = probe.squared_length(table[:, -1])
     length = np.array([shift[:3] @ shift[:3]])
     count = np.array([float(probe.force_components)])

@@ -48,12 +48,12 @@ class Misfit:
 
     def own(self, probe: ObservedRows) -> tuple[NuisanceParameter, ...]:
         """The errors that belong to one probing alone."""
-        shared = {one.name for one in self.shared}
-        return tuple(one for one in probe.parameters if one.name not in shared)
+        shared = {parameter.name for parameter in self.shared}
+        return tuple(own for own in probe.parameters if own.name not in shared)
 
     def no_shifts(self) -> list[Float[np.ndarray, " _"]]:
         """Zero shifts of every probing: forces and motions as measured, no errors."""
-        return [np.zeros(3 + len(one.motion) + len(self.own(one))) for one in self.probes]
+        return [np.zeros(3 + len(probe.motion) + len(self.own(probe))) for probe in self.probes]
 
     def __call__(self, poisson_ratio: float, shear_modulus: float) -> float:
         """Misfit at given constants, at its minimum over true forces, motions and errors.
@@ -99,11 +99,11 @@ class Misfit:
         rows = self.scaled(poisson_ratio, shear_modulus, shifts, with_slope=with_slope)
         local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
         for _ in range(_MAX_FORCE_STEPS):
-            normal, gradient, solved = common_equations(local, errors)
+            normal, gradient, solutions = common_equations(local, errors)
             step = np.linalg.solve(normal[2:, 2:], gradient[2:])
-            moves = [one[:, -1] - one[:, 2:-1] @ step for one in solved]
+            moves = [solution[:, -1] - solution[:, 2:-1] @ step for solution in solutions]
             errors = errors + step
-            shifts = [one.shift + move for one, move in zip(local, moves, strict=True)]
+            shifts = [probe.shift + move for probe, move in zip(local, moves, strict=True)]
             local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
             largest = np.abs(np.concatenate([step, *moves])).max()
             if largest < _FORCE_TOLERANCE * (1 + np.abs(np.concatenate([errors, *shifts])).max()):
@@ -112,7 +112,7 @@ class Misfit:
                     rows = self.scaled(poisson_ratio, shear_modulus, shifts, errors)
                     local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
                 return errors, local
-        worst = max(local, key=lambda one: float(np.abs(one.shift).max()))
+        worst = max(local, key=lambda probe: float(np.abs(probe.shift).max()))
         raise NotConvergedError(
             f"probing {worst.rows.name!r}: the true force did not settle in {_MAX_FORCE_STEPS}"
             " steps; check force_std against the force"
@@ -151,20 +151,20 @@ class Misfit:
             response = probe.value(poisson_ratio)
             settling = probe.settling(poisson_ratio, shear_modulus)
             if settling is not None and probe.settlement is not None:
-                share = 1.0 - probe.settlement.shear_modulus / shear_modulus
-                response = response + share * settling
+                relative_change = 1.0 - probe.settlement.shear_modulus / shear_modulus
+                response = response + relative_change * settling
                 settling = settling / sigma
             load = probe.load(shear_modulus, shift)
             effects = self._effects(probe, response, load, poisson_ratio)
             curvature = self._curvature(probe, load, poisson_ratio)
             drift = np.zeros((len(sigma), 3))
             considered = np.zeros((len(sigma), 0))
-            known = np.append(errors, shift[3 + len(probe.motion) :])
+            all_errors = np.append(errors, shift[3 + len(probe.motion) :])
             if with_slope:
                 considered = probe.considered_columns(response, load, poisson_ratio)
-            if with_slope and known.any():
-                start = _explained(effects, curvature, known)
-                drift = self._drift(probe, response, load, poisson_ratio, known, start)
+            if with_slope and all_errors.any():
+                start = _explained(effects, curvature, all_errors)
+                drift = self._drift(probe, response, load, poisson_ratio, all_errors, start)
             scaled.append(
                 ScaledRows(
                     probe=probe,
@@ -191,14 +191,14 @@ class Misfit:
     ) -> Float[np.ndarray, "r e"]:
         """Change in displacement per prior standard deviation of each error [m]: the shared errors,
         then the probing's own."""
-        names = [one.name for one in self.shared]
-        found = probe.nuisance_columns(response, load, poisson_ratio)
-        effects = np.zeros((len(found), len(names) + len(self.own(probe))))
-        free = len(names)
-        for column, one in zip(found.T, probe.parameters, strict=True):
-            place = names.index(one.name) if one.name in names else free
-            free += place == free
-            effects[:, place] = column
+        names = [parameter.name for parameter in self.shared]
+        columns = probe.nuisance_columns(response, load, poisson_ratio)
+        effects = np.zeros((len(columns), len(names) + len(self.own(probe))))
+        next_own = len(names)
+        for column, parameter in zip(columns.T, probe.parameters, strict=True):
+            index = names.index(parameter.name) if parameter.name in names else next_own
+            next_own += index == next_own
+            effects[:, index] = column
         return effects
 
     def _curvature(
@@ -208,12 +208,12 @@ class Misfit:
         curved = probe.nuisance_curvature(load, poisson_ratio)
         if not curved:
             return None
-        names = [one.name for one in self.own(probe)]
-        found = np.zeros((len(curved[0][1]), len(names), len(names)))
+        names = [parameter.name for parameter in self.own(probe)]
+        whole = np.zeros((len(curved[0][1]), len(names), len(names)))
         for parameters, curvature in curved:
-            own = [names.index(one.name) for one in parameters]
-            found[:, np.array(own)[:, None], own] = curvature
-        return found
+            own = [names.index(parameter.name) for parameter in parameters]
+            whole[:, np.array(own)[:, None], own] = curvature
+        return whole
 
     def _drift(
         self,
@@ -228,15 +228,15 @@ class Misfit:
         of each force component [m]."""
         columns = []
         for i, std in enumerate(probe.force_std):
-            pushed = load.copy()
+            changed_load = load.copy()
             # load[3] is 1 / G.
-            pushed[i] += std * load[3]
-            changed = start
+            changed_load[i] += std * load[3]
+            explained = start
             if std > 0.0:
-                effects = self._effects(probe, response, pushed, poisson_ratio)
-                curvature = self._curvature(probe, pushed, poisson_ratio)
-                changed = _explained(effects, curvature, errors)
-            columns.append(changed - start)
+                effects = self._effects(probe, response, changed_load, poisson_ratio)
+                curvature = self._curvature(probe, changed_load, poisson_ratio)
+                explained = _explained(effects, curvature, errors)
+            columns.append(explained - start)
         return np.stack(columns, axis=1)
 
     def linearised(
@@ -269,20 +269,21 @@ def _explained(
     errors: Float[np.ndarray, " e"],
 ) -> Float[np.ndarray, " r"]:
     """Displacement explained by the errors, to second order in the last o of them."""
-    found = effects @ errors
+    explained = effects @ errors
     if curvature is None:
-        return found
+        return explained
     own = errors[len(errors) - curvature.shape[1] :]
-    return np.asarray(found + 0.5 * (curvature @ own) @ own)
+    return np.asarray(explained + 0.5 * (curvature @ own) @ own)
 
 
 def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParameter, ...]:
     """Parameters that occur in more than one probing."""
-    seen: dict[str, NuisanceParameter] = {}
+    encountered: dict[str, NuisanceParameter] = {}
     shared: dict[str, NuisanceParameter] = {}
     for probe in probes:
-        for one in probe.parameters:
-            (shared if one.name in seen else seen)[one.name] = one
+        for parameter in probe.parameters:
+            group = shared if parameter.name in encountered else encountered
+            group[parameter.name] = parameter
     return tuple(shared.values())
 
 
@@ -318,20 +319,20 @@ def common_equations(
     -------
     normal : (d, d) float
     gradient : (d,) float
-    solved : one (n, d + 1) float for each probing     minus the change of its shifts per unit of
+    solutions : one (n, d + 1) float for each probing    minus the change of its shifts per unit of
                                     each common parameter; last column: their step with these fixed
     """
     d = 2 + len(errors)
     normal, gradient = np.diag(np.append(np.zeros(2), np.ones(d - 2))), np.zeros(d)
     gradient[2:] = -errors
-    eliminated = []
+    solutions = []
     for probe, factor in zip(local, factors or np.ones(len(local)), strict=True):
         products, prior = probe.weighted_products(), probe.prior()
-        inner, pull = factor * products[:-1, :-1], products[:-1, -1]
+        inner, score = factor * products[:-1, :-1], products[:-1, -1]
         own = inner[d:, d:] + np.diag(prior)
-        own_pull = pull[d:] - prior * probe.shift
-        solved = np.linalg.solve(own, np.column_stack([inner[d:, :d], own_pull]))
-        normal += inner[:d, :d] - inner[:d, d:] @ solved[:, :d]
-        gradient += pull[:d] - inner[:d, d:] @ solved[:, d]
-        eliminated.append(solved)
-    return normal, gradient, eliminated
+        own_score = score[d:] - prior * probe.shift
+        solution = np.linalg.solve(own, np.column_stack([inner[d:, :d], own_score]))
+        normal += inner[:d, :d] - inner[:d, d:] @ solution[:, :d]
+        gradient += score[:d] - inner[:d, d:] @ solution[:, d]
+        solutions.append(solution)
+    return normal, gradient, solutions

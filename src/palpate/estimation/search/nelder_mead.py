@@ -48,7 +48,7 @@ def nelder_mead_minimum(
     start = np.array([np.clip(poisson_ratio, low, high), 0.0])
     inward = _FIRST_STEP if start[0] + _FIRST_STEP <= high else -_FIRST_STEP
     simplex = start + np.array([[0.0, 0.0], [inward, 0.0], [0.0, _FIRST_STEP]])
-    found = minimize(
+    result = minimize(
         lambda x: misfit(float(x[0]), shear_modulus * float(np.exp(x[1]))),
         start,
         method="Nelder-Mead",
@@ -60,6 +60,6 @@ def nelder_mead_minimum(
             "maxfev": _MAX_EVALUATIONS,
         },
     )
-    nu, modulus = float(found.x[0]), shear_modulus * float(np.exp(found.x[1]))
+    nu, modulus = float(result.x[0]), shear_modulus * float(np.exp(result.x[1]))
     errors, local = misfit.at_best_forces(nu, modulus)
-    return Minimum(nu, modulus, local, errors, bool(found.success))
+    return Minimum(nu, modulus, local, errors, bool(result.success))

@@ -16,7 +16,7 @@ from palpate.estimation.search.misfit import Misfit, common_equations, total_los
 
 _MAX_LINEARISATIONS = 20
 # Smallest relaxation factor: changes may overshoot their limit up to twentyfold.
-_SMALLEST_SHARE = 0.05
+_SMALLEST_RELAXATION = 0.05
 _MAX_STEPS = 12
 _MAX_HALVINGS = 12
 _LONGEST_STEP = 2.0
@@ -76,29 +76,30 @@ def scored_minimum(
     nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
     shifts = list(misfit.no_shifts() if shifts is None else shifts)
     errors = np.zeros(len(misfit.shared)) if errors is None else errors
-    start, before, share = Minimum(nu, modulus, (), errors, False), np.zeros(0), 1.0
+    start, previous, relaxation = Minimum(nu, modulus, (), errors, False), np.zeros(0), 1.0
     for _ in range(_MAX_LINEARISATIONS):
         rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, shifts, start.errors)
-        found, error = _linear_minimum(misfit, rows, start, shifts, poisson_range)
-        change = _joined(found, [probe.shift for probe in found.probes]) - _joined(start, shifts)
+        minimum, error = _linear_minimum(misfit, rows, start, shifts, poisson_range)
+        reached = _parameter_vector(minimum, [probe.shift for probe in minimum.probes])
+        change = reached - _parameter_vector(start, shifts)
         # Responses and effects are linearised over a move; the error left is of second order in it.
         moved = float(np.abs(change[:2]).max())
         if moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error:
-            return replace(found, converged=True)
-        share, before = taken_share(change, before, share), change
-        start, shifts = _moved(start, shifts, share * change)
-    return found
+            return replace(minimum, converged=True)
+        relaxation, previous = aitken_relaxation(change, previous, relaxation), change
+        start, shifts = _moved(start, shifts, relaxation * change)
+    return minimum
 
 
-def taken_share(
-    change: Float[np.ndarray, " n"], before: Float[np.ndarray, " b"], share: float
+def aitken_relaxation(
+    change: Float[np.ndarray, " n"], previous: Float[np.ndarray, " b"], relaxation: float
 ) -> float:
     """Relaxation factor for a fixed-point change, by Aitken's method.
 
     Parameters
     ----------
-    change, before : (n,) float     this change and the previous one, unrelaxed; empty at first
-    share : float                   relaxation factor of the previous change
+    change, previous : (n,) float   this change and the previous one, unrelaxed; empty at first
+    relaxation : float              relaxation factor of the previous change
 
     Returns
     -------
@@ -109,15 +110,17 @@ def taken_share(
     Irons and Tuck, A version of the Aitken accelerator for computer iteration, International
     Journal for Numerical Methods in Engineering 1 (1969)
     """
-    if before.shape != change.shape:
+    if previous.shape != change.shape:
         return 1.0
-    left = float(change @ before) / float(before @ before)
-    return float(np.clip(share / max(1.0 - left, share), _SMALLEST_SHARE, 1.0))
+    ratio = float(change @ previous) / float(previous @ previous)
+    return float(np.clip(relaxation / max(1.0 - ratio, relaxation), _SMALLEST_RELAXATION, 1.0))
 
 
-def _joined(here: Minimum, shifts: Sequence[np.ndarray]) -> Float[np.ndarray, " n"]:
+def _parameter_vector(minimum: Minimum, shifts: Sequence[np.ndarray]) -> Float[np.ndarray, " n"]:
     """All estimated parameters as one vector: nu, log G, shared errors, shifts of each probing."""
-    return np.concatenate([[here.poisson_ratio, np.log(here.shear_modulus)], here.errors, *shifts])
+    return np.concatenate(
+        [[minimum.poisson_ratio, np.log(minimum.shear_modulus)], minimum.errors, *shifts]
+    )
 
 
 def _moved(
@@ -125,15 +128,15 @@ def _moved(
 ) -> tuple[Minimum, list[np.ndarray]]:
     """A start and its shifts after a change of all parameters."""
     ends = np.cumsum([2, len(start.errors), *map(len, shifts)])
-    _, errors, *own, _ = np.split(change, ends)
-    there = Minimum(
+    _, errors, *moves, _ = np.split(change, ends)
+    moved = Minimum(
         start.poisson_ratio + change[0],
         start.shear_modulus * float(np.exp(change[1])),
         (),
         start.errors + errors,
         False,
     )
-    return there, [shift + move for shift, move in zip(shifts, own, strict=True)]
+    return moved, [shift + move for shift, move in zip(shifts, moves, strict=True)]
 
 
 def _linear_minimum(
@@ -172,18 +175,18 @@ def _linear_minimum(
 
 
 def _step(
-    noise: NoiseModel, here: Minimum, poisson_range: tuple[float, float]
+    noise: NoiseModel, minimum: Minimum, poisson_range: tuple[float, float]
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
     """Scoring step of (nu, log G) and shared errors, steps of the shifts, and the smaller of the
     conditional standard errors of nu and log G."""
     factors = []
-    for probe in here.probes:
+    for probe in minimum.probes:
         _, slope = score_moments(noise, probe.squared, probe.rows.components)
         # Scoring, not plain reweighting: the mean slope of the score replaces the mean weight.
         factors.append(max(slope / float(probe.weight.mean()), _SMALLEST_SLOPE))
-    normal, gradient, solved = common_equations(here.probes, here.errors, factors)
-    step = _bounded(normal, gradient, here.poisson_ratio, poisson_range)
-    moves = [one[:, -1] - one[:, :-1] @ step for one in solved]
+    normal, gradient, solutions = common_equations(minimum.probes, minimum.errors, factors)
+    step = _bounded(normal, gradient, minimum.poisson_ratio, poisson_range)
+    moves = [solution[:, -1] - solution[:, :-1] @ step for solution in solutions]
     return step, moves, float(1 / diagonal_root(normal[:2, :2]).max())
 
 

@@ -32,20 +32,20 @@ def without_settlement(
     """
     if all(row.settlement is None for row in rows):
         return tuple(rows), table
-    parts = []
+    responses = []
     for row, response, local in zip(rows, table.response, minimum.probes, strict=True):
         load = row.load(minimum.shear_modulus, local.shift)[:4]
-        alone = []
-        for nu, there in zip(table.poisson_ratio, response, strict=True):
+        separated = []
+        for nu, columns in zip(table.poisson_ratio, response, strict=True):
             settling = row.settling(float(nu), minimum.shear_modulus)
-            elastic, sunk = there.copy(), np.zeros(there.shape[1])
+            elastic, settled = columns.copy(), np.zeros(columns.shape[1])
             if settling is not None:
                 elastic[:4] -= settling[:, :4].T
-                sunk = settling[:, :4] @ load
-            alone.append(np.vstack([elastic, sunk]))
-        parts.append(np.stack(alone))
-    apart = tuple(
+                settled = settling[:, :4] @ load
+            separated.append(np.vstack([elastic, settled]))
+        responses.append(np.stack(separated))
+    with_settlement = tuple(
         replace(row, motion=np.append(row.motion, 1.0), motion_std=np.append(row.motion_std, 0.0))
         for row in rows
     )
-    return apart, replace(table, response=tuple(parts))
+    return with_settlement, replace(table, response=tuple(responses))

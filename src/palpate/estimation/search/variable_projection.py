@@ -80,7 +80,7 @@ class FixedWeights:
     motion: Float[np.ndarray, "k q"]
     motion_std: Float[np.ndarray, "k q"]
 
-    def only(self, chosen: int | Int[np.ndarray, " j"]) -> "FixedWeights":
+    def subset(self, chosen: int | Int[np.ndarray, " j"]) -> "FixedWeights":
         """The same for a subset of the probings.
 
         Parameters
@@ -120,13 +120,13 @@ class FixedWeights:
         root = self.force_root[:, None, :]
         inner = square[..., :3, :3] * root[..., :, None] * root[..., None, :]
         value, vector = np.linalg.eigh(inner)
-        turn = vector.swapaxes(-1, -2)
+        to_eigenbasis = vector.swapaxes(-1, -2)
         return ProjectedProbes(
             yy=yy,
             yq=np.einsum("kgi,ki->kg", mixed, load),
             qq=np.einsum("kgi,ki->kg", carried, load),
-            c=(turn @ (mixed[..., :3] * root)[..., None])[..., 0],
-            d=(turn @ (carried[..., :3] * root)[..., None])[..., 0],
+            c=(to_eigenbasis @ (mixed[..., :3] * root)[..., None])[..., 0],
+            d=(to_eigenbasis @ (carried[..., :3] * root)[..., None])[..., 0],
             information=np.maximum(value, 0.0),
         )
 
@@ -136,21 +136,20 @@ class FixedWeights:
         """Products of the measurement and of the four load columns, with known motions subtracted
         and uncertain ones eliminated."""
         yy = np.repeat(self.measured_measured[:, None], mixed.shape[1], axis=1)
-        known = np.einsum("kgij,kj->kgi", square[..., 4:], self.motion)
-        yy = yy - np.einsum("kgi,ki->kg", 2 * mixed[..., 4:] - known[..., 4:], self.motion)
+        from_motion = np.einsum("kgij,kj->kgi", square[..., 4:], self.motion)
+        yy = yy - np.einsum("kgi,ki->kg", 2 * mixed[..., 4:] - from_motion[..., 4:], self.motion)
         root = self.motion_std[:, None, :]
         crossed = square[..., 4:, :4] * root[..., None]
-        rest = ((mixed - known)[..., 4:] * root)[..., None]
+        rest = ((mixed - from_motion)[..., 4:] * root)[..., None]
         inner = square[..., 4:, 4:] * root[..., :, None] * root[..., None, :]
         solved = np.linalg.solve(
             inner + np.eye(inner.shape[-1]), np.concatenate([crossed, rest], axis=-1)
         )
-        turn = crossed.swapaxes(-1, -2)
-        taken = turn @ solved
+        eliminated = crossed.swapaxes(-1, -2) @ solved
         return (
             yy - (rest * solved[..., -1:])[..., 0].sum(-1),
-            (mixed - known)[..., :4] - taken[..., -1],
-            square[..., :4, :4] - taken[..., :-1],
+            (mixed - from_motion)[..., :4] - eliminated[..., -1],
+            square[..., :4, :4] - eliminated[..., :-1],
         )
 
 
@@ -181,7 +180,7 @@ def fixed_weights(
     count = len(table.poisson_ratio)
     measured = [probe.measured for probe in probes]
     if explained is not None:
-        measured = [value - known for value, known in zip(measured, explained, strict=True)]
+        measured = [value - part for value, part in zip(measured, explained, strict=True)]
     products = np.stack(
         [
             weighted_square(
@@ -224,15 +223,17 @@ def deviance_of(
     """
     beta = compliance[..., None, :]
     b3 = beta[..., None]
-    top = b3 * (probes.c - b3 * probes.d)
-    top1 = probes.c - 2 * b3 * probes.d
-    below = 1 + b3**2 * probes.information
-    below1 = 2 * b3 * probes.information
-    ratio = top / below
-    value = probes.yy - beta * (2 * probes.yq - beta * probes.qq) - (top * ratio).sum(-1)
-    first = 2 * (beta * probes.qq - probes.yq) - 2 * (ratio * (top1 - 0.5 * ratio * below1)).sum(-1)
+    numerator = b3 * (probes.c - b3 * probes.d)
+    numerator_slope = probes.c - 2 * b3 * probes.d
+    denominator = 1 + b3**2 * probes.information
+    denominator_slope = 2 * b3 * probes.information
+    ratio = numerator / denominator
+    value = probes.yy - beta * (2 * probes.yq - beta * probes.qq) - (numerator * ratio).sum(-1)
+    first = 2 * (beta * probes.qq - probes.yq) - 2 * (
+        ratio * (numerator_slope - 0.5 * ratio * denominator_slope)
+    ).sum(-1)
     drag = 2 * probes.d + ratio * probes.information
-    curved = (top1 - ratio * below1) ** 2 / below - ratio * drag
+    curved = (numerator_slope - ratio * denominator_slope) ** 2 / denominator - ratio * drag
     second = 2 * probes.qq - 2 * curved.sum(-1)
     first, second = beta * first, beta * (first + beta * second)
     return value.sum(-2), first.sum(-2), second.sum(-2)
@@ -276,12 +277,12 @@ def best_constants(weights: FixedWeights) -> tuple[float, float]:
     (float [-], float [Pa])
     """
     grid = np.linspace(*weights.poisson_range, _GRID)
-    nu, _ = sharpened_minimum(grid, best_compliance(weights.at(grid))[1])
+    nu, _ = refined_minimum(grid, best_compliance(weights.at(grid))[1])
     compliance, _ = best_compliance(weights.at(np.array([nu])))
     return nu, float(1 / compliance[0])
 
 
-def sharpened_minimum(
+def refined_minimum(
     place: Float[np.ndarray, " g"], height: Float[np.ndarray, " g"]
 ) -> tuple[float, float]:
     """Position and value of the minimum of a tabulated curve, refined by a parabola.
@@ -299,7 +300,7 @@ def sharpened_minimum(
     if best in (0, len(place) - 1):
         return float(place[best]), float(height[best])
     left, middle, right = height[best - 1 : best + 2]
-    bend = left - 2 * middle + right
-    shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
+    second_difference = left - 2 * middle + right
+    shift = 0.5 * (left - right) / second_difference if second_difference > 0 else 0.0
     spacing = place[1] - place[0]
     return float(place[best] + shift * spacing), float(middle - 0.25 * shift * (left - right))

@@ -10,7 +10,7 @@ Read first : `registration.py`, `surface_fit.py`.
 
 from palpate.geometry.registration.coarse_pose import (
     compact_groups as compact_groups,
-    rough_pose as rough_pose,
+    initial_pose as initial_pose,
 )
 from palpate.geometry.registration.registration import (
     Registration as Registration,

@@ -24,7 +24,7 @@ _ITERATIONS = 30
 _SHRINK = 0.75
 # Poses whose cost is within this factor of the lowest are equally good: of these, the one nearest
 # to the start is taken.
-_AS_GOOD = 1.05
+_COST_TOLERANCE = 1.05
 
 
 def compact_groups(points: Points, count: int) -> PointIndices:
@@ -82,13 +82,13 @@ def even_sample(points: Points, count: int) -> Indices:
     return order[np.searchsorted(label[order], np.arange(groups))]
 
 
-def facing_surface(mesh: TriangleMesh, eye: Vector3, *, angle: float) -> TriangleMesh:
+def facing_surface(mesh: TriangleMesh, viewpoint: Vector3, *, angle: float) -> TriangleMesh:
     """The triangles that face a viewpoint, or would after a rotation by an angle.
 
     Parameters
     ----------
     mesh : TriangleMesh
-    eye : (3,) float [m]            viewpoint
+    viewpoint : (3,) float [m]      from which the surface is seen
     angle : float [rad]
 
     Returns
@@ -96,7 +96,7 @@ def facing_surface(mesh: TriangleMesh, eye: Vector3, *, angle: float) -> Triangl
     TriangleMesh                    the whole mesh if no triangle faces the viewpoint
     """
     area = area_vectors(mesh)
-    sight = eye - mesh.vertices[mesh.triangles].mean(axis=1)
+    sight = viewpoint - mesh.vertices[mesh.triangles].mean(axis=1)
     cosine = np.einsum("ma,ma->m", area, sight)
     limit = -np.sin(angle) * np.linalg.norm(area, axis=1) * np.linalg.norm(sight, axis=1)
     facing = cosine > limit
@@ -135,24 +135,24 @@ def coarse_pose(
     tree = cKDTree(sample)
     first = placed(start, points)
     centre = first.mean(axis=0)
-    tries = _spread_starts(first - centre, 0.6 * angle, 0.6 * distance)
-    place = np.stack([placed(motion_pose(motion, centre), first) for motion in tries])
+    starts = _spread_starts(first - centre, 0.6 * angle, 0.6 * distance)
+    positions = np.stack([placed(motion_pose(motion, centre), first) for motion in starts])
     width = distance
     # All tries move the same cloud of points, so their motions have the same scale.
     scale = motion_scale(first - centre)
     for _ in range(_ITERATIONS):
-        place = _stepped(place, tree, sample, normal, scale, width)
+        positions = _stepped(positions, tree, sample, normal, scale, width)
         width = max(_SHRINK * width, spacing)
-    best = _nearest_of_the_best(search, place, first)
-    return _rigid(points, place[best])
+    best = _nearest_of_the_best(search, positions, first)
+    return _rigid(points, positions[best])
 
 
-def rough_pose(
+def initial_pose(
     points: Points,
     mesh: TriangleMesh,
     *,
     start: Pose,
-    eye: Vector3,
+    viewpoint: Vector3,
     angle: float,
     distance: float,
     count: int,
@@ -164,7 +164,7 @@ def rough_pose(
     points : (n, 3) float [m]       of the surface, in any frame
     mesh : TriangleMesh
     start : (4, 4) float            guess of the pose
-    eye : (3,) float [m]            viewpoint from which the points were seen, in their frame
+    viewpoint : (3,) float [m]      from which the points were seen, in their frame
     angle : float [rad]             largest error of the guess's rotation
     distance : float [m]            largest error of its translation
     count : int                     number of points that are used
@@ -173,9 +173,9 @@ def rough_pose(
     -------
     (4, 4) float [m]                as of `coarse_pose`
     """
-    seen = facing_surface(mesh, placed(start, eye[None])[0], angle=angle)
-    few = points[even_sample(points, count)]
-    return coarse_pose(surface_search(seen), few, start, angle=angle, distance=distance)
+    seen = facing_surface(mesh, placed(start, viewpoint[None])[0], angle=angle)
+    sample = points[even_sample(points, count)]
+    return coarse_pose(surface_search(seen), sample, start, angle=angle, distance=distance)
 
 
 def _surface_samples(mesh: TriangleMesh, spacing: float) -> tuple[Points, Points]:
@@ -196,13 +196,13 @@ def _spread_starts(offset: Points, angle: float, distance: float) -> Float[np.nd
     and rotations about these."""
     axes = np.linalg.eigh(offset.T @ offset)[1].T
     grid = np.stack(np.meshgrid(*[[0.0, -1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    shifts = np.hstack([np.zeros_like(grid), distance * grid @ axes])
-    turns = np.hstack([angle * np.concatenate([axes, -axes]), np.zeros((6, 3))])
-    return np.concatenate([shifts, turns])
+    translations = np.hstack([np.zeros_like(grid), distance * grid @ axes])
+    rotations = np.hstack([angle * np.concatenate([axes, -axes]), np.zeros((6, 3))])
+    return np.concatenate([translations, rotations])
 
 
 def _stepped(
-    place: Float[np.ndarray, "s n 3"],
+    positions: Float[np.ndarray, "s n 3"],
     tree: cKDTree,
     sample: Float[np.ndarray, "p 3"],
     normal: Float[np.ndarray, "p 3"],
@@ -210,12 +210,12 @@ def _stepped(
     width: float,
 ) -> Float[np.ndarray, "s n 3"]:
     """One robust step of every try towards the tangent planes of the nearest samples."""
-    distance, index = tree.query(place)
+    distance, index = tree.query(positions)
     n = normal[index]
-    residual = np.einsum("sna,sna->sn", n, place - sample[index])
+    residual = np.einsum("sna,sna->sn", n, positions - sample[index])
     weight = 1.0 / (1.0 + (distance / width) ** 2) ** 2
-    centre = place.mean(axis=1)
-    offset = place - centre[:, None]
+    centre = positions.mean(axis=1)
+    offset = positions - centre[:, None]
     row = np.concatenate([np.cross(offset, n), n], axis=2) @ scale
     weighted = (weight[..., None] * row).swapaxes(1, 2)
     matrix = weighted @ row
@@ -223,32 +223,32 @@ def _stepped(
     damping = 1e-3 * np.einsum("sii->s", matrix) / 6.0
     matrix = matrix + damping[:, None, None] * np.eye(6)
     step = -np.linalg.solve(matrix, weighted @ residual[..., None])[..., 0] @ scale.T
-    turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
-    return offset @ turn.swapaxes(1, 2) + (centre + step[:, 3:])[:, None]
+    rotation = Rotation.from_rotvec(step[:, :3]).as_matrix()
+    return offset @ rotation.swapaxes(1, 2) + (centre + step[:, 3:])[:, None]
 
 
 def _nearest_of_the_best(
-    search: SurfaceSearch, place: Float[np.ndarray, "s n 3"], first: Points
+    search: SurfaceSearch, positions: Float[np.ndarray, "s n 3"], first: Points
 ) -> int:
     """Index of the try whose points lie nearest to the surface, by the mean truncated square.
 
     Tries within a few per cent of the lowest cost are equally good: of these, the one that moved
     the points least is taken.
     """
-    distance = search.closest(place.reshape(-1, 3)).distance.reshape(place.shape[:2])
+    distance = search.closest(positions.reshape(-1, 3)).distance.reshape(positions.shape[:2])
     typical = float(np.median(distance, axis=1).min())
     width = max(4.0 * typical, 1e-4 * bounding_diagonal(search.mesh))
     cost = np.minimum((distance / width) ** 2, 1.0).mean(axis=1)
-    moved = np.sqrt(((place - first) ** 2).sum(axis=2).mean(axis=1))
-    good = cost <= _AS_GOOD * cost.min()
-    return int(np.where(good, moved, np.inf).argmin())
+    displacement = np.sqrt(((positions - first) ** 2).sum(axis=2).mean(axis=1))
+    good = cost <= _COST_TOLERANCE * cost.min()
+    return int(np.where(good, displacement, np.inf).argmin())
 
 
-def _rigid(points: Points, place: Points) -> Pose:
+def _rigid(points: Points, positions: Points) -> Pose:
     """The pose that maps points to places."""
-    a, b = points - points.mean(axis=0), place - place.mean(axis=0)
-    turn, _ = Rotation.align_vectors(b, a)
+    a, b = points - points.mean(axis=0), positions - positions.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(b, a)
     pose = np.eye(4)
-    pose[:3, :3] = turn.as_matrix()
-    pose[:3, 3] = place.mean(axis=0) - pose[:3, :3] @ points.mean(axis=0)
+    pose[:3, :3] = rotation.as_matrix()
+    pose[:3, 3] = positions.mean(axis=0) - pose[:3, :3] @ points.mean(axis=0)
     return pose

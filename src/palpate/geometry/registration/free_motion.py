@@ -68,7 +68,7 @@ def surface_edges(mesh: TriangleMesh) -> SurfaceEdges:
 
 
 def near_edges(
-    mesh: TriangleMesh, at: Linearised, edges: SurfaceEdges, reach: PointScalars
+    mesh: TriangleMesh, linearisation: Linearised, edges: SurfaceEdges, reach: PointScalars
 ) -> Flags:
     """True for points whose nearest point is within reach of an edge of the object.
 
@@ -77,7 +77,7 @@ def near_edges(
     Parameters
     ----------
     mesh : TriangleMesh
-    at : Linearised                 n points
+    linearisation : Linearised      n points
     edges : SurfaceEdges            of the mesh
     reach : (n,) float [m]          by how much noise may have displaced each
 
@@ -85,16 +85,16 @@ def near_edges(
     -------
     (n,) bool
     """
-    corner = mesh.vertices[mesh.triangles[at.triangle]]
+    corner = mesh.vertices[mesh.triangles[linearisation.triangle]]
     side = np.roll(corner, -1, axis=1) - corner
     length = np.linalg.norm(side, axis=2)
     double_area = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
     # The height above the side from k to k + 1 follows from the weight of corner k + 2.
-    height = np.roll(at.barycentric, -2, axis=1) * double_area[:, None] / length
-    place = np.einsum("nk,nka->na", at.barycentric, corner)
-    away = np.linalg.norm(corner - place[:, None], axis=2)
-    close = (height <= reach[:, None]) & edges.side[at.triangle]
-    close |= (away <= reach[:, None]) & edges.corner[at.triangle]
+    height = np.roll(linearisation.barycentric, -2, axis=1) * double_area[:, None] / length
+    position = np.einsum("nk,nka->na", linearisation.barycentric, corner)
+    away = np.linalg.norm(corner - position[:, None], axis=2)
+    close = (height <= reach[:, None]) & edges.side[linearisation.triangle]
+    close |= (away <= reach[:, None]) & edges.corner[linearisation.triangle]
     return close.any(axis=1)
 
 
@@ -108,7 +108,7 @@ class Trial:
     edges : SurfaceEdges            of the surface
     points : MeasuredPoints         k points
     pose : (4, 4) float             their fitted pose
-    at : Linearised                 linearisation at this pose
+    linearisation : Linearised      at this pose
     reach : (k,) float [m]          by how much noise may have displaced each
     """
 
@@ -116,10 +116,10 @@ class Trial:
     edges: SurfaceEdges
     points: MeasuredPoints
     pose: Pose
-    at: Linearised
+    linearisation: Linearised
     reach: PointScalars
 
-    def felt_share(self, motion: Float[np.ndarray, "6"], std: float) -> float:
+    def confirmed_information(self, motion: Float[np.ndarray, "6"], std: float) -> float:
         """Increase of the squared distances under a finite motion over that predicted by the
         normals.
 
@@ -138,20 +138,20 @@ class Trial:
                                     points do not determine the motion
         """
         step = _TRIED_STDS * std
-        squares, weight = -2.0 * self.at.residual**2, self.at.sigma**-2
-        for way in (step, -step):
-            pose = motion_pose(way * motion, self.at.centre) @ self.pose
-            there = linearised(self.search, self.points, pose)
-            squares = squares + there.residual**2
-            at_edge = near_edges(self.search.mesh, there, self.edges, self.reach)
+        squares, weight = -2.0 * self.linearisation.residual**2, self.linearisation.sigma**-2
+        for signed_step in (step, -step):
+            pose = motion_pose(signed_step * motion, self.linearisation.centre) @ self.pose
+            trial = linearised(self.search, self.points, pose)
+            squares = squares + trial.residual**2
+            at_edge = near_edges(self.search.mesh, trial, self.edges, self.reach)
             weight = np.where(at_edge, 0.0, weight)
-        moves = np.cross(motion[:3], self.at.offset) + motion[3:]
-        across = np.einsum("na,na->n", moves, self.at.normal)
-        claimed = 2.0 * step**2 * float(weight @ across**2)
-        return float(np.clip(weight @ squares / claimed, 0.0, 1.0)) if claimed > 0.0 else 0.0
+        displacement = np.cross(motion[:3], self.linearisation.offset) + motion[3:]
+        normal_component = np.einsum("na,na->n", displacement, self.linearisation.normal)
+        predicted = 2.0 * step**2 * float(weight @ normal_component**2)
+        return float(np.clip(weight @ squares / predicted, 0.0, 1.0)) if predicted > 0.0 else 0.0
 
 
-def holding(free: Float[np.ndarray, "k 6"], size: float) -> Float[np.ndarray, "k 6"]:
+def motion_constraints(free: Float[np.ndarray, "k 6"], size: float) -> Float[np.ndarray, "k 6"]:
     """Constraints by which a motion contains none of the free motions.
 
     Rotation takes precedence over translation: the translation of a ball must not be attributed to
@@ -173,7 +173,8 @@ def holding(free: Float[np.ndarray, "k 6"], size: float) -> Float[np.ndarray, "k
 def nearest_pose(
     pose: Pose, start: Pose, points: Points, free: Float[np.ndarray, "k 6"], centre: Vector3
 ) -> Pose:
-    """The pose nearest to the start that differs from a given one by free motions only (`holding`).
+    """The pose nearest to the start that differs from a given one by free motions only
+    (`motion_constraints`).
 
     Parameters
     ----------
@@ -189,13 +190,13 @@ def nearest_pose(
     if not len(free):
         return pose
     size = float(np.sqrt(((placed(pose, points) - centre) ** 2).sum(axis=1).mean()))
-    held = holding(free, size)
+    constraints = motion_constraints(free, size)
     middle = points.mean(axis=0)
     wanted = placed(start, middle[None])[0]
     for _ in range(20):
-        turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
-        gap = np.concatenate([turn, placed(pose, middle[None])[0] - wanted])
-        step = -np.linalg.solve(held @ free.T, held @ gap)
+        rotation = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
+        gap = np.concatenate([rotation, placed(pose, middle[None])[0] - wanted])
+        step = -np.linalg.solve(constraints @ free.T, constraints @ gap)
         pose = motion_pose(free.T @ step, centre) @ pose
         if np.linalg.norm(step) < 1e-12 * size:
             break
@@ -216,54 +217,54 @@ def motion_texts(free: Float[np.ndarray, "k 6"], centre: Vector3, size: float) -
     tuple of str                    at most k
     """
     basis = np.linalg.qr((free * np.repeat([size, 1.0], 3)).T)[0].T / np.repeat([size, 1.0], 3)
-    shifts, turns = _separated(basis, size)
-    texts = [f"sliding along {_vector(shift)}" for shift in shifts]
-    if len(shifts) == 3:
+    translations, rotations = _separated(basis, size)
+    texts = [f"sliding along {_vector(shift)}" for shift in translations]
+    if len(translations) == 3:
         texts = ["sliding in any direction"]
-    elif len(shifts) == 2:
-        texts = [f"sliding across {_vector(np.cross(*shifts))}"]
-    if len(turns) == 3:
-        pivot, gap = _pivot(turns, centre)
+    elif len(translations) == 2:
+        texts = [f"sliding across {_vector(np.cross(*translations))}"]
+    if len(rotations) == 3:
+        pivot, gap = _pivot(rotations, centre)
         if gap < _MIN_NAMED * size:
             return (*texts, f"turning about any axis through {_place(pivot)}")
-    return (*texts, *(_turn_text(turn, centre, size) for turn in turns))
+    return (*texts, *(_turn_text(turn, centre, size) for turn in rotations))
 
 
 def _separated(
     basis: Float[np.ndarray, "k 6"], size: float
 ) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "t 6"]]:
     """Pure translations among the motions, as unit vectors, and the rotations without them."""
-    mix, strength, _ = np.linalg.svd(basis[:, :3] * size, full_matrices=True)
+    left_vectors, strength, _ = np.linalg.svd(basis[:, :3] * size, full_matrices=True)
     strength = np.concatenate([strength, np.zeros(len(basis) - len(strength))])
-    own = mix.T @ basis
-    turning = strength > _MIN_NAMED
-    shifts = own[~turning, 3:]
-    shifts = shifts / np.linalg.norm(shifts, axis=1)[:, None]
-    turns = own[turning] / strength[turning, None]
-    if len(shifts):
-        along = np.linalg.qr(shifts.T)[0]
-        turns[:, 3:] -= turns[:, 3:] @ along @ along.T
-    return shifts, turns
+    own = left_vectors.T @ basis
+    rotates = strength > _MIN_NAMED
+    translations = own[~rotates, 3:]
+    translations = translations / np.linalg.norm(translations, axis=1)[:, None]
+    rotations = own[rotates] / strength[rotates, None]
+    if len(translations):
+        along = np.linalg.qr(translations.T)[0]
+        rotations[:, 3:] -= rotations[:, 3:] @ along @ along.T
+    return translations, rotations
 
 
-def _pivot(turns: Float[np.ndarray, "3 6"], centre: Vector3) -> tuple[Vector3, float]:
+def _pivot(rotations: Float[np.ndarray, "3 6"], centre: Vector3) -> tuple[Vector3, float]:
     """The point that all rotations leave in place, and by how much they miss it [m]."""
     # Velocity at centre + x: translation + rotation x x.
-    cross = np.stack([np.cross(turn[:3], np.eye(3)).T for turn in turns])
-    x, *_ = np.linalg.lstsq(cross.reshape(-1, 3), -turns[:, 3:].ravel(), rcond=None)
-    left = cross @ x + turns[:, 3:]
-    return centre + x, float(np.sqrt((left**2).sum() / (turns[:, :3] ** 2).sum()))
+    cross = np.stack([np.cross(turn[:3], np.eye(3)).T for turn in rotations])
+    x, *_ = np.linalg.lstsq(cross.reshape(-1, 3), -rotations[:, 3:].ravel(), rcond=None)
+    left = cross @ x + rotations[:, 3:]
+    return centre + x, float(np.sqrt((left**2).sum() / (rotations[:, :3] ** 2).sum()))
 
 
 def _turn_text(turn: Float[np.ndarray, "6"], centre: Vector3, size: float) -> str:
     axis = turn[:3] / np.linalg.norm(turn[:3])
-    place = centre + np.cross(turn[:3], turn[3:]) / (turn[:3] @ turn[:3])
+    axis_point = centre + np.cross(turn[:3], turn[3:]) / (turn[:3] @ turn[:3])
     pitch = float(axis @ turn[3:] / np.linalg.norm(turn[:3]))
     # The point of the axis nearest to the origin of the frame, in which the mesh is known.
-    place = place - axis * (axis @ place)
+    axis_point = axis_point - axis * (axis @ axis_point)
     how = "turning" if abs(pitch) < _MIN_NAMED * size else "turning and sliding along"
     about = "about the axis" if how == "turning" else "the axis"
-    return f"{how} {about} {_vector(axis)} through {_place(place)}"
+    return f"{how} {about} {_vector(axis)} through {_place(axis_point)}"
 
 
 def _vector(direction: Vector3) -> str:

@@ -23,7 +23,7 @@ from palpate.geometry.registration.coarse_pose import (
 from palpate.geometry.registration.free_motion import (
     SurfaceEdges,
     Trial,
-    holding,
+    motion_constraints,
     motion_texts,
     near_edges,
     nearest_pose,
@@ -35,9 +35,9 @@ from palpate.geometry.registration.surface_fit import (
     RobustResiduals,
     fit_pose,
     linearised,
+    null_space_basis,
     placed,
     robust_residuals,
-    unheld_basis,
 )
 from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
 from palpate.shapes import Flags, Points, PointScalars, Vector3
@@ -62,11 +62,11 @@ class RegistrationSettings:
     ----------
     angle : float [rad]             largest error of the initial pose's rotation
     distance : float [m]            largest error of its translation
-    blur : float [-]                a motion counts as free where its standard deviation, as an rms
+    max_relative_std : float [-]    a motion counts as free where its standard deviation, as an rms
                                     displacement of the points, exceeds this fraction of the mesh's
                                     diagonal: weaker information comes from errors of mesh and
                                     cameras
-    most_points : int               where there are more points, an even sample of so many is used
+    max_points : int                where there are more points, an even sample of so many is used
 
     Raises
     ------
@@ -75,16 +75,16 @@ class RegistrationSettings:
 
     angle: float = float(np.radians(5.0))
     distance: float = 0.02
-    blur: float = 0.002
-    most_points: int = 6000
+    max_relative_std: float = 0.002
+    max_points: int = 6000
 
     def __post_init__(self) -> None:
-        for name in ("angle", "distance", "blur"):
+        for name in ("angle", "distance", "max_relative_std"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{name} is {value:g}; must be positive")
-        if self.most_points < _MIN_POINTS:
-            raise InputError(f"most_points is {self.most_points}; must be {_MIN_POINTS} or more")
+        if self.max_points < _MIN_POINTS:
+            raise InputError(f"max_points is {self.max_points}; must be {_MIN_POINTS} or more")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ class Registration:
                                         motion is determined
     residual : float [m]                rms distance of the inliers from the surface
     inliers : float [-]                 fraction of inliers among the points
-    correlation : float [-]             variance inflation by correlated residuals, >= 1; contained
+    variance_inflation : float [-]      by correlated residuals, >= 1; contained
                                         in `covariance`
     size : float [m]                    rms distance of the points from `centre`
     diagonal : float [m]                bounding diagonal of the mesh
@@ -121,7 +121,7 @@ class Registration:
     weakest_std: float
     residual: float
     inliers: float
-    correlation: float
+    variance_inflation: float
     size: float
     diagonal: float
     iterations: int
@@ -129,20 +129,20 @@ class Registration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Knowledge:
+class _Observability:
     """What the points determine about motions at the fitted pose.
 
     `fixed` (f, 6) are the determined motions, `std` (f,) their standard deviations, `free` (k, 6)
-    the others, `held` (k, 6) the constraints by which a motion contains none of these.
+    the others, `constraints` (k, 6) the constraints by which a motion contains none of these.
     """
 
-    at: Linearised
+    linearisation: Linearised
     fixed: Float[np.ndarray, "f 6"]
     std: Float[np.ndarray, " f"]
     free: Float[np.ndarray, "k 6"]
-    held: Float[np.ndarray, "k 6"]
+    constraints: Float[np.ndarray, "k 6"]
     covariance: Float[np.ndarray, "6 6"]
-    correlation: float
+    variance_inflation: float
     inlier: Flags
 
 
@@ -152,7 +152,7 @@ def register(
     mesh: TriangleMesh,
     *,
     start: Float[np.ndarray, "4 4"] | None = None,
-    eye: Vector3 | None = None,
+    viewpoint: Vector3 | None = None,
     settings: RegistrationSettings = RegistrationSettings(),
 ) -> Registration:
     """Find the pose in which measured points lie on the surface of a mesh.
@@ -167,7 +167,7 @@ def register(
                                     of each point; None: equal for all, and unknown
     mesh : TriangleMesh             open or closed
     start : (4, 4) float or None    initial pose; None: the identity
-    eye : (3,) float [m] or None    viewpoint from which the points were seen, in their frame:
+    viewpoint : (3,) float [m] or None    from which the points were seen, in their frame:
                                     triangles that face away from it are left out
     settings : RegistrationSettings
 
@@ -192,22 +192,24 @@ def register(
     """
     measured = _measured(points, std)
     guess = np.eye(4) if start is None else fixed_array(start, name="start", shape=(4, 4))
-    chosen = measured.chosen(even_sample(measured.point, settings.most_points))
+    chosen = measured.chosen(even_sample(measured.point, settings.max_points))
     surface = mesh
-    if eye is not None:
-        surface = facing_surface(mesh, placed(guess, eye[None])[0], angle=settings.angle)
+    if viewpoint is not None:
+        surface = facing_surface(mesh, placed(guess, viewpoint[None])[0], angle=settings.angle)
     search = surface_search(surface)
-    few = chosen.chosen(even_sample(chosen.point, _SEARCH_POINTS))
-    pose = coarse_pose(search, few.point, guess, angle=settings.angle, distance=settings.distance)
-    some = chosen.chosen(even_sample(chosen.point, _NEAR_POINTS))
+    sample = chosen.chosen(even_sample(chosen.point, _SEARCH_POINTS))
+    pose = coarse_pose(
+        search, sample.point, guess, angle=settings.angle, distance=settings.distance
+    )
+    near = chosen.chosen(even_sample(chosen.point, _NEAR_POINTS))
     edges, iterations = surface_edges(surface), 0
-    known = _knowledge(search, some, pose, edges, settings.blur)
-    for cloud in (some, *[chosen] * _MAX_ROUNDS):
+    known = _observability(search, near, pose, edges, settings.max_relative_std)
+    for cloud in (near, *[chosen] * _MAX_ROUNDS):
         free = len(known.free)
-        pose = nearest_pose(pose, guess, cloud.point, known.free, known.at.centre)
-        fit = fit_pose(search, cloud, pose, held=known.held, iterations=_MAX_STEPS)
+        pose = nearest_pose(pose, guess, cloud.point, known.free, known.linearisation.centre)
+        fit = fit_pose(search, cloud, pose, constraints=known.constraints, iterations=_MAX_STEPS)
         pose, iterations = fit.pose, iterations + fit.iterations
-        known = _knowledge(search, chosen, pose, edges, settings.blur)
+        known = _observability(search, chosen, pose, edges, settings.max_relative_std)
         if cloud is chosen and len(known.free) == free:
             break
     converged = fit.converged and len(known.free) == free
@@ -226,12 +228,12 @@ def check_registration(registration: Registration) -> None:
     CalibrationError                no convergence, residuals above 3 % of the mesh's diagonal, or
                                     fewer than half of the points inliers
     """
-    share = registration.residual / registration.diagonal
+    ratio = registration.residual / registration.diagonal
     rest = (
-        f"{1e3 * registration.residual:.2g} mm rms are left ({100 * share:.1f} % of its diagonal),"
+        f"{1e3 * registration.residual:.2g} mm rms are left ({100 * ratio:.1f} % of its diagonal),"
         f" {100 * registration.inliers:.0f} % of them agree"
     )
-    if share > 0.03 or registration.inliers < 0.5:
+    if ratio > 0.03 or registration.inliers < 0.5:
         raise CalibrationError(
             f"the points cannot be brought onto the mesh: {rest}; is it the mesh of this object, in"
             " the right unit, and the guess of the pose within 5 degrees and 20 mm?"
@@ -268,8 +270,8 @@ def _measured(
     n = len(points)
     if n < _MIN_POINTS:
         raise InputError(f"there are {n} points; a pose needs {_MIN_POINTS} or more")
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if not spread[1] > 1e-6 * spread[0]:
+    singular_values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not singular_values[1] > 1e-6 * singular_values[0]:
         raise InputError("the points lie on one line; a pose needs points spread over a surface")
     if std is None:
         return MeasuredPoints(points, np.zeros((n, 3, 3)))
@@ -285,56 +287,58 @@ def _measured(
     return MeasuredPoints(points, covariance)
 
 
-def _knowledge(
+def _observability(
     search: SurfaceSearch,
     points: MeasuredPoints,
     pose: np.ndarray,
     edges: SurfaceEdges,
-    blur: float,
-) -> _Knowledge:
+    max_relative_std: float,
+) -> _Observability:
     """Separate the motions that the points determine from the free ones."""
-    at = linearised(search, points, pose)
-    robust = robust_residuals(at)
+    linearisation = linearised(search, points, pose)
+    robust = robust_residuals(linearisation)
     inlier = robust.weight() > 0.0
-    reach = robust.width * at.sigma
-    used = inlier & ~near_edges(search.mesh, at, edges, reach)
-    information, correlation = _information(at, robust, used)
+    reach = robust.width * linearisation.sigma
+    used = inlier & ~near_edges(search.mesh, linearisation, edges, reach)
+    information, variance_inflation = _information(linearisation, robust, used)
     values, vectors = np.linalg.eigh(information)
-    motions = (at.scale @ vectors).T
+    motions = (linearisation.scale @ vectors).T
     rows = even_sample(points.point, _NEAR_POINTS)
     rows = rows[used[rows]]
-    trial = Trial(search, edges, points.chosen(rows), pose, at.chosen(rows), reach[rows])
-    least = (blur * search.diagonal) ** -2
+    trial = Trial(search, edges, points.chosen(rows), pose, linearisation.chosen(rows), reach[rows])
+    least = (max_relative_std * search.diagonal) ** -2
     std = 1.0 / np.sqrt(np.maximum(values, least))
-    share = [trial.felt_share(motion, one) for motion, one in zip(motions, std, strict=True)]
+    confirmed = [
+        trial.confirmed_information(motion, one) for motion, one in zip(motions, std, strict=True)
+    ]
     # The unconfirmed share is subtracted twice: chance hides part of it at the minimum of the fit.
-    values = values * (2.0 * np.array(share) - 1.0)
+    values = values * (2.0 * np.array(confirmed) - 1.0)
     fixed = values >= least
-    held = holding(motions[~fixed], _size(at))
-    basis = unheld_basis(held @ at.scale)
+    constraints = motion_constraints(motions[~fixed], _size(linearisation))
+    basis = null_space_basis(constraints @ linearisation.scale)
     inner = basis @ np.linalg.pinv(basis.T @ information @ basis, hermitian=True) @ basis.T
-    return _Knowledge(
-        at=at,
+    return _Observability(
+        linearisation=linearisation,
         fixed=motions[fixed],
         std=1.0 / np.sqrt(values[fixed]),
         free=motions[~fixed],
-        held=held,
-        covariance=at.scale @ inner @ at.scale.T,
-        correlation=correlation,
+        constraints=constraints,
+        covariance=linearisation.scale @ inner @ linearisation.scale.T,
+        variance_inflation=variance_inflation,
         inlier=inlier,
     )
 
 
-def _size(at: Linearised) -> float:
+def _size(linearisation: Linearised) -> float:
     """Root mean square distance of the points from their centroid [m]."""
-    return float(np.sqrt((at.offset**2).sum(axis=1).mean()))
+    return float(np.sqrt((linearisation.offset**2).sum(axis=1).mean()))
 
 
 def _information(
-    at: Linearised, robust: RobustResiduals, used: Flags
+    linearisation: Linearised, robust: RobustResiduals, used: Flags
 ) -> tuple[Float[np.ndarray, "6 6"], float]:
     """Inverse covariance of the scaled motions, and the factor for correlated residuals."""
-    row = at.row[used] / at.sigma[used, None]
+    row = linearisation.row[used] / linearisation.sigma[used, None]
     if robust.width <= 0.0:
         return row.T @ row, 1.0
     if len(row) <= 6:
@@ -348,34 +352,34 @@ def _information(
     variance *= robust.width**2
     score = row * pull[:, None]
     alone = score.T @ score
-    label = compact_groups(at.offset[used], _MAX_GROUPS)
+    label = compact_groups(linearisation.offset[used], _MAX_GROUPS)
     sums = np.stack([np.bincount(label, score[:, i]) for i in range(6)], axis=1)
     groups = len(sums)
     together = sums.T @ sums * groups / max(groups - 1, 1)
-    correlation = float(np.trace(np.linalg.pinv(alone, rcond=1e-10) @ together)) / 6.0
-    correlation = max(correlation, 1.0)
-    return row.T @ row / (variance * correlation), correlation
+    variance_inflation = float(np.trace(np.linalg.pinv(alone, rcond=1e-10) @ together)) / 6.0
+    variance_inflation = max(variance_inflation, 1.0)
+    return row.T @ row / (variance * variance_inflation), variance_inflation
 
 
 def _registration(
-    mesh: TriangleMesh, known: _Knowledge, pose: np.ndarray, iterations: int, converged: bool
+    mesh: TriangleMesh, known: _Observability, pose: np.ndarray, iterations: int, converged: bool
 ) -> Registration:
-    at = known.at
+    linearisation = known.linearisation
     weakest, weakest_std = np.zeros(6), float("inf")
     if len(known.std):
         worst = int(known.std.argmax())
         weakest, weakest_std = known.fixed[worst], float(known.std[worst])
     return Registration(
         T_mesh_points=pose,
-        centre=at.centre,
+        centre=linearisation.centre,
         covariance=known.covariance,
         free=known.free,
         weakest=weakest,
         weakest_std=weakest_std,
-        residual=float(np.sqrt((at.residual[known.inlier] ** 2).mean())),
+        residual=float(np.sqrt((linearisation.residual[known.inlier] ** 2).mean())),
         inliers=float(known.inlier.mean()),
-        correlation=known.correlation,
-        size=_size(at),
+        variance_inflation=known.variance_inflation,
+        size=_size(linearisation),
         diagonal=bounding_diagonal(mesh),
         iterations=iterations,
         converged=converged,

@@ -119,8 +119,8 @@ def motion_scale(offset: Points) -> Matrix6:
     -------
     (6, 6) float                    rotation (rad) and translation (m) of each
     """
-    spread = offset.T @ offset / len(offset)
-    values, vectors = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
+    scatter = offset.T @ offset / len(offset)
+    values, vectors = np.linalg.eigh(np.trace(scatter) * np.eye(3) - scatter)
     scale = np.eye(6)
     scale[:3, :3] = (vectors / np.sqrt(values)) @ vectors.T
     return scale
@@ -143,17 +143,17 @@ def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Lin
     -------
     Linearised
     """
-    place = placed(pose, points.point)
+    position = placed(pose, points.point)
     mesh = search.mesh
-    found = search.closest(place)
-    away = place - found.position
+    found = search.closest(position)
+    offset_from_surface = position - found.position
     normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
     beyond = (found.barycentric <= 0.0).any(axis=1)
     beyond &= found.distance > 1e-9 * search.diagonal
-    normal[beyond] = away[beyond] / found.distance[beyond, None]
-    residual = np.einsum("na,na->n", normal, away)
-    centre = place.mean(axis=0)
-    offset = place - centre
+    normal[beyond] = offset_from_surface[beyond] / found.distance[beyond, None]
+    residual = np.einsum("na,na->n", normal, offset_from_surface)
+    centre = position.mean(axis=0)
+    offset = position - centre
     scale = motion_scale(offset)
     row = np.hstack([np.cross(offset, normal), normal]) @ scale
     own = normal @ pose[:3, :3]
@@ -177,8 +177,8 @@ def _sigma(residual: PointScalars, variance: PointScalars, least: float) -> Poin
     Scatter that the noise of the points does not explain is attributed to errors of the surface,
     equal for all points.
     """
-    spread = _PER_MEDIAN * float(np.median(np.abs(residual)))
-    surface = max(spread**2 - float(np.median(variance)), 0.0)
+    robust_std = _PER_MEDIAN * float(np.median(np.abs(residual)))
+    surface = max(robust_std**2 - float(np.median(variance)), 0.0)
     return np.sqrt(np.maximum(variance + surface, least**2))
 
 
@@ -200,12 +200,12 @@ class RobustResiduals:
         return np.maximum(1.0 - self.unit**2, 0.0) ** 2
 
 
-def robust_residuals(at: Linearised) -> RobustResiduals:
+def robust_residuals(linearisation: Linearised) -> RobustResiduals:
     """Residuals scaled by a robust estimate of their spread.
 
     Parameters
     ----------
-    at : Linearised
+    linearisation : Linearised
 
     Returns
     -------
@@ -215,9 +215,9 @@ def robust_residuals(at: Linearised) -> RobustResiduals:
     ------
     Huber, Robust Statistics (1981): the scale from the median, Tukey's constant for 95 % efficiency
     """
-    share = at.residual / at.sigma
-    width = _TUKEY * _PER_MEDIAN * float(np.median(np.abs(share)))
-    return RobustResiduals(share / width if width > 0.0 else np.zeros(len(share)), width)
+    scaled = linearisation.residual / linearisation.sigma
+    width = _TUKEY * _PER_MEDIAN * float(np.median(np.abs(scaled)))
+    return RobustResiduals(scaled / width if width > 0.0 else np.zeros(len(scaled)), width)
 
 
 def fit_pose(
@@ -225,7 +225,7 @@ def fit_pose(
     points: MeasuredPoints,
     pose: Pose,
     *,
-    held: Float[np.ndarray, "k 6"],
+    constraints: Float[np.ndarray, "k 6"],
     iterations: int,
 ) -> Fit:
     """Fit the pose of points on a surface.
@@ -237,7 +237,7 @@ def fit_pose(
     search : SurfaceSearch          of the surface
     points : MeasuredPoints
     pose : (4, 4) float             initial pose
-    held : (k, 6) float             combinations of a step's rotation and translation that must be
+    constraints : (k, 6) float      combinations of a step's rotation and translation that must be
                                     zero
     iterations : int                largest number of steps
 
@@ -246,21 +246,21 @@ def fit_pose(
     Fit
     """
     for done in range(1, iterations + 1):
-        at = linearised(search, points, pose)
-        weight = robust_residuals(at).weight() / at.sigma**2
-        free = unheld_basis(held @ at.scale)
-        row = at.row @ free
+        linearisation = linearised(search, points, pose)
+        weight = robust_residuals(linearisation).weight() / linearisation.sigma**2
+        free = null_space_basis(constraints @ linearisation.scale)
+        row = linearisation.row @ free
         matrix = row.T @ (weight[:, None] * row)
-        step = -_solved(matrix, row.T @ (weight * at.residual), search.diagonal)
-        pose = motion_pose(at.scale @ free @ step, at.centre) @ pose
+        step = -_solved(matrix, row.T @ (weight * linearisation.residual), search.diagonal)
+        pose = motion_pose(linearisation.scale @ free @ step, linearisation.centre) @ pose
         if step @ matrix @ step < _SMALL_STEP**2:
             return Fit(pose, done, True)
     return Fit(pose, iterations, False)
 
 
-def unheld_basis(held: Float[np.ndarray, "k 6"]) -> Float[np.ndarray, "6 f"]:
+def null_space_basis(constraints: Float[np.ndarray, "k 6"]) -> Float[np.ndarray, "6 f"]:
     """Orthonormal basis of the motions for which all held combinations are zero (null space)."""
-    _, values, vectors = np.linalg.svd(held)
+    _, values, vectors = np.linalg.svd(constraints)
     rank = int((values > 1e-9 * values.max()).sum()) if values.size else 0
     return vectors[rank:].T
 

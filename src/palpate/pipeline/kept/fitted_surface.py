@@ -102,8 +102,8 @@ def write_fitted_surface(folder: Path, session: Session, result: FitResult) -> N
         "likelihood/deviance": result.likelihood.deviance,
     }
     by_name = {probing.name: probing for probing in session.probings}
-    for number, found in enumerate(result.probes, start=1):
-        probing = by_name[found.name]
+    for number, fit in enumerate(result.probes, start=1):
+        probing = by_name[fit.name]
         field = probing.displacement
         if field is None:
             continue
@@ -112,11 +112,11 @@ def write_fitted_surface(folder: Path, session: Session, result: FitResult) -> N
             "force": probing.force,
             "points": field.points,
             "displacement": field.displacement,
-            "predicted": found.predicted,
-            "left_out": found.left_out_predicted,
-            "sigma": field.displacement * np.nan if found.sigma is None else found.sigma,
-            "weight": found.weight,
-            "surface": found.surface,
+            "predicted": fit.predicted,
+            "left_out": fit.left_out_predicted,
+            "sigma": field.displacement * np.nan if fit.sigma is None else fit.sigma,
+            "weight": fit.weight,
+            "surface": fit.surface,
         }
         content |= {f"{number}/{name}": x for name, x in arrays.items() if x is not None}
     packed = io.BytesIO()
@@ -165,7 +165,7 @@ def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:
         for number, name in enumerate(kept["probings"], start=1)
         if f"{number}/points" in kept
     ]
-    if any(one.surface is not None and one.surface.shape != vertices.shape for one in probings):
+    if any(each.surface is not None and each.surface.shape != vertices.shape for each in probings):
         raise ValueError("surfaces of probings are those of another mesh")
     likelihood = LikelihoodMap(
         *(kept[f"likelihood/{key}"] for key in ("poisson_ratio", "shear_modulus", "deviance"))

@@ -84,8 +84,8 @@ def with_kept_motion(session: Session, folder: Path) -> Session | None:
         if MOTION_FILE in changed or MOTION_FILE not in sums:
             return None
         with stored_arrays(path, "") as kept:
-            found = [str(kept[name]) for name in ("format", "key")]
-            if found != [MOTION_FORMAT, motion_key(session, *_HOW)]:
+            stored = [str(kept[name]) for name in ("format", "key")]
+            if stored != [MOTION_FORMAT, motion_key(session, *_HOW)]:
                 return None
             return _with_fields(session, kept)
     except InputError:

@@ -1,4 +1,4 @@
-"""The boundary element model of a session: its object, its supports, what they may be off by.
+"""The boundary element model of a session: its object, its supports, and their errors.
 
 Purpose    : one model for all probings, and the observations of each as functions of its solutions.
 Takes      : a `Session`.
@@ -8,23 +8,23 @@ Depends on : `pipeline.model.contacts`, `lab`, `bem`, `estimation`, `probe`, `re
 Read first : `object_model.py`, then `shared_errors.py`.
 """
 
+from palpate.pipeline.model.compliant_supports import (
+    compliances as compliances,
+    compliant_supports as compliant_supports,
+    session_springs as session_springs,
+)
 from palpate.pipeline.model.contacts import (
     has_tools as has_tools,
     largest_change as largest_change,
     surface_load as surface_load,
-    touched_session as touched_session,
+    with_contact_radii as with_contact_radii,
 )
 from palpate.pipeline.model.finite_strain import (
     make_finite_body as make_finite_body,
     strain_corrections as strain_corrections,
 )
-from palpate.pipeline.model.giving_supports import (
-    compliances as compliances,
-    giving_supports as giving_supports,
-    session_springs as session_springs,
-)
 from palpate.pipeline.model.grading import (
-    LEFT_OF_STEP as LEFT_OF_STEP,
+    REMAINING_FRACTION as REMAINING_FRACTION,
     edge_refined_session as edge_refined_session,
     graded_session as graded_session,
     resolved_session as resolved_session,

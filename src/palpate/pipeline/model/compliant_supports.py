@@ -16,7 +16,7 @@ from palpate.bem import (
 from palpate.records import Session
 
 
-def giving_supports(session: Session) -> tuple[int, ...]:
+def compliant_supports(session: Session) -> tuple[int, ...]:
     """Compliant supports: those with a stiffness, or all where `[errors]` has a support compliance.
 
     Parameters
@@ -28,11 +28,13 @@ def giving_supports(session: Session) -> tuple[int, ...]:
     tuple of int                    indices of the supports, from 0
     """
     every = session.errors.support_compliance > 0.0
-    return tuple(k for k, one in enumerate(session.supports) if every or one.stiffness is not None)
+    return tuple(
+        k for k, support in enumerate(session.supports) if every or support.stiffness is not None
+    )
 
 
 def compliances(session: Session) -> Float[np.ndarray, " s"]:
-    """Compliance (displacement over traction) of each of the `giving_supports`.
+    """Compliance (displacement over traction) of each of the `compliant_supports`.
 
     Parameters
     ----------
@@ -42,7 +44,7 @@ def compliances(session: Session) -> Float[np.ndarray, " s"]:
     -------
     (s,) float [m/Pa]               0: rigid
     """
-    return np.array([session.supports[k].compliance for k in giving_supports(session)])
+    return np.array([session.supports[k].compliance for k in compliant_supports(session)])
 
 
 def session_springs(session: Session, system: BoundarySystem) -> Springs | None:
@@ -57,14 +59,14 @@ def session_springs(session: Session, system: BoundarySystem) -> Springs | None:
     -------
     Springs or None                 None: all supports are rigid
     """
-    giving = giving_supports(session)
-    if not giving:
+    compliant = compliant_supports(session)
+    if not compliant:
         return None
-    stiff = [one.triangles for k, one in enumerate(session.supports) if k not in giving]
+    rigid = [support.triangles for k, support in enumerate(session.supports) if k not in compliant]
     return make_springs(
         system,
-        [session.supports[k].triangles for k in giving],
-        np.concatenate([np.zeros(0, dtype=np.int64), *stiff]),
+        [session.supports[k].triangles for k in compliant],
+        np.concatenate([np.zeros(0, dtype=np.int64), *rigid]),
     )
 
 
@@ -86,7 +88,7 @@ def weight_on_springs(
     unknowns = np.zeros(system.size)
     first = 3 * system.unknowns.free_vertices.size
     unknowns[first : first + body.support_traction.size] = body.support_traction.ravel()
-    return springs.pressed @ unknowns * system.traction_length
+    return springs.mean_traction @ unknowns * system.traction_length
 
 
 def springs_at(
@@ -123,7 +125,7 @@ def support_force(
     -------
     (3, n) sparse [N/m]
     """
-    size = system.size + (0 if springs is None else len(springs.share))
+    size = system.size + (0 if springs is None else len(springs.support_fraction))
     weights = integral_weights(system.surface, triangles)[system.unknowns.held_sides]
     first = 3 * system.unknowns.free_vertices.size
     side, axis = np.repeat(np.arange(weights.size), 3), np.tile(np.arange(3), weights.size)

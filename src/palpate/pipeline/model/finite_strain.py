@@ -33,7 +33,7 @@ from palpate.lab import (
     solve_load,
     surface_values,
 )
-from palpate.pipeline.model.contacts import leans_outward, outward_load
+from palpate.pipeline.model.contacts import has_outward_traction, outward_load
 from palpate.pipeline.model.grading import halved_session
 from palpate.progress import Progress, silent
 from palpate.records import FIXED, PRESSURES, SPHERE, Probing, Session
@@ -59,7 +59,7 @@ class FiniteBody:
     loads : tuple of (n, 3) float [N]    nodal forces of each probing, as in the linear model
     tips : tuple of Tip or None          of each probing, where its contact is solved for at finite
                                          strain; None: the load stays as it is
-    seen : tuple of sparse (p, n)        of each probing: takes nodes to its points and, where the
+    observed : tuple of sparse (p, n)    of each probing: takes nodes to its points and, where the
                                          tip's displacement was measured, to the contact point
     """
 
@@ -67,7 +67,7 @@ class FiniteBody:
     held: Bool[np.ndarray, " n"]
     loads: tuple[Float[np.ndarray, "n 3"], ...]
     tips: tuple[Tip | None, ...]
-    seen: tuple[csr_array, ...]
+    observed: tuple[csr_array, ...]
 
 
 def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
@@ -100,7 +100,7 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
         # A ball meets the surface as it is curved.
         session = halved_session(session)
     solid = make_solid(session.mesh, edge=edge, fine=fine)
-    loads, seen = [], []
+    loads, observed = [], []
     for probing in session.probings:
         share = pressure_load(
             solid,
@@ -109,12 +109,12 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
             PRESSURES[probing.contact.profile],
         )
         load = share[:, None] * probing.force
-        if leans_outward(probing.contact):
+        if has_outward_traction(probing.contact):
             load += outward_load(solid, probing.contact, probing.force)
         loads.append(load)
-        seen.append(surface_values(solid, _places(probing)))
+        observed.append(surface_values(solid, _places(probing)))
     held = held_nodes(solid, session.held_triangles)
-    return FiniteBody(solid, held, tuple(loads), tips, tuple(seen))
+    return FiniteBody(solid, held, tuple(loads), tips, tuple(observed))
 
 
 def strain_corrections(
@@ -154,8 +154,10 @@ def strain_corrections(
         poisson_ratio=min(poisson_ratio, _LARGEST_RATIO),
     )
     starts = starts or [None] * len(body.loads)
-    found, presses = [], []
-    for k, (load, tip, seen) in enumerate(zip(body.loads, body.tips, body.seen, strict=True)):
+    corrections, presses = [], []
+    for k, (load, tip, observed) in enumerate(
+        zip(body.loads, body.tips, body.observed, strict=True)
+    ):
         progress("finite strain", k / len(body.loads))
         pressed = None
         if tip is not None:
@@ -164,15 +166,15 @@ def strain_corrections(
             finite = pressed.displacement
         else:
             finite = solve_finite(elastic, load, law=law)
-        found.append(seen @ (finite - solve_load(elastic, load)))
+        corrections.append(observed @ (finite - solve_load(elastic, load)))
         presses.append(pressed)
-    return tuple(found), tuple(presses)
+    return tuple(corrections), tuple(presses)
 
 
 def _tip(probing: Probing) -> Tip | None:
     """A sliding ball that moves along the force through the contact point; None: a fixed patch."""
     tool = probing.contact.tool
-    if tool is None or tool.shape != SPHERE or not leans_outward(probing.contact):
+    if tool is None or tool.shape != SPHERE or not has_outward_traction(probing.contact):
         return None
     return Sphere(tool.radius, probing.contact.point, probing.force)
 

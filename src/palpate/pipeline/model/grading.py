@@ -34,7 +34,7 @@ from palpate.records import FLAT, Contact, DisplacementField, Probing, Session
 ROW = 0.3
 # The error falls at least with the first power of the element size at the rim, so that at most this
 # fraction of the change from one refinement step is left.
-LEFT_OF_STEP = ROW / (1.0 - ROW)
+REMAINING_FRACTION = ROW / (1.0 - ROW)
 # Edges about a flat punch that are longer than this fraction of its radius are split.
 _LONG_AT_PUNCH = 0.5
 # Sine of the elevation of a neighbour's centre above a triangle's plane beyond which their common
@@ -56,7 +56,7 @@ def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSett
     Session                         vertices of the given mesh first, in their order; points of its
                                     fields are located anew on the new mesh
     """
-    contacts = [one.contact for one in session.probings]
+    contacts = [probing.contact for probing in session.probings]
     return _divided_session(session, *resolved_mesh(_boundary(session, surface), contacts))
 
 
@@ -139,8 +139,8 @@ def resolved_mesh(
     length = np.linalg.norm(place[:, 1] - place[:, 0], axis=1)
     for contact in contacts:
         if contact.profile == FLAT and contact.radius is not None:
-            away = np.linalg.norm(place.mean(axis=1) - contact.point, axis=1) - contact.radius
-            long |= (away < length) & (length > _LONG_AT_PUNCH * contact.radius)
+            distance = np.linalg.norm(place.mean(axis=1) - contact.point, axis=1) - contact.radius
+            long |= (distance < length) & (length > _LONG_AT_PUNCH * contact.radius)
     return _divided(boundary, np.where(long[:, None], ends, -1), 0.5)
 
 
@@ -201,8 +201,10 @@ def _divided_session(
         session,
         mesh=mesh,
         held_triangles=children(session.held_triangles),
-        supports=tuple(replace(one, triangles=children(one.triangles)) for one in session.supports),
-        probings=tuple(_replaced(one, placed, parent) for one in session.probings),
+        supports=tuple(
+            replace(support, triangles=children(support.triangles)) for support in session.supports
+        ),
+        probings=tuple(_divided_probing(probing, placed, parent) for probing in session.probings),
     )
 
 
@@ -210,23 +212,23 @@ def _placed_on(mesh: TriangleMesh, session: Session) -> Callable[[SurfacePoints]
     """Function that locates points of a session's fields on another mesh; points common to several
     fields are searched for only once."""
     fields = [
-        one
+        field
         for probing in session.probings
-        for one in (probing.displacement, probing.support_displacement)
-        if one is not None
+        for field in (probing.displacement, probing.support_displacement)
+        if field is not None
     ]
-    found: dict[int, SurfacePoints] = {}
+    located: dict[int, SurfacePoints] = {}
     if fields:
-        every, numbers = distinct_points([one.surface for one in fields])
+        every, numbers = distinct_points([field.surface for field in fields])
         near = closest_points(mesh, every.position)
-        for one, number in zip(fields, numbers, strict=True):
-            found[id(one.surface)] = SurfacePoints(
+        for field, number in zip(fields, numbers, strict=True):
+            located[id(field.surface)] = SurfacePoints(
                 near.triangle[number],
                 near.barycentric[number],
                 near.position[number],
-                one.surface.distance,
+                field.surface.distance,
             )
-    return lambda points: found[id(points)]
+    return lambda points: located[id(points)]
 
 
 def _edge_ends(boundary: BoundarySurface) -> Int[np.ndarray, "e 2"]:
@@ -284,25 +286,25 @@ def _cut(
     return np.concatenate(parts), np.concatenate(parent)
 
 
-def _replaced(
+def _divided_probing(
     probing: Probing,
     placed: Callable[[SurfacePoints], SurfacePoints],
     parent: Int[np.ndarray, " t"],
 ) -> Probing:
     """A probing with its points and triangles on the new mesh."""
 
-    def contact(one: Contact) -> Contact:
-        if one.triangles is None:
-            return one
-        return replace(one, triangles=np.flatnonzero(np.isin(parent, one.triangles)))
+    def divided(contact: Contact) -> Contact:
+        if contact.triangles is None:
+            return contact
+        return replace(contact, triangles=np.flatnonzero(np.isin(parent, contact.triangles)))
 
-    def field(one: DisplacementField | None) -> DisplacementField | None:
-        return None if one is None else replace(one, surface=placed(one.surface))
+    def relocated(field: DisplacementField | None) -> DisplacementField | None:
+        return None if field is None else replace(field, surface=placed(field.surface))
 
     return replace(
         probing,
-        contact=contact(probing.contact),
-        loads=tuple(replace(load, contact=contact(load.contact)) for load in probing.loads),
-        displacement=field(probing.displacement),
-        support_displacement=field(probing.support_displacement),
+        contact=divided(probing.contact),
+        loads=tuple(replace(load, contact=divided(load.contact)) for load in probing.loads),
+        displacement=relocated(probing.displacement),
+        support_displacement=relocated(probing.support_displacement),
     )

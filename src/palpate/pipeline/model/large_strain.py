@@ -25,7 +25,7 @@ from palpate.shapes import Points
 # A correction of 10 % changes by 10 % of itself if the modulus changes by 10 %: each round gains
 # about one digit.
 _MOST_ROUNDS = 8
-_SETTLED_SHEAR, _SETTLED_RATIO = 1e-3, 5e-4
+_SHEAR_TOLERANCE, _RATIO_TOLERANCE = 1e-3, 5e-4
 # At finite strain, soft materials of the same constants differ from each other by a good part of
 # their difference from a linear one.
 _OTHER_LAWS = 0.3
@@ -62,10 +62,10 @@ def fit_at_finite_strain(
     NotConvergedError               no equilibrium, or the constants do not converge
     """
     task = _Task(observations, settings)
-    rough = task.settled(
+    rough = task.converged(
         make_finite_body(session, coarser=_COARSER), linear, (), part_of(progress, 0.0, _ROUGH)
     )
-    constants = rough.found.estimate
+    constants = rough.result.estimate
     other, _ = strain_corrections(
         rough.body,
         shear_modulus=constants.shear_modulus.value,
@@ -73,14 +73,20 @@ def fit_at_finite_strain(
         law=SplitNeoHookean,
         starts=rough.presses,
     )
-    coarser = [_Coarser(one, law - one) for one, law in zip(rough.corrections, other, strict=True)]
-    fine = task.settled(
-        make_finite_body(session), rough.found, coarser, part_of(progress, _ROUGH, 1.0)
+    coarser = [
+        _Coarser(correction, law - correction)
+        for correction, law in zip(rough.corrections, other, strict=True)
+    ]
+    fine = task.converged(
+        make_finite_body(session), rough.result, coarser, part_of(progress, _ROUGH, 1.0)
     )
-    found = fine.found
-    notes = (*found.estimate.notes, _size_note(observations, fine.corrections))
-    probes = [_whole(one, d) for one, d in zip(found.probes, fine.corrections, strict=True)]
-    return replace(found, estimate=replace(found.estimate, notes=notes), probes=tuple(probes))
+    result = fine.result
+    notes = (*result.estimate.notes, _size_note(observations, fine.corrections))
+    probes = [
+        _with_correction(probe, correction)
+        for probe, correction in zip(result.probes, fine.corrections, strict=True)
+    ]
+    return replace(result, estimate=replace(result.estimate, notes=notes), probes=tuple(probes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,11 +98,11 @@ class _Coarser:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Settled:
+class _Converged:
     """A converged estimate with its corrections."""
 
     body: FiniteBody
-    found: FitResult
+    result: FitResult
     corrections: tuple[Points, ...]
     presses: tuple[FinitePress | None, ...]
 
@@ -108,27 +114,29 @@ class _Task:
     observations: Sequence[ProbeObservations]
     settings: FitSettings
 
-    def settled(
+    def converged(
         self, body: FiniteBody, start: FitResult, coarser: Sequence[_Coarser], progress: Progress
-    ) -> _Settled:
+    ) -> _Converged:
         """Correct with the given elements until the constants converge."""
-        found = start
+        result = start
         presses: tuple[FinitePress | None, ...] = ()
-        for turn in range(_MOST_ROUNDS):
-            before = found.estimate
+        for iteration in range(_MOST_ROUNDS):
+            before = result.estimate
             corrections, presses = strain_corrections(
                 body,
                 shear_modulus=before.shear_modulus.value,
                 poisson_ratio=before.poisson_ratio.value,
                 starts=presses,
-                progress=part_of(progress, turn / _MOST_ROUNDS, (turn + 1) / _MOST_ROUNDS),
+                progress=part_of(
+                    progress, iteration / _MOST_ROUNDS, (iteration + 1) / _MOST_ROUNDS
+                ),
             )
-            found = fit(self.corrected(corrections, coarser), settings=self.settings)
-            now = found.estimate
-            moved = abs(now.shear_modulus.value / before.shear_modulus.value - 1.0)
-            turned = abs(now.poisson_ratio.value - before.poisson_ratio.value)
-            if moved < _SETTLED_SHEAR and turned < _SETTLED_RATIO:
-                return _Settled(body, found, corrections, presses)
+            result = fit(self.corrected(corrections, coarser), settings=self.settings)
+            now = result.estimate
+            shear_change = abs(now.shear_modulus.value / before.shear_modulus.value - 1.0)
+            ratio_change = abs(now.poisson_ratio.value - before.poisson_ratio.value)
+            if shear_change < _SHEAR_TOLERANCE and ratio_change < _RATIO_TOLERANCE:
+                return _Converged(body, result, corrections, presses)
         raise NotConvergedError(
             f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
             " object is pressed too far for this; press less, or leave --strain finite out"
@@ -138,11 +146,11 @@ class _Task:
         self, corrections: Sequence[Points], coarser: Sequence[_Coarser]
     ) -> list[ProbeObservations]:
         """Observations of an equivalent linear object, with the errors of the corrections."""
-        known: Sequence[_Coarser | None] = coarser or [None] * len(corrections)
+        each_coarser: Sequence[_Coarser | None] = coarser or [None] * len(corrections)
         return [
             _corrected(observed, correction, rough)
             for observed, correction, rough in zip(
-                self.observations, corrections, known, strict=True
+                self.observations, corrections, each_coarser, strict=True
             )
         ]
 
@@ -177,7 +185,7 @@ def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionE
     return CorrectionError(tuple(parameters), np.stack(steps, axis=1))
 
 
-def _whole(probe: ProbeFit, correction: Points) -> ProbeFit:
+def _with_correction(probe: ProbeFit, correction: Points) -> ProbeFit:
     """Predictions with the correction added back."""
     n = len(probe.predicted)
     left_out = probe.left_out_predicted
@@ -190,11 +198,14 @@ def _whole(probe: ProbeFit, correction: Points) -> ProbeFit:
 
 def _size_note(observations: Sequence[ProbeObservations], corrections: Sequence[Points]) -> str:
     """How large the corrections are, in words."""
-    shares = [_share(one, d) for one, d in zip(observations, corrections, strict=True)]
+    shares = [
+        _share(observed, correction)
+        for observed, correction in zip(observations, corrections, strict=True)
+    ]
     worst = int(np.argmax(shares))
-    whole = float(np.sqrt(np.mean(np.square(shares))))
+    overall = float(np.sqrt(np.mean(np.square(shares))))
     return (
-        f"Finite strain: the linear model alone is {100 * whole:.2g} % off here (rms over the"
+        f"Finite strain: the linear model alone is {100 * overall:.2g} % off here (rms over the"
         f" points; {100 * shares[worst]:.2g} % in {observations[worst].name}); corrected with"
         " neo-Hookean finite elements."
     )
@@ -202,7 +213,7 @@ def _size_note(observations: Sequence[ProbeObservations], corrections: Sequence[
 
 def _share(observed: ProbeObservations, correction: Float[np.ndarray, "p 3"]) -> float:
     """Size of a correction over that of the displacement, where it was measured."""
-    moved = observed.displacement
-    seen = np.isfinite(moved)
-    ours = correction[: len(moved)][seen]
-    return float(np.linalg.norm(ours) / max(np.linalg.norm(moved[seen]), np.finfo(float).tiny))
+    measured = np.isfinite(observed.displacement)
+    size = float(np.linalg.norm(observed.displacement[measured]))
+    applied = correction[: len(measured)][measured]
+    return float(np.linalg.norm(applied)) / max(size, float(np.finfo(float).tiny))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.arrays import known_median
-from palpate.bem import loose_motions, make_surface
+from palpate.bem import make_surface, unrestrained_motions
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.records import (
@@ -47,7 +47,7 @@ class MovingSupport:
     motion : str                    `GIVEN` or `FREE`
     holding : (3, 3) float          projector onto the directions that it holds; along the others
                                     it moves nothing
-    mix : (6, 6) float              projector of a motion onto its free part; identity by default
+    free_projector : (6, 6) float   projector of a motion onto its free part; identity by default
     """
 
     number: int
@@ -56,7 +56,7 @@ class MovingSupport:
     centre: Vector3
     motion: str
     holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
-    mix: Float[np.ndarray, "6 6"] = field(default_factory=lambda: np.eye(6))
+    free_projector: Float[np.ndarray, "6 6"] = field(default_factory=lambda: np.eye(6))
 
     def modes(self, points: Points) -> Float[np.ndarray, "n 3 6"]:
         """Displacement of held points per unit of each motion.
@@ -69,7 +69,7 @@ class MovingSupport:
         -------
         (n, 3, 6) float [-], [m]
         """
-        return self.holding @ rigid_modes(points, self.centre) @ self.mix
+        return self.holding @ rigid_modes(points, self.centre) @ self.free_projector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,20 +100,20 @@ def moving_supports(session: Session) -> tuple[MovingSupport, ...]:
     -------
     tuple of MovingSupport          in the order of the session
     """
-    found = []
+    supports = []
     for number, support in enumerate(session.supports, start=1):
         vertices = np.unique(session.mesh.triangles[support.triangles])
-        centre = _middle(session.mesh.vertices[vertices])
+        centre = _box_centre(session.mesh.vertices[vertices])
         if support.motion != FIXED:
-            found.append(
+            supports.append(
                 MovingSupport(
                     number, support.triangles, vertices, centre, support.motion, support.holding
                 )
             )
-    return tuple(found)
+    return tuple(supports)
 
 
-def _middle(points: Points) -> Vector3:
+def _box_centre(points: Points) -> Vector3:
     """Centre of the bounding box of some points, which does not depend on the mesh."""
     return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
 
@@ -130,9 +130,9 @@ def rigid_modes(points: Points, centre: Vector3) -> Float[np.ndarray, "n 3 6"]:
     -------
     (n, 3, 6) float [-], [m]
     """
-    turned = np.cross(np.eye(3)[None], (points - centre)[:, None, :]).transpose(0, 2, 1)
-    still = np.broadcast_to(np.eye(3), (len(points), 3, 3))
-    return np.concatenate([still, turned], axis=2)
+    rotations = np.cross(np.eye(3)[None], (points - centre)[:, None, :]).transpose(0, 2, 1)
+    translations = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+    return np.concatenate([translations, rotations], axis=2)
 
 
 def free_std(mesh: TriangleMesh) -> Float[np.ndarray, "6"]:
@@ -235,9 +235,9 @@ def _robust_fit(
     return value, level * np.sqrt(np.diag(np.linalg.inv(normal)))
 
 
-def _strain(offset: Points, left: Points) -> Float[np.ndarray, "3 3"]:
+def _strain(offset: Points, rest: Points) -> Float[np.ndarray, "3 3"]:
     """Gradient of the displacement left by a rigid motion; zero normal to coplanar points."""
-    return np.linalg.lstsq(offset, left, rcond=_UNSEEN)[0].T
+    return np.linalg.lstsq(offset, rest, rcond=_UNSEEN)[0].T
 
 
 def support_shapes(
@@ -284,10 +284,10 @@ def held_directions(session: Session) -> Float[np.ndarray, "k 3 3"]:
     -------
     (k, 3, 3) float                 in the order of `session.held_triangles`
     """
-    found = np.tile(np.eye(3), (len(session.held_triangles), 1, 1))
+    directions = np.tile(np.eye(3), (len(session.held_triangles), 1, 1))
     for support in session.supports:
-        found[np.searchsorted(session.held_triangles, support.triangles)] = support.holding
-    return found
+        directions[np.searchsorted(session.held_triangles, support.triangles)] = support.holding
+    return directions
 
 
 def sliding_motion(session: Session) -> MovingSupport | None:
@@ -301,28 +301,28 @@ def sliding_motion(session: Session) -> MovingSupport | None:
     -------
     MovingSupport or None           with the number of the first roller; None: there are none
     """
-    rollers = [k for k, one in enumerate(session.supports) if one.directions is not None]
+    rollers = [k for k, each in enumerate(session.supports) if each.directions is not None]
     if not rollers:
         return None
     mesh, held = session.mesh, session.held_triangles
-    loose = loose_motions(make_surface(mesh, held, directions=held_directions(session)))
+    loose = unrestrained_motions(make_surface(mesh, held, directions=held_directions(session)))
     if not loose.shape[2]:
         return None
     vertices = mesh.vertices
-    centre = _middle(vertices[np.unique(mesh.triangles[held])])
+    centre = _box_centre(vertices[np.unique(mesh.triangles[held])])
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
     unit = np.array([1.0, 1.0, 1.0, length, length, length])
     # Projection of each motion onto the unconstrained ones, in units in which a rotation displaces
     # the object as much as a translation.
-    flat = (rigid_modes(vertices, centre) / unit).reshape(-1, 6)
-    left = np.linalg.qr(np.linalg.lstsq(flat, loose.reshape(len(flat), -1), rcond=None)[0])[0]
+    modes = (rigid_modes(vertices, centre) / unit).reshape(-1, 6)
+    basis = np.linalg.qr(np.linalg.lstsq(modes, loose.reshape(len(modes), -1), rcond=None)[0])[0]
     return MovingSupport(
         number=rollers[0] + 1,
         triangles=session.supports[rollers[0]].triangles,
         vertices=np.arange(len(vertices)),
         centre=centre,
         motion=FREE,
-        mix=(left @ left.T) * unit / unit[:, None],
+        free_projector=(basis @ basis.T) * unit / unit[:, None],
     )
 
 
@@ -340,7 +340,7 @@ def require_balance(session: Session, sliding: MovingSupport | None) -> None:
     """
     for probing in session.probings:
         forces = [(probing.contact.point, probing.force)]
-        forces += [(x.contact.point, _total_force(session.mesh, x)) for x in probing.loads]
+        forces += [(load.contact.point, _total_force(session.mesh, load)) for load in probing.loads]
         check_balance(sliding, forces, f"probing '{probing.name}'")
     if session.gravity is not None and session.density is not None:
         corner = session.mesh.vertices[session.mesh.triangles]

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from palpate.bem import (
     BodyForce,
     BoundarySystem,
-    ContactShape,
+    IndentationCorrection,
     PointEquations,
     RightHand,
     Springs,
@@ -19,29 +19,29 @@ from palpate.bem import (
     check_memory,
     face_columns,
     held_system,
+    indentation_corrections,
     joined,
     load_right_hand,
-    load_shapes,
     make_surface,
     point_equations,
     pressure_column,
     support_columns,
 )
-from palpate.pipeline.model.contacts import (
-    CHANGE_CELLS,
-    ContactChange,
-    change_columns,
-    contact_changes,
-    dip_changes,
-    dip_columns,
-    dipped_columns,
-    leans_outward,
-    outward_columns,
-    surface_load,
-)
-from palpate.pipeline.model.giving_supports import (
-    giving_supports,
+from palpate.pipeline.model.compliant_supports import (
+    compliant_supports,
     session_springs,
+)
+from palpate.pipeline.model.contacts import (
+    PERTURBATION_CELLS,
+    ContactPerturbation,
+    contact_perturbations,
+    dip_columns,
+    dip_perturbations,
+    dipped_columns,
+    has_outward_traction,
+    outward_columns,
+    perturbation_columns,
+    surface_load,
 )
 from palpate.pipeline.model.moving_supports import (
     MovingSupport,
@@ -87,8 +87,9 @@ class ObjectModel:
     shapes : (v, 3, q) float              displacements prescribed by their motions
                                           (`support_shapes`)
     right : RightHand                     three columns for each patch, one for each pressure, two
-                                          for gravity, if any, q for the supports, then `changes`
-    changes : tuple of ContactChange      perturbed contacts and dips of all probings
+                                          for gravity, if any, q for the supports, then the
+                                          perturbations
+    perturbations : tuple of ContactPerturbation    perturbed contacts and dips of all probings
     springs : Springs or None             under compliant supports
     body : BodyForce or None
     tips : ContactPoints or None          None where no tip was measured
@@ -104,7 +105,7 @@ class ObjectModel:
     right: RightHand
     body: BodyForce | None
     tips: ContactPoints | None
-    changes: tuple[ContactChange, ...] = ()
+    perturbations: tuple[ContactPerturbation, ...] = ()
     springs: Springs | None = None
 
     @property
@@ -117,17 +118,17 @@ class ObjectModel:
         """Index of the patch under the tool of each probing; -1: it pulls a support."""
         return _patch_numbers(self.session, self.patches)
 
-    def lifts(self, probing: int) -> tuple[int, ...]:
+    def pulled_translations(self, probing: int) -> tuple[int, ...]:
         """Indices of the translations of the support that a probing pulls; empty: it pulls none."""
-        pulled = self.pulled(probing)
+        pulled = self.pulled_support(probing)
         return () if pulled is None else tuple(6 * pulled + i for i in range(3))
 
-    def pulled(self, probing: int) -> int | None:
+    def pulled_support(self, probing: int) -> int | None:
         """Index in `supports` of the one that a probing pulls; None: it pulls none."""
         contact = self.session.probings[probing].contact
         if contact.profile != RIGID or contact.triangles is None:
             return None
-        same = [np.array_equal(one.triangles, contact.triangles) for one in self.supports]
+        same = [np.array_equal(support.triangles, contact.triangles) for support in self.supports]
         return same.index(True)
 
 
@@ -136,7 +137,7 @@ def make_object_model(
     *,
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
-    nominal: bool = False,
+    perturbed: bool = True,
     like: ObjectModel | None = None,
     progress: Progress = silent,
 ) -> ObjectModel:
@@ -147,8 +148,8 @@ def make_object_model(
     session : Session
     surface : SurfaceSettings
     cache : Path or None              folder in which dense integrals are kept for reuse
-    nominal : bool                    True: without perturbed contacts, and without the error of the
-                                      mesh about contacts
+    perturbed : bool                  False: without perturbed contacts, and without the error of
+                                      the mesh about contacts
     like : ObjectModel or None        of the same mesh on the same supports with other contacts: its
                                       integrals are reused
     progress : callable               called with the progress of the integrals, which may take
@@ -164,8 +165,10 @@ def make_object_model(
                                       along a motion that no support holds
     """
     rollers = any(support.directions is not None for support in session.supports)
-    gives = bool(giving_supports(session))
-    check_memory(len(session.mesh.vertices), len(session.probings), rollers=rollers, dense=gives)
+    compliant = bool(compliant_supports(session))
+    check_memory(
+        len(session.mesh.vertices), len(session.probings), rollers=rollers, dense=compliant
+    )
     sliding = sliding_motion(session)
     require_balance(session, sliding)
     supports = (*moving_supports(session), *filter(None, [sliding]))
@@ -177,19 +180,22 @@ def make_object_model(
     if like is not None:
         system = like.system
     else:
-        system = held_system(boundary, dense=gives, cache=cache, progress=progress)
+        system = held_system(boundary, dense=compliant, cache=cache, progress=progress)
     weight = None
     if session.gravity is not None and session.density is not None:
         weight = session.density * session.gravity
-    dips = load_shapes(boundary, [surface_load(patch) for patch in patches.values()])
+    dips = indentation_corrections(boundary, [surface_load(patch) for patch in patches.values()])
     numbers = _patch_numbers(session, patches)
-    changes: tuple[ContactChange, ...] = ()
-    if not nominal:
-        changes = (*contact_changes(session, numbers), *dip_changes(session, numbers, dips))
-    moved = [one.patch for one in changes if one.patch is not None]
-    changed_dips = load_shapes(boundary, [surface_load(patch) for patch in moved])
+    perturbations: tuple[ContactPerturbation, ...] = ()
+    if perturbed:
+        perturbations = (
+            *contact_perturbations(session, numbers),
+            *dip_perturbations(session, numbers, dips),
+        )
+    moved = [contact.patch for contact in perturbations if contact.patch is not None]
+    moved_dips = indentation_corrections(boundary, [surface_load(patch) for patch in moved])
     pressures = tuple(pressed.values())
-    loads = tuple(patches.values()), dips, pressures, weight, shapes, changes, changed_dips
+    loads = tuple(patches.values()), dips, pressures, weight, shapes, perturbations, moved_dips
     right, body = _right_hand(system, *loads)
     tips = None
     if any(probing.tip_displacement is not None for probing in session.probings):
@@ -201,19 +207,19 @@ def make_object_model(
         tips = ContactPoints(equations, _right_hand(equations.system, *loads)[0])
     return ObjectModel(
         session, system, patches, pressed, supports, sliding is not None, shapes, right, body, tips,
-        changes, session_springs(session, system),
+        perturbations, session_springs(session, system),
     )  # fmt: skip
 
 
 def _right_hand(
     system: BoundarySystem,
     patches: Sequence[ContactPatch],
-    dips: Sequence[ContactShape | None],
+    dips: Sequence[IndentationCorrection | None],
     pressed: Sequence[ContactPatch],
     weight: Float[np.ndarray, "3"] | None,
     shapes: Float[np.ndarray, "v 3 q"],
-    changes: Sequence[ContactChange],
-    dips_of_changes: Sequence[ContactShape | None],
+    perturbations: Sequence[ContactPerturbation],
+    moved_dips: Sequence[IndentationCorrection | None],
 ) -> tuple[RightHand, BodyForce | None]:
     """Columns of all loads, of the weight [N/m^3], if any, of the motions of supports, and of
     perturbed contacts."""
@@ -230,12 +236,12 @@ def _right_hand(
     if body is not None:
         parts.append(body.right)
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
-    nominal = [parts[change.nominal] for change in changes]
+    nominal = [parts[each.patch_index] for each in perturbations]
     for k, patch in enumerate(patches):
-        if leans_outward(patch.contact):
-            parts[k] = parts[k] + outward_columns(system, patch, cells=CHANGE_CELLS)
-    parts += change_columns(system, changes, dips_of_changes, nominal)
-    parts += dip_columns(changes, dipped)
+        if has_outward_traction(patch.contact):
+            parts[k] = parts[k] + outward_columns(system, patch, cells=PERTURBATION_CELLS)
+    parts += perturbation_columns(system, perturbations, moved_dips, nominal)
+    parts += dip_columns(perturbations, dipped)
     return joined(parts), body
 
 
@@ -247,10 +253,12 @@ def _distinct_patches(
     pressed: dict[ContactKey, ContactPatch] = {}
     for probing in session.probings:
         wanted = [(patches, probing.contact)] if probing.contact.profile != RIGID else []
-        wanted += [(patches if x.pressure is None else pressed, x.contact) for x in probing.loads]
-        for found, contact in wanted:
-            if contact_key(contact) not in found:
-                found[contact_key(contact)] = find_contact_patch(
+        wanted += [
+            (patches if load.pressure is None else pressed, load.contact) for load in probing.loads
+        ]
+        for group, contact in wanted:
+            if contact_key(contact) not in group:
+                group[contact_key(contact)] = find_contact_patch(
                     session.mesh, contact, session.held_triangles, name=probing.name
                 )
     return patches, pressed

@@ -23,7 +23,7 @@ from palpate.pipeline.model.spring_responses import compliance_error
 from palpate.records import Probing
 
 # A component's std over the effect of the sensor's rotation, above which that adds at most 0.5 %.
-_OPEN = 10.0
+_LARGE_STD = 10.0
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 
 
@@ -51,44 +51,46 @@ def shared_errors(
     -------
     tuple of Nuisance               those with a prior standard deviation above zero
     """
-    priors, found = model.session.errors, list[Nuisance]()
+    priors, nuisances = model.session.errors, list[Nuisance]()
     pushed = bool(model.session.probings[index].force.any())
     if priors.force_gain > 0.0 and pushed:
-        found.append(ForceGain(priors.force_gain))
+        nuisances.append(ForceGain(priors.force_gain))
     if priors.force_direction > 0.0 and pushed:
-        known = _measured_components(model.session.probings[index], priors.force_direction)
-        found.append(ForceDirection(priors.force_direction, known))
+        measured = _measured_components(model.session.probings[index], priors.force_direction)
+        nuisances.append(ForceDirection(priors.force_direction, measured))
     scale = max(priors.length_scale, scale_error)
     if scale > 0.0:
-        found.append(LengthScale(scale))
+        nuisances.append(LengthScale(scale))
     if change:
-        found.append(Pose(priors.pose_translation, priors.pose_rotation, tuple(change), vertices))
-    found += _contact_errors(model, index, response)
+        nuisances.append(
+            Pose(priors.pose_translation, priors.pose_rotation, tuple(change), vertices)
+        )
+    nuisances += _contact_errors(model, index, response)
     if isinstance(response, SpringResponse):
-        found += filter(None, [compliance_error(model, response)])
-    return tuple(found)
+        nuisances += filter(None, [compliance_error(model, response)])
+    return tuple(nuisances)
 
 
 def _contact_errors(
     model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
 ) -> list[Nuisance]:
     """Errors of one probing's contact, and of the mesh about it."""
-    mine = [one.steps for one in model.changes if one.probing == index]
-    if not mine:
+    own = [each.steps for each in model.perturbations if each.probing == index]
+    if not own:
         return []
-    parameters = tuple(dict.fromkeys(parameter for steps in mine for parameter in steps))
-    steps = np.array([[one.get(parameter, 0.0) for parameter in parameters] for one in mine])
+    parameters = tuple(dict.fromkeys(parameter for steps in own for parameter in steps))
+    steps = np.array([[each.get(parameter, 0.0) for parameter in parameters] for each in own])
     count = response.rows.surface.shape[0] // 3
     return [contact_error(parameters, steps, response.change, count)]
 
 
-def _measured_components(probing: Probing, turn: float) -> tuple[bool, bool, bool]:
+def _measured_components(probing: Probing, rotation: float) -> tuple[bool, bool, bool]:
     """Components of a force that were measured: those whose standard deviation is not so large that
     a rotation of the sensor is negligible."""
     if probing.force_std is None:
         return (True, True, True)
-    open_ended = _OPEN * turn * float(np.linalg.norm(probing.force))
-    x, y, z = (bool(std <= open_ended) for std in probing.force_std)
+    largest_std = _LARGE_STD * rotation * float(np.linalg.norm(probing.force))
+    x, y, z = (bool(std <= largest_std) for std in probing.force_std)
     return x, y, z
 
 
@@ -126,12 +128,12 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
     sides = np.concatenate([place.barycentric + half, place.barycentric - half]).reshape(-1, 3)
     both = interpolation_matrix(nodes, np.tile(place.triangle, 2 * chosen.size), sides)
     changes = both[: chosen.size * count] - both[chosen.size * count :]
-    here = interpolation_matrix(nodes, place.triangle, place.barycentric)
-    found = []
+    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    sparse = []
     for row, k in enumerate(chosen):
         change = kron(changes[row * count : (row + 1) * count], np.eye(3))
         if k >= 3:
-            turn = stds[k] * np.cross(np.eye(3)[k - 3], np.eye(3)).T
-            change = change + kron(here, turn)
-        found.append(csr_array(change))
-    return found
+            rotation = stds[k] * np.cross(np.eye(3)[k - 3], np.eye(3)).T
+            change = change + kron(at_points, rotation)
+        sparse.append(csr_array(change))
+    return sparse

@@ -23,9 +23,9 @@ from palpate.estimation import (
     make_spring_model,
     reduced_spring_response,
 )
-from palpate.pipeline.model.giving_supports import (
+from palpate.pipeline.model.compliant_supports import (
     compliances,
-    giving_supports,
+    compliant_supports,
     weight_on_springs,
 )
 from palpate.pipeline.model.object_model import ObjectModel
@@ -55,13 +55,13 @@ def spring_responses(
     SingularSystemError             the support does not hold the object
     """
     system, each = model.system, compliances(model.session) / model.system.traction_length
-    known = _spring_load(model, springs)
-    changes, blocks = springs.changes(each), 1 + len(each)
+    known_traction = _known_traction(model, springs)
+    changes, blocks = springs.compliance_derivatives(each), 1 + len(each)
     if settings.method == FitMethod.NELDER_MEAD:
 
         def exact(shear_modulus: float) -> list[SpringResponse]:
-            give = springs.give(shear_modulus * each)
-            right = model.right.on_springs(give, changes, known)
+            give = springs.compliance(shear_modulus * each)
+            right = model.right.on_springs(give, changes, known_traction)
 
             def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
                 factors = make_spring_factors(factorise(system, poisson_ratio), system, springs)
@@ -73,24 +73,24 @@ def spring_responses(
     centre = make_spring_factors(factorise(system, CENTRE), system, springs)
 
     def reduced(shear_modulus: float) -> list[SpringResponse]:
-        found = make_spring_model(
-            system, centre, model.right, springs.give(shear_modulus * each), changes,
-            known=known, poisson_range=settings.poisson_range,
+        reduced_model = make_spring_model(
+            system, centre, model.right, springs.compliance(shear_modulus * each), changes,
+            known_traction=known_traction, poisson_range=settings.poisson_range,
         )  # fmt: skip
-        return [reduced_spring_response(found, row, blocks) for row in rows]
+        return [reduced_spring_response(reduced_model, row, blocks) for row in rows]
 
     return reduced
 
 
-def _spring_load(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "e c"] | None:
+def _known_traction(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "e c"] | None:
     """Known part of the traction on every spring, for each column of the model [N/m]."""
     if model.body is None:
         return None
-    known = np.zeros((len(springs.share), model.right.terms.shape[2]))
+    traction = np.zeros((len(springs.support_fraction), model.right.terms.shape[2]))
     # The traction column of the body force, which is the first of its two.
     column = 3 * len(model.patches) + len(model.pressed)
-    known[:, column] = weight_on_springs(model.system, springs, model.body)
-    return known
+    traction[:, column] = weight_on_springs(model.system, springs, model.body)
+    return traction
 
 
 def settlement(
@@ -114,7 +114,8 @@ def settlement(
 
     def derivative(poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
         parts = [
-            scale[k] * response.softening(poisson_ratio, int(k)) for k in np.flatnonzero(scale)
+            scale[k] * response.compliance_derivative(poisson_ratio, int(k))
+            for k in np.flatnonzero(scale)
         ]
         return np.asarray(np.sum(parts, axis=0))
 
@@ -138,7 +139,7 @@ def compliance_error(model: ObjectModel, response: SpringResponse) -> SupportCom
         return None
     length = model.system.traction_length
     return SupportCompliance(
-        tuple(k + 1 for k in giving_supports(model.session)),
+        tuple(k + 1 for k in compliant_supports(model.session)),
         std,
-        lambda poisson_ratio, k: response.softening(poisson_ratio, k) / length,
+        lambda poisson_ratio, k: response.compliance_derivative(poisson_ratio, k) / length,
     )

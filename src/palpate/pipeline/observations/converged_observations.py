@@ -14,17 +14,17 @@ from palpate.estimation import (
     best_constants_of,
 )
 from palpate.geometry import bounding_diagonal
-from palpate.pipeline.model import LEFT_OF_STEP, ObjectModel
+from palpate.pipeline.model import REMAINING_FRACTION, ObjectModel
 from palpate.pipeline.observations.session_observations import session_observations_at
 from palpate.records import Session
 
 # For compliant supports: largest number of iterations for the modulus at which the model is taken,
 # the change of its logarithm that ends them (the error is of second order in it), and the longest
 # step.
-_SETTLING_ROUNDS, _SETTLED, _LONGEST_STEP = 12, 1e-3, 5.0
+_MOST_ROUNDS, _STEP_TOLERANCE, _LONGEST_STEP = 12, 1e-3, 5.0
 
 
-def settled_observations(
+def converged_observations(
     session: Session,
     model: ObjectModel,
     *,
@@ -59,22 +59,22 @@ def settled_observations(
         session, model, settings=settings, with_surface=with_surface,
         snapshot_residual=snapshot_residual,
     )  # fmt: skip
-    stiffnesses = [one.stiffness for one in session.supports if one.stiffness is not None]
+    stiffnesses = [each.stiffness for each in session.supports if each.stiffness is not None]
     if not stiffnesses:
         return _with_mesh_errors(make(1.0), coarser)
     length = bounding_diagonal(session.mesh)
     modulus = min(stiffnesses) * length
     if coarser and coarser[0].settlement is not None:
         modulus = coarser[0].settlement.shear_modulus
-    for _ in range(_SETTLING_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         observations = _with_mesh_errors(make(modulus), coarser)
-        _, found = best_constants_of(observations, settings=settings)
-        step = float(np.log(found / modulus))
-        if abs(step) < _SETTLED:
+        _, best = best_constants_of(observations, settings=settings)
+        step = float(np.log(best / modulus))
+        if abs(step) < _STEP_TOLERANCE:
             return observations
         modulus *= float(np.exp(np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)))
     raise NotConvergedError(
-        f"the shear modulus did not settle (last {found:.3g} Pa): under supports of stiffness"
+        f"the shear modulus did not settle (last {best:.3g} Pa): under supports of stiffness"
         f" {min(stiffnesses):.3g} N/m^3 the object would hardly deform, or not at all; check the"
         " stiffness and the forces, and measure points that move against each other"
     )
@@ -86,8 +86,9 @@ def _with_mesh_errors(
     """Observations with the error of the mesh from those on a coarser one, if there are any."""
     if not coarser:
         return list(observations)
-    found = []
-    for one, other in zip(observations, coarser, strict=True):
-        step = Discretisation(LEFT_OF_STEP, other.response_at)
-        found.append(replace(one, nuisances=(*one.nuisances, step), considered=other.considered))
-    return found
+    with_errors = []
+    for probe, coarse in zip(observations, coarser, strict=True):
+        error = Discretisation(REMAINING_FRACTION, coarse.response_at)
+        nuisances = (*probe.nuisances, error)
+        with_errors.append(replace(probe, nuisances=nuisances, considered=coarse.considered))
+    return with_errors

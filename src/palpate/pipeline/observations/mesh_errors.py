@@ -12,18 +12,18 @@ from palpate.pipeline.model import (
     graded_session,
     make_object_model,
 )
-from palpate.pipeline.observations.settled_observations import settled_observations
+from palpate.pipeline.observations.converged_observations import converged_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, Session
 
 # Relative residual of a compressed model used only for the change to a finer mesh: that is at least
 # a thousandth of the displacement, so it is known to a hundredth.
-_COARSER_RESIDUAL = 1e-5
+_UNGRADED_RESIDUAL = 1e-5
 # Fraction of the work that the integrals take.
 _SOLVED = 0.5
 
 
-def coarser_observations(
+def ungraded_observations(
     session: Session,
     *,
     settings: FitSettings = FitSettings(),
@@ -52,17 +52,17 @@ def coarser_observations(
 
     Raises
     ------
-    InputError, SingularSystemError, NotConvergedError    as `settled_observations`
+    InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
     plain = replace(session, errors=EXACT)
     progress("integrals", 0.0)
     model = make_object_model(
-        plain, surface=surface, cache=cache, nominal=True, like=like,
+        plain, surface=surface, cache=cache, perturbed=False, like=like,
         progress=part_of(progress, 0.0, _SOLVED),
     )  # fmt: skip
     progress("reduced model", _SOLVED)
-    return model, settled_observations(
-        plain, model, settings=settings, snapshot_residual=_COARSER_RESIDUAL
+    return model, converged_observations(
+        plain, model, settings=settings, snapshot_residual=_UNGRADED_RESIDUAL
     )
 
 
@@ -81,7 +81,7 @@ def with_considered_errors(
     Parameters
     ----------
     session : Session                     k probings, each with displacements
-    observations : sequence of k ProbeObservations    `coarser_observations` of it, in this order
+    observations : sequence of k ProbeObservations    `ungraded_observations` of it, in this order
     settings : FitSettings
     surface : SurfaceSettings
     cache : Path or None                  folder in which the integrals are kept
@@ -91,40 +91,41 @@ def with_considered_errors(
     -------
     list of k ProbeObservations           unchanged where elements are linear, and where the mesh is
                                           so large that its integrals are compressed: four times as
-                                          many vertices reduce these errors to a seventh or less
+                                          many vertices reduce the error between them to a tenth
 
     Raises
     ------
-    InputError, SingularSystemError, NotConvergedError    as `settled_observations`
+    InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
     if not surface.quadratic:
         return list(observations)
     wider, refined = replace(surface, rings=2), edge_refined_session(session, surface=surface)
-    count, found = len(session.mesh.vertices), list(observations)
-    for name, beside, understood, say in (
+    count, considered = len(session.mesh.vertices), list(observations)
+    for name, compared_session, compared_surface, report in (
         ("fields between the vertices (in steps to wider fits)", session, wider,
          part_of(progress, 0.0, 0.5, prefix="wider fits, ")),
         ("sharp edges (in steps to finer ones)", refined, surface,
          part_of(progress, 0.5, 1.0, prefix="finer edges, ")),
     ):  # fmt: skip
-        size = len(beside.mesh.vertices)
-        if size > LARGEST_DENSE or (beside is refined and size == count):
+        size = len(compared_session.mesh.vertices)
+        if size > LARGEST_DENSE or (compared_session is refined and size == count):
             continue
-        _, others = coarser_observations(
-            beside,
+        _, compared = ungraded_observations(
+            compared_session,
             settings=replace(settings, method=FitMethod.REDUCED.value),
-            surface=understood,
+            surface=compared_surface,
             cache=cache,
-            progress=say,
+            progress=report,
         )
-        found = [
-            replace(
-                one,
-                considered=(*one.considered, ModelStep(name, one.response_at, other.response_at)),
-            )
-            for one, other in zip(found, others, strict=True)
+        steps = [
+            ModelStep(name, probe.response_at, other.response_at)
+            for probe, other in zip(considered, compared, strict=True)
         ]
-    return found
+        considered = [
+            replace(probe, considered=(*probe.considered, step))
+            for probe, step in zip(considered, steps, strict=True)
+        ]
+    return considered
 
 
 def graded_observations(session: Session) -> list[ProbeObservations]:
@@ -140,9 +141,9 @@ def graded_observations(session: Session) -> list[ProbeObservations]:
 
     Raises
     ------
-    InputError, SingularSystemError, NotConvergedError    as `settled_observations`
+    InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
-    _, coarser = coarser_observations(session)
-    coarser = with_considered_errors(session, coarser)
+    _, ungraded = ungraded_observations(session)
+    ungraded = with_considered_errors(session, ungraded)
     graded = graded_session(session)
-    return settled_observations(graded, make_object_model(graded), coarser=coarser)
+    return converged_observations(graded, make_object_model(graded), coarser=ungraded)

@@ -39,7 +39,7 @@ from palpate.shapes import Vertices
 _MIDDLE = 0.3
 # Relative residual for perturbed contacts; in thin bodies the error of the solution may be 1000
 # times as large.
-_TOLERANCE_OF_CHANGES = 1e-5
+_PERTURBATION_TOLERANCE = 1e-5
 
 
 def session_observations(
@@ -101,16 +101,16 @@ def session_observations_at(
     with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
     if with_pose or with_surface:
         every = _vertices(session.mesh)
-        rows += [probe_rows(model, k, every, nominal=True) for k in range(len(session.probings))]
+        rows += [probe_rows(model, k, every, perturbed=False) for k in range(len(session.probings))]
     if model.springs is not None:
         on_springs = spring_responses(model, model.springs, rows, settings)
         return lambda modulus: _all_observations(session, model, on_springs(modulus), modulus)
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
     else:
-        # The changes of contacts come last.
+        # The perturbed contacts come last.
         tolerance = np.full(model.right.terms.shape[2], DENSE_RESIDUAL)
-        tolerance[len(tolerance) - len(model.changes) :] = _TOLERANCE_OF_CHANGES
+        tolerance[len(tolerance) - len(model.perturbations) :] = _PERTURBATION_TOLERANCE
         reduced = make_reduced_model(
             model.system, model.right, poisson_range=settings.poisson_range, tolerance=tolerance,
             snapshot_residual=snapshot_residual,
@@ -135,11 +135,11 @@ def _all_observations(
     for k, (response, nodal) in enumerate(zip(own, vertices, strict=True)):
         field = _measured(session.probings[k])
         nuisances = shared_errors(model, k, response, changes[k], nodal.value, field.scale_error)
-        seen = _observations(session, model, k, response, support, nuisances)
-        seen = replace(seen, vertices=None if nodal is response else nodal)
+        probe = _observations(session, model, k, response, support, nuisances)
+        probe = replace(probe, vertices=None if nodal is response else nodal)
         if isinstance(response, SpringResponse):
-            seen = replace(seen, settlement=settlement(model, response, shear_modulus))
-        observations.append(seen)
+            probe = replace(probe, settlement=settlement(model, response, shear_modulus))
+        observations.append(probe)
     return observations
 
 
@@ -207,21 +207,21 @@ def _contact_mesh_error(
 ) -> Float[np.ndarray, "n 1"]:
     """Error of the mesh about the contact at each point, 1 sigma of a component [m].
 
-    One parameter for each contact (`dip_changes`) represents errors in the shape of the dip. Other
-    errors are of the same size and differ from point to point; without them points close to a tool,
-    which move most, would count as if the model were accurate to a thousandth.
+    One parameter for each contact (`dip_perturbations`) represents errors in the shape of the dip.
+    Other errors are of the same size and differ from point to point; without them points close to a
+    tool, which move most, would count as if the model were accurate to a thousandth.
     """
     probing = model.session.probings[index]
     field = _measured(probing)
-    unsure = any(one.probing == index and one.patch is None for one in model.changes)
-    if field.std is None or not unsure or isinstance(response, SpringResponse):
+    has_dip = any(each.probing == index and each.patch is None for each in model.perturbations)
+    if field.std is None or not has_dip or isinstance(response, SpringResponse):
         return np.zeros((len(field.points), 1))
     size = field.displacement.size
     moved = response.value(_MIDDLE)[:size, :3] @ probing.force
     dip = response.change(_MIDDLE)[:size, -1].reshape(-1, 3)
     # Rough estimate of 1 / G from the measured displacements.
-    known = np.isfinite(field.displacement).ravel()
-    scale = float(moved[known] @ field.displacement.ravel()[known] / (moved[known] @ moved[known]))
+    rows = np.isfinite(field.displacement).ravel()
+    scale = float(moved[rows] @ field.displacement.ravel()[rows] / (moved[rows] @ moved[rows]))
     error = max(scale, 0.0) * np.linalg.norm(dip, axis=1, keepdims=True) / np.sqrt(3.0)
     return np.asarray(error)
 
@@ -240,10 +240,12 @@ def _motions(
             value.append(np.zeros(6))
             std.append(free_std(session.mesh))
     strains = np.ones(int(model.gives_motions))
-    left = [j for j in range(6 * len(value) + strains.size) if j not in model.lifts(index)]
+    remaining = [
+        j for j in range(6 * len(value) + strains.size) if j not in model.pulled_translations(index)
+    ]
     return (
-        np.concatenate([*value, strains])[left],
-        np.concatenate([*std, 0.0 * strains])[left],
+        np.concatenate([*value, strains])[remaining],
+        np.concatenate([*std, 0.0 * strains])[remaining],
     )
 
 

@@ -21,7 +21,7 @@ from palpate.pipeline.measure_motion import vertex_field
 from palpate.pipeline.model import (
     make_object_model,
     resolved_session,
-    touched_session,
+    with_contact_radii,
 )
 from palpate.pipeline.observations import graded_observations, session_observations
 from palpate.progress import Progress, part_of, silent
@@ -125,8 +125,8 @@ def plan_measurement(
     """
     _check(session, young_modulus, poisson_ratio)
     rig = read_rig(session.rig or session.path)
-    seen = _seen(session, rig)
-    if not (seen.sum(axis=0) >= 2).any():
+    is_visible = _visibility(session, rig)
+    if not (is_visible.sum(axis=0) >= 2).any():
         raise InputError(
             f"{session.rig}: no vertex of the object is seen by two cameras; turn them to the"
             " object"
@@ -137,9 +137,9 @@ def plan_measurement(
     taken = planned_pictures(
         session, [u for u, _ in moved], material=material, pictures=pictures, variant=variant
     )
-    say = part_of(progress, _PICTURES, _POINTS)
-    say("texture and light", 0.0)
-    fields = _followed(session, rig, taken, show, say)
+    report = part_of(progress, _PICTURES, _POINTS)
+    report("texture and light", 0.0)
+    fields = _followed(session, rig, taken, show, report)
     measured = _measured(session, fields, [tip for _, tip in moved])
     progress("what the points tell", _POINTS)
     information = _information(measured, material)
@@ -152,7 +152,7 @@ def plan_measurement(
             _planned(probing, information.bound([k])) for k, probing in enumerate(measured.probings)
         ),
         information.bound(range(len(measured.probings))),
-        {camera.name: float(seen[c, free].mean()) for c, camera in enumerate(rig.cameras)},
+        {camera.name: float(is_visible[c, free].mean()) for c, camera in enumerate(rig.cameras)},
         information.budget,
     )
 
@@ -171,7 +171,7 @@ def _check(session: Session, young: float, poisson: float) -> None:
         )
 
 
-def _seen(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
+def _visibility(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
     """Which vertices each camera sees."""
     mesh = session.mesh
     tolerance = _DEPTH_TOLERANCE * bounding_diagonal(mesh)
@@ -194,16 +194,17 @@ def _moved(session: Session, material: Material) -> list[tuple[Vertices, Vector3
         surface=closest_points(session.mesh, vertices),
         source="plan",
     )
-    asked = replace(
-        session, probings=tuple(replace(one, displacement=still) for one in session.probings)
+    observed = replace(
+        session,
+        probings=tuple(replace(probing, displacement=still) for probing in session.probings),
     )
     shear, ratio = material.shear_modulus, material.poisson_ratio
-    touched = _at_guess(asked, material)
+    guessed = _at_guess(observed, material)
     moved = []
-    for one in session_observations(touched, make_object_model(touched), shear_modulus=shear):
-        load = np.concatenate([one.force / shear, [1.0 / shear], one.motion])
-        rows = (one.response_at(ratio, shear)[:, : load.size] @ load).reshape(-1, 3)
-        tip = None if one.tip_displacement is None else rows[len(vertices)]
+    for probe in session_observations(guessed, make_object_model(guessed), shear_modulus=shear):
+        load = np.concatenate([probe.force / shear, [1.0 / shear], probe.motion])
+        rows = (probe.response_at(ratio, shear)[:, : load.size] @ load).reshape(-1, 3)
+        tip = None if probe.tip_displacement is None else rows[len(vertices)]
         moved.append((rows[: len(vertices)], tip))
     return moved
 
@@ -243,8 +244,8 @@ def _measured(
 ) -> Session:
     """The session as if it had been measured."""
     probings = [
-        replace(one, displacement=field, images=None, tip_displacement=tip)
-        for one, field, tip in zip(session.probings, fields, tips, strict=True)
+        replace(probing, displacement=field, images=None, tip_displacement=tip)
+        for probing, field, tip in zip(session.probings, fields, tips, strict=True)
     ]
     return replace(session, probings=tuple(probings))
 
@@ -253,16 +254,16 @@ def _information(session: Session, material: Material) -> Information:
     """Fisher information of the points, with the model of a fit and all its errors."""
     shear, ratio = material.shear_modulus, material.poisson_ratio
     observed = graded_observations(_at_guess(session, material))
-    known = [
-        replace(one, reference="planned pictures at rest")
-        for one in with_stretch(observed, calibration_strains(session))
+    with_reference = [
+        replace(probe, reference="planned pictures at rest")
+        for probe in with_stretch(observed, calibration_strains(session))
     ]
-    return fisher_information(known, poisson_ratio=ratio, shear_modulus=shear)
+    return fisher_information(with_reference, poisson_ratio=ratio, shear_modulus=shear)
 
 
 def _at_guess(session: Session, material: Material) -> Session:
     """The session on a mesh resolved for the model, with the contact radii of its tools."""
-    return touched_session(
+    return with_contact_radii(
         resolved_session(session),
         shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio,

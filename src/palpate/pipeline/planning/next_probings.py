@@ -107,10 +107,10 @@ def plan_next(
     fitted = fit_session(session, progress=part_of(progress, 0.0, 0.4))
     estimate = fitted.estimate
     given = [
-        _with_std(one, seen.rms_residual)
-        for one, seen in zip(session.probings, estimate.probes, strict=True)
+        _with_std(probing, fit.rms_residual)
+        for probing, fit in zip(session.probings, estimate.probes, strict=True)
     ]
-    force = float(np.median([np.linalg.norm(one.force) for one in given]))
+    force = float(np.median([np.linalg.norm(probing.force) for probing in given]))
     point, inward = _reachable(session, radius)
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
@@ -131,13 +131,13 @@ def plan_next(
     made = list(range(len(given)))
     chosen = _greedy(information, made, len(point), min(count, len(point)))
     progress("done", 1.0)
-    ends = [made + [len(made) + k for k in chosen[: n + 1]] for n in range(len(chosen))]
+    sets = [made + [len(made) + k for k in chosen[: n + 1]] for n in range(len(chosen))]
     return NextProbings(
         session, force, radius, point, inward,
         now=information.bound(made),
         alone=tuple(information.bound([*made, len(made) + k]) for k in range(len(point))),
         chosen=tuple(chosen),
-        after=tuple(information.bound(one) for one in ends),
+        after=tuple(information.bound(probings) for probings in sets),
         information=information,
     )  # fmt: skip
 
@@ -147,8 +147,8 @@ def _greedy(information: Information, made: list[int], places: int, count: int) 
     chosen: list[int] = []
     for _ in range(count):
         left = [k for k in range(places) if k not in chosen]
-        had = made + [len(made) + k for k in chosen]
-        gain = [np.linalg.det(information.of([*had, len(made) + k])) for k in left]
+        so_far = made + [len(made) + k for k in chosen]
+        gain = [np.linalg.det(information.of([*so_far, len(made) + k])) for k in left]
         chosen.append(left[int(np.argmax(gain))])
     return chosen
 
@@ -168,13 +168,13 @@ def _like(
     field, contact = first.displacement, first.contact
     if field is None or field.std is None:
         raise InputError(f"probing '{first.name}' has no displacement")
-    away = np.linalg.norm(field.points - place, axis=1)
-    seen = away > _HIDDEN_RADII * (contact.radius or 0.0)
-    seen &= np.isfinite(field.displacement).any(axis=1)
-    points = field.points[seen]
-    nothing = np.where(np.isfinite(field.displacement[seen]), 0.0, np.nan)
+    distance = np.linalg.norm(field.points - place, axis=1)
+    observed = distance > _HIDDEN_RADII * (contact.radius or 0.0)
+    observed &= np.isfinite(field.displacement).any(axis=1)
+    points = field.points[observed]
+    no_motion = np.where(np.isfinite(field.displacement[observed]), 0.0, np.nan)
     planned = DisplacementField(
-        points, nothing, field.std[seen], None, closest_points(mesh, points), "plan",
+        points, no_motion, field.std[observed], None, closest_points(mesh, points), "plan",
         scale_error=field.scale_error,
     )  # fmt: skip
     force_std = first.force_std
@@ -188,11 +188,11 @@ def _reachable(session: Session, radius: float) -> tuple[Points, Points]:
     mesh = session.mesh
     normals = vertex_normals(mesh.vertices, mesh.triangles)
     free = _far_from_edges(session, radius) & ~_from_the_support(session, normals)
-    taken = np.array([one.contact.point for one in session.probings])
+    taken = np.array([probing.contact.point for probing in session.probings])
     free &= cKDTree(taken).query(mesh.vertices)[0] > radius
     vertices = _spread(mesh.vertices, np.flatnonzero(free), taken, 3 * _CANDIDATES)
-    open_way = [k for k in vertices if _shaft_is_free(mesh, mesh.vertices[k], normals[k], radius)]
-    chosen = np.array(open_way[:_CANDIDATES], dtype=np.int64)
+    reachable = [k for k in vertices if _shaft_is_free(mesh, mesh.vertices[k], normals[k], radius)]
+    chosen = np.array(reachable[:_CANDIDATES], dtype=np.int64)
     return mesh.vertices[chosen], -normals[chosen]
 
 
@@ -225,8 +225,8 @@ def _shaft_is_free(
     """Whether the tool's shaft would be clear of the object."""
     offset = mesh.vertices[mesh.triangles].mean(axis=1) - place
     along = offset @ outward
-    beside = np.linalg.norm(offset - along[:, None] * outward, axis=1)
-    return not bool(((along > _SHAFT_STARTS * radius) & (beside < _SHAFT_RADII * radius)).any())
+    off_axis = np.linalg.norm(offset - along[:, None] * outward, axis=1)
+    return not bool(((along > _SHAFT_STARTS * radius) & (off_axis < _SHAFT_RADII * radius)).any())
 
 
 def _spread(

@@ -104,9 +104,13 @@ def read_frames(footage: Footage) -> Iterator[Frame]:
     size: tuple[int, ...] | None = None
     for frame in frames:
         if size not in (None, frame.grey.shape):
+            if footage.video is None:
+                which, others = f"{footage.pictures[frame.number]}:", "pictures"
+            else:
+                which, others = f"{footage.video}: frame {frame.number}, counted from 0,", "frames"
             raise RecordError(
-                f"{footage.pictures[frame.number]}: has {frame.grey.shape[1]} x"
-                f" {frame.grey.shape[0]} pixels, pictures before it {size[1]} x {size[0]}"
+                f"{which} has {frame.grey.shape[1]} x {frame.grey.shape[0]} pixels, {others} before"
+                f" it {size[1]} x {size[0]}"
             )
         size = frame.grey.shape
         yield frame

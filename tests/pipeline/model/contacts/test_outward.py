@@ -8,7 +8,7 @@ from surfaces import box
 
 from palpate.bem import BoundarySystem, assemble_system, make_surface, traction_column
 from palpate.lab import make_solid
-from palpate.pipeline.model.contacts import leans_outward, outward_columns, outward_load
+from palpate.pipeline.model.contacts import has_outward_traction, outward_columns, outward_load
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import CONE, FLAT, SLIDES, SPHERE, STICKS, Contact, Tool
 
@@ -50,11 +50,11 @@ def test_it_is_the_traction_itself(system: BoundarySystem) -> None:
 
 
 def test_what_has_an_outward_part(system: BoundarySystem) -> None:
-    assert leans_outward(_patch(system, Tool(SPHERE, BALL)).contact)
-    assert not leans_outward(_patch(system, Tool(SPHERE, BALL, STICKS)).contact)
-    assert not leans_outward(_patch(system, Tool(FLAT, RADIUS)).contact)
+    assert has_outward_traction(_patch(system, Tool(SPHERE, BALL)).contact)
+    assert not has_outward_traction(_patch(system, Tool(SPHERE, BALL, STICKS)).contact)
+    assert not has_outward_traction(_patch(system, Tool(FLAT, RADIUS)).contact)
     patch = _patch(system, Tool(SPHERE, BALL))
-    assert not leans_outward(replace(patch.contact, tool=None))
+    assert not has_outward_traction(replace(patch.contact, tool=None))
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from surfaces import sphere
 
-from palpate.bem import RightHand, load_shapes, shape_columns
+from palpate.bem import RightHand, correction_columns, indentation_corrections
 from palpate.estimation import ContactError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
-from palpate.pipeline.model.contacts import DIP_SHARE, changes, dipped_columns, surface_load
+from palpate.pipeline.model.contacts import DIP_ERROR, dipped_columns, perturbations, surface_load
 from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4
@@ -50,13 +50,13 @@ def test_the_dips_of_all_patches_are_those_of_each_alone() -> None:
     (patch,) = model.patches.values()
     beside = replace(patch, contact=replace(patch.contact, radius=4e-3))
     loads = [surface_load(one) for one in (patch, beside)]
-    dips = load_shapes(model.system.surface, loads)
+    dips = indentation_corrections(model.system.surface, loads)
     dips.insert(1, None)
     bare = [RightHand(np.ones((3, model.system.size, 3)))] * 3
     first, nothing, last = dipped_columns(model.system, dips, bare)
     assert not nothing.terms.any()
     for found, dip in ((first, dips[0]), (last, dips[2])):
-        wanted = shape_columns(model.system, [dip]).terms
+        wanted = correction_columns(model.system, [dip]).terms
         assert np.array_equal(found.terms, wanted)
         assert wanted.any()
 
@@ -70,14 +70,15 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
     with_dips = seen.response.value(NU)[rows]
     column = error.columns(rows, with_dips, load, NU)[:, -1]
     monkeypatch.setattr(
-        "palpate.pipeline.model.object_model.load_shapes", lambda _, loads: [None] * len(loads)
+        "palpate.pipeline.model.object_model.indentation_corrections",
+        lambda _, loads: [None] * len(loads),
     )
     without = _seen(_session(2, GAIN))
     assert NAME not in [p.name for one in without.nuisances for p in one.parameters]
     step = (with_dips - without.response.value(NU)[rows])[:, :3] @ seen.force / MODULUS
     assert np.abs(step).max() > 1e-7
     # Both models are reduced to a residual of 1e-8.
-    np.testing.assert_allclose(column, DIP_SHARE * step, atol=1e-6 * np.abs(step).max())
+    np.testing.assert_allclose(column, DIP_ERROR * step, atol=1e-6 * np.abs(step).max())
 
 
 def test_points_near_the_contact_are_less_sure() -> None:
@@ -128,7 +129,7 @@ def test_contacts_far_beside_their_place_are_followed(monkeypatch: pytest.Monkey
     far = [_left(deviations) for deviations in (2.0, 3.0)]
     # A tenth of the contact's radius is one deviation.
     assert far[0] < 1e-3
-    monkeypatch.setattr(changes, "_PLACES", changes._PLACES / np.sqrt(3.0))
+    monkeypatch.setattr(perturbations, "_PLACES", perturbations._PLACES / np.sqrt(3.0))
     near = [_left(deviations) for deviations in (2.0, 3.0)]
     # Of a cubic (8 - 6) / (8 - 2) and (27 - 9) / (27 - 3); a little is of the fourth order.
     np.testing.assert_allclose(np.divide(far, near), [1 / 3, 3 / 4], atol=0.16)

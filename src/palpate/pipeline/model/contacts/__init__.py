@@ -1,31 +1,31 @@
-"""Contacts of tools: as wide as they touch, with their sideways pressure, and what differs.
+"""Contacts of tools: their radius, their outward traction, and their errors.
 
 Purpose    : loads of a tool's contact for given elastic constants, and the errors of the contact:
              its position, its radius, the mesh about it.
 Takes      : a `Session`, a `BoundarySystem`, `ContactPatch`.
 Gives      : sessions with the contact radii of their tools, columns of right-hand sides.
 Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
-Read first : `changes.py`, then `outward.py`.
+Read first : `perturbations.py`, then `outward.py`.
 """
 
-from palpate.pipeline.model.contacts.changes import (
-    CHANGE_CELLS as CHANGE_CELLS,
-    DIP_SHARE as DIP_SHARE,
-    ContactChange as ContactChange,
-    change_columns as change_columns,
-    contact_changes as contact_changes,
-    dip_changes as dip_changes,
-    dip_columns as dip_columns,
-    dipped_columns as dipped_columns,
-    surface_load as surface_load,
+from palpate.pipeline.model.contacts.contact_radii import (
+    has_tools as has_tools,
+    largest_change as largest_change,
+    with_contact_radii as with_contact_radii,
 )
 from palpate.pipeline.model.contacts.outward import (
-    leans_outward as leans_outward,
+    has_outward_traction as has_outward_traction,
     outward_columns as outward_columns,
     outward_load as outward_load,
 )
-from palpate.pipeline.model.contacts.touched import (
-    has_tools as has_tools,
-    largest_change as largest_change,
-    touched_session as touched_session,
+from palpate.pipeline.model.contacts.perturbations import (
+    DIP_ERROR as DIP_ERROR,
+    PERTURBATION_CELLS as PERTURBATION_CELLS,
+    ContactPerturbation as ContactPerturbation,
+    contact_perturbations as contact_perturbations,
+    dip_columns as dip_columns,
+    dip_perturbations as dip_perturbations,
+    dipped_columns as dipped_columns,
+    perturbation_columns as perturbation_columns,
+    surface_load as surface_load,
 )

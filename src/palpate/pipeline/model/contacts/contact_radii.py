@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from palpate.errors import InputError
-from palpate.probe import inward_push, surface_curvature, touch
+from palpate.probe import contact_circle, inward_force, surface_curvature
 from palpate.records import Probing, Session
 
 
@@ -12,7 +12,7 @@ def has_tools(session: Session) -> bool:
     return any(probing.contact.tool is not None for probing in session.probings)
 
 
-def touched_session(session: Session, *, shear_modulus: float, poisson_ratio: float) -> Session:
+def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio: float) -> Session:
     """The same session with contact radius and pressure profile computed for each tool.
 
     Parameters
@@ -30,31 +30,31 @@ def touched_session(session: Session, *, shear_modulus: float, poisson_ratio: fl
     InputError                      a tool that pulls, or that is buried
     """
 
-    def touched(probing: Probing) -> Probing:
+    def with_radius(probing: Probing) -> Probing:
         contact = probing.contact
         if contact.tool is None:
             return probing
         try:
-            found = touch(
+            circle = contact_circle(
                 contact.tool,
                 surface_curvature(session.mesh, contact.point, contact.tool.radius),
-                inward_push(session.mesh, contact.point, probing.force),
+                inward_force(session.mesh, contact.point, probing.force),
                 shear_modulus=shear_modulus,
                 poisson_ratio=poisson_ratio,
             )
         except InputError as error:
             raise InputError(f"probing '{probing.name}': {error}") from error
         return replace(
-            probing, contact=replace(contact, radius=found.radius, profile=found.profile)
+            probing, contact=replace(contact, radius=circle.radius, profile=circle.profile)
         )
 
-    return replace(session, probings=tuple(touched(one) for one in session.probings))
+    return replace(session, probings=tuple(with_radius(probing) for probing in session.probings))
 
 
 def largest_change(before: Session, after: Session) -> float:
     """Largest relative change of a contact radius between two versions of a session [-]."""
     changes = [0.0]
-    for one, other in zip(before.probings, after.probings, strict=True):
-        if one.contact.radius is not None and other.contact.radius is not None:
-            changes.append(abs(one.contact.radius / other.contact.radius - 1.0))
+    for earlier, later in zip(before.probings, after.probings, strict=True):
+        if earlier.contact.radius is not None and later.contact.radius is not None:
+            changes.append(abs(earlier.contact.radius / later.contact.radius - 1.0))
     return max(changes)

@@ -19,8 +19,8 @@ from palpate.bem import (
     PressureDisc,
     RightHand,
     SurfaceLoad,
+    indentation_corrections,
     load_right_hand,
-    load_shapes,
 )
 from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
@@ -46,7 +46,7 @@ def _under_cone(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 _POTENTIALS = {SPHERE: _under_sphere, CONE: _under_cone}
 
 
-def leans_outward(contact: Contact) -> bool:
+def has_outward_traction(contact: Contact) -> bool:
     """Whether a contact's traction has an outward part: under a sphere or a cone that slides."""
     tool = contact.tool
     return tool is not None and tool.shape in _POTENTIALS and tool.friction == SLIDES
@@ -80,7 +80,7 @@ def outward_columns(
     potential, shifts = _POTENTIALS[contact.tool.shape], _shifts(contact, normal)
     loads = [_potential_load(patch, centre, potential) for centre, _ in shifts]
     forces = np.array([force for _, force in shifts])
-    shapes = load_shapes(system.surface, loads)
+    shapes = indentation_corrections(system.surface, loads)
     parts = load_right_hand(system, loads, shapes, forces=forces, cells=cells)
     return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
 
@@ -117,7 +117,7 @@ def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
     step = _SHIFT * contact.radius
     size = _integral(contact.tool, contact.radius) / (2.0 * step)
     signed = [side * tangent for tangent in tangents for side in (1.0, -1.0)]
-    return [(contact.point + step * one, size * one) for one in signed]
+    return [(contact.point + step * shift, size * shift) for shift in signed]
 
 
 def _integral(tool: Tool, radius: float) -> float:

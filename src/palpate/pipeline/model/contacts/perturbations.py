@@ -9,14 +9,14 @@ from jaxtyping import Float, Int
 
 from palpate.bem import (
     BoundarySystem,
-    ContactShape,
+    IndentationCorrection,
     LoadCells,
     PressureDisc,
     RightHand,
     SurfaceLoad,
+    correction_columns,
     joined,
     load_right_hand,
-    shape_columns,
 )
 from palpate.errors import InputError
 from palpate.estimation import NuisanceParameter
@@ -28,11 +28,11 @@ from palpate.shapes import Vector3
 # Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
 # Cells for loads of perturbed contacts: the rim is subdivided once more, not three times.
-CHANGE_CELLS = LoadCells(degree=3, coarsest=2, finest_rim=3, finest=3)
+PERTURBATION_CELLS = LoadCells(degree=3, coarsest=2, finest_rim=3, finest=3)
 # Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
 # are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra
 # (benchmarks/coverage_of_bodies.py prints them).
-DIP_SHARE = 0.35
+DIP_ERROR = 0.35
 # Positions of perturbed contacts, in standard deviations along two tangents, for first and second
 # derivatives. The distance sqrt(3), that of Gauss-Hermite nodes, minimises the error of a cubic for
 # normally distributed errors.
@@ -40,82 +40,90 @@ _PLACES = np.sqrt(3.0) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ContactChange:
+class ContactPerturbation:
     """A perturbed contact of a probing, or a perturbed dip about it.
 
     Attributes
     ----------
     probing : int                   index of the probing
-    nominal : int                   index of its patch in the model
+    patch_index : int               index of its patch in the model
     steps : parameter -> float      size of the perturbation, in standard deviations
     patch : ContactPatch or None    the perturbed contact; None: the nominal contact, with the half
-                                    space's dip changed by `DIP_SHARE`
+                                    space's dip changed by `DIP_ERROR`
     force : (3,) float [N]          of the probing
     """
 
     probing: int
-    nominal: int
+    patch_index: int
     steps: Mapping[NuisanceParameter, float]
     patch: ContactPatch | None
     force: Vector3
 
 
-def contact_changes(session: Session, nominal: Int[np.ndarray, " k"]) -> tuple[ContactChange, ...]:
+def contact_perturbations(
+    session: Session, patch_index: Int[np.ndarray, " k"]
+) -> tuple[ContactPerturbation, ...]:
     """Perturbed contacts of a session's probings.
 
     Parameters
     ----------
     session : Session
-    nominal : (k,) int              index of each probing's patch in the model
+    patch_index : (k,) int          index of each probing's patch in the model
 
     Returns
     -------
-    tuple of ContactChange          up to six for each probing: five positions for the first and
+    tuple of ContactPerturbation    up to six for each probing: five positions for the first and
                                     second derivatives along two tangents, and a radius; none where
                                     a contact has no radius or is a part of the surface
     """
-    found = []
+    perturbations = []
     for k, probing in enumerate(session.probings):
         if probing.contact.profile != RIGID and probing.contact.radius is not None:
-            patch = _wide_patch(session, probing, probing.contact.radius)
-            for steps, contact in _changed(session, probing, patch):
-                changed = replace(patch, contact=contact)
-                found.append(ContactChange(k, int(nominal[k]), steps, changed, probing.force))
-    return tuple(found)
+            patch = _covering_patch(session, probing, probing.contact.radius)
+            for steps, contact in _perturbed(session, probing, patch):
+                perturbed = replace(patch, contact=contact)
+                perturbations.append(
+                    ContactPerturbation(k, int(patch_index[k]), steps, perturbed, probing.force)
+                )
+    return tuple(perturbations)
 
 
-def dip_changes(
-    session: Session, nominal: Int[np.ndarray, " k"], dips: Sequence[ContactShape | None]
-) -> tuple[ContactChange, ...]:
+def dip_perturbations(
+    session: Session,
+    patch_index: Int[np.ndarray, " k"],
+    dips: Sequence[IndentationCorrection | None],
+) -> tuple[ContactPerturbation, ...]:
     """Perturbed dips: errors of the displacement about contacts that the mesh does not resolve.
 
     Parameters
     ----------
     session : Session
-    nominal : (k,) int              index of each probing's patch in the model
-    dips : sequence of ContactShape or None     of the patches
+    patch_index : (k,) int          index of each probing's patch in the model
+    dips : sequence of IndentationCorrection or None     of the patches
 
     Returns
     -------
-    tuple of ContactChange          one for each probing with such a contact, whatever the priors of
+    tuple of ContactPerturbation    one for each probing with such a contact, whatever the priors of
                                     the session
     """
     return tuple(
-        ContactChange(k, int(nominal[k]), {_dip_parameter(probing.name): 1.0}, None, probing.force)
+        ContactPerturbation(
+            k, int(patch_index[k]), {_dip_parameter(probing.name): 1.0}, None, probing.force
+        )
         for k, probing in enumerate(session.probings)
-        if nominal[k] >= 0 and adds(dips[nominal[k]])
+        if patch_index[k] >= 0 and adds(dips[patch_index[k]])
     )
 
 
 def _dip_parameter(name: str) -> NuisanceParameter:
     return NuisanceParameter(
-        f"mesh about the contact of {name} (in dips of a half space)", DIP_SHARE, of="mesh"
+        f"mesh about the contact of {name} (in dips of a half space)", DIP_ERROR, of="mesh"
     )
 
 
-def adds(dip: ContactShape | None) -> bool:
+def adds(dip: IndentationCorrection | None) -> bool:
     """Whether a dip adds to the displacement that the mesh resolves under a load."""
-    return dip is not None and dip.midpoints.size > 0
+    return dip is not None and dip.midside_nodes.size > 0
 
 
 def surface_load(patch: ContactPatch) -> SurfaceLoad:
@@ -135,10 +143,10 @@ def surface_load(patch: ContactPatch) -> SurfaceLoad:
     return SurfaceLoad(patch.triangles, patch.density, disc)
 
 
-def change_columns(
+def perturbation_columns(
     system: BoundarySystem,
-    changes: Sequence[ContactChange],
-    shapes: Sequence[ContactShape | None],
+    perturbations: Sequence[ContactPerturbation],
+    shapes: Sequence[IndentationCorrection | None],
     nominal: Sequence[RightHand],
 ) -> list[RightHand]:
     """Columns of perturbed contacts minus the nominal ones, under the forces of their probings.
@@ -146,58 +154,62 @@ def change_columns(
     Parameters
     ----------
     system : BoundarySystem
-    changes : sequence of ContactChange     those of dips are skipped
-    shapes : sequence                       `load_shapes` of the others
-    nominal : sequence of RightHand         of every change's nominal contact
+    perturbations : sequence of ContactPerturbation     those of dips are skipped
+    shapes : sequence                       `indentation_corrections` of the others
+    nominal : sequence of RightHand         of every perturbation's nominal contact
     """
-    moved = [(one, nominal[k]) for k, one in enumerate(changes) if one.patch is not None]
+    moved = [each for each in zip(perturbations, nominal, strict=True) if each[0].patch is not None]
     if not moved:
         return []
-    loads = [surface_load(one.patch) for one, _ in moved if one.patch is not None]
-    forces = np.array([one.force for one, _ in moved])
-    after = load_right_hand(system, loads, shapes, forces=forces, cells=CHANGE_CELLS)
-    before = joined([columns.under(one.force) for one, columns in moved])
-    return [RightHand(after.terms - before.terms)]
+    loads = [surface_load(contact.patch) for contact, _ in moved if contact.patch is not None]
+    forces = np.array([contact.force for contact, _ in moved])
+    perturbed = load_right_hand(system, loads, shapes, forces=forces, cells=PERTURBATION_CELLS)
+    unperturbed = joined([columns.under(contact.force) for contact, columns in moved])
+    return [RightHand(perturbed.terms - unperturbed.terms)]
 
 
-def dip_columns(changes: Sequence[ContactChange], dipped: Sequence[RightHand]) -> list[RightHand]:
-    """Columns of perturbed dips: `DIP_SHARE` of each, under the force of its probing.
+def dip_columns(
+    perturbations: Sequence[ContactPerturbation], dipped: Sequence[RightHand]
+) -> list[RightHand]:
+    """Columns of perturbed dips: `DIP_ERROR` of each, under the force of its probing.
 
     Parameters
     ----------
-    changes : sequence of ContactChange
+    perturbations : sequence of ContactPerturbation
     dipped : sequence of RightHand          contribution of each patch's dip to its three columns
     """
     return [
-        dipped[one.nominal].under(DIP_SHARE * one.force) for one in changes if one.patch is None
+        dipped[dip.patch_index].under(DIP_ERROR * dip.force)
+        for dip in perturbations
+        if dip.patch is None
     ]
 
 
 def dipped_columns(
-    system: BoundarySystem, dips: Sequence[ContactShape | None], bare: Sequence[RightHand]
+    system: BoundarySystem, dips: Sequence[IndentationCorrection | None], bare: Sequence[RightHand]
 ) -> list[RightHand]:
     """Contribution of each patch's dip to its columns; all integrals are computed in one pass.
 
     Parameters
     ----------
     system : BoundarySystem
-    dips : sequence                         `load_shapes` of every patch
+    dips : sequence                         `indentation_corrections` of every patch
     bare : sequence of RightHand            columns of every patch without its dip
 
     Returns
     -------
     list of RightHand                       zero where the mesh resolves the contact
     """
-    found = [RightHand(np.zeros_like(columns.terms)) for columns in bare]
-    known = {k: dip for k, dip in enumerate(dips) if dip is not None and adds(dip)}
-    if known:
-        every = shape_columns(system, list(known.values())).terms
-        for k, own in zip(known, np.split(every, len(known), axis=2), strict=True):
-            found[k] = RightHand(own)
-    return found
+    contributions = [RightHand(np.zeros_like(columns.terms)) for columns in bare]
+    unresolved = {k: dip for k, dip in enumerate(dips) if dip is not None and adds(dip)}
+    if unresolved:
+        terms = correction_columns(system, list(unresolved.values())).terms
+        for k, own in zip(unresolved, np.split(terms, len(unresolved), axis=2), strict=True):
+            contributions[k] = RightHand(own)
+    return contributions
 
 
-def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPatch:
+def _covering_patch(session: Session, probing: Probing, radius: float) -> ContactPatch:
     """Patch with all triangles that the nominal or a perturbed contact reaches; if these include
     held ones, only those that the nominal contact reaches."""
     contact, priors = probing.contact, session.errors
@@ -212,7 +224,7 @@ def _wide_patch(session: Session, probing: Probing, radius: float) -> ContactPat
         return find_contact_patch(surface[0], contact, surface[1], name=probing.name)
 
 
-def _changed(
+def _perturbed(
     session: Session, probing: Probing, patch: ContactPatch
 ) -> Iterator[tuple[dict[NuisanceParameter, float], Contact]]:
     """Perturbed contacts, each with its steps in standard deviations."""
@@ -223,15 +235,15 @@ def _changed(
         moved = contact.point + point_std * _PLACES @ tangents
         # Along the surface, at the same distance from it as the stated point.
         places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
-        toward = [
+        parameters = [
             NuisanceParameter(
                 f"contact point of {probing.name} toward {name}", point_std, "m", "contact points"
             )
             for name in names
         ]
         for steps, place in zip(_PLACES.tolist(), places[1:], strict=True):
-            there = replace(contact, point=contact.point + place - places[0])
-            yield dict(zip(toward, steps, strict=True)), there
+            moved_contact = replace(contact, point=contact.point + place - places[0])
+            yield dict(zip(parameters, steps, strict=True)), moved_contact
     radius_std = _radius_std(session, contact)
     if radius_std > 0.0 and contact.radius is not None:
         parameter = NuisanceParameter(
@@ -257,7 +269,7 @@ def _tangents(session: Session, patch: ContactPatch) -> tuple[Float[np.ndarray, 
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
     second *= np.sign(second[int(np.abs(second).argmax())])
-    return np.stack([first, second]), [_direction_name(one) for one in (first, second)]
+    return np.stack([first, second]), [_direction_name(tangent) for tangent in (first, second)]
 
 
 def _direction_name(direction: Float[np.ndarray, "3"]) -> str:
