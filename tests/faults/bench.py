@@ -74,9 +74,9 @@ def write_shots(folder: Path) -> None:
     texture = (255 * np.kron(squares, np.ones((40, 40)))).astype(np.uint8)
     extent = (squares.shape[1] * board.square, squares.shape[0] * board.square)
     truth = true_bundle(rng, cameras=2, views=5)
-    for c, inner in enumerate(truth.inner):
+    for c, intrinsics in enumerate(truth.intrinsics):
         (folder / f"c{c}").mkdir(parents=True)
-        lens = np.array([*(0.25 * inner[:4]), *inner[4:]])
+        lens = np.array([*(0.25 * intrinsics[:4]), *intrinsics[4:]])
         for v, view in enumerate(truth.view):
             pose = view.copy()
             pose[:3, 3] = [0.03, 0.0, 0.36] - pose[:3, :3] @ [*(0.5 * np.array(extent)), 0.0]

@@ -80,14 +80,20 @@ def test_the_material_is_youngs_modulus_or_the_shear_modulus(palpate, asked, cub
 
 def estimate(folder, *, lost=(), shear=2.5e4):
     """A result folder of `palpate fit` with these constants."""
-    known = {"std": 1.0, "ci95": [0.0, 1e9]}
     names = {"shear_modulus": shear, "poisson_ratio": 0.2, "young_modulus": 6e4}
+    # Ten per cent of each; a lost one has its whole range.
+    sizes = {name: value or 1.0 for name, value in names.items()}
+    ends = {name: [0.8 * size, 1.2 * size] for name, size in sizes.items()}
+    ends |= {name: [0.0, 0.5 if name == "poisson_ratio" else 1e9] for name in lost}
     folder.mkdir()
     content = {
         "format": "palpate-estimate/1", "probes": [], "seconds": {},
         "status": f"{lost[0]}_not_identifiable" if lost else "ok",
         "identifiable": {name: name not in lost for name in names},
-        **{name: {"value": value, **known} for name, value in names.items()},
+        **{
+            name: {"value": value, "std": 0.1 * sizes[name], "ci95": ends[name]}
+            for name, value in names.items()
+        },
     }  # fmt: skip
     (folder / "estimate.json").write_text(json.dumps(content))
     return folder
