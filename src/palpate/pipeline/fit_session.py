@@ -16,6 +16,7 @@ from palpate.estimation import (
     FitSettings,
     ProbeFit,
     ProbeObservations,
+    best_constants_of,
     fit,
 )
 from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
@@ -207,11 +208,9 @@ def _with_consistent_radii(
             session, settings=settings, surface=surface, cache=cache, like=model,
             progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
         )  # fmt: skip
-        estimate = fit(observations, settings=settings).estimate
+        ratio, modulus = best_constants_of(observations, settings=settings)
         updated = with_contact_radii(
-            session,
-            shear_modulus=estimate.shear_modulus.value,
-            poisson_ratio=min(estimate.poisson_ratio.value, _LARGEST_RATIO),
+            session, shear_modulus=modulus, poisson_ratio=min(ratio, _LARGEST_RATIO)
         )
         if largest_change(session, updated) < _RADIUS_TOLERANCE:
             return session, observations
