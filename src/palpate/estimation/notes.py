@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
 from palpate.estimation.observed_rows import CLAIMED_GROUPS, GROUP_COUNT
-from palpate.estimation.search import Misfit
+from palpate.estimation.search import LocalProbe, Misfit
 from palpate.records import IMPOSSIBLE, SURPRISING, ErrorEstimate, error_texts, length_unit
 
 _GROUP_NAMES = ("x", "y", "z", "the tip")
@@ -66,9 +66,9 @@ def fit_notes(
     notes = [*_count_notes(misfit), *_noise_notes(misfit), *_interval_notes(uncertainty)]
     for probe in uncertainty.minimum.probes:
         if probe.force_weight < _MIN_FORCE_WEIGHT:
-            off = float(np.linalg.norm(probe.shift[:3]))
             notes.append(
-                f"The force of probing {probe.rows.name!r} disagrees with the others by {off:.1f}"
+                f"The force of probing {probe.rows.name!r} disagrees with the others by"
+                f" {_force_deviation(probe):.1f}"
                 " of its standard deviations and was given little weight; check the sensor's scale."
             )
     notes += [_error_note(error) for error in errors if error.is_surprising]
@@ -168,10 +168,7 @@ def conflicting_force_notes(uncertainty: Uncertainty) -> list[str]:
     -------
     list of str                     empty where each such force is outvoted by three others
     """
-    off = {
-        probe.rows.name: float(np.linalg.norm(probe.shift[:3]))
-        for probe in uncertainty.minimum.probes
-    }
+    off = {probe.rows.name: _force_deviation(probe) for probe in uncertainty.minimum.probes}
     outliers = [name for name, size in off.items() if size > IMPOSSIBLE]
     agreeing = len(off) - len(outliers)
     if agreeing >= _AGREEING_PER_OUTLIER * len(outliers):
@@ -184,6 +181,11 @@ def conflicting_force_notes(uncertainty: Uncertainty) -> list[str]:
         f" model is: {_OTHER_SUSPECTS}."
     )
     return [note]
+
+
+def _force_deviation(probe: LocalProbe) -> float:
+    """Distance of the estimated force from the measured one, in its standard deviations."""
+    return float(np.linalg.norm(probe.shift[:3]))
 
 
 def _length_text(metres: float) -> str:

@@ -375,8 +375,8 @@ def _check_constants(found: ProbeEstimate | Estimate, identifiable: Mapping[str,
 def _check_ranges(shear: float, ratio: float, young: float) -> None:
     """Refuse constants out of the range of any material; NaN means unknown."""
     for name, modulus in (("shear_modulus", shear), ("young_modulus", young)):
-        if modulus <= 0.0:
-            raise InputError(f"{name} is {modulus:g} Pa; must be positive")
+        if modulus <= 0.0 or math.isinf(modulus):
+            raise InputError(f"{name} is {modulus:g} Pa; must be positive and finite")
     if ratio <= -1.0 or ratio > 0.5:
         raise InputError(f"poisson_ratio is {ratio:g}; must be above -1, and 0.5 at most")
 

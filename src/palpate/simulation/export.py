@@ -27,6 +27,7 @@ from palpate.simulation.solid_model import (
     EstimatedObject,
     Format,
     SolidModel,
+    check_edge,
     make_estimated_object,
     make_solid_model,
 )
@@ -190,6 +191,7 @@ def export_fit(
     if to not in FORMATS:
         raise InputError(f"there is no simulator '{to}'; there are: {', '.join(FORMATS)}")
     form = FORMATS[to]
+    check_edge(source.session.mesh, edge)
     material, changed = written_material(form, estimated_material(source.estimate))
     say("the push in the boundary element model", 0.1)
     body = make_estimated_object(

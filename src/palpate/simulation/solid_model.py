@@ -229,6 +229,29 @@ def chosen_probing(session: Session, estimate: Estimate, name: str | None) -> Pr
     return there[name] if name is not None else (left_out or list(session.probings))[0]
 
 
+def check_edge(mesh: TriangleMesh, edge: float | None) -> None:
+    """Refuse an edge length of tetrahedra that no filling of an object can have.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             surface of the object
+    edge : float or None [m]
+
+    Raises
+    ------
+    InputError                      not positive, or longer than the object
+    """
+    if edge is None:
+        return
+    if not edge > 0.0:
+        raise InputError(f"edge is {edge:g} m; must be positive")
+    size = bounding_diagonal(mesh)
+    if not edge < size:
+        raise InputError(
+            f"edge is {edge:g} m; the object is {size:.3g} m across: choose a part of it"
+        )
+
+
 def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> SolidModel:
     """Fill an object with tetrahedra, finer under its push.
 
@@ -249,11 +272,7 @@ def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> Sol
     MeshError                       walls thinner than the tetrahedra
     """
     session, push = body.session, body.push
-    size = bounding_diagonal(session.mesh)
-    if edge is not None and not edge < size:
-        raise InputError(
-            f"edge is {edge:g} m; the object is {size:.3g} m across: choose a part of it"
-        )
+    check_edge(session.mesh, edge)
     fine = []
     if push is not None and push.radius is not None:
         fine = [(push.point, _FINE_REACH * push.radius, push.radius / _ALONG_CONTACT)]

@@ -8,7 +8,13 @@ from pathlib import Path
 from palpate.errors import RecordError
 from palpate.parts import is_whole_part
 from palpate.records.files.estimate import read_estimate
-from palpate.records.files.results import INPUTS_FILE, SEAL_NAME, folder_changes, is_sealed
+from palpate.records.files.results import (
+    INPUTS_FILE,
+    SEAL_NAME,
+    folder_changes,
+    is_sealed,
+    parts_beside,
+)
 from palpate.records.files.sums import CHANGED, changes, sums_in
 from palpate.records.text import read_text
 
@@ -63,8 +69,7 @@ def verify_result(path: Path) -> tuple[Finding, ...]:
 
 def _parts(path: Path) -> list[Finding]:
     """The finished parts stored next to a result."""
-    whole = Path(os.path.abspath(path))
-    folder = whole.parent / f".{whole.name}.parts"
+    folder = parts_beside(Path(os.path.abspath(path)))
     try:
         names = sorted(os.listdir(folder)) if folder.is_dir() else []
     except OSError as error:

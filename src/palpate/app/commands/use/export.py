@@ -6,7 +6,6 @@ from typing import Literal
 from palpate.app.environment import check_cache
 from palpate.app.terminal import print_notes, print_text, progress_bar
 from palpate.app.units import Length
-from palpate.errors import InputError
 from palpate.records import default_folder, record_inputs, result_folder
 from palpate.simulation import FORMATS, export_fit, read_fit
 
@@ -61,8 +60,6 @@ def export(
         0.
     """
     check_cache(cache)
-    if edge is not None and not edge > 0.0:
-        raise InputError(f"--edge is {edge:g} m; must be positive")
     target = out or default_folder(result, to)
     with result_folder(target, kind=f"export --to {to}", force=force) as folder:
         source = read_fit(result, session)
