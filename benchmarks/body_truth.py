@@ -17,7 +17,7 @@ from palpate.lab.bodies.finite_elements import (
     surface_values,
 )
 from palpate.lab.bodies.tetrahedra import Solid, make_solid
-from palpate.records.contact import smooth_pressure
+from palpate.records.contacts import smooth_pressure
 from palpate.shapes import Points
 
 SHEAR_MODULUS = 2e4

@@ -33,7 +33,7 @@ from palpate.campaign import (
     run_campaign,
     started_engine,
 )
-from palpate.campaign.package import packed
+from palpate.campaign.package import pack_files
 from palpate.errors import PalpateError
 
 START = "import sys; from palpate.app.cli import main; sys.exit(main())"
@@ -131,7 +131,7 @@ def _one_after_the_other(item: CampaignItem, folder: Path) -> dict[str, bytes]:
         raise RuntimeError(outcome.failure)
     store = Store(folder / "kept")
     store.begin([item])
-    store.keep(work, outcome.package)
+    store.save_result(work, outcome.package)
     store.set_row(store.row_of(item, work, outcome))
     return dict(outcome.package.files)
 
@@ -157,8 +157,8 @@ def _engine_cost(items: tuple[CampaignItem, ...], folder: Path) -> list[Figure]:
         start = time.perf_counter()
         while ended < len(works):
             while waiting and workers.has_room:
-                workers.begin(waiting.pop())
-            ended += len(workers.ended())
+                workers.submit(waiting.pop())
+            ended += len(workers.wait_for_ended())
         through = (time.perf_counter() - start) / len(works)
     kept, size = _keeping(items[0], folder)
     sent = sum(map(len, works[0].session.package.files.values()))
@@ -190,7 +190,7 @@ def _refused(item: CampaignItem) -> Work:
     """Work on a session of another format, its other files as they are."""
     session = pack_session(item.path)
     files = {**session.package.files, session.session: b'format = "none"\n'}
-    return Work("fit", replace(session, package=packed(files)), FitOptions())
+    return Work("fit", replace(session, package=pack_files(files)), FitOptions())
 
 
 def _keeping(item: CampaignItem, folder: Path) -> tuple[float, int]:
@@ -202,7 +202,7 @@ def _keeping(item: CampaignItem, folder: Path) -> tuple[float, int]:
 
     def keep() -> None:
         shutil.rmtree(store.result(work), ignore_errors=True)
-        store.keep(work, outcome.package)
+        store.save_result(work, outcome.package)
         store.set_row(store.row_of(item, work, outcome))
 
     return shortest(keep, repeats=10), sum(map(len, outcome.package.files.values()))

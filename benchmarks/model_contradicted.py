@@ -35,7 +35,7 @@ from palpate.lab.bodies.specimens import block, cylinder, half_ball, toy
 from palpate.lab.bodies.tetrahedra import Solid
 from palpate.pipeline import graded_observations, resolved_session
 from palpate.records import Contact, DisplacementField, Probing, Session, Status
-from palpate.records.contact import smooth_pressure
+from palpate.records.contacts import smooth_pressure
 
 POISSON_RATIO = 0.3
 TRUTH = dict(

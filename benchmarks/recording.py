@@ -151,10 +151,10 @@ def found_contacts(folder: Path, made: Recorded) -> tuple[Fitted, str]:
     recording, out = read_recording(folder), folder / "contacts"
     with np.load(folder / "truth.npz") as stored:
         point, radius = stored["point"], stored["radius"]
-    unknown = replace(recording.places, points=None)
+    unknown = replace(recording.contact_source, points=None)
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    placed = write_recorded(out, replace(recording, places=unknown), made)
+    placed = write_recorded(out, replace(recording, contact_source=unknown), made)
     off = np.array([np.linalg.norm(one.point - point[one.press.number - 1]) for one in placed])
     std = np.array([one.point_std for one in placed])
     said = (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.records import on_object, on_surface, read_measured, read_session
+from palpate.records import in_object_frame, on_surface, read_measured, read_session
 
 HERE = Path(__file__).parent
 # Where the program's frame lies in the object's: x_object = T_object_program x_program.
@@ -34,7 +34,7 @@ def main() -> float:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "B00012.csv"
         export_vic3d(path)
-        measured = on_object(read_measured("vic3d", path), T_OBJECT_PROGRAM)
+        measured = in_object_frame(read_measured("vic3d", path), T_OBJECT_PROGRAM)
     imported = on_surface(measured, session.mesh)
     length = np.linalg.norm(imported.field.displacement, axis=1)
     print(f"{imported.read} points read, {imported.failed} of them not measured")

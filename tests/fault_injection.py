@@ -120,11 +120,11 @@ def _have_told(happens: Callable[..., object], folder: Path) -> None:
         if os.path.abspath(str(given[0])).startswith(str(folder)):
             happens(event, os.path.abspath(str(given[0])))
 
-    fsync, write, truncate, exchanged = os.fsync, os.write, os.ftruncate, disk._exchanged
+    fsync, write, truncate, exchange = os.fsync, os.write, os.ftruncate, disk._exchange
     os.fsync = lambda handle: (happens(), fsync(handle))[1]
     os.write = lambda handle, content: (happens(), write(handle, content))[1]
     os.ftruncate = lambda handle, size: (happens(), truncate(handle, size))[1]
-    disk._exchanged = lambda *names: (happens(), exchanged(*names))[1]
+    disk._exchange = lambda *names: (happens(), exchange(*names))[1]
     sys.addaudithook(seen)
 
 

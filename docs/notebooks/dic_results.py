@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.records import on_object, on_surface, read_measured, read_session
+from palpate.records import in_object_frame, on_surface, read_measured, read_session
 
 EXAMPLES = next(p for p in Path.cwd().resolve().parents if (p / "examples").is_dir()) / "examples"
 session = read_session(EXAMPLES / "half_ball")
@@ -34,7 +34,7 @@ np.savetxt(file, table, delimiter=",", header=header, comments="")
 # Read, brought into the object's frame, tied to its surface.
 
 # %%
-imported = on_surface(on_object(read_measured("vic3d", file), T_OBJECT_PROGRAM), session.mesh)
+imported = on_surface(in_object_frame(read_measured("vic3d", file), T_OBJECT_PROGRAM), session.mesh)
 print(f"{imported.read} points, {1e3 * imported.median_distance:.3f} mm off the surface (median)")
 
 # %%

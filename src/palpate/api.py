@@ -118,18 +118,18 @@ class Result:
         elif what == "budget":
             drawn = budget_figure(self.estimate)
         else:
-            drawn = self._probing(what)
+            drawn = self._probing_figure(what)
         if drawn is None:
             raise InputError(f"there is nothing to draw of {what!r} in this result")
         return drawn
 
-    def _probing(self, name: str) -> Figure | None:
+    def _probing_figure(self, name: str) -> Figure | None:
         for probing in self.session.probings:
-            for found in self.fitted.probes:
-                if probing.name == found.name == name:
+            for fitted in self.fitted.probes:
+                if probing.name == fitted.name == name:
                     held = self.session.held_triangles
-                    return displacement_figure(self.session.mesh, probing, found, held=held)
-        names = ", ".join((*_PICTURES, *(one.name for one in self.session.probings)))
+                    return displacement_figure(self.session.mesh, probing, fitted, held=held)
+        names = ", ".join((*_PICTURES, *(probing.name for probing in self.session.probings)))
         raise InputError(f"there is no picture {name!r}; there are: {names}")
 
     def poke(
@@ -253,7 +253,9 @@ class Result:
             for name, label in _LABELS.items()
             for texts in [constant_row(self.estimate, name)]
         )
-        head = "".join(f"<th>{one}</th>" for one in ("constant", "value", "95 % interval", "unit"))
+        head = "".join(
+            f"<th>{heading}</th>" for heading in ("constant", "value", "95 % interval", "unit")
+        )
         name, verdict = html.escape(self.session.name), html.escape(verdict_text(self.estimate))
         return f"<p><b>{name}</b>: {verdict}</p><table><tr>{head}</tr>{rows}</table>"
 

@@ -90,10 +90,10 @@ def fixed_array(
             f" every entry must be a finite number, {LARGEST_NUMBER:g} at most"
         )
     if integer:
-        whole = array.astype(np.int64)
-        if np.any(whole != array):
+        rounded = array.astype(np.int64)
+        if np.any(rounded != array):
             raise InputError(f"{name} must hold whole numbers; got fractions")
-        array = whole
+        array = rounded
     array.setflags(write=False)
     return array
 

@@ -27,7 +27,7 @@ _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 # linux/fs.h: exchange two names in one step.
 _RENAME_EXCHANGE, _AT_FDCWD = 2, -100
 # Largest size of a journal [bytes].
-_MOST_JOURNAL = 2**20
+_MAX_JOURNAL_BYTES = 2**20
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -43,29 +43,29 @@ def write_bytes(path: Path, content: bytes) -> None:
     RecordError                     the file cannot be written
     InUseError                      another process is writing it
     """
-    with placed([path]) as (staged,):
+    with atomic_replacement([path]) as (staged,):
         staged.write_bytes(content)
 
 
 @contextmanager
-def placed(
+def atomic_replacement(
     targets: Sequence[Path],
     *,
     folder: bool = False,
-    aside: Callable[[Path], object] = lambda _: False,
+    keep_old: Callable[[Path], object] = lambda _: False,
 ) -> Iterator[tuple[Path, ...]]:
     """Temporary files, or one folder, to write to; renamed to the targets when the block succeeds.
 
     All targets are replaced, or none: after a kill at any step, the next process that writes there
-    or calls `settle` restores a consistent state. Symbolic links are followed; permissions of
-    existing files are kept.
+    or calls `roll_back_interrupted` restores a consistent state. Symbolic links are followed;
+    permissions of existing files are kept.
 
     Parameters
     ----------
     targets : sequence of Path      final names, all in one existing folder; the lock is taken on
                                     the last one
     folder : bool                   the single target is a folder
-    aside : callable                called with each existing target before it is replaced; True:
+    keep_old : callable             called with each existing target before it is replaced; True:
                                     keep the old one as NAME.old
 
     Yields
@@ -79,31 +79,31 @@ def placed(
     InUseError                      another process is writing there; raised before the block runs
     """
     finals = [Path(os.path.realpath(target)) for target in targets]
-    _check_places(finals, folder)
-    staged = tuple(_beside(final, "partial") for final in finals)
-    with _locked(finals[-1]):
+    _check_targets(finals, folder)
+    staged = tuple(_hidden_path(final, "partial") for final in finals)
+    with _hold_lock(finals[-1]):
         try:
             with write_errors(finals[-1]):
-                _tidy(finals)
+                _clean_up(finals)
                 if len(finals) > 1:
                     _write_journal(finals, undo=False)
             for path, final in zip(staged, finals, strict=True):
                 with write_errors(final):
                     path.mkdir() if folder else path.touch()
             yield staged
-            with _unbroken(), write_errors(finals[-1]):
+            with _deferred_signals(), write_errors(finals[-1]):
                 for path in staged:
                     _sync_all(path)
-                _put_in_place(staged, finals, aside)
+                _put_in_place(staged, finals, keep_old)
         finally:
-            with _unbroken(), suppress(OSError):
-                _undo(_beside(finals[-1], "journal"))
-                for path in (*staged, _beside(finals[-1], "draft")):
+            with _deferred_signals(), suppress(OSError):
+                _roll_back(_hidden_path(finals[-1], "journal"))
+                for path in (*staged, _hidden_path(finals[-1], "draft")):
                     _remove(path)
 
 
 @contextmanager
-def folder_made(folder: Path) -> Iterator[None]:
+def created_folder(folder: Path) -> Iterator[None]:
     """Create a folder, if missing, for the block; if the block fails, folders that were created and
     are still empty are removed.
 
@@ -148,12 +148,12 @@ def write_errors(final: Path) -> Iterator[None]:
         ) from error
 
 
-def settle(target: Path) -> None:
+def roll_back_interrupted(target: Path) -> None:
     """Roll back an interrupted change of several files, if there is one; reported on stderr.
 
     Parameters
     ----------
-    target : Path                   the last of these files, as given to `placed`
+    target : Path                   the last of these files, as given to `atomic_replacement`
 
     Raises
     ------
@@ -164,13 +164,13 @@ def settle(target: Path) -> None:
     interrupted = False
     # An unreadable location is reported by whoever reads the file itself.
     with suppress(OSError):
-        interrupted, _ = _journal(_beside(final, "journal"))
+        interrupted, _ = _read_journal(_hidden_path(final, "journal"))
     if interrupted:
-        with _locked(final), write_errors(final):
-            _tidy([final])
+        with _hold_lock(final), write_errors(final):
+            _clean_up([final])
 
 
-def _check_places(finals: Sequence[Path], folder: bool) -> None:
+def _check_targets(finals: Sequence[Path], folder: bool) -> None:
     """Refuse targets that cannot be replaced, or not together."""
     for final in finals:
         if final.exists() and not (final.is_dir() if folder else final.is_file()):
@@ -186,9 +186,9 @@ def _check_places(finals: Sequence[Path], folder: bool) -> None:
 
 
 @contextmanager
-def _locked(final: Path) -> Iterator[None]:
+def _hold_lock(final: Path) -> Iterator[None]:
     """Hold the lock on a file or folder; it is released however the process ends."""
-    path = _beside(final, "lock")
+    path = _hidden_path(final, "lock")
     with write_errors(final):
         handle = take_lock(path, final)
     try:
@@ -197,49 +197,50 @@ def _locked(final: Path) -> Iterator[None]:
         release_lock(path, handle)
 
 
-def _tidy(finals: Sequence[Path]) -> None:
+def _clean_up(finals: Sequence[Path]) -> None:
     """Roll back, remove or restore what interrupted processes left, and report each on stderr."""
-    journal = _beside(finals[-1], "journal")
+    journal = _hidden_path(finals[-1], "journal")
     if journal.exists():
-        interrupted, _ = _journal(journal)
-        done = "was undone" if interrupted else "was tidied up"
-        _undo(journal)
-        _say(f"{finals[-1]}: what an interrupted run had begun {done}")
+        interrupted, _ = _read_journal(journal)
+        outcome = "was undone" if interrupted else "was tidied up"
+        _roll_back(journal)
+        _print_note(f"{finals[-1]}: what an interrupted run had begun {outcome}")
     for final in finals:
         # Earlier versions put the process id into these names.
         pattern = re.compile(rf"\.{re.escape(final.name)}\.(\d+\.)?(partial|draft|older)")
         for name in sorted(name for name in os.listdir(final.parent) if pattern.fullmatch(name)):
-            left = final.with_name(name)
+            leftover = final.with_name(name)
             if not name.endswith(".older"):
-                _remove(left)
-                _say(f"{left}: left by an interrupted run, removed")
+                _remove(leftover)
+                _print_note(f"{leftover}: left by an interrupted run, removed")
             elif final.exists():
-                _say(f"{left}: left by an interrupted run, kept as {_kept_aside(left, final)}")
+                kept = _keep_under_old_name(leftover, final)
+                _print_note(f"{leftover}: left by an interrupted run, kept as {kept}")
             else:
-                os.rename(left, final)
-                _say(f"{final}: put back; an interrupted run had left it as {name}")
+                os.rename(leftover, final)
+                _print_note(f"{final}: put back; an interrupted run had left it as {name}")
 
 
-def _say(text: str) -> None:
+def _print_note(text: str) -> None:
     print(f"palpate: note: {text}", file=sys.stderr)
 
 
 def _put_in_place(
-    staged: Sequence[Path], finals: Sequence[Path], aside: Callable[[Path], object]
+    staged: Sequence[Path], finals: Sequence[Path], keep_old: Callable[[Path], object]
 ) -> None:
     """Rename the temporary files, or the folder, to their final names."""
     for path, final in zip(staged, finals, strict=True):
         if final.is_file():
             shutil.copymode(final, path)
-        if final.exists() and aside(final):
-            kept = _kept_aside(final, final)
-            _say(f"{final}: what was there is kept as {kept}")
+        if final.exists() and keep_old(final):
+            kept = _keep_under_old_name(final, final)
+            _print_note(f"{final}: what was there is kept as {kept}")
     if len(finals) > 1:
-        _place_together(staged, finals)
+        _replace_together(staged, finals)
     elif not finals[0].is_dir():
         os.replace(staged[0], finals[0])
-    elif not _exchanged(staged[0], finals[0]):
-        older = _beside(finals[0], "older")
+    elif not _exchange(staged[0], finals[0]):
+        older = _hidden_path(finals[0], "older")
         os.rename(finals[0], older)
         try:
             os.rename(staged[0], finals[0])
@@ -253,7 +254,7 @@ def _put_in_place(
         _sync(finals[-1].parent)
 
 
-def _kept_aside(path: Path, final: Path) -> Path:
+def _keep_under_old_name(path: Path, final: Path) -> Path:
     """Keep something under the first free name of NAME.old, NAME.old2, and so on.
 
     A file also keeps its own name, so that it exists at every moment.
@@ -265,15 +266,15 @@ def _kept_aside(path: Path, final: Path) -> Path:
     if path != final or path.is_dir():
         os.rename(path, kept)
     else:
-        _copy(path, kept)
+        _link_or_copy(path, kept)
     return kept
 
 
-def _place_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
+def _replace_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
     """Replace several files; until the final journal entry, an interruption is rolled back."""
     for final in finals:
         if final.exists():
-            _copy(final, _beside(final, "older"))
+            _link_or_copy(final, _hidden_path(final, "older"))
     _write_journal(finals, undo=True)
     for path, final in zip(staged, finals, strict=True):
         os.replace(path, final)
@@ -283,48 +284,49 @@ def _place_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
 
 def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
     """Record which files are being replaced, which existed, and whether to roll back."""
-    journal, draft = _beside(finals[-1], "journal"), _beside(finals[-1], "draft")
-    there = {final.name: _beside(final, "older").exists() for final in finals}
-    draft.write_text(json.dumps({"undo": undo, "there": there}), encoding="utf-8")
+    journal, draft = _hidden_path(finals[-1], "journal"), _hidden_path(finals[-1], "draft")
+    existed = {final.name: _hidden_path(final, "older").exists() for final in finals}
+    draft.write_text(json.dumps({"undo": undo, "there": existed}), encoding="utf-8")
     _sync(draft)
     os.replace(draft, journal)
     if undo:
         _sync(journal.parent)
 
 
-def _journal(path: Path) -> tuple[bool, dict[str, bool]]:
+def _read_journal(path: Path) -> tuple[bool, dict[str, bool]]:
     """Whether to roll back a change of several files, and which of them existed before."""
     if not path.exists():
         return False, {}
     try:
-        found = json.loads(checked_file(path, most=_MOST_JOURNAL).read_text(encoding="utf-8"))
-        undo, there = found["undo"], dict[str, bool](found["there"])
-        if len(found) == 2 and all(Path(name).name == name for name in there):
-            return bool(undo), there
+        text = checked_file(path, max_bytes=_MAX_JOURNAL_BYTES).read_text(encoding="utf-8")
+        content = json.loads(text)
+        undo, existed = content["undo"], dict[str, bool](content["there"])
+        if len(content) == 2 and all(Path(name).name == name for name in existed):
+            return bool(undo), existed
     except (LookupError, ValueError, TypeError, RecursionError):
         pass
     # A journal may arrive with someone else's session; it must not act outside its own folder.
     raise RecordError(f"{path}: is not what Palpate leaves of an interrupted run; remove it")
 
 
-def _undo(path: Path) -> None:
+def _roll_back(path: Path) -> None:
     """Roll back as a journal says and remove its files; safe to repeat after an interruption."""
-    undo, there = _journal(path)
-    for name, was_there in there.items():
+    undo, existed = _read_journal(path)
+    for name, did_exist in existed.items():
         final = path.with_name(name)
-        older = _beside(final, "older")
+        older = _hidden_path(final, "older")
         if undo and older.exists():
             os.replace(older, final)
-        elif undo and not was_there:
+        elif undo and not did_exist:
             final.unlink(missing_ok=True)
         _remove(older)
-        _remove(_beside(final, "partial"))
-    if there:
+        _remove(_hidden_path(final, "partial"))
+    if existed:
         _sync(path.parent)
     _remove(path)
 
 
-def _exchanged(first: Path, second: Path) -> bool:
+def _exchange(first: Path, second: Path) -> bool:
     """Exchange two names atomically; False where the system or file system cannot."""
     if sys.platform != "linux":
         return False
@@ -333,7 +335,7 @@ def _exchanged(first: Path, second: Path) -> bool:
     return rename is not None and rename(*names, _RENAME_EXCHANGE) == 0
 
 
-def _copy(path: Path, other: Path) -> None:
+def _link_or_copy(path: Path, other: Path) -> None:
     """Hard link to a file; a real copy where the file system has no hard links."""
     try:
         os.link(path, other)
@@ -363,7 +365,7 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def _beside(final: Path, what: str) -> Path:
+def _hidden_path(final: Path, what: str) -> Path:
     return final.with_name(f".{final.name}.{what}")
 
 
@@ -380,18 +382,18 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def _unbroken() -> Iterator[None]:
+def _deferred_signals() -> Iterator[None]:
     """Defer signals that arrive within the block until its end."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
+    received: list[int] = []
     numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
-    before = {n: signal.signal(n, lambda number, _: came.append(number)) for n in numbers}
+    before = {n: signal.signal(n, lambda number, _: received.append(number)) for n in numbers}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        if came:
-            signal.raise_signal(came[0])
+        if received:
+            signal.raise_signal(received[0])

@@ -3,7 +3,7 @@
 from datetime import date, time
 
 # Longest quoted value, and longest message, in characters: no more than a terminal shows.
-_MOST_QUOTED, _MOST_SAID = 80, 1200
+_MAX_QUOTED, _MAX_MESSAGE = 80, 1200
 
 
 def quoted(value: object) -> str:
@@ -16,13 +16,17 @@ def quoted(value: object) -> str:
     try:
         if isinstance(value, date | time):
             return value.isoformat()
-        return _cut(repr(value), _MOST_QUOTED)
+        return _elided(repr(value), _MAX_QUOTED)
     except (ValueError, RecursionError):
         return "a number of too many digits, or lists in lists without end"
 
 
-def _cut(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 3 :]}"
+def _elided(text: str, max_length: int) -> str:
+    return (
+        text
+        if len(text) <= max_length
+        else f"{text[: max_length // 2]} ... {text[-max_length // 3 :]}"
+    )
 
 
 class PalpateError(Exception):
@@ -30,8 +34,10 @@ class PalpateError(Exception):
 
     def __str__(self) -> str:
         # A name from a file may contain line breaks or terminal control characters: escape them.
-        text = _cut(super().__str__(), _MOST_SAID)
-        return "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
+        text = _elided(super().__str__(), _MAX_MESSAGE)
+        return "".join(
+            character if character.isprintable() else repr(character)[1:-1] for character in text
+        )
 
 
 class InputError(PalpateError, ValueError):

@@ -15,11 +15,11 @@ import numpy as np
 from palpate.errors import InputError, PalpateError, RecordError
 
 # Far larger than any file that Palpate reads [bytes]; stops reading of endless files.
-_MOST_BYTES = 4 * 2**30
+_MAX_BYTES = 4 * 2**30
 # Largest compression ratio of measurements, and size [bytes] up to which any ratio is accepted.
-_MOST_RATIO, _MOST_UNPACKED = 100, 2**28
+_MAX_RATIO, _ANY_RATIO_BYTES = 100, 2**28
 # Things that are not regular files: reading them could block, or never end.
-_KINDS = {
+_IRREGULAR_KINDS = {
     stat.S_IFDIR: "Is a directory",
     stat.S_IFIFO: "a pipe, no regular file",
     stat.S_IFCHR: "a device, no regular file",
@@ -29,14 +29,14 @@ _KINDS = {
 
 
 def checked_file(
-    path: Path, *, most: int = _MOST_BYTES, kind: type[InputError] = RecordError
+    path: Path, *, max_bytes: int = _MAX_BYTES, kind: type[InputError] = RecordError
 ) -> Path:
     """Return a path after checking that it is a regular file of bounded size.
 
     Parameters
     ----------
     path : Path
-    most : int                      largest permitted size [bytes]
+    max_bytes : int                 largest permitted size [bytes]
     kind : class                    class of the error to raise
 
     Returns
@@ -52,12 +52,12 @@ def checked_file(
     except (OSError, ValueError) as error:
         raise kind(f"{path}: cannot be read ({_reason(error)})") from error
     if not stat.S_ISREG(found.st_mode):
-        what = _KINDS.get(stat.S_IFMT(found.st_mode), "no regular file")
+        what = _IRREGULAR_KINDS.get(stat.S_IFMT(found.st_mode), "no regular file")
         raise kind(f"{path}: cannot be read ({what}); give a file")
-    if found.st_size > most:
+    if found.st_size > max_bytes:
         raise kind(
-            f"{path}: has {found.st_size} bytes, more than the {most} that are read of such a file;"
-            " is it the right one?"
+            f"{path}: has {found.st_size} bytes, more than the {max_bytes} that are read of such a"
+            " file; is it the right one?"
         )
     return path
 
@@ -76,7 +76,11 @@ def is_file(path: Path) -> bool:
 
 
 def read_bytes(
-    path: Path, count: int = -1, *, most: int = _MOST_BYTES, kind: type[InputError] = RecordError
+    path: Path,
+    count: int = -1,
+    *,
+    max_bytes: int = _MAX_BYTES,
+    kind: type[InputError] = RecordError,
 ) -> bytes:
     """The first bytes of a file, or all of them.
 
@@ -84,20 +88,20 @@ def read_bytes(
     ----------
     path : Path
     count : int                     bytes to read; -1: all
-    most, kind                      as `checked_file`
+    max_bytes, kind                 as `checked_file`
 
     Raises
     ------
     InputError of that kind         as `checked_file`; not readable
     """
     try:
-        with checked_file(path, most=most, kind=kind).open("rb") as file:
+        with checked_file(path, max_bytes=max_bytes, kind=kind).open("rb") as file:
             return file.read(count)
     except OSError as error:
         raise kind(f"{path}: cannot be read ({_reason(error)})") from error
 
 
-def most_unpacked(size: int) -> int:
+def max_unpacked_size(size: int) -> int:
     """Largest permitted uncompressed size of a compressed file, as a guard against zip bombs.
 
     Parameters
@@ -108,11 +112,11 @@ def most_unpacked(size: int) -> int:
     -------
     int                             [bytes]
     """
-    return max(_MOST_UNPACKED, _MOST_RATIO * size)
+    return max(_ANY_RATIO_BYTES, _MAX_RATIO * size)
 
 
 @contextmanager
-def damage(
+def read_errors(
     path: Path,
     cure: str,
     *,
@@ -148,7 +152,7 @@ def damage(
 
 @contextmanager
 def stored_arrays(
-    path: Path, cure: str, *, what: str = "is damaged or cut off", most: int = _MOST_BYTES
+    path: Path, cure: str, *, what: str = "is damaged or cut off", max_bytes: int = _MAX_BYTES
 ) -> Iterator[dict[str, np.ndarray]]:
     """The arrays of an NPZ file; errors raised while the block uses them become `RecordError`.
 
@@ -157,8 +161,8 @@ def stored_arrays(
     Parameters
     ----------
     path : Path
-    cure, what : str                as in `damage`
-    most : int                      largest permitted size of all arrays together [bytes]
+    cure, what : str                as in `read_errors`
+    max_bytes : int                 largest permitted size of all arrays together [bytes]
 
     Yields
     ------
@@ -170,21 +174,23 @@ def stored_arrays(
     RecordError                     missing, not a regular file, too large, not an NPZ file,
                                     damaged; also in place of any other error of the block
     """
-    read_bytes(path, 0, most=most)
-    with damage(path, cure, what=what):
+    read_bytes(path, 0, max_bytes=max_bytes)
+    with read_errors(path, cure, what=what):
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             size = sum(member.file_size for member in members)
-            most = min(most, most_unpacked(path.stat().st_size))
-            if size > most:
+            max_bytes = min(max_bytes, max_unpacked_size(path.stat().st_size))
+            if size > max_bytes:
                 raise RecordError(
-                    f"{path}: its arrays take {size} bytes, more than the {most} that are read of"
-                    " such a file; is it the right one?"
+                    f"{path}: its arrays take {size} bytes, more than the {max_bytes} that are read"
+                    " of such a file; is it the right one?"
                 )
             arrays = {}
             for member in members:
                 with archive.open(member) as packed:
-                    arrays[member.filename.removesuffix(".npy")] = _array(packed, member.file_size)
+                    arrays[member.filename.removesuffix(".npy")] = _read_array(
+                        packed, member.file_size
+                    )
         yield arrays
 
 
@@ -203,22 +209,22 @@ def parse_array(content: bytes) -> np.ndarray:
     ------
     ValueError                      not an NPY file, damaged, or not as long as its header states
     """
-    return _array(BytesIO(content), len(content))
+    return _read_array(BytesIO(content), len(content))
 
 
-def _array(file: IO[bytes] | BufferedIOBase, size: int) -> np.ndarray:
+def _read_array(file: IO[bytes] | BufferedIOBase, size: int) -> np.ndarray:
     """Array from an NPY stream of `size` bytes; the size is checked before memory is allocated."""
-    heads = {
+    header_readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
     }
     version = np.lib.format.read_magic(file)
-    if version not in heads:
+    if version not in header_readers:
         raise ValueError(f"its arrays have version {version} of the format NPY")
-    shape, _, kind = heads[version](file)
-    said, held = math.prod(shape) * max(kind.itemsize, 1), size - file.tell()
-    if said != held and not kind.hasobject:
-        raise ValueError(f"an array says that it has {said} bytes, and holds {held}")
+    shape, _, kind = header_readers[version](file)
+    stated, actual = math.prod(shape) * max(kind.itemsize, 1), size - file.tell()
+    if stated != actual and not kind.hasobject:
+        raise ValueError(f"an array says that it has {stated} bytes, and holds {actual}")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 

@@ -13,7 +13,7 @@ except ImportError:  # not on Windows: two commands at once are then not noticed
     fcntl = None  # type: ignore[assignment]
 
 # First word of a lock file's text, and the flag that refuses symbolic links to other files.
-_HOLDER, _NO_LINK = "process ", getattr(os, "O_NOFOLLOW", 0)
+_HOLDER_PREFIX, _NO_FOLLOW = "process ", getattr(os, "O_NOFOLLOW", 0)
 
 
 def take_lock(path: Path, final: Path) -> int:
@@ -34,10 +34,10 @@ def take_lock(path: Path, final: Path) -> int:
     RecordError                     a file that is not one of our locks lies there; it is left alone
     OSError                         the lock file cannot be created or written; none is left behind
     """
-    handle = _opened_lock(path, final)
+    handle = _open_and_lock(path, final)
     try:
         os.ftruncate(handle, 0)
-        os.write(handle, f"{_HOLDER}{os.getpid()} on {socket.gethostname()}".encode())
+        os.write(handle, f"{_HOLDER_PREFIX}{os.getpid()} on {socket.gethostname()}".encode())
     except OSError:
         release_lock(path, handle)
         raise
@@ -57,10 +57,10 @@ def release_lock(path: Path, handle: int) -> None:
     os.close(handle)
 
 
-def _opened_lock(path: Path, final: Path) -> int:
+def _open_and_lock(path: Path, final: Path) -> int:
     """Open and lock a lock file, and make sure that it is still the one under that name."""
     while True:
-        handle, holder = _lock_file(path)
+        handle, holder = _open_lock_file(path)
         try:
             if fcntl is not None:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -79,12 +79,12 @@ def _opened_lock(path: Path, final: Path) -> int:
         os.close(handle)
 
 
-def _lock_file(path: Path) -> tuple[int, str]:
+def _open_lock_file(path: Path) -> tuple[int, str]:
     """Open or create a lock file; also gives the process named in it. Refuses any other file."""
     if not os.path.lexists(path) or (path.is_file() and not path.is_symlink()):
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o644)
         holder = os.pread(handle, 200, 0).decode(errors="replace")
-        if not holder or holder.startswith(_HOLDER):
+        if not holder or holder.startswith(_HOLDER_PREFIX):
             return handle, holder
         os.close(handle)
     raise RecordError(f"{path}: is not a lock of Palpate's; move it to another place")

@@ -13,15 +13,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 import palpate
-from palpate.disk import folder_made, write_bytes
+from palpate.disk import created_folder, write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
 
 T = TypeVar("T")
 # Length of the checksum that precedes a part [bytes].
-_SUM = 32
+_CHECKSUM_BYTES = 32
 # The names that numpy needs to unpickle arrays.
-_NUMPY = ("_reconstruct", "_frombuffer", "scalar", "ndarray", "dtype")
+_NUMPY_NAMES = ("_reconstruct", "_frombuffer", "scalar", "ndarray", "dtype")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,9 @@ class Parts:
     folder: Path | None
     key: str = ""
 
-    def kept(self, name: str, make: Callable[[], T], known: Mapping[str, Any] | None = None) -> T:
+    def load_or_make(
+        self, name: str, make: Callable[[], T], known: Mapping[str, Any] | None = None
+    ) -> T:
         """A part as stored by an earlier run, or else computed now and stored.
 
         Parameters
@@ -57,19 +59,19 @@ class Parts:
             return make()
         known = known or {}
         path = self.folder / content_digest((self.key, name))
-        found = _read(path, known)
+        found = _read_part(path, known)
         if found is None:
             found = (make(),)
             content = io.BytesIO()
             _Writer(content, known).dump(found)
             # A full disk must not stop the computation; the part is then simply not stored.
-            with suppress(OSError, RecordError), folder_made(self.folder):
-                write_bytes(path, _sum(content.getvalue()) + content.getvalue())
+            with suppress(OSError, RecordError), created_folder(self.folder):
+                write_bytes(path, _checksum(content.getvalue()) + content.getvalue())
         part: T = found[0]
         return part
 
 
-def is_whole_part(path: Path) -> bool:
+def is_intact_part(path: Path) -> bool:
     """Whether a file is an intact stored part, i.e. its content matches its checksum.
 
     Parameters
@@ -84,7 +86,7 @@ def is_whole_part(path: Path) -> bool:
     ------
     RecordError                     not readable
     """
-    return _content(read_bytes(path)) is not None
+    return _verified_content(read_bytes(path)) is not None
 
 
 def content_digest(value: Any) -> str:
@@ -99,25 +101,25 @@ def content_digest(value: Any) -> str:
     str                             64 hexadecimal digits; depends on the version of Palpate
     """
     digest = hashlib.sha256(palpate.__version__.encode())
-    _feed(digest, value)
+    _update_digest(digest, value)
     return digest.hexdigest()
 
 
-def _feed(digest: "hashlib._Hash", value: Any) -> None:
+def _update_digest(digest: "hashlib._Hash", value: Any) -> None:
     """Add a value to a digest, with its type and size, so that different values differ."""
     digest.update(f"{type(value).__qualname__} ".encode())
     if is_dataclass(value):
-        _feed(digest, {field.name: getattr(value, field.name) for field in fields(value)})
+        _update_digest(digest, {field.name: getattr(value, field.name) for field in fields(value)})
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.shape} {value.dtype.str} ".encode())
         # The bytes in place, without a copy: a model's integrals are large.
         digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
     elif isinstance(value, Mapping):
-        _feed(digest, list(value.items()))
+        _update_digest(digest, list(value.items()))
     elif isinstance(value, (list, tuple)):
         digest.update(f"{len(value)} ".encode())
         for item in value:
-            _feed(digest, item)
+            _update_digest(digest, item)
     else:
         text = repr(value).encode()
         digest.update(f"{len(text)} ".encode() + text)
@@ -155,25 +157,25 @@ class _Reader(pickle.Unpickler):
         is_record = is_dataclass(found) or (isinstance(found, type) and issubclass(found, Enum))
         if module.startswith("palpate.") and is_record:
             return found
-        if module.partition(".")[0] == "numpy" and name in _NUMPY:
+        if module.partition(".")[0] == "numpy" and name in _NUMPY_NAMES:
             return found
         raise pickle.UnpicklingError(f"{module}.{name} is nothing that a part is made of")
 
 
-def _sum(content: bytes) -> bytes:
+def _checksum(content: bytes) -> bytes:
     return hashlib.sha256(content).digest()
 
 
-def _content(stored: bytes) -> bytes | None:
+def _verified_content(stored: bytes) -> bytes | None:
     """Content of a stored part, after its checksum; None if the checksum does not match."""
-    content = stored[_SUM:]
-    return content if stored[:_SUM] == _sum(content) else None
+    content = stored[_CHECKSUM_BYTES:]
+    return content if stored[:_CHECKSUM_BYTES] == _checksum(content) else None
 
 
-def _read(path: Path, known: Mapping[str, Any]) -> tuple[Any] | None:
+def _read_part(path: Path, known: Mapping[str, Any]) -> tuple[Any] | None:
     """A stored part, or None if the file is missing or not intact."""
     try:
-        content = _content(read_bytes(path))
+        content = _verified_content(read_bytes(path))
         if content is None:
             return None
         found = _Reader(io.BytesIO(content), known).load()

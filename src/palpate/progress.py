@@ -10,12 +10,12 @@ def silent(_text: str, _fraction: float) -> None:
     """Progress callback that ignores its arguments."""
 
 
-def part_of(say: Progress, begin: float, end: float, *, prefix: str = "") -> Progress:
+def part_of(progress: Progress, begin: float, end: float, *, prefix: str = "") -> Progress:
     """Progress callback for one part of the work, mapped to progress of the whole.
 
     Parameters
     ----------
-    say : callable                  progress callback of the whole
+    progress : callable             progress callback of the whole
     begin, end : float              fractions of the whole at which the part begins and ends, 0 to 1
     prefix : str                    put before the texts of the part
 
@@ -23,4 +23,4 @@ def part_of(say: Progress, begin: float, end: float, *, prefix: str = "") -> Pro
     -------
     callable                        progress callback of the part
     """
-    return lambda text, fraction: say(prefix + text, begin + (end - begin) * fraction)
+    return lambda text, fraction: progress(prefix + text, begin + (end - begin) * fraction)

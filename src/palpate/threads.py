@@ -7,10 +7,12 @@ from typing import Any
 import numba
 
 # Ranges per thread: items that take longer than others delay the end by one range at most.
-_RANGES = 4
+_RANGES_PER_THREAD = 4
 
 
-def in_threads(kernel: Callable[..., None], count: int, *arguments: Any, fewest: int = 1) -> None:
+def in_threads(
+    kernel: Callable[..., None], count: int, *arguments: Any, min_items: int = 1
+) -> None:
     """Call `kernel(start, stop, *arguments)` for ranges that together cover 0 to `count`.
 
     Uses `numba.get_num_threads()` threads. The kernel must be compiled with `nogil=True` and write
@@ -23,12 +25,12 @@ def in_threads(kernel: Callable[..., None], count: int, *arguments: Any, fewest:
     kernel : callable
     count : int             number of items
     *arguments              further arguments of the kernel, after its range
-    fewest : int            least number of items for which a range of its own pays
+    min_items : int         least number of items for which a range of its own pays
     """
     # Compile the kernel, if necessary, before several threads call it at once.
     kernel(0, 0, *arguments)
     threads = numba.get_num_threads()
-    ranges = min(_RANGES * threads, count // fewest)
+    ranges = min(_RANGES_PER_THREAD * threads, count // min_items)
     if threads == 1 or ranges <= 1:
         kernel(0, count, *arguments)
         return

@@ -9,7 +9,7 @@ import pytest
 from cube_session import cube_session as cube_session
 
 from palpate.app import environment
-from palpate.app.environment import kernel_cache, seen_columns
+from palpate.app.environment import kernel_cache, usable_columns
 from palpate.errors import InputError
 
 SRC = str(Path(__file__).parents[2] / "src")
@@ -28,7 +28,7 @@ def run(folder, *words, **variables):
 @pytest.mark.parametrize("columns", ["0", "1", "19"])
 def test_a_width_that_shows_nothing_is_left_aside(columns, monkeypatch):
     monkeypatch.setenv("COLUMNS", columns)
-    with seen_columns():
+    with usable_columns():
         assert "COLUMNS" not in os.environ
     assert os.environ["COLUMNS"] == columns
 
@@ -36,7 +36,7 @@ def test_a_width_that_shows_nothing_is_left_aside(columns, monkeypatch):
 @pytest.mark.parametrize("columns", ["20", "100", "wide"])
 def test_a_width_that_shows_something_stays(columns, monkeypatch):
     monkeypatch.setenv("COLUMNS", columns)
-    with seen_columns():
+    with usable_columns():
         assert os.environ["COLUMNS"] == columns
 
 
@@ -49,7 +49,7 @@ def test_kernels_stay_where_they_can_be_written(monkeypatch, capsys):
 
 def test_kernels_have_a_folder_that_goes_with_the_process(monkeypatch, capsys):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(environment, "_writable", lambda folder: False)
+    monkeypatch.setattr(environment, "_is_writable", lambda folder: False)
     with kernel_cache():
         folder = Path(os.environ["NUMBA_CACHE_DIR"])
         assert folder.is_dir()
@@ -63,7 +63,7 @@ def test_no_place_at_all_is_said(monkeypatch):
         raise OSError(30, "Read-only file system")
 
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(environment, "_writable", lambda folder: False)
+    monkeypatch.setattr(environment, "_is_writable", lambda folder: False)
     monkeypatch.setattr(environment.tempfile, "mkdtemp", refused)
     with pytest.raises(InputError, match=r"Read-only.*set NUMBA_CACHE_DIR"), kernel_cache():
         pass

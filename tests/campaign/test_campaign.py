@@ -15,22 +15,22 @@ from pipeline.kept.picture_session import with_pictures
 
 from palpate.campaign import FitOptions, Store, read_items, run_campaign, work as work_file
 from palpate.campaign.engine import Engine
-from palpate.disk import placed
+from palpate.disk import atomic_replacement
 from palpate.errors import InputError, InUseError, RecordError
 from palpate.records import read_session, verify_result
 from palpate.records.files import results
 
 
 @pytest.fixture
-def begun(monkeypatch):
+def submitted(monkeypatch):
     """Works that were handed to workers, by kind and session."""
-    works, begin = [], Engine.begin
+    works, submit = [], Engine.submit
 
     def seen(self, work):
         works.append((work.kind, work.session.session))
-        begin(self, work)
+        submit(self, work)
 
-    monkeypatch.setattr(Engine, "begin", seen)
+    monkeypatch.setattr(Engine, "submit", seen)
     return works
 
 
@@ -42,7 +42,7 @@ def _tree(folder):
     }
 
 
-def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
+def test_all_sessions_become_rows(cubes, scheduler, tmp_path, submitted):
     items = read_items(cubes)
     folder = tmp_path / "campaign"
     rows = run_campaign(items, folder, scheduler=scheduler)
@@ -59,22 +59,24 @@ def test_all_sessions_become_rows(cubes, scheduler, tmp_path, begun):
     found = [one for path in results for one in verify_result(path)]
     # Estimate, surface, list of inputs; session, mesh and displacements.
     assert len(found) == 2 * (3 + 3)
-    assert all(one.is_whole for one in found)
+    assert all(one.is_unchanged for one in found)
 
     # What is done is not done again, even where the table is lost; what failed is tried again.
-    before, handed = _tree(folder), list(begun)
-    begun.clear()
+    before, handed = _tree(folder), list(submitted)
+    submitted.clear()
     (folder / "campaign.sqlite").unlink()
     (cubes / "bad" / "session.toml").write_text((cubes / "c0" / "session.toml").read_text())
     again = run_campaign(items, folder, scheduler=scheduler)
     assert sorted(handed) == [("fit", f"{name}/session.toml") for name in ("bad", "c0", "c1")]
-    assert begun == [("fit", "bad/session.toml")]
+    assert submitted == [("fit", "bad/session.toml")]
     assert [row.young_modulus for row in again[1:]] == [row.young_modulus for row in rows[1:]]
     results = {name: text for name, text in _tree(folder).items() if name.parts[0] == "results"}
     assert results == {name: text for name, text in before.items() if name.parts[0] == "results"}
 
 
-def test_two_sessions_of_the_same_content_are_one_piece_of_work(cubes, scheduler, tmp_path, begun):
+def test_two_sessions_of_the_same_content_are_one_piece_of_work(
+    cubes, scheduler, tmp_path, submitted
+):
     listed = tmp_path / "list.txt"
     other = tmp_path / "copy" / "c0"
     other.mkdir(parents=True)
@@ -82,13 +84,13 @@ def test_two_sessions_of_the_same_content_are_one_piece_of_work(cubes, scheduler
         (other / file.name).write_bytes(file.read_bytes())
     listed.write_text("cubes/c0\ncopy/c0, again\nnowhere\n")
     rows = run_campaign(read_items(listed), tmp_path / "campaign", scheduler=scheduler)
-    assert len(begun) == 1
+    assert len(submitted) == 1
     assert [row.state for row in rows] == ["done", "done", "failed"]
     assert rows[0].address == rows[1].address != ""
     assert "nowhere: no such file or folder" in rows[2].message
 
 
-def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, begun, monkeypatch):
+def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, submitted, monkeypatch):
     shutil.copytree(cube, tmp_path / "seen" / "cube")
     with_pictures(tmp_path / "seen" / "cube")
     asked = []
@@ -109,36 +111,36 @@ def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, begun, m
     (first,) = run_campaign(items, folder, scheduler=scheduler)
     assert first.state == "done"
     assert f"{tmp_path}/seen/cube/rig.toml: was looked at" in first.message
-    assert [kind for kind, _ in begun] == ["motion", "fit"]
+    assert [kind for kind, _ in submitted] == ["motion", "fit"]
     # Other options ask for another fit, not for another look at the pictures.
     other = FitOptions(poisson_range=(0.0, 0.45))
     (second,) = run_campaign(items, folder, options=other, scheduler=scheduler)
-    assert [kind for kind, _ in begun] == ["motion", "fit", "fit"]
+    assert [kind for kind, _ in submitted] == ["motion", "fit", "fit"]
     assert asked == ["a [bold] cube"]
     assert second.address != first.address
     # The fit knows nothing of where the displacements come from: the model's own constants.
     assert first.young_modulus_low < 2 * SHEAR * (1 + NU) < first.young_modulus_high
 
 
-def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, begun, monkeypatch):
+def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, submitted, monkeypatch):
     items, folder = read_items(cubes), tmp_path / "campaign"
     kept = []
 
-    def stopped(self, work, package, keep=Store.keep):
-        keep(self, work, package)
+    def stopped(self, work, package, save=Store.save_result):
+        save(self, work, package)
         kept.append(work.session.session)
         # After the result is there and before its row is: the worst moment.
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(Store, "keep", stopped)
+        patched.setattr(Store, "save_result", stopped)
         with pytest.raises(KeyboardInterrupt):
             run_campaign(items, folder, scheduler=scheduler)
     assert {row.state for row in Store(folder).rows()} <= {"waiting", "failed"}
-    begun.clear()
+    submitted.clear()
     rows = run_campaign(items, folder, scheduler=scheduler)
     assert [row.state for row in rows] == ["failed", "done", "done"]
-    handed = {session for _, session in begun} - {"bad/session.toml"}
+    handed = {session for _, session in submitted} - {"bad/session.toml"}
     assert handed == {f"c{k}/session.toml" for k in range(2)} - {kept[0]}
 
 
@@ -159,7 +161,10 @@ def test_a_body_beyond_a_thread_s_share_of_memory_is_a_row(cube, tmp_path):
 def test_only_one_process_works_on_a_campaign(cubes, tmp_path):
     folder = tmp_path / "campaign"
     folder.mkdir()
-    with placed([folder / "table.csv"]), pytest.raises(InUseError, match="is being written by"):
+    with (
+        atomic_replacement([folder / "table.csv"]),
+        pytest.raises(InUseError, match="is being written by"),
+    ):
         run_campaign(read_items(cubes), folder)
 
 

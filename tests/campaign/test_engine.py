@@ -17,7 +17,7 @@ from palpate.errors import InputError
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://here", "127.0.0.1:no"])
 def test_no_scheduler_at_that_address(address, monkeypatch):
-    monkeypatch.setattr(engine_file, "_ANSWER", 1)
+    monkeypatch.setattr(engine_file, "_CONNECT_TIMEOUT", 1)
     expected = f"no scheduler answers at {re.escape(address)} .*start one with `dask scheduler`"
     with pytest.raises(InputError, match=expected), started_engine(address, None):
         pass
@@ -27,7 +27,7 @@ def test_no_scheduler_at_that_address(address, monkeypatch):
 
 
 def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr(engine_file, "_WORKER", 0.2)
+    monkeypatch.setattr(engine_file, "_FIRST_WORKER_TIMEOUT", 0.2)
     with (
         distributed.LocalCluster(
             n_workers=0, processes=False, protocol="tcp", dashboard_address=":0"
@@ -140,5 +140,5 @@ def test_a_scheduler_that_goes_away_is_said(packed_cube):
     with pytest.raises(InputError, match=said):
         assert workers.threads
     with pytest.raises(InputError, match=said):
-        workers.begin(Work("fit", packed_cube, FitOptions()))
+        workers.submit(Work("fit", packed_cube, FitOptions()))
     assert not workers.is_busy

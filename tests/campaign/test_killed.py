@@ -18,20 +18,20 @@ class _Serial:
 
     def __init__(self, folder: Path, known: dict[str, Outcome]) -> None:
         self.folder, self.known = folder, known
-        self.begun: list[Work] = []
+        self.submitted: list[Work] = []
 
     @property
     def is_busy(self) -> bool:
-        return bool(self.begun)
+        return bool(self.submitted)
 
-    def begin(self, work: Work) -> None:
-        self.begun.append(work)
+    def submit(self, work: Work) -> None:
+        self.submitted.append(work)
 
-    def ended(self) -> list[tuple[Work, Outcome]]:
-        work = self.begun.pop(0)
-        if work.address not in self.known:
-            self.known[work.address] = do_work(work, folder=self.folder)
-        return [(work, self.known[work.address])]
+    def wait_for_ended(self) -> list[tuple[Work, Outcome]]:
+        work = self.submitted.pop(0)
+        if work.digest not in self.known:
+            self.known[work.digest] = do_work(work, folder=self.folder)
+        return [(work, self.known[work.digest])]
 
 
 def _results(folder: Path) -> dict[str, bytes]:

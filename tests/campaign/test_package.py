@@ -7,35 +7,35 @@ import pytest
 
 import palpate
 from palpate.campaign import FitOptions, Work, pack_session
-from palpate.campaign.package import Package, packed, unpack
+from palpate.campaign.package import Package, pack_files, unpack
 from palpate.errors import RecordError
 
 
-def _address(folder, **options):
-    return Work("fit", pack_session(folder), FitOptions(**options)).address
+def _digest(folder, **options):
+    return Work("fit", pack_session(folder), FitOptions(**options)).digest
 
 
-def test_an_address_is_that_of_files_options_and_version(cube_session, tmp_path, monkeypatch):
-    first = _address(cube_session)
+def test_a_digest_is_that_of_files_options_and_version(cube_session, tmp_path, monkeypatch):
+    first = _digest(cube_session)
     # Where the session lies has no part in it, nor what lies beside it without a name.
     (tmp_path / "elsewhere").mkdir()
     moved = tmp_path / "elsewhere" / "cube"
     shutil.copytree(cube_session, moved)
     (moved / "remarks.txt").write_text("a fine day")
-    assert _address(moved) == first
-    assert _address(moved / "session.toml") == first
-    others = {_address(moved, poisson_range=(0.0, 0.4)), _address(moved, strain="finite")}
-    others.add(Work("motion", pack_session(moved), FitOptions()).address)
+    assert _digest(moved) == first
+    assert _digest(moved / "session.toml") == first
+    others = {_digest(moved, poisson_range=(0.0, 0.4)), _digest(moved, strain="finite")}
+    others.add(Work("motion", pack_session(moved), FitOptions()).digest)
     shutil.move(moved, tmp_path / "ball")
-    others.add(_address(tmp_path / "ball"))  # its folder's name may be the session's
+    others.add(_digest(tmp_path / "ball"))  # its folder's name may be the session's
     for name in ("session.toml", "mesh.ply", "n01.csv"):
         changed = tmp_path / "elsewhere" / name / "cube"
         shutil.copytree(cube_session, changed)
         with (changed / name).open("ab") as file:
             file.write(b"\n")
-        others.add(_address(changed))
+        others.add(_digest(changed))
     monkeypatch.setattr(palpate, "__version__", "9.9")
-    others.add(_address(cube_session))
+    others.add(_digest(cube_session))
     assert len(others | {first}) == 9
 
 
@@ -64,4 +64,4 @@ def test_a_file_that_changes_on_its_way_is_noticed(packed_cube, tmp_path):
 @pytest.mark.parametrize("name", ["../a", "/a", "b/../../a"])
 def test_no_file_is_written_elsewhere(tmp_path, name):
     with pytest.raises(RecordError, match="leads out of the folder"):
-        unpack(packed({name: b""}), tmp_path)
+        unpack(pack_files({name: b""}), tmp_path)

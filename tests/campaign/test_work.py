@@ -7,7 +7,7 @@ import pytest
 
 from palpate.bem import check_memory
 from palpate.campaign import FitOptions, Work, do_work, pack_session
-from palpate.campaign.package import packed
+from palpate.campaign.package import pack_files
 from palpate.errors import InputError
 from palpate.pipeline import fit_session
 from palpate.records import read_estimate, read_session
@@ -51,7 +51,7 @@ def test_only_what_others_can_use_stays_behind(fitted):
 def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_path):
     files = dict(packed_cube.package.files)
     files["cube/n01.csv"] = b"x,y\n1,2\n"
-    bad = replace(packed_cube, package=packed(files))
+    bad = replace(packed_cube, package=pack_files(files))
     outcome = do_work(Work("fit", bad, FitOptions()), folder=tmp_path / "there")
     assert outcome.package.files == {}
     assert outcome.failure.startswith(f"{packed_cube.root}/cube/n01.csv: ")

@@ -98,7 +98,7 @@ def _part(content: bytes) -> Callable[[Path], object]:
 
     def damage(folder: Path) -> None:
         parts = folder / ".result.parts"
-        Parts(parts, "key").kept("a part", lambda: 1)
+        Parts(parts, "key").load_or_make("a part", lambda: 1)
         (whole,) = parts.iterdir()
         whole.write_bytes(whole.read_bytes() + content)
 

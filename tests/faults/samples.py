@@ -35,7 +35,7 @@ from palpate.lab import read_lab_config
 from palpate.pipeline import read_fitted_surface
 from palpate.probe import read_compression
 from palpate.recording import read_recording
-from palpate.recording.force import even_force, find_touches, find_zero, read_force_log
+from palpate.recording.force import find_touches, find_zero, read_force_log, resample_force
 from palpate.recording.pictures import Footage, camera_motion, read_times
 from palpate.recording.poses import read_poses
 from palpate.records import (
@@ -207,7 +207,7 @@ def write_results(folder: Path) -> list[tuple[str, Path]]:
     for version in ("5", "7.3"):
         file = folder / f"v{version}.mat"
         found.append(("duodic", write_mat(file, "DIC3D", multidic_states(), version=version)))
-    row = np.zeros(4, dtype=import_module("palpate.records.programs.pyvale")._ROW)
+    row = np.zeros(4, dtype=import_module("palpate.records.programs.pyvale")._ROW_TYPE)
     row["place_mm"], row["disp_mm"], row["converged"], row["stereo_converged"] = PLACE, MOVE, 1, 1
     (folder / "rows.dic3d").write_bytes(row.tobytes())
     for suffix in (".vtu", ".vtk"):
@@ -326,7 +326,7 @@ def write_recorded(folder: Path) -> list[tuple[Path, Reader]]:
 
     def presses(_path: Path) -> object:
         log = read_force_log(gauge)
-        touches, _ = find_touches(even_force(log))
+        touches, _ = find_touches(resample_force(log))
         return find_zero(log, touches)
 
     return [

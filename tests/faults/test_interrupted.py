@@ -18,7 +18,7 @@ from faults.bench import write_scan, write_shots
 
 from palpate.app import commands
 from palpate.app.cli import main
-from palpate.app.commands.door import object_view
+from palpate.app.commands.sessions import object_view
 from palpate.calibration import ObjectView
 from palpate.campaign.rows import Row
 from palpate.campaign.store import Store

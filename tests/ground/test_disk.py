@@ -20,13 +20,13 @@ def _file(folder: Path, text: str) -> None:
 
 
 def _files(folder: Path, text: str) -> None:
-    with disk.placed([folder / name for name in ("n01", "n02", "session")]) as staged:
+    with disk.atomic_replacement([folder / name for name in ("n01", "n02", "session")]) as staged:
         for path in staged:
             path.write_text(text)
 
 
 def _folder(folder: Path, text: str) -> None:
-    with disk.placed([folder / "result"], folder=True) as (staged,):
+    with disk.atomic_replacement([folder / "result"], folder=True) as (staged,):
         (staged / "below").mkdir()
         for name in ("one", "below/two"):
             (staged / name).write_text(text)
@@ -34,16 +34,18 @@ def _folder(folder: Path, text: str) -> None:
 
 def _folder_in_two_steps(folder: Path, text: str) -> None:
     """As where the system cannot exchange two names."""
-    exchanged, disk._exchanged = disk._exchanged, lambda *_: False
+    exchange, disk._exchange = disk._exchange, lambda *_: False
     try:
         _folder(folder, text)
     finally:
-        disk._exchanged = exchanged
+        disk._exchange = exchange
 
 
 def _kept(folder: Path, text: str) -> None:
     """As with --force: a file that is no result stays under another name."""
-    with disk.placed([folder / "a"], aside=lambda path: path.read_text() == "old") as (staged,):
+    with disk.atomic_replacement(
+        [folder / "a"], keep_old=lambda path: path.read_text() == "old"
+    ) as (staged,):
         staged.write_text(text)
 
 
@@ -97,7 +99,7 @@ def test_old_or_new_at_every_step(tmp_path, name, dies, capfd):
         outcomes.append(in_child(lambda at=folder: work(at, "new"), folder, step=step, dies=dies))
         if name in _NEVER_WITHOUT:
             assert _plain(_content(folder)) in (before, after), len(outcomes)
-        disk.settle(folder / "session")
+        disk.roll_back_interrupted(folder / "session")
         states.append(_plain(_content(folder)))
         work(folder, "again")
         again = {key: text.replace("new", "again") for key, text in after.items()}
@@ -123,9 +125,9 @@ def test_old_or_new_at_every_step(tmp_path, name, dies, capfd):
 def test_a_second_process_is_told_who_writes(tmp_path):
     target = tmp_path / "result"
     with (
-        disk.placed([target], folder=True),
+        disk.atomic_replacement([target], folder=True),
         pytest.raises(InUseError, match=rf"being written by process {os.getpid()} on "),
-        disk.placed([target], folder=True),
+        disk.atomic_replacement([target], folder=True),
     ):
         raise AssertionError("the block must not run")
     # The lock of a process that was killed holds nobody up.
@@ -165,7 +167,7 @@ def test_what_is_no_lock_stays_as_it_is(tmp_path, kind):
 @pytest.mark.parametrize("kind", ["link", "file", "folder", "pipe", "device"])
 def test_what_is_no_journal_is_refused_at_once(tmp_path, kind):
     _FOREIGN[kind](tmp_path / ".session.journal")
-    for work in (_files, lambda folder, _: disk.settle(folder / "session")):
+    for work in (_files, lambda folder, _: disk.roll_back_interrupted(folder / "session")):
         with pytest.raises(RecordError, match="is not what Palpate leaves of an interrupted run"):
             work(tmp_path, "new")
     assert not (tmp_path / "session").exists()
@@ -181,7 +183,7 @@ def test_a_signal_waits_until_all_is_in_place(tmp_path, monkeypatch):
         return real(*names)
 
     def work():
-        with disk.placed([tmp_path / name for name in ("n01", "session")]) as staged:
+        with disk.atomic_replacement([tmp_path / name for name in ("n01", "session")]) as staged:
             for path in staged:
                 path.write_text("new")
             monkeypatch.setattr(os, "replace", replace)
@@ -216,7 +218,7 @@ def test_what_a_journal_may_name(tmp_path):
     ):  # fmt: skip
         (below / ".session.journal").write_text(text, encoding="latin-1")
         with pytest.raises(RecordError, match="is not what Palpate leaves"):
-            disk.settle(below / "session")
+            disk.roll_back_interrupted(below / "session")
     assert (tmp_path / "thesis").exists()
 
 
@@ -231,7 +233,7 @@ def test_what_is_no_file_or_elsewhere_is_not_replaced(tmp_path):
     (tmp_path / "file").write_text("mine")
     with (
         pytest.raises(RecordError, match="file: is no folder"),
-        disk.placed([tmp_path / "file"], folder=True),
+        disk.atomic_replacement([tmp_path / "file"], folder=True),
     ):
         raise AssertionError("the block must not run")
     assert _content(tmp_path) == {"below/thesis": "years of work", "file": "mine"}
@@ -249,8 +251,8 @@ def test_an_older_folder_without_rights_is_not_left_behind(tmp_path):
     (older / "plots").mkdir(parents=True)
     (older / "plots" / "one.png").write_text("old")
     code = (
-        "import sys, pathlib; from palpate.disk import placed\n"
-        "with placed([pathlib.Path(sys.argv[1])], folder=True) as (new,):\n"
+        "import sys, pathlib; from palpate.disk import atomic_replacement\n"
+        "with atomic_replacement([pathlib.Path(sys.argv[1])], folder=True) as (new,):\n"
         "    (new / 'a').write_text('new')"
     )
     drop = [shutil.which("setpriv"), "--inh-caps=-all", "--bounding-set=-all"]
@@ -270,20 +272,20 @@ def test_an_older_folder_without_rights_is_not_left_behind(tmp_path):
 
 def test_what_was_made_of_a_folder_goes_again_where_the_block_fails(tmp_path):
     folder = tmp_path / "a" / "b"
-    with disk.folder_made(folder):
+    with disk.created_folder(folder):
         pass
     assert folder.is_dir()
-    with pytest.raises(RecordError, match="full"), disk.folder_made(folder / "c" / "d"):
+    with pytest.raises(RecordError, match="full"), disk.created_folder(folder / "c" / "d"):
         raise RecordError("full")
     assert list(folder.iterdir()) == []
     # What was there before stays, and so does what holds something.
-    with pytest.raises(RecordError, match="full"), disk.folder_made(folder):
+    with pytest.raises(RecordError, match="full"), disk.created_folder(folder):
         raise RecordError("full")
     (folder / "c").mkdir()
     (folder / "c" / "file").touch()
-    with pytest.raises(RecordError, match="full"), disk.folder_made(folder / "c"):
+    with pytest.raises(RecordError, match="full"), disk.created_folder(folder / "c"):
         raise RecordError("full")
     assert (folder / "c" / "file").is_file()
     below = folder / "c" / "file" / "d"
-    with pytest.raises(RecordError, match="d: cannot be written"), disk.folder_made(below):
+    with pytest.raises(RecordError, match="d: cannot be written"), disk.created_folder(below):
         pass

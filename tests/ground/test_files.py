@@ -13,14 +13,14 @@ from fault_injection import without_rights
 
 from palpate import files
 from palpate.errors import InputError, MeshError, PalpateError, RecordError, quoted
-from palpate.files import checked_file, damage, is_file, parse_array, read_bytes, stored_arrays
+from palpate.files import checked_file, is_file, parse_array, read_bytes, read_errors, stored_arrays
 
 
 def test_content_and_beginning(tmp_path):
     (tmp_path / "a").write_bytes(b"abc")
     assert read_bytes(tmp_path / "a") == b"abc"
     assert read_bytes(tmp_path / "a", 2) == b"ab"
-    assert checked_file(tmp_path / "a", most=3) == tmp_path / "a"
+    assert checked_file(tmp_path / "a", max_bytes=3) == tmp_path / "a"
 
 
 @pytest.mark.parametrize(
@@ -81,16 +81,16 @@ def test_files_are_told_from_folders_and_names_that_cannot_be(tmp_path):
     ],
 )
 def test_whatever_a_reader_raises_is_one_message(tmp_path, error, said):
-    with pytest.raises(RecordError, match=said), damage(tmp_path / "a.x", "save it again"):
+    with pytest.raises(RecordError, match=said), read_errors(tmp_path / "a.x", "save it again"):
         raise error
 
 
 def test_own_errors_pass_and_others_prints_do_not(tmp_path, capsys):
-    with pytest.raises(InputError, match="own"), damage(tmp_path, ""):
+    with pytest.raises(InputError, match="own"), read_errors(tmp_path, ""):
         raise InputError("own")
-    with pytest.raises(KeyboardInterrupt), damage(tmp_path, ""):
+    with pytest.raises(KeyboardInterrupt), read_errors(tmp_path, ""):
         raise KeyboardInterrupt
-    with damage(tmp_path, ""):
+    with read_errors(tmp_path, ""):
         print("of a reader")
     assert capsys.readouterr().out == ""
 
@@ -146,7 +146,7 @@ def test_packed_gigabytes_are_refused_before_memory_is_taken(tmp_path):
         pytest.raises(
             RecordError, match=r"a\.npz: its arrays take 16000\d+ bytes, more than the 100"
         ),
-        stored_arrays(tmp_path / "a.npz", "", most=10**6),
+        stored_arrays(tmp_path / "a.npz", "", max_bytes=10**6),
     ):
         pass
     assert tracemalloc.get_traced_memory()[1] < 10**6
@@ -204,7 +204,7 @@ def test_long_values_and_messages_lose_their_middle():
 
 
 def test_a_small_archive_may_not_hold_much(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_MOST_UNPACKED", 2**16)
+    monkeypatch.setattr(files, "_ANY_RATIO_BYTES", 2**16)
     np.savez_compressed(tmp_path / "a.npz", a=np.zeros(2**20))
     with (
         pytest.raises(RecordError, match="its arrays take 8388736 bytes, more than the"),

@@ -26,30 +26,30 @@ def _made(asked, part):
 def test_a_part_is_made_once_and_read_to_the_last_bit(tmp_path):
     asked = []
     store = Parts(tmp_path / "parts", "key")
-    first = store.kept("one", lambda: _made(asked, PART))
-    again = store.kept("one", lambda: _made(asked, PART))
+    first = store.load_or_make("one", lambda: _made(asked, PART))
+    again = store.load_or_make("one", lambda: _made(asked, PART))
     assert content_digest(first) == content_digest(again) == content_digest(PART)
     assert len(asked) == 1
-    store.kept("two", lambda: _made(asked, PART))
-    Parts(tmp_path / "parts", "other").kept("one", lambda: _made(asked, PART))
+    store.load_or_make("two", lambda: _made(asked, PART))
+    Parts(tmp_path / "parts", "other").load_or_make("one", lambda: _made(asked, PART))
     assert len(asked) == 3
-    Parts(None).kept("one", lambda: _made(asked, PART))
+    Parts(None).load_or_make("one", lambda: _made(asked, PART))
     assert len(asked) == 4
 
 
 def test_known_objects_are_put_in_again(tmp_path):
     store, large = Parts(tmp_path, "key"), np.zeros(10**6)
-    store.kept("one", lambda: {"large": large, "small": 1}, {"field": large})
+    store.load_or_make("one", lambda: {"large": large, "small": 1}, {"field": large})
     assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 1000
     other = np.ones(3)
-    assert store.kept("one", dict, {"field": other})["large"] is other
+    assert store.load_or_make("one", dict, {"field": other})["large"] is other
     # A part that rests on something that is not there is made anew.
-    assert store.kept("one", lambda: "new") == "new"
+    assert store.load_or_make("one", lambda: "new") == "new"
 
 
 def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
     store = Parts(tmp_path, "key")
-    store.kept("one", lambda: PART)
+    store.load_or_make("one", lambda: PART)
     (file,) = tmp_path.iterdir()
     content = file.read_bytes()
 
@@ -69,12 +69,12 @@ def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
         hashlib.sha256(evil).digest() + evil,
     ):
         file.write_bytes(bad)
-        assert store.kept("one", lambda: "new") == "new"
+        assert store.load_or_make("one", lambda: "new") == "new"
 
 
 def test_a_disk_that_keeps_nothing_is_no_reason_to_stop(tmp_path):
     (tmp_path / "file").write_text("")
-    assert Parts(tmp_path / "file" / "parts", "key").kept("one", lambda: "new") == "new"
+    assert Parts(tmp_path / "file" / "parts", "key").load_or_make("one", lambda: "new") == "new"
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ def test_digests_tell_apart(one, other):
 def test_a_pipe_in_the_place_of_a_part_is_no_part(tmp_path):
     """Reading it would wait for ever."""
     parts = Parts(tmp_path, "key")
-    parts.kept("a", lambda: 1)
+    parts.load_or_make("a", lambda: 1)
     (file,) = tmp_path.iterdir()
     file.unlink()
     os.mkfifo(file)
-    assert parts.kept("a", lambda: 2) == 2
+    assert parts.load_or_make("a", lambda: 2) == 2

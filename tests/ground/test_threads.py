@@ -20,20 +20,20 @@ def threads(request):
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 100])
-@pytest.mark.parametrize("fewest", [1, 30])
-def test_every_thing_is_done_once(threads, count, fewest):
+@pytest.mark.parametrize("min_items", [1, 30])
+def test_every_thing_is_done_once(threads, count, min_items):
     done = np.zeros(count, dtype=int)
 
     def kernel(start, stop, amount):
         done[start:stop] += amount
 
-    in_threads(kernel, count, 3, fewest=fewest)
+    in_threads(kernel, count, 3, min_items=min_items)
     np.testing.assert_array_equal(done, 3)
 
 
 def test_the_kernel_is_first_called_for_nothing():
     ranges = []
-    in_threads(lambda start, stop: ranges.append((start, stop)), 5, fewest=5)
+    in_threads(lambda start, stop: ranges.append((start, stop)), 5, min_items=5)
     assert ranges == [(0, 0), (0, 5)]
 
 
@@ -45,7 +45,7 @@ def test_two_threads_work_at_the_same_time(threads):
         if stop > start:
             together.wait(timeout=30.0)
 
-    in_threads(kernel, threads, fewest=1)
+    in_threads(kernel, threads, min_items=1)
 
 
 def test_an_error_in_a_thread_comes_through(threads):

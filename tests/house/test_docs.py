@@ -8,7 +8,7 @@ import pytest
 from cyclopts import CycloptsError
 from make_map import ROOT, SOURCE
 
-from palpate.app.arguments import completed, make_app
+from palpate.app.arguments import expanded_words, make_app
 from palpate.lab import read_lab_config
 
 PAGES = [
@@ -50,7 +50,7 @@ def commands():
 
 @pytest.mark.parametrize("line", sorted(set(commands())))
 def test_commands_are_understood(line):
-    words = completed(shlex.split(line))
+    words = expanded_words(shlex.split(line))
     make_app().parse_args(words, exit_on_error=False, print_error=False)
 
 

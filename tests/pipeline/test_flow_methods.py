@@ -84,8 +84,10 @@ def test_averages_move_with_a_rigid_motion(begun, steps, mesh):
         moved = (average.weights @ MOTION(average.points).ravel()).reshape(-1, 3)
         expected = MOTION(mesh.vertices)
         # At the corners quadratics are extrapolated by some 3 um, which the turn moves by 0.06 um.
-        np.testing.assert_allclose(moved[average.given], expected[average.given], atol=1e-7)
-        assert average.given[measured_vertices(found)].mean() > 0.9
+        np.testing.assert_allclose(
+            moved[average.has_weights], expected[average.has_weights], atol=1e-7
+        )
+        assert average.has_weights[measured_vertices(found)].mean() > 0.9
 
 
 def test_a_rigid_motion_is_recovered_as_well_as_claimed(steps):
@@ -129,7 +131,7 @@ def test_a_state_that_was_kept_is_the_same(begun, series, steps, tmp_path):
     known |= {f"picture {c}": picture for c, picture in enumerate(series[1])}
     after, _ = steps[0]
     store = Parts(tmp_path, "key")
-    store.kept("state", lambda: after, known)
-    read = store.kept("state", lambda: pytest.fail("was not kept"), known)
+    store.load_or_make("state", lambda: after, known)
+    read = store.load_or_make("state", lambda: pytest.fail("was not kept"), known)
     assert read is not after
     assert content_digest(read) == content_digest(after)

@@ -36,13 +36,13 @@ def test_tracks_become_points(tmp_path: Path, rig: Rig, version: str) -> None:
     place = rng.uniform(-0.02, 0.02, size=(30, 3)) + np.array([0.0, 0.0, 0.02])
     moved = rng.normal(scale=1e-3, size=(30, 3))
     path = _file(tmp_path / "a.mat", rig, [place, place + moved, place], version=version)
-    measured = read_measured("duodic", path, frame=1, in_space=lambda t: triangulated(t, rig))
+    measured = read_measured("duodic", path, frame=1, triangulate=lambda t: triangulated(t, rig))
     # A rounding of pixels, 1e-13, seen from 0.6 m with 1400 px.
     np.testing.assert_allclose(measured.points, place, atol=1e-12)
     good = np.arange(30) != 2
     np.testing.assert_allclose(measured.displacement[good], moved[good], atol=1e-12)
     assert np.isnan(measured.displacement[2]).all()
-    assert measured.poor == 1
+    assert measured.poorly_correlated == 1
 
 
 def test_real_matches_of_multidic(shared_data: Path) -> None:
@@ -53,7 +53,7 @@ def test_real_matches_of_multidic(shared_data: Path) -> None:
     path = folder / "speckledObjectImages" / "DIC2DpairResults_C_201_C_202.mat"
     for frame, length in ((1, 0.420e-3), (2, 0.895e-3), (3, 1.389e-3), (4, 1.872e-3)):
         measured = read_measured(
-            "multidic", path, frame=frame, in_space=lambda t: triangulated(t, swapped)
+            "multidic", path, frame=frame, triangulate=lambda t: triangulated(t, swapped)
         )
         found = np.linalg.norm(np.nanmean(measured.displacement, axis=0))
         # Three digits are given.
@@ -70,7 +70,7 @@ def test_other_cameras_are_refused(rig: Rig) -> None:
 
 def test_places_are_no_tracks(tmp_path: Path, rig: Rig) -> None:
     with pytest.raises(RecordError, match="files of vic3d hold places, no pixels; leave --rig out"):
-        read_measured("vic3d", tmp_path / "a.csv", in_space=lambda t: triangulated(t, rig))
+        read_measured("vic3d", tmp_path / "a.csv", triangulate=lambda t: triangulated(t, rig))
     path = write_cells(tmp_path / "a.mat", "a", {"Points": [np.zeros((4, 2))] * 3}, version="7.3")
     with pytest.raises(RecordError, match="Points holds 3 pictures; must be two or more"):
-        read_measured("duodic", path, in_space=lambda t: triangulated(t, rig))
+        read_measured("duodic", path, triangulate=lambda t: triangulated(t, rig))

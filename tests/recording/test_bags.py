@@ -76,7 +76,7 @@ def test_a_bag_says_what_waswritten(tmp_path: Path, kind: str) -> None:
     assert not log.notes
     # Lengths of a bag are metres, whatever the session's unit; there are no stamps but the bag's.
     poses = read_poses(file, metres_per_unit=1e-3)
-    np.testing.assert_allclose(poses.place, _PLACE, atol=1e-8)
+    np.testing.assert_allclose(poses.position, _PLACE, atol=1e-8)
     np.testing.assert_allclose(poses.time, _TIMES + _LATE, rtol=0.0, atol=1e-6)
 
 

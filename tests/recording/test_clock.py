@@ -6,7 +6,7 @@ from recording.bench_signals import HOLD, PEAKS, RAMP, begins, duration, push
 
 from palpate.errors import RecordError
 from palpate.recording.clock import (
-    SizeOfForce,
+    ForceMagnitude,
     coarse_offset,
     fine_clock,
     hysteresis_of,
@@ -17,13 +17,13 @@ from palpate.recording.pictures import CameraMotion, Ramp
 _OFFSET, _FRAME = 0.4137, 1.0 / 30.0
 
 
-def _force(peaks: np.ndarray = PEAKS) -> tuple[SizeOfForce, list[Touch]]:
+def _force(peaks: np.ndarray = PEAKS) -> tuple[ForceMagnitude, list[Touch]]:
     time = np.arange(0.0, duration(len(peaks)), 0.02)
     touches = [
         Touch(begin, begin + 2.0 * RAMP + HOLD, peak, True)
         for begin, peak in zip(begins(len(peaks)), peaks, strict=True)
     ]
-    return SizeOfForce(time, push(time, peaks)), touches
+    return ForceMagnitude(time, push(time, peaks)), touches
 
 
 def _law(size: np.ndarray, peak: float) -> np.ndarray:
@@ -54,7 +54,7 @@ def _ramps(
 
 
 def _thinned(ramps: list[Ramp], step: int) -> list[Ramp]:
-    return [Ramp(one.time[::step], one.share[::step]) for one in ramps]
+    return [Ramp(one.time[::step], one.progress[::step]) for one in ramps]
 
 
 def test_pictures_that_are_far_apart_are_told_from_those_that_are_too_far() -> None:
@@ -97,7 +97,7 @@ def test_a_lag_between_force_and_motion_is_an_offset() -> None:
 
 def test_hysteresis_is_the_force_in_less_out_at_the_same_picture() -> None:
     force, touches = _force()
-    size = force.size.copy()
+    size = force.magnitude.copy()
     middles = np.array([0.5 * (touch.begin + touch.end) for touch in touches])
     nearest = np.abs(force.time[:, None] - middles).argmin(axis=1)
     peak = np.array([touch.peak for touch in touches])[nearest]
@@ -105,7 +105,7 @@ def test_hysteresis_is_the_force_in_less_out_at_the_same_picture() -> None:
     out = force.time > middles[nearest]
     share = _law(size, 1.0) / _law(peak, 1.0)
     size[out] -= (0.4 * peak * share * (1.0 - share))[out]
-    turned, ramps = SizeOfForce(force.time, size), _ramps(touches)
+    turned, ramps = ForceMagnitude(force.time, size), _ramps(touches)
     pairs = list(zip(touches, ramps, strict=True))
     compared = np.linspace(0.3, 0.9, 7)
     truth = float((0.4 * compared * (1.0 - compared)).mean())
@@ -141,15 +141,15 @@ def test_presses_in_a_row_leave_a_doubt_and_uneven_ones_none() -> None:
 
     for steps, doubtful in ((np.full(20, 2.6), True), (2.6 + 0.3 * (np.arange(20) % 3), False)):
         starts = 2.0 + np.cumsum(steps)
-        force = SizeOfForce(np.arange(0.0, 62.0, 0.02), np.zeros(3100))
-        force = SizeOfForce(force.time, size(force.time, starts))
+        force = ForceMagnitude(np.arange(0.0, 62.0, 0.02), np.zeros(3100))
+        force = ForceMagnitude(force.time, size(force.time, starts))
         touches = [Touch(s, s + 2.0, 1.0, True) for s in starts if s < 58.0]
         ramps = []
         for touch in touches:
             mine = own[(own > touch.begin - 1.0) & (own < touch.end + 1.0)]
             ramps.append(Ramp(mine, size(mine, starts)))
         found = fine_clock((0.0, 0.9, 2.6), force, touches, ramps, "c0")
-        assert (found.doubt is not None) == doubtful
+        assert (found.rival_offset is not None) == doubtful
         assert len(found.notes) == doubtful
 
 

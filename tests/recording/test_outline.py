@@ -36,7 +36,7 @@ def test_a_recording_needs_its_axes_only(bench: Path, tmp_path: Path) -> None:
     assert given.gauge.file.name == "force.csv"
     # The block stands on z = -0.03; its sides are smaller.
     assert _said(folder / "recording.toml")["support"]["plane"]["point"] == [0, 0, -0.03]
-    assert given.places.poses is None
+    assert given.contact_source.poses is None
     (folder / "poses.csv").write_text("time,x,y,z\n0,0,0,0\n1,0,0,0\n")
     (folder / "recording.toml").unlink()
     assert main(["init", str(folder)]) == 0
@@ -68,7 +68,7 @@ def test_a_tool_stands_for_the_patch(bench: Path, tmp_path: Path) -> None:
     shutil.copytree(bench, folder)
     (folder / "recording.toml").unlink()
     assert main(["init", str(folder), "--tool-radius", "0.006"]) == 0
-    patch = read_recording(folder).places.patch
+    patch = read_recording(folder).contact_source.patch
     assert (patch["tool"], patch["tool_radius"]) == ("sphere", 0.006)
     assert "radius" not in patch
     assert main(["init", str(folder), "--template", "dic", "--tool-radius", "0.006"]) == 0
@@ -149,7 +149,7 @@ def test_sides_and_units() -> None:
     sides = flat_sides(mesh)
     assert [side.name for side in sides[:2]] == ["z-", "z+"]
     # 40 x 30 of 2 (40 x 30 + 40 x 20 + 30 x 20).
-    assert sides[0].share == pytest.approx(1200.0 / 5200.0)
+    assert sides[0].area_fraction == pytest.approx(1200.0 / 5200.0)
     assert chosen_side(sides, "y+").point[1] == pytest.approx(mesh.vertices[:, 1].max())
     for factor, unit in ((1.0, "mm"), (0.1, "cm"), (1e-3, "m")):
         assert likely_unit(TriangleMesh(factor * mesh.vertices, mesh.triangles)) == unit

@@ -20,15 +20,15 @@ from palpate.errors import RecordError
 from palpate.recording.force import (
     ForceLog,
     Gauge,
-    even_force,
     find_plateau,
     find_touches,
     find_zero,
     mean_std,
     read_force,
     read_force_log,
+    resample_force,
     still_force,
-    why_unread,
+    unreadable_reason,
 )
 
 
@@ -38,7 +38,7 @@ def _log(time: np.ndarray, force: np.ndarray) -> ForceLog:
 
 
 def _read(log: ForceLog):
-    even = even_force(log)
+    even = resample_force(log)
     touches, knocks = find_touches(even)
     zero = find_zero(log, touches)
     still = still_force(even, zero)
@@ -109,8 +109,8 @@ def test_a_push_that_never_rests_has_no_plateau() -> None:
     log = _log(time, force)
     _, _, _, plateaus = _read(log)
     assert [k for k, plateau in enumerate(plateaus) if plateau is None] == [2]
-    assert "hold the tool still" in why_unread(log, plateaus[2])
-    assert why_unread(log, plateaus[3]) == ""
+    assert "hold the tool still" in unreadable_reason(log, plateaus[2])
+    assert unreadable_reason(log, plateaus[3]) == ""
 
 
 def test_knocks_are_counted() -> None:
@@ -133,7 +133,7 @@ def test_a_recording_that_begins_pressed_is_refused() -> None:
     time, force = readings()
     late = time > begins(10)[0] + 0.2
     with pytest.raises(RecordError, match="begin with the tool at rest"):
-        find_touches(even_force(_log(time[late], force[late])))
+        find_touches(resample_force(_log(time[late], force[late])))
 
 
 def test_the_mean_of_filtered_readings_is_less_sure() -> None:
@@ -186,7 +186,7 @@ def test_the_end_of_the_range_is_noticed(tmp_path: Path) -> None:
     log = read_force_log(_gauge(path))
     # 1.3 N of weight and 0.97 of the force: presses of 1.2 N and more.
     _, _, _, plateaus = _read(log)
-    flat = [k for k, plateau in enumerate(plateaus) if "range" in why_unread(log, plateau)]
+    flat = [k for k, plateau in enumerate(plateaus) if "range" in unreadable_reason(log, plateau)]
     assert flat == [1, 4]
     whole = write_log(tmp_path / "b.csv", time, force, "t,fx [N],fy [N],fz [N]")
     assert not read_force_log(_gauge(whole)).saturated.any()

@@ -8,7 +8,7 @@ from surfaces import box
 
 from palpate.errors import RecordError
 from palpate.records import observed_rows, read_displacement, write_displacement
-from palpate.records.measured_points import MeasuredPoints, on_object, on_surface
+from palpate.records.measured_points import MeasuredPoints, in_object_frame, on_surface
 
 SIDE = 0.04
 NAN = np.full(3, np.nan)
@@ -44,7 +44,7 @@ def test_pose_takes_points_to_the_object(cube):
     points, moved = _top()
     pose = _pose()
     elsewhere = (points - pose[:3, 3]) @ pose[:3, :3]
-    placed = on_object(_measured(elsewhere, moved @ pose[:3, :3]), pose)
+    placed = in_object_frame(_measured(elsewhere, moved @ pose[:3, :3]), pose)
     # Coordinates below 0.4 m, a few roundings of 5e-17 m.
     np.testing.assert_allclose(placed.points, points, atol=1e-15)
     np.testing.assert_allclose(placed.displacement, moved, atol=1e-18)
@@ -61,7 +61,7 @@ def test_errors_turn_with_the_frame():
     std[3] = np.nan
     moved[3] = np.nan
     pose = _pose()
-    turned = on_object(_measured(points, moved, std), pose).std
+    turned = in_object_frame(_measured(points, moved, std), pose).std
     covariance = pose[:3, :3] @ np.diag(std[0] ** 2) @ pose[:3, :3].T
     np.testing.assert_allclose(turned[0], np.sqrt(np.diag(covariance)), rtol=1e-13)
     assert np.isnan(turned[3]).all()
@@ -70,7 +70,9 @@ def test_errors_turn_with_the_frame():
 def test_a_quarter_turn_swaps_the_errors():
     points, moved = _top(2)
     pose = _pose(axis=(0, 0, 1), angle=np.pi / 2)
-    turned = on_object(_measured(points, moved, np.tile([1e-6, 2e-6, 8e-6], (2, 1))), pose).std
+    turned = in_object_frame(
+        _measured(points, moved, np.tile([1e-6, 2e-6, 8e-6], (2, 1))), pose
+    ).std
     np.testing.assert_allclose(turned[0], [2e-6, 1e-6, 8e-6], rtol=1e-12)
 
 
@@ -81,7 +83,7 @@ def test_failed_points_stay_where_they_have_a_place(cube):
     points[1] = NAN
     points[2] = [0.0, 0.0, 0.5]
     imported = on_surface(_measured(points, moved), cube)
-    counts = (imported.read, imported.failed, imported.nowhere, imported.off_surface)
+    counts = (imported.read, imported.failed, imported.without_position, imported.off_surface)
     assert counts == (20, 12, 2, 0)
     assert len(imported.field.points) == 18
     assert observed_rows(imported.field).sum() == 6

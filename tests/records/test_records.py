@@ -120,7 +120,7 @@ def test_standard_deviation_may_be_missing_where_nothing_was_measured():
 
 def test_correlations_follow_their_points():
     known = PointCorrelation(np.array([[0, 3], [1, 2], [2, 3]]), np.array([0.5, -0.1, 0.2]))
-    some = known.among(np.array([3, 2, 0]), 5)
+    some = known.subset(np.array([3, 2, 0]), 5)
     np.testing.assert_array_equal(some.pair, [[0, 2], [0, 1]])
     np.testing.assert_array_equal(some.value, [0.5, 0.2])
     share = np.array([1.0, 0.0, 1.0, 0.25])
@@ -216,21 +216,21 @@ def test_constants_and_estimates_are_checked():
 
 def test_an_average_is_a_sum_over_points_or_the_point_itself():
     average = _average(((0.5, 0.5, 0.0), (0.0, 0.0, 0.0)))
-    assert average.given.tolist() == [True, False]
+    assert average.has_weights.tolist() == [True, False]
     alone = csr_array(np.array([[1.0, 0.0], [0.0, 1.0]]))
     around = csr_array(np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
-    found = average.of(alone, around).toarray()
+    found = average.averaging_matrix(alone, around).toarray()
     np.testing.assert_array_equal(found, np.kron([[0.75, 0.25], [0.0, 1.0]], np.eye(3)))
 
 
 def test_some_of_the_averages_and_averages_among_others():
     average = _average()
-    (second,) = average.among(np.array([1])).weights.toarray().reshape(1, 3, 9)
+    (second,) = average.subset(np.array([1])).weights.toarray().reshape(1, 3, 9)
     np.testing.assert_array_equal(second, np.kron([[0.25, 0.75, 0.0]], np.eye(3)))
-    spread = average.spread(np.array([1, 3]), 5)
-    assert spread.given.tolist() == [False, True, False, True, False]
+    embedded = average.embedded(np.array([1, 3]), 5)
+    assert embedded.has_weights.tolist() == [False, True, False, True, False]
     np.testing.assert_array_equal(
-        spread.among(np.array([1, 3])).weights.toarray(), average.weights.toarray()
+        embedded.subset(np.array([1, 3])).weights.toarray(), average.weights.toarray()
     )
 
 

@@ -17,7 +17,7 @@ from palpate.errors import InputError
 
 # Numbers as options take them.
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
-_WHOLE = re.compile(r"[-+]?[0-9]+")
+_INTEGER = re.compile(r"[-+]?[0-9]+")
 # Name: where it is, and what its help says.
 _COMMANDS = {
     "fit": (
@@ -50,15 +50,15 @@ _COMMANDS = {
         "Make the mesh of an object of what scanners and cameras saw of it from their viewpoints.",
     ),
     "record": (
-        "door.record:record",
+        "sessions.record:record",
         "Make a session from videos of presses and the log of a force gauge.",
     ),
     "init": (
-        "door.init:init",
+        "sessions.init:init",
         "Write a commented session.toml with what is found in a folder.",
     ),
     "plan": (
-        "ahead.next_probings:plan",
+        "planning.next_probings:plan",
         "Find the places where further pushes tell most of the constants.",
     ),
     "report": (
@@ -93,11 +93,11 @@ _GROUPS = {
                 "Measure a virtual specimen: pictures, forces and the truth as a session.",
             ),
             "tutorial": (
-                "door.tutorial:tutorial",
+                "sessions.tutorial:tutorial",
                 "Record boards, a turntable and presses of an unknown object, for the tutorial.",
             ),
             "plan": (
-                "ahead.plan:plan",
+                "planning.plan:plan",
                 "Say what the cameras of a session will see, and what precision to expect of it.",
             ),
         },
@@ -106,12 +106,12 @@ _GROUPS = {
         "Many sessions at once, on the cores of this machine or on many machines.",
         {
             "run": (
-                "many.campaign:run",
+                "batch.campaign:run",
                 "Fit all sessions of a list or folder, go on after whatever stops it.",
             ),
-            "status": ("many.campaign:status", "Say how far a campaign is, also while it runs."),
-            "table": ("many.campaign:table", "Print a campaign's table, or write it."),
-            "plot": ("many.campaign:plot", "Draw the constants of all sessions."),
+            "status": ("batch.campaign:status", "Say how far a campaign is, also while it runs."),
+            "table": ("batch.campaign:table", "Print a campaign's table, or write it."),
+            "plot": ("batch.campaign:plot", "Draw the constants of all sessions."),
         },
     ),
     "calibrate": (
@@ -120,7 +120,7 @@ _GROUPS = {
             "rig": ("calibrate:calibrate", "Calibrate one or more cameras from pictures."),
             "board": ("calibrate:board", "Draw a ChArUco board in true size, with a ruler."),
             "object": (
-                "door.object_view:calibrate_object",
+                "sessions.object_view:calibrate_object",
                 "Find a known object before a rig, and refine the rig by its texture.",
             ),
         },
@@ -148,7 +148,10 @@ def make_app() -> App:
         help_epilogue=_FLAGS_HELP,
         # Nobody wants a list with nothing in it, nor a flag that says what is so without it.
         default_parameter=Parameter(
-            negative_iterable=(), negative_bool=(), converter=_converted, show_default=_shown
+            negative_iterable=(),
+            negative_bool=(),
+            converter=_convert_option,
+            show_default=_shown_default,
         ),
         help="Elastic constants of a soft object, with intervals, from probings with a known"
         " force.",
@@ -158,12 +161,12 @@ def make_app() -> App:
         error_console=Console(stderr=True),
         suppress_keyboard_interrupt=False,
     )
-    for name, (place, text) in _COMMANDS.items():
-        app.command(f"palpate.app.commands.{place}", name=name, help=text)
+    for name, (location, text) in _COMMANDS.items():
+        app.command(f"palpate.app.commands.{location}", name=name, help=text)
     for group, (summary, commands) in _GROUPS.items():
         inner = App(name=group, help=summary)
-        for name, (place, text) in commands.items():
-            inner.command(f"palpate.app.commands.{place}", name=name, help=text)
+        for name, (location, text) in commands.items():
+            inner.command(f"palpate.app.commands.{location}", name=name, help=text)
         app.command(inner)
 
     @app.command
@@ -187,7 +190,7 @@ def make_app() -> App:
     return app
 
 
-def _shown(default: Any) -> str | None:
+def _shown_default(default: Any) -> str | None:
     """The default of an option as its help has it; none of a flag."""
     return None if default is None or isinstance(default, bool) else str(default)
 
@@ -197,7 +200,7 @@ def versions_text() -> str:
     return "\n".join(f"{name} {number}" for name, number in versions().items())
 
 
-def completed(words: list[str]) -> list[str]:
+def expanded_words(words: list[str]) -> list[str]:
     """The words of a command line without those that any command may have, and with the command
     of a group that is meant where none is said.
 
@@ -217,7 +220,7 @@ def completed(words: list[str]) -> list[str]:
     return words
 
 
-def _converted(type_: Any, tokens: Sequence[Token]) -> Any:
+def _convert_option(type_: Any, tokens: Sequence[Token]) -> Any:
     """What the words of an option mean, with numbers written as people write them.
 
     Python reads 1_0 as ten, nan and infinity as numbers; the parser rounds 1.5 where it wants a
@@ -227,13 +230,13 @@ def _converted(type_: Any, tokens: Sequence[Token]) -> Any:
     for token in tokens:
         word = token.value
         if float in wanted and not (_NUMBER.fullmatch(word) and isfinite(float(word))):
-            raise InputError(f'{_option(token)} is "{word}"; must be a finite number')
-        if wanted == {int} and not _WHOLE.fullmatch(word):
-            raise InputError(f'{_option(token)} is "{word}"; must be a whole number')
+            raise InputError(f'{_option_name(token)} is "{word}"; must be a finite number')
+        if wanted == {int} and not _INTEGER.fullmatch(word):
+            raise InputError(f'{_option_name(token)} is "{word}"; must be a whole number')
     return convert(type_, tokens)
 
 
-def _option(token: Token) -> str:
+def _option_name(token: Token) -> str:
     return token.keyword or "a number"
 
 
@@ -265,10 +268,10 @@ def run(words: list[str]) -> int:
         verbose=any(word in words for word in _VERBOSE_WORDS),
     )
     with output_as(wanted, words):
-        return _called(completed(words))
+        return _call(expanded_words(words))
 
 
-def _called(words: list[str]) -> int:
+def _call(words: list[str]) -> int:
     """Have a command do its work."""
     try:
         outcome = make_app()(

@@ -18,7 +18,7 @@ from palpate.app.guard import guarded
 from palpate.errors import NotConvergedError, PalpateError
 
 _BROKEN_PIPE = BY_SIGNAL + 13
-_STOPPING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
+_STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 
 
 @guarded
@@ -45,11 +45,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
         return code
     except PalpateError as error:
-        _say(str(error))
+        _print_message(str(error))
         return NOT_OK if isinstance(error, NotConvergedError) else BAD_INPUT
     except KeyboardInterrupt as error:
         number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
-        _say(f"stopped by {number.name}; nothing half done is left")
+        _print_message(f"stopped by {number.name}; nothing half done is left")
         return BY_SIGNAL + number
     except OSError as error:
         # What could not be printed must not come up again at the end of the process.
@@ -57,14 +57,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, BrokenPipeError):
             return _BROKEN_PIPE
         if _folder_is_gone():
-            _say("the current folder is there no more; change to another one")
+            _print_message("the current folder is there no more; change to another one")
             return BAD_INPUT
         what = f"{error.filename or 'output'}: {error.strerror or error}"
         if error.filename is None:
             # Files take their place whole or not at all, and complain themselves.
             what += "; all files are whole"
         # As messages of our own: no longer than a terminal shows.
-        _say(str(PalpateError(what)))
+        _print_message(str(PalpateError(what)))
         return BAD_INPUT
 
 
@@ -77,7 +77,7 @@ def _folder_is_gone() -> bool:
     return False
 
 
-def _say(text: str) -> None:
+def _print_message(text: str) -> None:
     with suppress(OSError):
         print(f"palpate: {text}", file=sys.stderr)
 
@@ -86,30 +86,32 @@ def _say(text: str) -> None:
 def _stopped_by_signals() -> Iterator[None]:
     """Have the signals that ask a process to end raise `KeyboardInterrupt` with their number."""
 
-    came: list[int] = []
+    received: list[int] = []
 
     def stop(number: int, _: FrameType | None) -> NoReturn:
-        came.append(number)
+        received.append(number)
         raise KeyboardInterrupt(number)
 
-    numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in _STOP_SIGNALS if hasattr(signal, name)]
     if threading.current_thread() is not threading.main_thread():
         numbers = []
     # What whoever started the process has it ignore stays ignored.
     handlers = {n: signal.getsignal(n) for n in numbers}
-    asked = {n: old for n, old in handlers.items() if old not in (signal.SIG_IGN, None)}
-    for number in asked:
+    replaced = {
+        n: handler for n, handler in handlers.items() if handler not in (signal.SIG_IGN, None)
+    }
+    for number in replaced:
         signal.signal(number, stop)
     try:
         yield
     except BaseException:
-        if came:
+        if received:
             # Whatever it was turned into on its way up.
-            raise KeyboardInterrupt(came[0]) from None
+            raise KeyboardInterrupt(received[0]) from None
         raise
     finally:
-        for number, old in asked.items():
-            signal.signal(number, old)
+        for number, handler in replaced.items():
+            signal.signal(number, handler)
 
 
 def _open_streams() -> None:
@@ -121,7 +123,7 @@ def _open_streams() -> None:
         sys.stderr = os.fdopen(2, "w", closefd=False)
     if sys.stdout is None:
         sys.stdout = os.fdopen(1, "w", closefd=False)
-        _say("note: standard output is closed: nothing is shown")
+        _print_message("note: standard output is closed: nothing is shown")
 
 
 def _discard_output() -> None:

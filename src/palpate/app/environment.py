@@ -11,14 +11,14 @@ from pathlib import Path
 from palpate.errors import InputError
 
 # Fewer columns show no table at all.
-_FEWEST_COLUMNS = 20
+_MIN_COLUMNS = 20
 
 
 @contextmanager
-def seen_columns() -> Iterator[None]:
+def usable_columns() -> Iterator[None]:
     """A width of the terminal that shows nothing is as good as none."""
     width = os.environ.get("COLUMNS", "")
-    if not width.isdecimal() or int(width) >= _FEWEST_COLUMNS:
+    if not width.isdecimal() or int(width) >= _MIN_COLUMNS:
         yield
         return
     del os.environ["COLUMNS"]
@@ -37,7 +37,7 @@ def kernel_cache() -> Iterator[None]:
     ------
     InputError                      there is none
     """
-    if "NUMBA_CACHE_DIR" in os.environ or any(map(_writable, _cache_places())):
+    if "NUMBA_CACHE_DIR" in os.environ or any(map(_is_writable, _cache_places())):
         yield
         return
     try:
@@ -73,7 +73,7 @@ def check_cache(folder: Path | None) -> None:
     ------
     InputError                      no folder, or one that cannot be made or written
     """
-    if folder is not None and not _writable(folder):
+    if folder is not None and not _is_writable(folder):
         raise InputError(
             f"{folder}: the cache cannot be written; give another folder with --cache, or leave the"
             " cache out"
@@ -93,7 +93,7 @@ def _cache_places() -> list[Path]:
     return places
 
 
-def _writable(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     """Whether a folder, or the nearest one above that is there, can be written."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent

@@ -16,7 +16,7 @@ from io import StringIO
 from pathlib import Path
 
 from palpate import __version__
-from palpate.app.environment import kernel_cache, seen_columns
+from palpate.app.environment import kernel_cache, usable_columns
 from palpate.app.exit_codes import BAD_INPUT, PROGRAM_ERROR
 from palpate.errors import InputError
 
@@ -26,10 +26,10 @@ except ModuleNotFoundError:  # Windows has no such limits
     resource = None  # type: ignore[assignment]
 
 # Address space that the libraries and a small model need [bytes]; with less they end the process.
-_LEAST_MEMORY = 1.5 * 2**30
+_MIN_MEMORY = 1.5 * 2**30
 # Libraries that take orders from the environment, and how the names of these begin.
-_VARIABLES = {"numba": "NUMBA_", "matplotlib": "MPL"}
-_PLAIN = {"±": "+-", "µ": "u", "μ": "u"}
+_VARIABLE_PREFIXES = {"numba": "NUMBA_", "matplotlib": "MPL"}
+_ASCII_REPLACEMENTS = {"±": "+-", "µ": "u", "μ": "u"}
 Main = Callable[[Sequence[str] | None], int]
 
 
@@ -49,7 +49,7 @@ def guarded(main: Main) -> Main:
     def safe(arguments: Sequence[str] | None = None) -> int:
         if _too_little_memory():
             return PROGRAM_ERROR
-        with _plain_output(), seen_columns(), _quiet_libraries() as said:
+        with _plain_output(), usable_columns(), _quiet_libraries() as log:
             try:
                 with kernel_cache():
                     return main(arguments)
@@ -58,31 +58,31 @@ def guarded(main: Main) -> Main:
                 return BAD_INPUT
             except Exception as error:  # noqa: BLE001 - the last guard is for all of them
                 words = sys.argv[1:] if arguments is None else arguments
-                text, code = _outcome(error, words, said.getvalue())
+                text, code = _outcome(error, words, log.getvalue())
                 print(f"palpate: {text}", file=sys.stderr)
                 return code
 
     return safe
 
 
-def _outcome(error: Exception, words: Sequence[str], said: str) -> tuple[str, int]:
+def _outcome(error: Exception, words: Sequence[str], log: str) -> tuple[str, int]:
     """What to say about an error that nobody expected, and the exit code."""
     causes: list[BaseException] = [error]
     while cause := causes[-1].__cause__ or causes[-1].__context__:
         causes.append(cause)
     if any(isinstance(cause, MemoryError) for cause in causes):
-        why = " ".join(str(causes[-1]).split())
-        what = "memory ran out" + (f" ({why})" if why else "")
+        detail = " ".join(str(causes[-1]).split())
+        what = "memory ran out" + (f" ({detail})" if detail else "")
         return f"{what}; use a coarser mesh or fewer points, or close other programs", PROGRAM_ERROR
     place = traceback.extract_tb(causes[-1].__traceback__)[-1].filename
-    for library, prefix in _VARIABLES.items():
+    for library, prefix in _VARIABLE_PREFIXES.items():
         names = [key for key in os.environ if key.startswith(prefix)]
         if names and f"{os.sep}{library}{os.sep}" in place:
-            found = ", ".join(f"{key}={os.environ[key]}" for key in names)
+            variables = ", ".join(f"{key}={os.environ[key]}" for key in names)
             text = " ".join(str(causes[-1]).split())[:200]
-            return f"{text} ({library}); correct or unset {found}", BAD_INPUT
+            return f"{text} ({library}); correct or unset {variables}", BAD_INPUT
     what = "lists in lists without end" if isinstance(error, RecursionError) else _first_line(error)
-    report = _written_report(error, words, said)
+    report = _write_report(error, words, log)
     return (
         f"an error of the program, not of yours ({what}); {report or 'no report could be written'}"
         + (" says where: please send it to the developers" if report else ""),
@@ -94,7 +94,7 @@ def _first_line(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".splitlines()[0][:200]
 
 
-def _written_report(error: Exception, words: Sequence[str], said: str) -> Path | None:
+def _write_report(error: Exception, words: Sequence[str], log: str) -> Path | None:
     """A file with all that a developer needs, in the current folder, else in the system's own."""
     packages = sorted(f"{d.name} {d.version}" for d in distributions() if d.name)
     text = "\n".join(
@@ -103,7 +103,7 @@ def _written_report(error: Exception, words: Sequence[str], said: str) -> Path |
             f"command: palpate {' '.join(words)}",
             "",
             *traceback.format_exception(error),
-            *([said] if said else []),
+            *([log] if log else []),
             *packages,
             "",
         ]
@@ -121,7 +121,7 @@ def _written_report(error: Exception, words: Sequence[str], said: str) -> Path |
 @contextmanager
 def _plain_output() -> Iterator[None]:
     """Where a terminal's or a file's encoding lacks a character, another one is written for it."""
-    codecs.register_error("palpate", _replaced)
+    codecs.register_error("palpate", _ascii_replacement)
     streams = [stream for stream in (sys.stdout, sys.stderr) if hasattr(stream, "reconfigure")]
     before = [stream.errors for stream in streams]
     for stream in streams:
@@ -133,23 +133,23 @@ def _plain_output() -> Iterator[None]:
             stream.reconfigure(errors=errors)
 
 
-def _replaced(error: UnicodeError) -> tuple[str, int]:
+def _ascii_replacement(error: UnicodeError) -> tuple[str, int]:
     """The characters of a text that cannot be encoded, in ASCII."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     text = error.object[error.start : error.end]
-    return "".join(_PLAIN.get(letter, "?") for letter in text), error.end
+    return "".join(_ASCII_REPLACEMENTS.get(letter, "?") for letter in text), error.end
 
 
 @contextmanager
 def _quiet_libraries() -> Iterator[StringIO]:
     """Warnings and logs of libraries go into a text, for the report; none reaches the terminal."""
-    said = StringIO()
-    handler = logging.StreamHandler(said)
+    log = StringIO()
+    handler = logging.StreamHandler(log)
     logging.captureWarnings(True)
     logging.getLogger().addHandler(handler)
     try:
-        yield said
+        yield log
     finally:
         logging.getLogger().removeHandler(handler)
         logging.captureWarnings(False)
@@ -159,12 +159,12 @@ def _too_little_memory() -> bool:
     """Whether the process may have so little memory that the libraries could not even be loaded."""
     if resource is None:
         return False
-    most, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if most == resource.RLIM_INFINITY or most >= _LEAST_MEMORY:
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY or limit >= _MIN_MEMORY:
         return False
     print(
-        f"palpate: may use {most / 2**30:.2g} GiB of memory (ulimit -v), and needs"
-        f" {_LEAST_MEMORY / 2**30:g} GiB; raise the limit",
+        f"palpate: may use {limit / 2**30:.2g} GiB of memory (ulimit -v), and needs"
+        f" {_MIN_MEMORY / 2**30:g} GiB; raise the limit",
         file=sys.stderr,
     )
     return True

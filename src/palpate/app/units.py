@@ -9,23 +9,23 @@ from cyclopts import Parameter, Token
 from palpate.records import FORCES, LENGTHS, MODULI, quantity
 
 
-def _converted(
+def _convert(
     units: Mapping[str, float], _type: Any, tokens: Sequence[Token]
 ) -> float | tuple[float, ...]:
     """One number in SI units, or as many as there are words."""
-    found = tuple(quantity(one.value, units, one.keyword or "the number") for one in tokens)
+    found = tuple(quantity(token.value, units, token.keyword or "the number") for token in tokens)
     return found if len(found) > 1 else found[0]
 
 
-def _reads(units: Mapping[str, float]) -> Callable[..., Any]:
-    return partial(_converted, units)
+def _converter(units: Mapping[str, float]) -> Callable[..., Any]:
+    return partial(_convert, units)
 
 
-Length = Annotated[float, Parameter(converter=_reads(LENGTHS))]
-Modulus = Annotated[float, Parameter(converter=_reads(MODULI))]
+Length = Annotated[float, Parameter(converter=_converter(LENGTHS))]
+Modulus = Annotated[float, Parameter(converter=_converter(MODULI))]
 Place = Annotated[
-    tuple[float, float, float], Parameter(converter=_reads(LENGTHS), allow_leading_hyphen=True)
+    tuple[float, float, float], Parameter(converter=_converter(LENGTHS), allow_leading_hyphen=True)
 ]
 Force = Annotated[
-    tuple[float, float, float], Parameter(converter=_reads(FORCES), allow_leading_hyphen=True)
+    tuple[float, float, float], Parameter(converter=_converter(FORCES), allow_leading_hyphen=True)
 ]

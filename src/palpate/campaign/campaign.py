@@ -10,12 +10,12 @@ from typing import Any
 
 from palpate.campaign.engine import Engine, started_engine
 from palpate.campaign.items import CampaignItem
-from palpate.campaign.package import PackedSession, pack_session, packed
+from palpate.campaign.package import PackedSession, pack_files, pack_session
 from palpate.campaign.rows import DONE, Row
 from palpate.campaign.store import TABLE_TEXT, Store
 from palpate.campaign.table import table_text
 from palpate.campaign.work import FitOptions, Outcome, Work
-from palpate.disk import folder_made, placed
+from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import InputError, PalpateError
 from palpate.progress import Progress, silent
 from palpate.records import read_toml
@@ -61,8 +61,8 @@ def run_campaign(
         )
     # The lock on the table file is the lock on the whole campaign.
     with (
-        folder_made(folder),
-        placed([folder / TABLE_TEXT]) as (staged,),
+        created_folder(folder),
+        atomic_replacement([folder / TABLE_TEXT]) as (staged,),
         ExitStack() as stack,
     ):
         stack.callback(store.clear)
@@ -81,73 +81,74 @@ class _Run:
         self.store, self.options = store, options
         self._start_engine = start_engine
         self._engine: Engine | None = None
-        self._whose: dict[str, list[CampaignItem]] = {}
-        self._bodies: set[str] = set()
-        self._known = {row.session: row for row in store.rows()}
+        self._items_of: dict[str, list[CampaignItem]] = {}
+        self._known_meshes: set[str] = set()
+        self._known_rows = {row.session: row for row in store.rows()}
 
     def work_through(self, items: Sequence[CampaignItem], progress: Progress) -> None:
         """Process all sessions, until each has its row in the table."""
         waiting = deque(items)
         while waiting or (self._engine is not None and self._engine.is_busy):
             while waiting and (self._engine is None or self._engine.has_room):
-                self._begin(waiting.popleft())
-            in_hand = sum(map(len, self._whose.values()))
-            ended = len(items) - len(waiting) - in_hand
+                self._start(waiting.popleft())
+            in_progress = sum(map(len, self._items_of.values()))
+            ended = len(items) - len(waiting) - in_progress
             progress(f"{ended} of {len(items)} sessions", ended / len(items))
             if self._engine is not None and self._engine.is_busy:
-                for work, outcome in self._engine.ended():
-                    self._take(work, outcome)
+                for work, outcome in self._engine.wait_for_ended():
+                    self._store_outcome(work, outcome)
         progress(f"{len(items)} of {len(items)} sessions", 1.0)
 
-    def _begin(self, item: CampaignItem) -> None:
+    def _start(self, item: CampaignItem) -> None:
         """Start the work on a session, unless its result exists or it cannot be read."""
         try:
             session = pack_session(item.path)
-            blind, body = _described(item.path, session)
+            needs_motion, mesh_sum = _inspect(item.path, session)
         except PalpateError as error:
-            failed = Outcome(packed({}), str(error), 0.0)
+            failed = Outcome(pack_files({}), str(error), 0.0)
             self.store.set_row(self.store.row_of(item, None, failed))
             return
-        work = Work("fit", session, self.options, shared_body=body in self._bodies)
-        self._bodies |= {body} - {""}
+        work = Work("fit", session, self.options, shared_body=mesh_sum in self._known_meshes)
+        self._known_meshes |= {mesh_sum} - {""}
         if self.store.is_done(work):
-            row = self._known[item.name]
-            if (row.state, row.address) != (DONE, work.address):
+            row = self._known_rows[item.name]
+            if (row.state, row.address) != (DONE, work.digest):
                 self.store.set_row(self.store.row_of(item, work, None))
             return
-        whose = self._whose.setdefault(work.address, [])
-        whose.append(item)
-        if len(whose) == 1:
+        waiting = self._items_of.setdefault(work.digest, [])
+        waiting.append(item)
+        if len(waiting) == 1:
             motion = replace(work, kind="motion")
-            known = self.store.motion(motion) if blind else None
-            self._hand_out(motion if blind and known is None else replace(work, motion=known))
+            known = self.store.motion(motion) if needs_motion else None
+            self._submit(motion if needs_motion and known is None else replace(work, motion=known))
 
-    def _hand_out(self, work: Work) -> None:
+    def _submit(self, work: Work) -> None:
         if self._engine is None:
             self._engine = self._start_engine()
-        self._engine.begin(work)
+        self._engine.submit(work)
 
-    def _take(self, work: Work, outcome: Outcome) -> None:
+    def _store_outcome(self, work: Work, outcome: Outcome) -> None:
         """Store the outcome of a piece of work; a motion is followed by the fit."""
         if not outcome.failure:
-            self.store.keep(work, outcome.package)
+            self.store.save_result(work, outcome.package)
         if work.kind == "motion" and not outcome.failure:
-            self._hand_out(replace(work, kind="fit", motion=self.store.motion(work)))
+            self._submit(replace(work, kind="fit", motion=self.store.motion(work)))
             return
         fit = replace(work, kind="fit")
-        for item in self._whose.pop(fit.address):
+        for item in self._items_of.pop(fit.digest):
             self.store.set_row(self.store.row_of(item, fit, outcome))
 
 
-def _described(path: Path, session: PackedSession) -> tuple[bool, str]:
+def _inspect(path: Path, session: PackedSession) -> tuple[bool, str]:
     """Whether a session's motion must still be measured in pictures; checksum of its mesh."""
     file = path / "session.toml" if path.is_dir() else path
     values = read_toml(file).values
     probes = values.get("probe")
-    blind = isinstance(probes, list) and any(
-        isinstance(one, dict) and "images" in one and "displacement" not in one for one in probes
+    needs_motion = isinstance(probes, list) and any(
+        isinstance(probe, dict) and "images" in probe and "displacement" not in probe
+        for probe in probes
     )
     body = values.get("object")
     mesh = str(body.get("mesh")) if isinstance(body, dict) else ""
     place = posixpath.normpath(posixpath.join(posixpath.dirname(session.session), mesh))
-    return blind, session.package.sums.get(place, "")
+    return needs_motion, session.package.sums.get(place, "")

@@ -15,18 +15,18 @@ from types import ModuleType
 from typing import Any
 
 from palpate import __version__
-from palpate.campaign.package import packed
+from palpate.campaign.package import pack_files
 from palpate.campaign.work import Outcome, Work, do_work
 from palpate.errors import InputError
 from palpate.optional_imports import late_import
 
 # Timeouts for a scheduler to answer, and for the first worker to appear [s].
-_ANSWER, _WORKER = 10, 60
+_CONNECT_TIMEOUT, _FIRST_WORKER_TIMEOUT = 10, 60
 # Pieces of work queued per worker thread, so that none is idle.
-_IN_HAND = 2
+_QUEUED_PER_THREAD = 2
 # Number of times that Dask may give up on a piece of work, after several workers died, before it
 # counts as failed.
-_MOST_DEATHS = 3
+_MAX_DEATHS = 3
 # Fraction of the memory that is divided among the workers.
 _USABLE_SHARE = 0.9
 # Environment of the workers, set before libraries are loaded: one thread each.
@@ -37,9 +37,9 @@ _SETTINGS = {
     "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
     # Pictures are sent with the work, so large messages are expected.
     "distributed.admin.large-graph-warning-threshold": "4 GiB",
-    "distributed.comm.timeouts.connect": f"{_ANSWER}s",
+    "distributed.comm.timeouts.connect": f"{_CONNECT_TIMEOUT}s",
 }
-_SAME = ("python", "dask", "distributed")
+_MATCHED_PACKAGES = ("python", "dask", "distributed")
 
 
 @dataclass(slots=True, eq=False)
@@ -55,18 +55,18 @@ class Engine:
     client: Any
     address: str
     _library: ModuleType
-    _begun: dict[Any, Work] = field(default_factory=dict)
+    _submitted: dict[Any, Work] = field(default_factory=dict)
     _deaths: dict[str, int] = field(default_factory=dict)
 
     @property
     def has_room(self) -> bool:
         """Whether more work may be submitted; work that waits takes memory."""
-        return len(self._begun) < max(_IN_HAND, _IN_HAND * self.threads)
+        return len(self._submitted) < max(_QUEUED_PER_THREAD, _QUEUED_PER_THREAD * self.threads)
 
     @property
     def is_busy(self) -> bool:
         """Whether there is work that has not ended."""
-        return bool(self._begun)
+        return bool(self._submitted)
 
     @property
     def threads(self) -> int:
@@ -74,9 +74,9 @@ class Engine:
         try:
             return sum(self.client.nthreads().values())
         except OSError as error:
-            raise self._gone() from error
+            raise self._lost_scheduler() from error
 
-    def begin(self, work: Work) -> None:
+    def submit(self, work: Work) -> None:
         """Submit a piece of work.
 
         Parameters
@@ -88,12 +88,12 @@ class Engine:
         InputError                  the scheduler is gone
         """
         if self.client.status not in ("running", "connecting"):
-            raise self._gone()
+            raise self._lost_scheduler()
         # Not pure: identical work of another client must get a key of its own.
-        future = self.client.submit(_on_worker, work, pure=False)
-        self._begun[future] = work
+        future = self.client.submit(_work_on_worker, work, pure=False)
+        self._submitted[future] = work
 
-    def ended(self) -> list[tuple[Work, Outcome]]:
+    def wait_for_ended(self) -> list[tuple[Work, Outcome]]:
         """Wait until at least one piece of work has ended.
 
         Returns
@@ -106,15 +106,15 @@ class Engine:
         """
         try:
             with self.client.as_current():
-                found = self._library.wait(list(self._begun), return_when="FIRST_COMPLETED")
+                found = self._library.wait(list(self._submitted), return_when="FIRST_COMPLETED")
         except (OSError, self._library.CancelledError) as error:
-            raise self._gone() from error
+            raise self._lost_scheduler() from error
         ended = []
         for future in found.done:
-            work = self._begun.pop(future)
+            work = self._submitted.pop(future)
             outcome = self._outcome(future, work)
             if outcome is None:
-                self.begin(work)
+                self.submit(work)
             else:
                 ended.append((work, outcome))
         return ended
@@ -125,30 +125,30 @@ class Engine:
             found: Outcome = future.result()
             return found
         if future.status != "error":
-            raise self._gone()
+            raise self._lost_scheduler()
         error = future.exception()
         if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("palpate"):
-            raise InputError(f"a worker at {self.address} has no Palpate; {_same_everywhere()}")
+            raise InputError(f"a worker at {self.address} has no Palpate; {_install_advice()}")
         if isinstance(error, self._library.KilledWorker):
-            self._deaths[work.address] = self._deaths.get(work.address, 0) + 1
-            if self._deaths[work.address] < _MOST_DEATHS:
+            self._deaths[work.digest] = self._deaths.get(work.digest, 0) + 1
+            if self._deaths[work.digest] < _MAX_DEATHS:
                 return None
             text = (
                 "every worker that took it died, as when memory runs out; use a coarser mesh, or"
                 " workers with more memory"
             )
-            return Outcome(packed({}), text, 0.0)
+            return Outcome(pack_files({}), text, 0.0)
         text = " ".join(f"{type(error).__name__}: {error}".split())[:400]
-        return Outcome(packed({}), f"an error of the program, not of yours ({text})", 0.0)
+        return Outcome(pack_files({}), f"an error of the program, not of yours ({text})", 0.0)
 
-    def _gone(self) -> InputError:
+    def _lost_scheduler(self) -> InputError:
         return InputError(
             f"the scheduler at {self.address} does not answer any more; all results that had come"
             " are kept: start the same command again when it is back, and it goes on"
         )
 
 
-def _on_worker(work: Work) -> Outcome:
+def _work_on_worker(work: Work) -> Outcome:
     """Do a piece of work in the worker's own folder, within its share of the memory."""
     distributed = late_import("distributed", extra="batch", purpose="a campaign's worker")
     worker = distributed.get_worker()
@@ -187,9 +187,9 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
             folder = stack.enter_context(
                 tempfile.TemporaryDirectory(prefix="palpate-workers-", ignore_cleanup_errors=True)
             )
-            client = stack.enter_context(_local(library, workers or cores(), folder))
+            client = stack.enter_context(_local_client(library, workers or cores(), folder))
         else:
-            client = stack.enter_context(_connected(library, scheduler))
+            client = stack.enter_context(_connected_client(library, scheduler))
         address = scheduler or str(client.scheduler.address)
         _check_workers(client, address)
         yield Engine(client, address, library)
@@ -215,7 +215,7 @@ def cores() -> int:
 
 
 @contextmanager
-def _local(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
+def _local_client(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
     """A client of a local cluster of processes, each with one thread and an equal memory share."""
     share = int(_USABLE_SHARE * library.system.MEMORY_LIMIT / workers)
     with (
@@ -229,13 +229,13 @@ def _local(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
 
 
 @contextmanager
-def _connected(library: ModuleType, address: str) -> Iterator[Any]:
+def _connected_client(library: ModuleType, address: str) -> Iterator[Any]:
     """A client of a running scheduler."""
     try:
         # Check the address first: a client refuses it only when it is half constructed, and would
         # then be finalised by the garbage collector, where it may deadlock on Dask's global lock.
         library.comm.get_address_host_port(address)
-        client = library.Client(address, timeout=_ANSWER, set_as_default=False)
+        client = library.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         why = " ".join(str(error).split())[:200]
         raise InputError(
@@ -249,38 +249,38 @@ def _connected(library: ModuleType, address: str) -> Iterator[Any]:
 def _check_workers(client: Any, address: str) -> None:
     """Refuse schedulers and workers whose versions differ from this machine's."""
     try:
-        client.wait_for_workers(1, timeout=_WORKER)
+        client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT)
     except TimeoutError as error:
         raise InputError(
-            f"the scheduler at {address} has no workers after {_WORKER} s; start some with"
-            f" `dask worker {address} --nworkers auto --nthreads 1`"
+            f"the scheduler at {address} has no workers after {_FIRST_WORKER_TIMEOUT} s; start some"
+            f" with `dask worker {address} --nworkers auto --nthreads 1`"
         ) from error
     found = client.get_versions(check=False, packages=["palpate"])
     ours = found["client"]["packages"]
     others = {f"the scheduler at {address}": found["scheduler"]} | {
-        f"the worker at {name}": there for name, there in found["workers"].items()
+        f"the worker at {name}": info for name, info in found["workers"].items()
     }
-    for who, there in others.items():
-        theirs = there["packages"] if there else {}
+    for who, info in others.items():
+        theirs = info["packages"] if info else {}
         wrong = [
             f"{name} {theirs.get(name) or 'not at all'} instead of {ours[name]}"
-            for name in _SAME
-            if _minor(name, theirs.get(name)) != _minor(name, ours[name])
+            for name in _MATCHED_PACKAGES
+            if _comparable_version(name, theirs.get(name)) != _comparable_version(name, ours[name])
         ]
         if theirs.get("palpate") != __version__:
             wrong.append(
                 f"Palpate {theirs.get('palpate') or 'not at all'} instead of {__version__}"
             )
         if wrong:
-            raise InputError(f"{who} has {', '.join(wrong)}; {_same_everywhere()}")
+            raise InputError(f"{who} has {', '.join(wrong)}; {_install_advice()}")
 
 
-def _minor(name: str, version: str | None) -> str:
+def _comparable_version(name: str, version: str | None) -> str:
     """The part of a version that must agree: Python's without the last number, else all of it."""
     return ".".join((version or "").split(".")[:2]) if name == "python" else version or ""
 
 
-def _same_everywhere() -> str:
+def _install_advice() -> str:
     return (
         "install the same everywhere, scheduler and workers: pip install"
         f" 'palpate[batch]=={__version__}'"

@@ -12,9 +12,9 @@ from palpate.figures import BLUE, GREY, INK, ORANGE, open_frame, styled
 from palpate.records import modulus_unit
 
 # Largest numbers of sessions and of outliers whose names are shown.
-_MOST_NAMES, _MOST_OUTLIERS = 30, 12
+_MAX_NAMES, _MAX_OUTLIERS = 30, 12
 # Ratio of the largest to the smallest value beyond which the scale is logarithmic.
-_MANY_TIMES = 4.0
+_LOG_SCALE_RATIO = 4.0
 
 
 @styled
@@ -37,29 +37,29 @@ def campaign_figure(rows: Sequence[Row], title: str) -> Figure:
     factor, unit = modulus_unit(float(np.median(known)) if known else 1.0)
     figure = Figure(figsize=(min(max(6.0, 0.06 * len(rows)), 14.0), 5.2), layout="constrained")
     upper, lower = figure.subplots(2, sharex=True)
-    far = outliers(rows)
+    outlying = outliers(rows)
     panels = (
         (upper, "young_modulus", f"Young's modulus E / {unit}", factor),
         (lower, "poisson_ratio", "Poisson's ratio nu", 1.0),
     )
     for axes, name, label, scale in panels:
-        _draw(axes, ordered, name, scale, {s for s, names in far.items() if name in names})
+        _draw(axes, ordered, name, scale, {s for s, names in outlying.items() if name in names})
         axes.set_ylabel(label)
         open_frame(axes)
     _mark_groups(upper, lower, ordered)
     failed = sum(row.state == FAILED for row in rows)
-    said = f"{title}: {len(rows)} sessions" + (f", {failed} without a result" if failed else "")
-    upper.set_title(said, loc="left", parse_math=False, pad=18 if any(groups_of(rows)) else 6)
+    text = f"{title}: {len(rows)} sessions" + (f", {failed} without a result" if failed else "")
+    upper.set_title(text, loc="left", parse_math=False, pad=18 if any(groups_of(rows)) else 6)
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, far: set[str]) -> None:
+def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, outlying: set[str]) -> None:
     """Draw one constant of all sessions, with a gap where it is unknown."""
-    for colour, wanted in ((BLUE, False), (ORANGE, True)):
+    for colour, is_outlier in ((BLUE, False), (ORANGE, True)):
         chosen = [
             (k, row)
             for k, row in enumerate(rows)
-            if getattr(row, name) is not None and (row.session in far) == wanted
+            if getattr(row, name) is not None and (row.session in outlying) == is_outlier
         ]
         if not chosen:
             continue
@@ -70,9 +70,11 @@ def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, far: set[st
         )
         axes.errorbar(
             place, value, [value - low, high - value], fmt="o", markersize=2.6, color=colour,
-            elinewidth=0.8, zorder=3 if wanted else 2,
+            elinewidth=0.8, zorder=3 if is_outlier else 2,
         )  # fmt: skip
-        for (k, row), y in list(zip(chosen, value, strict=True))[:_MOST_OUTLIERS] if wanted else ():
+        for (k, row), y in (
+            list(zip(chosen, value, strict=True))[:_MAX_OUTLIERS] if is_outlier else ()
+        ):
             axes.annotate(
                 row.session, (k, y), (5, 0), textcoords="offset points", va="center", fontsize=6.5,
                 color=ORANGE, parse_math=False,
@@ -82,10 +84,10 @@ def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, far: set[st
         if len(values) > 2:
             middle = float(np.median(values)) / factor
             axes.plot([begin - 0.4, end - 0.6], [middle, middle], color=INK, lw=0.7, zorder=1)
-    lost = [k for k, row in enumerate(rows) if row.state == FAILED]
+    failed = [k for k, row in enumerate(rows) if row.state == FAILED]
     axes.plot(
-        lost,
-        [0.02] * len(lost),
+        failed,
+        [0.02] * len(failed),
         "x",
         color=GREY,
         markersize=4,
@@ -96,7 +98,7 @@ def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, far: set[st
 
 def _set_scale(axes: Axes, values: Sequence[float]) -> None:
     """Set the scale of the ordinate, logarithmic if the values differ by a large factor."""
-    if values and 0.0 < _MANY_TIMES * min(values) < max(values):
+    if values and 0.0 < _LOG_SCALE_RATIO * min(values) < max(values):
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -126,7 +128,7 @@ def _mark_groups(upper: Axes, lower: Axes, rows: Sequence[Row]) -> None:
         for axes in (upper, lower) if begin else ():
             axes.axvline(begin - 0.5, color=GREY, lw=0.5, ls=":")
     lower.set_xlim(-0.8, len(rows) - 0.2)
-    if len(rows) <= _MOST_NAMES:
+    if len(rows) <= _MAX_NAMES:
         lower.set_xticks(range(len(rows)))
         names = [row.session.removeprefix(f"{row.group}/") for row in rows]
         lower.set_xticklabels(names, rotation=60, ha="right", fontsize=6.5, parse_math=False)

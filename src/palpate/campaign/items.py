@@ -27,7 +27,7 @@ class CampaignItem:
     path: Path
 
 
-def read_items(place: Path) -> tuple[CampaignItem, ...]:
+def read_items(source: Path) -> tuple[CampaignItem, ...]:
     """The sessions named in a list, or found in a folder tree.
 
     A line of a list is a path, relative to the list's folder, optionally followed by a comma and a
@@ -36,7 +36,7 @@ def read_items(place: Path) -> tuple[CampaignItem, ...]:
 
     Parameters
     ----------
-    place : Path                    text file, or folder
+    source : Path                   text file, or folder
 
     Returns
     -------
@@ -47,11 +47,12 @@ def read_items(place: Path) -> tuple[CampaignItem, ...]:
     RecordError                     missing, without sessions, an invalid path
     InputError                      a session that occurs twice in the list
     """
-    found = tuple(_in_folder(place) if place.is_dir() else _in_list(place))
+    found = tuple(_in_folder(source) if source.is_dir() else _in_list(source))
     if not found:
-        what = f"no {_SESSION_FILE} anywhere below it" if place.is_dir() else "names no session"
+        what = f"no {_SESSION_FILE} anywhere below it" if source.is_dir() else "names no session"
         raise RecordError(
-            f"{place}: {what}; give a folder that holds sessions, or a text file with a path a line"
+            f"{source}: {what}; give a folder that holds sessions, or a text file with a path a"
+            " line"
         )
     return found
 
@@ -64,7 +65,7 @@ def _in_folder(folder: Path) -> Iterator[CampaignItem]:
 
 
 def _in_list(file: Path) -> Iterator[CampaignItem]:
-    seen: dict[str, int] = {}
+    line_of: dict[str, int] = {}
     for number, line in enumerate(read_text(file).splitlines(), start=1):
         name, _, group = (part.strip() for part in line.partition("#")[0].partition(","))
         if not name:
@@ -75,10 +76,10 @@ def _in_list(file: Path) -> Iterator[CampaignItem]:
             real = os.path.realpath(path / _SESSION_FILE if path.is_dir() else path)
         except (OSError, ValueError) as error:
             raise RecordError(f"{file}, line {number}: {quoted(name)} cannot be a file") from error
-        if real in seen:
+        if real in line_of:
             raise InputError(
-                f"{file}, line {number}: the session '{name}' is already in line {seen[real]}; a"
+                f"{file}, line {number}: the session '{name}' is already in line {line_of[real]}; a"
                 " session counts once: leave out one of the lines"
             )
-        seen[real] = number
+        line_of[real] = number
         yield CampaignItem(name, group, path)

@@ -41,7 +41,7 @@ class PackedSession:
     root: str
 
 
-def packed(files: Mapping[str, bytes]) -> Package:
+def pack_files(files: Mapping[str, bytes]) -> Package:
     """Make a package of files, with their checksums.
 
     Parameters
@@ -77,7 +77,7 @@ def pack_session(path: Path) -> PackedSession:
     files = [Path(os.path.realpath(file)) for file in session_files(session)]
     root = Path(os.path.commonpath([session.parent.parent, *(file.parent for file in files)]))
     content = {file.relative_to(root).as_posix(): read_bytes(file) for file in files}
-    return PackedSession(packed(content), session.relative_to(root).as_posix(), str(root))
+    return PackedSession(pack_files(content), session.relative_to(root).as_posix(), str(root))
 
 
 def unpack(package: Package, folder: Path) -> None:
@@ -114,7 +114,7 @@ def check_package(package: Package) -> None:
     ------
     RecordError                     a file was damaged in transit
     """
-    if packed(package.files).sums != package.sums:
+    if pack_files(package.files).sums != package.sums:
         raise RecordError(
             "files were damaged on their way between two machines: their sums are not those with"
             " which they left; run again"

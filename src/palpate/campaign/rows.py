@@ -13,14 +13,14 @@ from palpate.records import CONSTANT_NAMES, Estimate
 WAITING, DONE, FAILED = "waiting", "done", "failed"
 # Bound on the modified z-score, which uses the median absolute deviation: Iglewicz and Hoaglin
 # (1993), How to detect and handle outliers, section 3.3.
-_FAR = 3.5
+_OUTLIER_BOUND = 3.5
 # Standard deviation of a normal distribution over its median absolute deviation.
-_NORMAL = 1.4826
+_STD_PER_MAD = 1.4826
 # In small groups the median absolute deviation is inaccurate, and z-scores above 3.5 are not rare:
 # one in 80 of 12 normal values. With the bound raised by a factor of 1 + this over the group's size
 # it is one in 370, and one in 90 for groups of 5 (simulated).
 _SMALL_GROUP = 5.0
-_FEWEST = 5
+_MIN_GROUP_SIZE = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +103,10 @@ def outliers(rows: Sequence[Row]) -> dict[str, tuple[str, ...]]:
     found: dict[str, list[str]] = {}
     for group in groups_of(rows):
         for name in ("young_modulus", "poisson_ratio"):
-            known = [row for row in rows if row.group == group and _is_whole(row, name)]
-            if len(known) >= _FEWEST:
-                for row, far in zip(known, _far(known, name), strict=True):
-                    if far:
+            complete = [row for row in rows if row.group == group and _is_complete(row, name)]
+            if len(complete) >= _MIN_GROUP_SIZE:
+                for row, is_outlier in zip(complete, _are_outliers(complete, name), strict=True):
+                    if is_outlier:
                         found.setdefault(row.session, []).append(name)
     return {session: tuple(names) for session, names in found.items()}
 
@@ -125,24 +125,24 @@ def groups_of(rows: Sequence[Row]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(row.group for row in rows))
 
 
-def _is_whole(row: Row, name: str) -> bool:
+def _is_complete(row: Row, name: str) -> bool:
     return all(getattr(row, f"{name}{end}") is not None for end in ("", "_low", "_high"))
 
 
-def _far(rows: Sequence[Row], name: str) -> list[bool]:
+def _are_outliers(rows: Sequence[Row], name: str) -> list[bool]:
     """Whether each value of a constant is an outlier; moduli are compared by their logarithms."""
     value, low, high = (
         np.array([getattr(row, f"{name}{end}") for row in rows]) for end in ("", "_low", "_high")
     )
     if name != "poisson_ratio":
         value, low, high = np.log(value), np.log(low), np.log(high)
-    off = value - np.median(value)
-    spread = _NORMAL * np.median(np.abs(off))
+    deviation = value - np.median(value)
+    spread = _STD_PER_MAD * np.median(np.abs(deviation))
     # Half of a 95 % interval is 1.96 standard deviations; of a skewed one take the side that faces
     # the median.
-    own: Float[np.ndarray, " n"] = np.where(off > 0, value - low, high - value) / 1.96
-    bound = _FAR * (1.0 + _SMALL_GROUP / len(rows))
-    return (np.abs(off) > bound * np.hypot(spread, own)).tolist()
+    own_std: Float[np.ndarray, " n"] = np.where(deviation > 0, value - low, high - value) / 1.96
+    bound = _OUTLIER_BOUND * (1.0 + _SMALL_GROUP / len(rows))
+    return (np.abs(deviation) > bound * np.hypot(spread, own_std)).tolist()
 
 
 def _finite(value: float) -> float | None:

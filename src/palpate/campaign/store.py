@@ -13,7 +13,7 @@ from palpate.campaign.items import CampaignItem
 from palpate.campaign.package import Package, check_package
 from palpate.campaign.rows import COLUMNS, WAITING, Row, constants_of
 from palpate.campaign.work import ESTIMATE_FILE, Outcome, Work
-from palpate.disk import folder_made, write_bytes
+from palpate.disk import created_folder, write_bytes
 from palpate.errors import RecordError
 from palpate.files import read_bytes
 from palpate.pipeline import MOTION_FILE
@@ -29,12 +29,13 @@ from palpate.records import (
 TABLE_FILE, TABLE_TEXT = "campaign.sqlite", "table.csv"
 _RESULTS, _MOTIONS = "results", "motions"
 # Digits of an address that are used in file names; collisions are practically impossible.
-_DIGITS = 32
+_DIGEST_DIGITS = 32
 # Timeout while another process is reading the table [s].
-_PATIENCE = 30.0
-_KINDS = {"seconds": "REAL", **dict.fromkeys((n for n in COLUMNS if "modulus" in n), "REAL")} | {
-    name: "REAL" for name in COLUMNS if "poisson" in name
-}
+_TIMEOUT = 30.0
+_COLUMN_TYPES = {
+    "seconds": "REAL",
+    **dict.fromkeys((n for n in COLUMNS if "modulus" in n), "REAL"),
+} | {name: "REAL" for name in COLUMNS if "poisson" in name}
 
 
 class Store:
@@ -58,8 +59,8 @@ class Store:
             return not self.folder.exists()
         names = {path.name for path in self.folder.iterdir()}
         # Ignore temporary files of a run that was interrupted at its beginning.
-        own = {name for name in names if name.startswith(f".{TABLE_TEXT}")}
-        return names == own or not names.isdisjoint({TABLE_FILE, _RESULTS})
+        temporary = {name for name in names if name.startswith(f".{TABLE_TEXT}")}
+        return names == temporary or not names.isdisjoint({TABLE_FILE, _RESULTS})
 
     def begin(self, items: Sequence[CampaignItem]) -> None:
         """Create folder and table with a row for every session of a list; known rows are kept.
@@ -72,10 +73,10 @@ class Store:
         ------
         RecordError                 the folder or the table cannot be written
         """
-        columns = ", ".join(f'"{name}" {_KINDS.get(name, "TEXT")}' for name in COLUMNS)
+        columns = ", ".join(f'"{name}" {_COLUMN_TYPES.get(name, "TEXT")}' for name in COLUMNS)
         with (
-            folder_made(self.folder / _RESULTS),
-            folder_made(self.folder / _MOTIONS),
+            created_folder(self.folder / _RESULTS),
+            created_folder(self.folder / _MOTIONS),
             self._table() as table,
         ):
             table.execute(
@@ -85,14 +86,14 @@ class Store:
             table.execute("DELETE FROM sessions")
             for place, item in enumerate(items):
                 row = known.get(item.name, Row(item.name, item.group))
-                _put(table, place, replace(row, group=item.group))
+                _insert(table, place, replace(row, group=item.group))
 
     def clear(self) -> None:
         """Remove what `begin` made, where nothing has come of it: the folder may go, too."""
-        kept = [self.folder / name for name in (_RESULTS, _MOTIONS)]
+        folders = [self.folder / name for name in (_RESULTS, _MOTIONS)]
         with suppress(OSError, RecordError):
             if {row.state for row in self.rows()} == {WAITING}:
-                for folder in kept:
+                for folder in folders:
                     folder.rmdir()
                 (self.folder / TABLE_FILE).unlink()
 
@@ -127,7 +128,7 @@ class Store:
                 "SELECT place FROM sessions WHERE session = ?", (row.session,)
             ).fetchone()
             table.execute("DELETE FROM sessions WHERE session = ?", (row.session,))
-            _put(table, place, row)
+            _insert(table, place, row)
 
     def result(self, work: Work) -> Path:
         """Folder of a fit's result, whether it exists or not.
@@ -136,7 +137,7 @@ class Store:
         ----------
         work : Work
         """
-        return self.folder / _RESULTS / work.address[:_DIGITS]
+        return self.folder / _RESULTS / work.digest[:_DIGEST_DIGITS]
 
     def is_done(self, work: Work) -> bool:
         """Whether a fit's result exists and is unchanged.
@@ -158,7 +159,7 @@ class Store:
         path = self._motion_file(work)
         return read_bytes(path) if path.is_file() else None
 
-    def keep(self, work: Work, package: Package) -> None:
+    def save_result(self, work: Work, package: Package) -> None:
         """Store the result of a piece of work.
 
         Parameters
@@ -179,11 +180,11 @@ class Store:
                 (folder / name).parent.mkdir(exist_ok=True)
                 (folder / name).write_bytes(content)
             # Checksums of the inputs when they were packed, even if they have changed since.
-            here = {
+            relative_sums = {
                 Path(os.path.relpath(Path(work.session.root) / name, folder)).as_posix(): value
                 for name, value in work.session.package.sums.items()
             }
-            write_text(folder / INPUTS_FILE, sums_text(here))
+            write_text(folder / INPUTS_FILE, sums_text(relative_sums))
 
     def row_of(self, item: CampaignItem, work: Work | None, outcome: Outcome | None) -> Row:
         """The row of a session whose fit has ended.
@@ -199,7 +200,7 @@ class Store:
         if outcome is not None:
             head = replace(head, seconds=outcome.seconds)
         if work is not None:
-            head = replace(head, address=work.address)
+            head = replace(head, address=work.digest)
         if work is None or (outcome is not None and outcome.failure):
             return replace(head, state="failed", message=outcome.failure if outcome else "")
         folder = self.result(work)
@@ -209,7 +210,7 @@ class Store:
         return replace(head, state="done", status=estimate.status.value, message=notes, **constants)
 
     def _motion_file(self, work: Work) -> Path:
-        return self.folder / _MOTIONS / f"{work.address[:_DIGITS]}.npz"
+        return self.folder / _MOTIONS / f"{work.digest[:_DIGEST_DIGITS]}.npz"
 
     @contextmanager
     def _table(self) -> Iterator[sqlite3.Connection]:
@@ -217,7 +218,7 @@ class Store:
         path = self.folder / TABLE_FILE
         new = not path.exists()
         try:
-            with closing(sqlite3.connect(path, timeout=_PATIENCE)) as table:
+            with closing(sqlite3.connect(path, timeout=_TIMEOUT)) as table:
                 # A crash of the machine may destroy the table, which can be rebuilt from the
                 # results; flushing after every row would take more time than all the rest.
                 table.execute("PRAGMA synchronous = OFF")
@@ -237,6 +238,6 @@ def _rows(table: sqlite3.Connection) -> Iterable[Row]:
     return [Row(*cells) for cells in table.execute(f"SELECT {names} FROM sessions ORDER BY place")]
 
 
-def _put(table: sqlite3.Connection, place: int, row: Row) -> None:
+def _insert(table: sqlite3.Connection, place: int, row: Row) -> None:
     cells = (place, *astuple(row))
     table.execute(f"INSERT INTO sessions VALUES ({', '.join('?' * len(cells))})", cells)

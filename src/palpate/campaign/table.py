@@ -49,17 +49,17 @@ def table_text(rows: Sequence[Row]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow((*COLUMNS, _OUTLIER))
-    far = outliers(rows)
-    writer.writerows((*astuple(row), " ".join(far.get(row.session, ()))) for row in rows)
+    outlying = outliers(rows)
+    writer.writerows((*astuple(row), " ".join(outlying.get(row.session, ()))) for row in rows)
     return text.getvalue()
 
 
 def _parquet(rows: Sequence[Row]) -> bytes:
     arrow = late_import("pyarrow", extra="parquet", purpose="a table in Parquet")
     parquet = late_import("pyarrow.parquet", extra="parquet", purpose="a table in Parquet")
-    far = outliers(rows)
+    outlying = outliers(rows)
     columns = {name: [getattr(row, name) for row in rows] for name in COLUMNS}
-    columns[_OUTLIER] = [" ".join(far.get(row.session, ())) for row in rows]
+    columns[_OUTLIER] = [" ".join(outlying.get(row.session, ())) for row in rows]
     content = io.BytesIO()
     parquet.write_table(arrow.table(columns), content)
     return content.getvalue()

@@ -16,7 +16,7 @@ from typing import Literal
 import numba
 
 from palpate.bem import SurfaceSettings, check_memory
-from palpate.campaign.package import Package, PackedSession, packed, unpack
+from palpate.campaign.package import Package, PackedSession, pack_files, unpack
 from palpate.errors import PalpateError
 from palpate.estimation import FitSettings
 from palpate.files import read_bytes
@@ -39,7 +39,7 @@ from palpate.records import (
 
 ESTIMATE_FILE = "estimate.json"
 # Size of a worker's cache of surface integrals [bytes]; the oldest are removed first.
-_MOST_KEPT = 4 * 2**30
+_MAX_CACHE_BYTES = 4 * 2**30
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Work:
     shared_body: bool = False
 
     @property
-    def address(self) -> str:
+    def digest(self) -> str:
         """Digest of everything that determines the outcome: files, options, version; 64 digits."""
         sums = dict(self.session.package.sums)
         options = self.options if self.kind == "fit" else None
@@ -115,28 +115,28 @@ def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome
     Outcome                         invalid input is reported as a failure, not raised
     """
     start = time.perf_counter()
-    package, failure = packed({}), ""
-    with _own_folder(folder) as own, _one_thread():
+    package, failure = pack_files({}), ""
+    with _work_folder(folder) as own_folder, _one_thread():
         try:
-            unpack(work.session.package, own / "given")
-            package = _files(work, own, folder / "bodies", memory)
+            unpack(work.session.package, own_folder / "given")
+            package = _make_result(work, own_folder, folder / "bodies", memory)
         except PalpateError as error:
-            failure = _as_at_home(str(error), work, own)
+            failure = _with_original_paths(str(error), work, own_folder)
         except MemoryError:
             failure = "memory ran out; use a coarser mesh, or workers with more memory"
     return Outcome(package, failure, time.perf_counter() - start)
 
 
 @contextmanager
-def _own_folder(folder: Path) -> Iterator[Path]:
+def _work_folder(folder: Path) -> Iterator[Path]:
     """A temporary folder for one piece of work."""
     folder.mkdir(parents=True, exist_ok=True)
-    own = Path(tempfile.mkdtemp(prefix="work-", dir=folder))
-    (own / "given").mkdir()
+    own_folder = Path(tempfile.mkdtemp(prefix="work-", dir=folder))
+    (own_folder / "given").mkdir()
     try:
-        yield own
+        yield own_folder
     finally:
-        shutil.rmtree(own, ignore_errors=True)
+        shutil.rmtree(own_folder, ignore_errors=True)
 
 
 @contextmanager
@@ -150,20 +150,26 @@ def _one_thread() -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-def _files(work: Work, own: Path, bodies: Path, memory: float | None) -> Package:
+def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None) -> Package:
     """Do the work; gives the files of the result."""
     allow = partial(check_memory, available=memory)
-    given = read_session(own / "given" / work.session.session, allow=allow)
+    given = read_session(own_folder / "given" / work.session.session, allow=allow)
     require_probings(given)
-    result = own / "result"
+    result = own_folder / "result"
     result.mkdir()
     if work.kind == "motion":
-        keep_motion(result, given, _with_notes_at_home(with_pictures_measured(given), work, own))
+        keep_motion(
+            result, given, _with_original_notes(with_pictures_measured(given), work, own_folder)
+        )
     else:
         _fit(
-            work, _with_motion(work, given, own), result, own, bodies if work.shared_body else None
+            work,
+            _with_motion(work, given, own_folder),
+            result,
+            own_folder,
+            cache if work.shared_body else None,
         )
-    return packed(
+    return pack_files(
         {
             file.relative_to(result).as_posix(): read_bytes(file)
             for file in result.rglob("*")
@@ -172,48 +178,50 @@ def _files(work: Work, own: Path, bodies: Path, memory: float | None) -> Package
     )
 
 
-def _with_motion(work: Work, given: Session, own: Path) -> Session:
+def _with_motion(work: Work, given: Session, own_folder: Path) -> Session:
     """The session with the displacements measured in its pictures."""
     if work.motion is not None:
-        with result_folder(own / "motion", kind="fit") as kept:
-            (kept / MOTION_FILE).write_bytes(work.motion)
-        found = with_kept_motion(given, own / "motion")
-        if found is not None:
-            return found
+        with result_folder(own_folder / "motion", kind="fit") as motion_folder:
+            (motion_folder / MOTION_FILE).write_bytes(work.motion)
+        measured = with_kept_motion(given, own_folder / "motion")
+        if measured is not None:
+            return measured
     return with_pictures_measured(given)
 
 
-def _fit(work: Work, session: Session, result: Path, own: Path, bodies: Path | None) -> None:
+def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Path | None) -> None:
     """Fit a session and write the result, identical on every machine."""
     options = work.options
-    found = fit_session(
+    fitted = fit_session(
         session,
         settings=FitSettings(poisson_range=options.poisson_range),
         surface=SurfaceSettings(smooth=options.surface == "smooth"),
-        cache=bodies,
+        cache=cache,
         finite_strain=options.strain == "finite",
     )
-    notes = tuple(_as_at_home(note, work, own) for note in found.estimate.notes)
+    notes = tuple(_with_original_paths(note, work, own_folder) for note in fitted.estimate.notes)
     # Durations are not part of the result; they are in the table.
-    write_estimate(result / ESTIMATE_FILE, replace(found.estimate, notes=notes, seconds={}))
+    write_estimate(result / ESTIMATE_FILE, replace(fitted.estimate, notes=notes, seconds={}))
     # This file also holds the residuals: fewer files are stored faster.
-    write_fitted_surface(result, session, found)
-    if bodies is not None:
-        _bound(sorted(bodies.glob("*.npz"), key=lambda file: file.stat().st_mtime))
+    write_fitted_surface(result, session, fitted)
+    if cache is not None:
+        _trim_cache(sorted(cache.glob("*.npz"), key=lambda file: file.stat().st_mtime))
 
 
-def _bound(oldest_first: Sequence[Path]) -> None:
+def _trim_cache(oldest_first: Sequence[Path]) -> None:
     """Remove the oldest files beyond the size of the cache."""
     sizes = [file.stat().st_size for file in oldest_first]
     for k, file in enumerate(oldest_first):
-        if sum(sizes[k:]) > _MOST_KEPT:
+        if sum(sizes[k:]) > _MAX_CACHE_BYTES:
             file.unlink(missing_ok=True)
 
 
-def _with_notes_at_home(session: Session, work: Work, own: Path) -> Session:
-    return replace(session, notes=tuple(_as_at_home(note, work, own) for note in session.notes))
+def _with_original_notes(session: Session, work: Work, own_folder: Path) -> Session:
+    return replace(
+        session, notes=tuple(_with_original_paths(note, work, own_folder) for note in session.notes)
+    )
 
 
-def _as_at_home(text: str, work: Work, own: Path) -> str:
+def _with_original_paths(text: str, work: Work, own_folder: Path) -> str:
     """A text in which file names refer to the session's original location."""
-    return text.replace(str(own / "given"), work.session.root)
+    return text.replace(str(own_folder / "given"), work.session.root)

@@ -314,7 +314,7 @@ def _neighbours(
     """`ObservedRows.neighbours` of the points with all three components measured."""
     complete = np.flatnonzero(count == 3)
     complete = complete[point[complete] < len(probe.position)]
-    correlation = probe.correlation.among(point[complete], len(probe.position))
+    correlation = probe.correlation.subset(point[complete], len(probe.position))
     if not len(correlation.value):
         return None
     first, second = (

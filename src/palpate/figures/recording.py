@@ -58,7 +58,7 @@ def recording_figure(found: Recorded, name: str) -> Figure:
         _draw_moments(panel, found)
         open_frame(panel)
     axes[-1].set_xlabel("time of the force log [s]")
-    axes[-1].set_xlim(found.even.time[0], found.even.time[-1])
+    axes[-1].set_xlim(found.resampled.time[0], found.resampled.time[-1])
     figure.legend(handles=_keys(found), loc="outside lower center", ncols=4)
     kept, all_of = len(found.presses), len(found.touches)
     figure.suptitle(
@@ -81,7 +81,7 @@ def _keys(found: Recorded) -> list[Artist]:
 
 def _draw_force(axes: Axes, found: Recorded) -> None:
     """Draw the magnitude of the force without weight and drift, and the reading of each press."""
-    even = found.even
+    even = found.resampled
     size = np.linalg.norm(even.force - found.zero.at(even.time), axis=1)
     every = max(1, len(size) // _POINTS)
     axes.plot(even.time[::every], size[::every], color=INK, linewidth=0.7)

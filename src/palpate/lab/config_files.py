@@ -107,7 +107,7 @@ def _specimen(root: TomlTable) -> Specimen:
         edge = table.number("edge")
         lengths = {name: table.number(name) for name in shape.lengths}
         _check_edge(table, edge, lengths)
-        with table.blamed():
+        with table.error_context():
             mesh = shape.make(edge=edge, **lengths)
             body = shape.make(edge=edge / _BODY_REFINEMENT, **lengths)
     size = bounding_diagonal(mesh)
@@ -180,15 +180,15 @@ def _check_sizes(file: Path, config: LabConfig) -> None:
                 key, f"is {length:g} m; must be {size:.2g} m at most, the object's size"
             )
     if config.head.file is None:
-        with part("[head]").blamed():
+        with part("[head]").error_context():
             make_head(config.head, mesh)
     if look.texture == "speckle":
-        with part("[look]").blamed():
+        with part("[look]").error_context():
             dot_count(mesh, look.size)
     modulus = config.material.young_modulus / (1.0 - config.material.poisson_ratio**2)
     for probe in config.probes:
         tip = TIPS[arm.tip](arm.radius, probe.point, _DOWN)
-        with part(f"[[probe]] '{probe.name}'").blamed():
+        with part(f"[[probe]] '{probe.name}'").error_context():
             tip.check_depth(probe.depth or 0.0)
             tip.check_force(probe.force or 0.0, modulus)
 
@@ -203,7 +203,7 @@ def _settings(table: TomlTable, kind: type[Settings], **given: Any) -> Settings:
         needed = field.default is MISSING and field.default_factory is MISSING
         if needed or field.name in table.values:
             values[field.name] = _value(table, field.name, hints[field.name])
-    with table.blamed():
+    with table.error_context():
         return kind(**values)
 
 

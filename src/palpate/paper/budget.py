@@ -153,7 +153,7 @@ def error_budget(
                 for seed in seeds
             ]
         errors = [
-            finished.kept(
+            finished.load_or_make(
                 f"{source.name} {number}", partial(_errors, session, config.material, parts)
             )
             for number, session in enumerate(sessions)

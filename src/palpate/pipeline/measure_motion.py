@@ -274,7 +274,7 @@ def _followed(
         inputs = initial | {f"picture {c}": grey for c, grey in enumerate(pictures.grey)}
         estimated = instant.last and probing is not None
         follow = partial(_follow, method, state, pictures, rig, session.mesh, estimated)
-        state, flow, vertices = parts.kept(f"{probing} {instant.name}", follow, inputs)
+        state, flow, vertices = parts.load_or_make(f"{probing} {instant.name}", follow, inputs)
         yield MeasuredMotion(*head, flow, vertices, None), pictures.notes
 
 
@@ -333,8 +333,8 @@ def vertex_field(
         source=source,
         scale_error=SCALE_ERROR,
         covariance=vertices.covariance[rows],
-        correlation=vertices.correlation.among(rows, len(mesh.vertices)),
-        average=None if vertices.average is None else vertices.average.among(rows),
+        correlation=vertices.correlation.subset(rows, len(mesh.vertices)),
+        average=None if vertices.average is None else vertices.average.subset(rows),
     )
 
 

@@ -14,11 +14,11 @@ from palpate.recording.folder_survey import (
     FolderSurvey as FolderSurvey,
     Side as Side,
     chosen_side as chosen_side,
+    default_radius as default_radius,
     flat_sides as flat_sides,
     likely_unit as likely_unit,
     read_surface as read_surface,
     survey_folder as survey_folder,
-    usual_radius as usual_radius,
 )
 from palpate.recording.force import (
     ForceLog as ForceLog,

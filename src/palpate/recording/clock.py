@@ -18,27 +18,27 @@ from palpate.recording.force import Touch
 from palpate.recording.pictures import MARGIN, CameraMotion, Ramp
 
 # Step of the coarse search [s].
-_STEP = 0.02
+_COARSE_STEP = 0.02
 # Least overlap of the two signals, as a fraction of the shorter one.
-_OVERLAP = 0.5
+_MIN_OVERLAP = 0.5
 # Least correlation of picture and force; another offset with this fraction of the best correlation
 # makes the result doubtful.
-_LEAST_CORRELATION, _DOUBT = 0.3, 0.95
+_MIN_CORRELATION, _RIVAL_CORRELATION = 0.3, 0.95
 # Presses whose intervals are equal within this time [s] can be mistaken for each other.
-_REGULAR = 0.05
+_SAME_INTERVAL = 0.05
 # Least force for certain contact, as a fraction of the peak: before contact the tool moves without
 # force.
-_CONTACT = 0.15
+_CONTACT_FORCE = 0.15
 # The same if the clocks' offset is known.
-_KNOWN_CONTACT = 0.02
+_CONTACT_FORCE_KNOWN_OFFSET = 0.02
 # Degree of the polynomial that relates displacement and force.
-_ORDER = 3
+_DEGREE = 3
 # Least number of pictures of a press for fitting that polynomial.
-_FEWEST = 2 * (_ORDER + 1)
+_MIN_PICTURES = 2 * (_DEGREE + 1)
 # Steps of the fine search in its first and second round [s].
-_FINE, _LAST = 0.01, 0.002
+_FINE_STEP, _FINEST_STEP = 0.01, 0.002
 # Fractions of the displacement at which loading and unloading are compared.
-_COMPARED = np.linspace(0.3, 0.9, 7)
+_COMPARED_FRACTIONS = np.linspace(0.3, 0.9, 7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class Clock:
                                     NaN if unknown, as always for an estimated offset, which cannot
                                     be distinguished from hysteresis
     given : bool                    the offset was given, not estimated
-    doubt : float [s] or None       another offset that fits nearly as well
+    rival_offset : float [s] or None    another offset that fits nearly as well
     """
 
     camera: str
@@ -68,87 +68,87 @@ class Clock:
     scatter: float
     hysteresis: tuple[float, ...]
     given: bool = False
-    doubt: float | None = None
+    rival_offset: float | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Doubts about the offset, as sentences without full stop."""
-        if self.doubt is None:
+        if self.rival_offset is None:
             return ()
         text = (
-            f"camera {self.camera}: the clocks' offset is {self.offset:.3f} s, but {self.doubt:.1f}"
-            " s fits nearly as well: the presses are too alike; make pauses of different length, or"
-            " give `offset`"
+            f"camera {self.camera}: the clocks' offset is {self.offset:.3f} s, but"
+            f" {self.rival_offset:.1f} s fits nearly as well: the presses are too alike; make"
+            " pauses of different length, or give `offset`"
         )
         return (text,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SizeOfForce:
+class ForceMagnitude:
     """Magnitude of the force without weight and drift [N], at equal time steps of the gauge [s]."""
 
     time: Float[np.ndarray, " n"]
-    size: Float[np.ndarray, " n"]
+    magnitude: Float[np.ndarray, " n"]
 
     def at(self, time: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Magnitude at given times [N], by linear interpolation."""
-        return np.interp(time, self.time, self.size)
+        return np.interp(time, self.time, self.magnitude)
 
 
-def coarse_offset(force: SizeOfForce, motion: CameraMotion) -> tuple[float, float, float | None]:
+def coarse_offset(force: ForceMagnitude, motion: CameraMotion) -> tuple[float, float, float | None]:
     """Offset that maximises the correlation of the picture's change with the force.
 
     Parameters
     ----------
-    force : SizeOfForce
+    force : ForceMagnitude
     motion : CameraMotion
 
     Returns
     -------
     offset : float [s]              to a fraction of a second: the tool is also seen before contact
     correlation : float [-]         at that offset
-    doubt : float [s] or None       the best distant offset, if it is nearly as good
+    rival_offset : float [s] or None    the best distant offset, if it is nearly as good
 
     Raises
     ------
     RecordError                     the picture's change does not correlate with the force
     """
-    gauge = _even(force.time, force.size)
-    camera = _even(motion.time, motion.change)
+    gauge = _resampled(force.time, force.magnitude)
+    camera = _resampled(motion.time, motion.change)
     # Cross-correlation by FFT; importing scipy.signal would cost every command half a second.
     size = len(gauge) + len(camera) - 1
     product = np.fft.irfft(np.fft.rfft(gauge, size) * np.fft.rfft(camera[::-1], size), size)
     # In entry [len(camera) - 1] both signals begin at the same time.
     lag = np.arange(len(product)) - (len(camera) - 1)
     shared = np.minimum(len(gauge), lag + len(camera)) - np.maximum(lag, 0)
-    product[shared < _OVERLAP * min(len(gauge), len(camera))] = -np.inf
+    product[shared < _MIN_OVERLAP * min(len(gauge), len(camera))] = -np.inf
     quality = product / max(float(np.linalg.norm(gauge) * np.linalg.norm(camera)), 1e-300)
     best = int(quality.argmax())
     correlation = float(quality[best])
-    if correlation < _LEAST_CORRELATION:
+    if correlation < _MIN_CORRELATION:
         raise RecordError(
             f"camera '{motion.camera}': its pictures do not change with the force at any offset of"
-            f" the clocks (correlation {correlation:.2f} at best; {_LEAST_CORRELATION} is needed):"
+            f" the clocks (correlation {correlation:.2f} at best; {_MIN_CORRELATION} is needed):"
             " is it the video of these presses, and is the object in it? Give `offset` if the"
             " clocks are known"
         )
     begin = float(force.time[0] - motion.time[0])
-    away = np.abs(lag - lag[best]) * _STEP > 2.0 * MARGIN
-    other = int(np.where(away, quality, -np.inf).argmax())
-    doubtful = away.any() and quality[other] > _DOUBT * correlation
-    doubt = begin + float(lag[other]) * _STEP if doubtful else None
-    return begin + float(lag[best]) * _STEP, correlation, doubt
+    is_distant = np.abs(lag - lag[best]) * _COARSE_STEP > 2.0 * MARGIN
+    other = int(np.where(is_distant, quality, -np.inf).argmax())
+    has_rival = is_distant.any() and quality[other] > _RIVAL_CORRELATION * correlation
+    rival_offset = begin + float(lag[other]) * _COARSE_STEP if has_rival else None
+    return begin + float(lag[best]) * _COARSE_STEP, correlation, rival_offset
 
 
-def _even(time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> np.ndarray:
+def _resampled(time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> np.ndarray:
     """Values resampled at equal steps, minus their mean."""
-    even = np.interp(np.arange(time[0], time[-1], _STEP), time, values)
-    return even - even.mean()
+    resampled = np.interp(np.arange(time[0], time[-1], _COARSE_STEP), time, values)
+    return resampled - resampled.mean()
 
 
 def fine_clock(
     coarse: tuple[float, float, float | None],
-    force: SizeOfForce,
+    force: ForceMagnitude,
     touches: Sequence[Touch],
     ramps: Sequence[Ramp | None],
     camera: str,
@@ -157,8 +157,8 @@ def fine_clock(
 
     Parameters
     ----------
-    coarse : offset, correlation, doubt     of `coarse_offset`
-    force : SizeOfForce
+    coarse : offset, correlation, rival_offset  of `coarse_offset`
+    force : ForceMagnitude
     touches, ramps : sequences      of the same presses; a ramp is None if the camera missed it
     camera : str
 
@@ -170,17 +170,17 @@ def fine_clock(
     ------
     RecordError                     the camera saw none of the presses, or too few pictures of each
     """
-    seen = [(t, r) for t, r in zip(touches, ramps, strict=True) if r is not None]
-    if not seen:
+    visible = [(t, r) for t, r in zip(touches, ramps, strict=True) if r is not None]
+    if not visible:
         raise RecordError(
             f"camera '{camera}': its recording shows none of the {len(touches)} presses; is it"
             " shorter than the force log?"
         )
 
     def unexplained(offset: float) -> np.ndarray:
-        return np.array([_unexplained(force, touch, ramp, offset) for touch, ramp in seen])
+        return np.array([_unexplained(force, touch, ramp, offset) for touch, ramp in visible])
 
-    offset, width, step = coarse[0], 0.9 * MARGIN, _FINE
+    offset, width, step = coarse[0], 0.9 * MARGIN, _FINE_STEP
     for _ in range(2):
         trial = offset + np.arange(-width, width + step / 2, step)
         cost = np.stack([unexplained(value) for value in trial])
@@ -189,71 +189,83 @@ def fine_clock(
         if not known.any():
             raise RecordError(
                 f"camera '{camera}': its pictures lie too far apart to tell its clock, fewer than"
-                f" {_FEWEST} of each press; is the frame rate right?"
+                f" {_MIN_PICTURES} of each press; is the frame rate right?"
             )
         mean = np.full(len(trial), np.nan)
         mean[known] = np.nanmean(cost[known], axis=1)
-        offset = _lowest(trial, mean)
-        width, step = 4.0 * _FINE, _LAST
-    single = np.array([_lowest(trial, one) for one in cost.T if np.isfinite(one).all()])
+        offset = _parabola_minimum(trial, mean)
+        width, step = 4.0 * _FINE_STEP, _FINEST_STEP
+    single = np.array(
+        [
+            _parabola_minimum(trial, press_cost)
+            for press_cost in cost.T
+            if np.isfinite(press_cost).all()
+        ]
+    )
     scatter = float(single.std(ddof=1)) if len(single) > 1 else np.nan
     unknown = (np.nan,) * len(touches)
     std = scatter / np.sqrt(max(len(single), 1))
-    doubt = coarse[2]
-    if doubt is not None and not _alike(touches, doubt - offset):
-        doubt = None
-    return Clock(camera, offset, std, coarse[1], scatter, unknown, doubt=doubt)
+    rival_offset = coarse[2]
+    if rival_offset is not None and not _repeats_itself(touches, rival_offset - offset):
+        rival_offset = None
+    return Clock(camera, offset, std, coarse[1], scatter, unknown, rival_offset=rival_offset)
 
 
-def _alike(touches: Sequence[Touch], shift: float) -> bool:
+def _repeats_itself(touches: Sequence[Touch], shift: float) -> bool:
     """Whether the sequence of presses matches itself after a shift in time [s].
 
     If the pauses differ, each press would need another offset.
     """
     begin = np.array([touch.begin for touch in touches])
-    away = begin[:, None] - (begin + shift)
-    nearest = away[np.abs(away).argmin(axis=0), np.arange(len(begin))]
+    distance = begin[:, None] - (begin + shift)
+    nearest = distance[np.abs(distance).argmin(axis=0), np.arange(len(begin))]
     inside = (begin + shift > begin[0] - MARGIN) & (begin + shift < begin[-1] + MARGIN)
-    return inside.sum() < 2 or float(nearest[inside].std()) < _REGULAR
+    return inside.sum() < 2 or float(nearest[inside].std()) < _SAME_INTERVAL
 
 
-def _lowest(trial: Float[np.ndarray, " t"], cost: Float[np.ndarray, " t"]) -> float:
+def _parabola_minimum(trial: Float[np.ndarray, " t"], cost: Float[np.ndarray, " t"]) -> float:
     """Minimum of a parabola through the lowest value and its neighbours."""
     k = int(np.clip(np.nanargmin(cost), 1, len(trial) - 2))
     below, here, above = cost[k - 1 : k + 2]
-    bend = below - 2.0 * here + above
-    shift = 0.5 * (below - above) / bend if bend > 0.0 else 0.0
+    curvature = below - 2.0 * here + above
+    shift = 0.5 * (below - above) / curvature if curvature > 0.0 else 0.0
     return float(trial[k] + np.clip(shift, -1.0, 1.0) * (trial[1] - trial[0]))
 
 
 def _in_contact(
-    force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float, least: float = _CONTACT
+    force: ForceMagnitude,
+    touch: Touch,
+    ramp: Ramp,
+    offset: float,
+    min_force: float = _CONTACT_FORCE,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, displacement fractions and forces of the frames with certain contact."""
     time = ramp.time + offset
-    size = force.at(time)
-    inside = (time > touch.begin) & (time < touch.end) & (size > least * touch.peak)
-    return time[inside], ramp.share[inside], size[inside]
+    magnitude = force.at(time)
+    inside = (time > touch.begin) & (time < touch.end) & (magnitude > min_force * touch.peak)
+    return time[inside], ramp.progress[inside], magnitude[inside]
 
 
-def _unexplained(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -> float:
+def _unexplained(force: ForceMagnitude, touch: Touch, ramp: Ramp, offset: float) -> float:
     """Fraction of the force's variance not explained by the picture; NaN if too few frames."""
-    _, share, size = _in_contact(force, touch, ramp, offset)
-    if len(share) < _FEWEST:
+    _, progress, magnitude = _in_contact(force, touch, ramp, offset)
+    if len(progress) < _MIN_PICTURES:
         return np.nan
-    law = np.vander(share, _ORDER + 1)
-    rest = size - law @ np.linalg.lstsq(law, size, rcond=None)[0]
-    return float(rest @ rest / max(float(np.square(size - size.mean()).sum()), 1e-300))
+    powers = np.vander(progress, _DEGREE + 1)
+    residual = magnitude - powers @ np.linalg.lstsq(powers, magnitude, rcond=None)[0]
+    return float(
+        residual @ residual / max(float(np.square(magnitude - magnitude.mean()).sum()), 1e-300)
+    )
 
 
-def hysteresis_of(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -> float:
+def hysteresis_of(force: ForceMagnitude, touch: Touch, ramp: Ramp, offset: float) -> float:
     """Excess of the force in loading over that in unloading, at the same picture.
 
     Only meaningful with a known offset: on equal ramps an error of the offset has the same effect.
 
     Parameters
     ----------
-    force : SizeOfForce
+    force : ForceMagnitude
     touch, ramp : Touch, Ramp       of one press
     offset : float [s]              gauge's time minus the camera's
 
@@ -262,15 +274,19 @@ def hysteresis_of(force: SizeOfForce, touch: Touch, ramp: Ramp, offset: float) -
     float [-]                       mean over the displacement, as a fraction of the full force;
                                     NaN if too few frames
     """
-    time, share, size = _in_contact(force, touch, ramp, offset, _KNOWN_CONTACT)
+    time, progress, magnitude = _in_contact(force, touch, ramp, offset, _CONTACT_FORCE_KNOWN_OFFSET)
     middle = 0.5 * (touch.begin + touch.end)
     levels = []
     for rows in (time < middle, time > middle):
         if rows.sum() < 4:
             return np.nan
-        order = np.argsort(share[rows])
-        seen = share[rows][order]
-        levels.append(np.interp(_COMPARED, seen, size[rows][order], left=np.nan, right=np.nan))
+        order = np.argsort(progress[rows])
+        ordered = progress[rows][order]
+        levels.append(
+            np.interp(
+                _COMPARED_FRACTIONS, ordered, magnitude[rows][order], left=np.nan, right=np.nan
+            )
+        )
     difference = levels[0] - levels[1]
     known = np.isfinite(difference)
     return float(difference[known].mean() / touch.peak) if known.any() else np.nan

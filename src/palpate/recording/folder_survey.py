@@ -18,11 +18,11 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _RIG_SUFFIXES = (".toml", ".yml", ".yaml", ".xml", ".json", ".mat", ".caldat")
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
 # TOML files of Palpate that are not rigs.
-_OWN = ("session.toml", "recording.toml", "truth.toml")
+_OWN_FILES = ("session.toml", "recording.toml", "truth.toml")
 # Largest number of files in the folder and its direct subfolders.
-_MOST_FILES = 20_000
+_MAX_FILES = 20_000
 # Triangles of a flat side lie within this fraction of the object's size of its extreme plane.
-_FLAT = 1e-3
+_FLATNESS = 1e-3
 _SIDES = {"x-": (0, -1.0), "x+": (0, 1.0), "y-": (1, -1.0), "y+": (1, 1.0), "z-": (2, -1.0),
           "z+": (2, 1.0)}  # fmt: skip
 SIDES = tuple(_SIDES)
@@ -40,14 +40,14 @@ class Side:
     point : (3,) float              a point of its plane, in the mesh's unit
     normal : (3,) float             outward unit normal
     tolerance : float               distance from the plane, in the mesh's unit
-    share : float [-]               fraction of the whole surface
+    area_fraction : float [-]       fraction of the whole surface
     """
 
     name: str
     point: Vector3
     normal: Vector3
     tolerance: float
-    share: float
+    area_fraction: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +95,8 @@ def survey_folder(folder: Path) -> FolderSurvey:
         raise RecordError(f"{folder}: the folder cannot be read (Permission denied)")
     if folder.resolve() == Path(folder.resolve().anchor):
         raise RecordError(f"{folder}: is the whole disk; name the folder of one measurement")
-    files = sorted(_files(folder))
-    if len(files) > _MOST_FILES:
+    files = sorted(_list_files(folder))
+    if len(files) > _MAX_FILES:
         raise RecordError(f"{folder}: has {len(files)} files; name the folder of one measurement")
 
     def named(suffixes: Iterable[str]) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ def survey_folder(folder: Path) -> FolderSurvey:
     rigs: list[str] = []
     first: Rig | None = None
     for name in named(_RIG_SUFFIXES):
-        if Path(name).name in _OWN:
+        if Path(name).name in _OWN_FILES:
             continue
         with suppress(PalpateError):
             rig = read_rig(folder / name)
@@ -123,13 +123,13 @@ def survey_folder(folder: Path) -> FolderSurvey:
     )  # fmt: skip
 
 
-def _files(folder: Path) -> list[Path]:
+def _list_files(folder: Path) -> list[Path]:
     """All files, each once, even if several links lead to its folder."""
-    within = [one for one in folder.glob("*") if one.is_dir()]
+    within = [path for path in folder.glob("*") if path.is_dir()]
     # The folder itself first, then real subfolders, then links.
-    folders = [folder, *sorted(within, key=lambda one: (one.is_symlink(), one))]
-    once = {one.resolve(): one for one in reversed(folders)}
-    return [file for one in once.values() for file in one.glob("*") if os.path.isfile(file)]
+    folders = [folder, *sorted(within, key=lambda path: (path.is_symlink(), path))]
+    unique = {path.resolve(): path for path in reversed(folders)}
+    return [file for path in unique.values() for file in path.glob("*") if os.path.isfile(file)]
 
 
 def _table_kind(path: Path) -> str:
@@ -179,10 +179,10 @@ def likely_unit(mesh: TriangleMesh) -> str:
     str                             m, cm or mm
     """
     extent = float(np.ptp(mesh.vertices, axis=0).max())
-    return next(unit for unit, most in _UNITS if extent <= most)
+    return next(unit for unit, largest in _UNITS if extent <= largest)
 
 
-def usual_radius(mesh: TriangleMesh) -> float:
+def default_radius(mesh: TriangleMesh) -> float:
     """Default contact radius: a twentieth of the object's largest extent, to one digit.
 
     Parameters
@@ -212,13 +212,13 @@ def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
     found = []
     for name, (axis, sign) in _SIDES.items():
         height = sign * mesh.vertices[:, axis]
-        on = (height[mesh.triangles] > height.max() - _FLAT * size).all(axis=1)
-        if on.any():
+        on_side = (height[mesh.triangles] > height.max() - _FLATNESS * size).all(axis=1)
+        if on_side.any():
             point, normal = np.zeros(3), np.zeros(3)
             point[axis], normal[axis] = sign * height.max(), sign
-            share = float(areas[on].sum() / areas.sum())
-            found.append(Side(name, point, normal, _FLAT * size, share))
-    return tuple(sorted(found, key=lambda side: (-round(side.share, 3), side.name != "z-")))
+            area_fraction = float(areas[on_side].sum() / areas.sum())
+            found.append(Side(name, point, normal, _FLATNESS * size, area_fraction))
+    return tuple(sorted(found, key=lambda side: (-round(side.area_fraction, 3), side.name != "z-")))
 
 
 def chosen_side(sides: tuple[Side, ...], name: str | None) -> Side | None:

@@ -20,7 +20,7 @@ TEMPLATES: dict[str, tuple[str, str]] = {
     "gauge": ("videos and the log of a force gauge; the contact is found", "recording.toml"),
 }
 # Marks what is still to be filled in; `palpate init` counts these marks.
-_FILL = "# <- fill in"
+_FILL_MARK = "# <- fill in"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,16 +101,16 @@ def outline_text(survey: FolderSurvey, outline: Outline) -> str:
 
 def _line(text: str, comment: str, *, fill: bool = False) -> str:
     """A line with a comment, marked if something is to be filled in."""
-    mark = f"{_FILL}: " if fill else "# "
+    mark = f"{_FILL_MARK}: " if fill else "# "
     return f"{text:<30}{mark}{comment}\n" if comment else f"{text:<30}{mark}".rstrip(": ") + "\n"
 
 
 def _head(outline: Outline, form: str) -> str:
     what, file = TEMPLATES[outline.template]
-    following = "palpate record" if file == "recording.toml" else "palpate check"
+    next_command = "palpate record" if file == "recording.toml" else "palpate check"
     return (
         f"# {what[0].upper()}{what[1:]}.\n"
-        f"# Look through it, fill in what is marked, then {following}\n"
+        f"# Look through it, fill in what is marked, then {next_command}\n"
         f'format = "{form}"\nname = {_quoted(outline.name)}\n'
     )
 
@@ -135,8 +135,8 @@ def _support(outline: Outline) -> str:
         "[" + ", ".join(f"{x:.6g}" for x in vector) + "]" for vector in (side.point, side.normal)
     )
     return (
-        f"{head}# the flat side at {side.name}, {100 * side.share:.0f} % of the surface: all"
-        " triangles this close to the plane\n"
+        f"{head}# the flat side at {side.name}, {100 * side.area_fraction:.0f} % of the surface:"
+        " all triangles this close to the plane\n"
         f"plane = {{ point = {point}, normal = {normal}, tolerance = {side.tolerance:.3g} }}\n"
     )
 
@@ -168,9 +168,9 @@ def _cameras(survey: FolderSurvey) -> str:
     names = [camera.name for camera in survey.rig.cameras] if survey.rig else ["c0", "c1"]
     parts = []
     for name in names:
-        mine = [video for video in survey.videos if name in Path(video).stem]
-        video = mine[0] if len(mine) == 1 else f"{name}.mp4"
-        mark = "" if len(mine) == 1 else f"   {_FILL}"
+        matching = [video for video in survey.videos if name in Path(video).stem]
+        video = matching[0] if len(matching) == 1 else f"{name}.mp4"
+        mark = "" if len(matching) == 1 else f"   {_FILL_MARK}"
         times = [table for table in survey.times if name in Path(table).stem]
         line = f"times = {_quoted(times[0])}\n" if len(times) == 1 else ""
         parts.append(f"[[camera]]\nname = {_quoted(name)}\nvideo = {_quoted(video)}{mark}\n{line}")
@@ -211,7 +211,9 @@ def _pictured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
     probes = []
     for pattern in loaded:
         stem = re.sub(r"[_\-. ]*\{camera\}[_\-. ]*", "", Path(pattern).stem)
-        rest = next((one for one in rests if stem and stem in Path(one).name), rests[0])
+        rest = next(
+            (candidate for candidate in rests if stem and stem in Path(candidate).name), rests[0]
+        )
         images = f"images = {{ rest = {_quoted(rest)}, loaded = [{_quoted(pattern)}] }}\n"
         probes.append(_probe(stem or "n01", outline) + images)
     return probes
@@ -227,7 +229,9 @@ def _patterns(pictures: Sequence[str], cameras: Sequence[str]) -> list[str]:
             if re.search(expression, path.name):
                 name = re.sub(expression, "{camera}", path.name)
                 found.setdefault(path.with_name(name).as_posix(), set()).add(camera)
-    return sorted(name for name, seen in found.items() if len(seen) == len(cameras))
+    return sorted(
+        name for name, found_cameras in found.items() if len(found_cameras) == len(cameras)
+    )
 
 
 def _measured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from palpate.errors import RecordError
 from palpate.recording.force import (
     BAG_SUFFIXES,
-    PLACES,
+    POSITIONS,
     SECONDS,
     Reading,
     Touch,
@@ -17,10 +17,10 @@ from palpate.recording.force import (
 )
 from palpate.shapes import Points, Vector3
 
-_WORDS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
+_COLUMNS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
 _CURE = "a log of poses is a table with the columns time, x, y, z"
 # Largest delay between the true contact and its detection in the force [s].
-_EARLIER = 0.1
+_MAX_DELAY = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,12 +30,12 @@ class PoseLog:
     Attributes
     ----------
     time : (n,) float [s]           gauge's clock, not decreasing
-    place : (n, 3) float [m]        position of the tip's end, object frame
+    position : (n, 3) float [m]     position of the tip's end, object frame
     source : str                    file, for messages
     """
 
     time: Float[np.ndarray, " n"]
-    place: Points
+    position: Points
     source: str
 
     def at(self, time: float) -> Vector3:
@@ -58,7 +58,7 @@ class PoseLog:
                 f"{self.source}: covers {self.time[0]:.2f} to {self.time[-1]:.2f} s, and a press is"
                 f" at {time:.2f} s of the gauge's clock; the two logs must have the same clock"
             )
-        return np.array([np.interp(time, self.time, part) for part in self.place.T])
+        return np.array([np.interp(time, self.time, part) for part in self.position.T])
 
 
 def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) -> PoseLog:
@@ -78,9 +78,9 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
     ------
     RecordError                     no such table or columns; times that decrease
     """
-    table = read_log_table(path, topic=topic, wanted=PLACES, cure=_CURE)
+    table = read_log_table(path, topic=topic, wanted=POSITIONS, cure=_CURE)
     unit = 1.0 if path.suffix.lower() in BAG_SUFFIXES else metres_per_unit
-    columns = table.require(_WORDS, spelled=str.lower, why=lambda _: _CURE)
+    columns = table.require(_COLUMNS, normalise=str.lower, reason=lambda _: _CURE)
     values = table.values(columns)
     values = values[np.isfinite(values).all(axis=1)]
     seconds = SECONDS.get(columns[0].unit or "s", 1.0)
@@ -111,7 +111,7 @@ def tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3,
     ------
     RecordError                     the log does not cover the press
     """
-    late, early = poses.at(touch.begin), poses.at(touch.begin - _EARLIER)
+    late, early = poses.at(touch.begin), poses.at(touch.begin - _MAX_DELAY)
     point = 0.5 * (late + early)
-    unsure = float(np.linalg.norm(late - early)) / np.sqrt(12.0)
-    return point, poses.at(reading.time) - point, max(unsure, 1e-6)
+    std = float(np.linalg.norm(late - early)) / np.sqrt(12.0)
+    return point, poses.at(reading.time) - point, max(std, 1e-6)

@@ -7,27 +7,27 @@ from jaxtyping import Bool
 
 from palpate.errors import RecordError
 from palpate.progress import Progress, silent
+from palpate.recording.camera_clocks import rest_before, still_pictures, synchronise_cameras
 from palpate.recording.clock import Clock
-from palpate.recording.follow import follow, rest_before, still_pictures
 from palpate.recording.force import (
-    EvenForce,
     ForceLog,
     Reading,
+    ResampledForce,
     Touch,
     Zero,
-    even_force,
     find_plateau,
     find_touches,
     find_zero,
     read_force,
     read_force_log,
+    resample_force,
     still_force,
-    why_unread,
+    unreadable_reason,
 )
 from palpate.recording.pictures import CameraMotion
-from palpate.recording.recording_file import Recording, check_count
+from palpate.recording.recording_file import Recording, check_contact_count
 
-_NO_REST = (
+_NO_REST_REASON = (
     "before it there is no moment at which nothing touches or moves and all cameras record; wait"
     " for a second before pressing"
 )
@@ -60,7 +60,7 @@ class Recorded:
     Attributes
     ----------
     log : ForceLog
-    even : EvenForce
+    resampled : ResampledForce
     zero : Zero
     touches : tuple of Touch        all touches
     presses : tuple of Press        those that can be measured
@@ -70,7 +70,7 @@ class Recorded:
     """
 
     log: ForceLog
-    even: EvenForce
+    resampled: ResampledForce
     zero: Zero
     touches: tuple[Touch, ...]
     presses: tuple[Press, ...]
@@ -99,43 +99,46 @@ def find_presses(recording: Recording, *, progress: Progress = silent) -> Record
                                     camera whose clock drifts, no moment at rest
     """
     log = read_force_log(recording.gauge)
-    even = even_force(log)
-    touches, knocks = find_touches(even)
+    resampled = resample_force(log)
+    touches, knocks = find_touches(resampled)
     if not touches:
         raise RecordError(
             f"{log.source}: no press is found in {log.time[-1] - log.time[0]:.1f} s: the force"
-            f" never leaves its zero by more than its noise of {1e3 * even.noise:.3g} mN for 0.3 s"
-            f" ({knocks} knocks); is it the log of this recording, and in the unit that is said?"
+            f" never leaves its zero by more than its noise of {1e3 * resampled.noise:.3g} mN for"
+            f" 0.3 s ({knocks} knocks); is it the log of this recording, and in the unit that is"
+            " said?"
         )
-    check_count(recording, len(touches))
+    check_contact_count(recording, len(touches))
     zero = find_zero(log, touches)
-    still = still_force(even, zero)
-    plateaus = [find_plateau(even, zero, touch, still) for touch in touches]
-    _require_any(recording, [why_unread(log, plateau) for plateau in plateaus])
-    motions, clocks = follow(recording, even, zero, touches, plateaus, progress=progress)
-    seen = still & still_pictures(even, motions, clocks, plateaus)
-    presses, reasons = _presses(log, even, zero, touches, (motions, clocks), seen)
+    still = still_force(resampled, zero)
+    plateaus = [find_plateau(resampled, zero, touch, still) for touch in touches]
+    _require_any(recording, [unreadable_reason(log, plateau) for plateau in plateaus])
+    motions, clocks = synchronise_cameras(
+        recording, resampled, zero, touches, plateaus, progress=progress
+    )
+    usable = still & still_pictures(resampled, motions, clocks, plateaus)
+    presses, reasons = _presses(log, resampled, zero, touches, (motions, clocks), usable)
     _require_any(recording, reasons if not presses else [""])
-    knocked = [f"{knocks} touches too short or too weak for a press were passed over"] * (
+    knock_notes = [f"{knocks} touches too short or too weak for a press were passed over"] * (
         knocks > 0
     )
-    remarks = [text for one in motions for text in one.notes]
-    remarks += [text for one in clocks for text in one.notes]
-    left = [f"left out is {reason}" for reason in reasons]
-    notes = tuple(f"{text}." for text in (*remarks, *knocked, *left))
-    return Recorded(log, even, zero, touches, presses, motions, clocks, log.notes + notes)
+    remarks = [text for motion in motions for text in motion.notes]
+    remarks += [text for clock in clocks for text in clock.notes]
+    left_out = [f"left out is {reason}" for reason in reasons]
+    notes = tuple(f"{text}." for text in (*remarks, *knock_notes, *left_out))
+    return Recorded(log, resampled, zero, touches, presses, motions, clocks, log.notes + notes)
 
 
 def _require_any(recording: Recording, reasons: list[str]) -> None:
     """Refuse a recording in which there is a reason to leave out every press."""
     if reasons and all(reasons):
-        told = "; ".join(dict.fromkeys(reasons[:3]))
-        raise RecordError(f"{recording.path}: none of the presses can be measured: {told}")
+        listed = "; ".join(dict.fromkeys(reasons[:3]))
+        raise RecordError(f"{recording.path}: none of the presses can be measured: {listed}")
 
 
 def _presses(
     log: ForceLog,
-    even: EvenForce,
+    resampled: ResampledForce,
     zero: Zero,
     touches: tuple[Touch, ...],
     cameras: tuple[tuple[CameraMotion, ...], tuple[Clock, ...]],
@@ -144,10 +147,10 @@ def _presses(
     """The presses that can be measured, and a reason for each of the others."""
     presses, reasons = [], []
     for k, touch in enumerate(touches):
-        plateau = find_plateau(even, zero, touch, still)
-        free = (touches[k - 1].end if k else float(even.time[0]) - 1.0, touch.begin)
-        rest = rest_before(even, *cameras, free, still)
-        if reason := why_unread(log, plateau) or ("" if rest else _NO_REST):
+        plateau = find_plateau(resampled, zero, touch, still)
+        free = (touches[k - 1].end if k else float(resampled.time[0]) - 1.0, touch.begin)
+        rest = rest_before(resampled, *cameras, free, still)
+        if reason := unreadable_reason(log, plateau) or ("" if rest else _NO_REST_REASON):
             reasons.append(f"press {k + 1}: {reason}")
         elif plateau and rest:
             reading = read_force(log, zero, plateau, 0.5 * (plateau[0] + plateau[1]))

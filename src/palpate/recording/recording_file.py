@@ -23,15 +23,15 @@ from palpate.records import (
 from palpate.shapes import Indices
 
 RECORDING_FORMAT = "palpate-recording/1"
-_ROOT = ("format", "name", "object", "support", "gravity", "rig", "force", "camera", "contact")
-_FORCE = ("file", "time", "time_unit", "columns", "unit", "axes", "sign", "limit", "topic")
-_CAMERA = ("name", "video", "pictures", "times", "offset")
+_ROOT_KEYS = ("format", "name", "object", "support", "gravity", "rig", "force", "camera", "contact")
+_FORCE_KEYS = ("file", "time", "time_unit", "columns", "unit", "axes", "sign", "limit", "topic")
+_CAMERA_KEYS = ("name", "video", "pictures", "times", "offset")
 # Sign convention of the gauge: force of the tool on the object, or of the object on the tool.
 _SIGNS = ("on object", "on tool")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
+class ContactSource:
     """The table [contact]: contact points, or how to find them.
 
     Attributes
@@ -66,7 +66,7 @@ class Recording:
     rig : Rig
     gauge : Gauge
     footage : tuple of Footage      one per camera, in the rig's order
-    places : Places
+    contact_source : ContactSource
     files : tuple of Path           files copied to the session: mesh, rig, lists of triangles
     """
 
@@ -79,7 +79,7 @@ class Recording:
     rig: Rig
     gauge: Gauge
     footage: tuple[Footage, ...]
-    places: Places
+    contact_source: ContactSource
     files: tuple[Path, ...]
 
 
@@ -100,7 +100,7 @@ def read_recording(path: Path) -> Recording:
     MeshError, CalibrationError     an invalid mesh or rig
     """
     root = read_toml(path / "recording.toml" if path.is_dir() else path)
-    root.check_keys(_ROOT)
+    root.check_keys(_ROOT_KEYS)
     if root.get("format") != RECORDING_FORMAT:
         root.fail("format", f"is {root.get('format')!r}; this version reads '{RECORDING_FORMAT}'")
     body = root.table("object")
@@ -118,13 +118,14 @@ def read_recording(path: Path) -> Recording:
     rig_file = root.table("rig").existing_file("cameras")
     rig = read_rig(rig_file)
     covariance = rig_file.with_name("rig_covariance.npz")
-    beside = (covariance,) if covariance.is_file() else ()
+    covariance_files = (covariance,) if covariance.is_file() else ()
     lists = [table.existing_file("triangles") for table in _support_lists(root)]
-    head = {key: root.values[key] for key in _ROOT[2:6] if key in root.values}
+    head = {key: root.values[key] for key in _ROOT_KEYS[2:6] if key in root.values}
     return Recording(
         root.file, root.optional("name", root.text) or root.file.parent.resolve().name, head,
         mesh, held, metres, rig, _gauge(root.table("force")), _cameras(root, rig),
-        _places(root.table("contact"), metres), (mesh_file, rig_file, *beside, *lists),
+        _contact_source(root.table("contact"), metres),
+        (mesh_file, rig_file, *covariance_files, *lists),
     )  # fmt: skip
 
 
@@ -135,12 +136,12 @@ def _support_lists(root: TomlTable) -> list[TomlTable]:
 
 def _gauge(table: TomlTable) -> Gauge:
     """The table [force]: how to read the force log."""
-    table.check_keys(_FORCE)
+    table.check_keys(_FORCE_KEYS)
     sign = table.choice("sign", _SIGNS) if "sign" in table.values else _SIGNS[0]
     axes = table.get("axes")
     rows = axes if isinstance(axes, list) and axes and isinstance(axes[0], list) else [axes]
     vectors = [TomlTable(table.file, table.name, {"axes": row}).vector("axes") for row in rows]
-    with table.blamed():
+    with table.error_context():
         return Gauge(
             table.existing_file("file"),
             table.optional("time", table.text),
@@ -159,7 +160,7 @@ def _cameras(root: TomlTable, rig: Rig) -> tuple[Footage, ...]:
     found: dict[str, Footage] = {}
     names = [camera.name for camera in rig.cameras]
     for table in root.tables("camera"):
-        table.check_keys(_CAMERA)
+        table.check_keys(_CAMERA_KEYS)
         name = table.choice("name", names)
         if name in found:
             table.fail("name", f"camera '{name}' is there twice")
@@ -185,14 +186,14 @@ def _footage(table: TomlTable, name: str) -> Footage:
         if not pictures:
             table.fail("pictures", f"no file is called like '{pattern}' in {table.file.parent}")
     times = read_times(table.existing_file("times")) if "times" in table.values else None
-    with table.blamed():
+    with table.error_context():
         return Footage(name, video, tuple(pictures), times, table.optional("offset", table.number))
 
 
-def _places(table: TomlTable, metres: float) -> Places:
+def _contact_source(table: TomlTable, metres: float) -> ContactSource:
     """The table [contact]: given points, a log of the tip, or neither: points to be found."""
-    own = ("points", "poses", "radius", "topic")
-    patch = {key: value for key, value in table.values.items() if key not in own}
+    source_keys = ("points", "poses", "radius", "topic")
+    patch = {key: value for key, value in table.values.items() if key not in source_keys}
     for key in ("point", "triangles", "support"):
         if key in patch:
             table.fail(key, "is no key here; give `points`, one for each press, or `poses`")
@@ -200,8 +201,8 @@ def _places(table: TomlTable, metres: float) -> Places:
         table.fail("", "gives both points and poses; give one of the two")
     radii: tuple[float, ...] | None = None
     if isinstance(radius := table.values.get("radius"), list):
-        single = [TomlTable(table.file, table.name, {"radius": one}) for one in radius]
-        radii = tuple(one.number("radius") for one in single)
+        single = [TomlTable(table.file, table.name, {"radius": value}) for value in radius]
+        radii = tuple(entry.number("radius") for entry in single)
     elif radius is not None:
         patch["radius"] = table.number("radius")
     points = None
@@ -213,10 +214,10 @@ def _places(table: TomlTable, metres: float) -> Places:
     elif rows is not None:
         table.fail("points", "must be a list of points, one for each press")
     poses = table.existing_file("poses") if "poses" in table.values else None
-    return Places(points, poses, patch, radii, table.optional("topic", table.text))
+    return ContactSource(points, poses, patch, radii, table.optional("topic", table.text))
 
 
-def check_count(recording: Recording, presses: int) -> None:
+def check_contact_count(recording: Recording, presses: int) -> None:
     """Refuse lists of contacts that do not have one entry for each press.
 
     Parameters
@@ -228,8 +229,8 @@ def check_count(recording: Recording, presses: int) -> None:
     ------
     RecordError                     another number of entries
     """
-    places = recording.places
-    for key, values in (("points", places.points), ("radius", places.radii)):
+    contact_source = recording.contact_source
+    for key, values in (("points", contact_source.points), ("radius", contact_source.radii)):
         if values is not None and len(values) != presses:
             raise RecordError(
                 f"{recording.path}: [contact] {key}: has {len(values)} entries, and the force shows"

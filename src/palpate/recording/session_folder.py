@@ -12,7 +12,7 @@ from palpate.errors import RecordError
 from palpate.geometry import closest_points, unit_normals
 from palpate.progress import Progress, part_of, silent
 from palpate.recording.contact_point import ContactModel, find_contact, make_contact_model
-from palpate.recording.pictures import MOST_FRAMES, Moment, write_moments
+from palpate.recording.pictures import MAX_FRAMES, Moment, write_moments
 from palpate.recording.poses import read_poses, tip_motion
 from palpate.recording.record import Press, Recorded
 from palpate.recording.recording_file import Recording
@@ -24,7 +24,7 @@ _PICTURES = "images"
 _REST, _LOADED = "{name}_rest_{{camera}}.png", "{name}_{{camera}}.png"
 # Contact radius assumed in the search for the contact if none is given: this fraction of the
 # tool's radius, or of the object's size.
-_TOUCHED, _USUAL_RADIUS = 0.5, 0.05
+_RADIUS_OVER_TOOL, _RADIUS_OVER_SIZE = 0.5, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,16 +74,16 @@ def write_recorded(
         shutil.copyfile(file, folder / file.name)
     (folder / _PICTURES).mkdir()
     frames = _write_pictures(folder / _PICTURES, recording, found, part_of(progress, 0.0, 0.6))
-    say = part_of(progress, 0.6, 1.0)
+    report = part_of(progress, 0.6, 1.0)
     model: ContactModel | None = None
-    if recording.places.points is None and recording.places.poses is None:
-        say("model of the object", 0.0)
+    if recording.contact_source.points is None and recording.contact_source.poses is None:
+        report("model of the object", 0.0)
         model = make_contact_model(recording.mesh, recording.held)
     placed = []
     for k, press in enumerate(found.presses):
-        say(f"contact of {press.name}", k / len(found.presses))
-        taken = frames[_LOADED.format(name=press.name)]
-        placed.append(_placed(folder, recording, press, model, taken))
+        report(f"contact of {press.name}", k / len(found.presses))
+        frame_count = frames[_LOADED.format(name=press.name)]
+        placed.append(_place_press(folder, recording, press, model, frame_count))
     _write_session(folder, recording, placed)
     write_text(folder / "presses.csv", _table(found, placed))
     try:
@@ -105,7 +105,7 @@ def _write_pictures(
         zip(recording.footage, found.motions, found.clocks, strict=True)
     ):
         moments = []
-        half = 0.5 * MOST_FRAMES * motion.interval
+        half = 0.5 * MAX_FRAMES * motion.interval
         for press in found.presses:
             reading = press.reading
             span = max(reading.begin, reading.time - half), min(reading.end, reading.time + half)
@@ -113,26 +113,28 @@ def _write_pictures(
                 moments.append(
                     Moment(name.format(name=press.name), begin - clock.offset, end - clock.offset)
                 )
-        say = part_of(progress, k / count, (k + 1) / count)
-        for name, number in write_moments(folder, footage, moments, progress=say).items():
+        report = part_of(progress, k / count, (k + 1) / count)
+        for name, number in write_moments(folder, footage, moments, progress=report).items():
             frames[name] = min(number, frames.get(name, number))
     return frames
 
 
-def _placed(
+def _place_press(
     folder: Path, recording: Recording, press: Press, model: ContactModel | None, frames: int
 ) -> PlacedPress:
     """Contact point of a press: given, from the log of poses, or from the surface's motion."""
-    places, travel, travel_std, std = recording.places, None, np.nan, np.nan
-    if places.points is not None:
-        point = places.points[press.number - 1]
-    elif places.poses is not None:
+    contact_source, travel, travel_std, std = recording.contact_source, None, np.nan, np.nan
+    if contact_source.points is not None:
+        point = contact_source.points[press.number - 1]
+    elif contact_source.poses is not None:
         poses = read_poses(
-            places.poses, metres_per_unit=recording.metres_per_unit, topic=places.topic
+            contact_source.poses,
+            metres_per_unit=recording.metres_per_unit,
+            topic=contact_source.topic,
         )
         point, travel, travel_std = tip_motion(poses, press.touch, press.reading)
     elif model is not None:
-        point, std = _found(folder, recording, press, model)
+        point, std = _contact_from_motion(folder, recording, press, model)
     place = closest_points(recording.mesh, point[None])
     normal = unit_normals(recording.mesh)[place.triangle[0]]
     if press.reading.force @ normal > 0.0:
@@ -145,7 +147,7 @@ def _placed(
     return PlacedPress(press, point, std, travel, travel_std, frames)
 
 
-def _found(
+def _contact_from_motion(
     folder: Path, recording: Recording, press: Press, model: ContactModel
 ) -> tuple[Vector3, float]:
     """Contact point and its standard deviation from the motion of the surface in the pictures."""
@@ -159,48 +161,48 @@ def _found(
     method = JointFlow()
     state = method.start(recording.rig, pictures[0], recording.mesh)
     _, flow = method.follow(state, pictures[1])
-    good = is_valid(flow)
+    valid = is_valid(flow)
     size = float(np.ptp(recording.mesh.vertices, axis=0).max())
-    patch = recording.places.patch
+    patch = recording.contact_source.patch
     radius = patch.get("radius")
-    if radius is None and isinstance(ball := patch.get("tool_radius"), float | int):
-        radius = _TOUCHED * ball
-    if recording.places.radii is not None:
-        radius = recording.places.radii[press.number - 1]
+    if radius is None and isinstance(tool_radius := patch.get("tool_radius"), float | int):
+        radius = _RADIUS_OVER_TOOL * tool_radius
+    if recording.contact_source.radii is not None:
+        radius = recording.contact_source.radii[press.number - 1]
     found = find_contact(
-        model, flow.point[good], flow.displacement[good], press.reading.force,
-        radius=_USUAL_RADIUS * size if radius is None else recording.metres_per_unit * radius,
-        profile=recording.places.patch.get("profile", "smooth"),
+        model, flow.point[valid], flow.displacement[valid], press.reading.force,
+        radius=_RADIUS_OVER_SIZE * size if radius is None else recording.metres_per_unit * radius,
+        profile=recording.contact_source.patch.get("profile", "smooth"),
     )  # fmt: skip
     return found.point, found.std
 
 
 def _write_session(folder: Path, recording: Recording, placed: list[PlacedPress]) -> None:
     """Write session.toml, in the recording's own unit of length."""
-    head = _local(recording.head, {path.name for path in recording.files})
+    head = _with_local_paths(recording.head, {path.name for path in recording.files})
     content: dict[str, Any] = {"format": SESSION_FORMAT, "name": recording.name, **head}
-    content["probe"] = [_probe(recording, one) for one in placed]
+    content["probe"] = [_probe(recording, press) for press in placed]
     write_text(folder / "session.toml", tomlkit.dumps(content))
 
 
-def _local(value: Any, names: set[str]) -> Any:
+def _with_local_paths(value: Any, names: set[str]) -> Any:
     """Nested tables in which paths of copied files are replaced by their names in this folder."""
     if isinstance(value, dict):
-        return {key: _local(item, names) for key, item in value.items()}
+        return {key: _with_local_paths(item, names) for key, item in value.items()}
     if isinstance(value, list):
-        return [_local(item, names) for item in value]
+        return [_with_local_paths(item, names) for item in value]
     return Path(value).name if isinstance(value, str) and Path(value).name in names else value
 
 
 def _probe(recording: Recording, placed: PlacedPress) -> dict[str, Any]:
     """The table of one probing."""
-    unit, press, places = recording.metres_per_unit, placed.press, recording.places
+    unit, press, contact_source = recording.metres_per_unit, placed.press, recording.contact_source
     contact: dict[str, Any] = {"point": (placed.point / unit).tolist()}
     if np.isfinite(placed.point_std):
         contact["point_std"] = placed.point_std / unit
-    contact |= places.patch
-    if places.radii is not None:
-        contact["radius"] = places.radii[press.number - 1]
+    contact |= contact_source.patch
+    if contact_source.radii is not None:
+        contact["radius"] = contact_source.radii[press.number - 1]
     table: dict[str, Any] = {
         "name": press.name,
         "contact": contact,
@@ -224,12 +226,12 @@ _HEADINGS = (
 def _table(found: Recorded, placed: list[PlacedPress]) -> str:
     """CSV table with a line for each press, times on the gauge's clock."""
     lines = [_HEADINGS]
-    for one in placed:
-        press, reading = one.press, one.press.reading
+    for placed_press in placed:
+        press, reading = placed_press.press, placed_press.press.reading
         numbers = (
             press.touch.begin, press.touch.end, reading.begin, reading.end, reading.time,
             *press.rest, *reading.force, *reading.std, reading.creep, hysteresis(found, press),
-            one.frames, *one.point, one.point_std,
+            placed_press.frames, *placed_press.point, placed_press.point_std,
         )  # fmt: skip
         lines.append(",".join([str(press.number), press.name, *(f"{x:.6g}" for x in numbers)]))
     return "\n".join(lines) + "\n"

@@ -8,13 +8,11 @@ Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
 from palpate.records.checks import copied_rows as copied_rows
-from palpate.records.contact import (
+from palpate.records.contacts import (
     CONE as CONE,
     CYLINDER as CYLINDER,
-    FIXED as FIXED,
     FLAT as FLAT,
-    FREE as FREE,
-    GIVEN as GIVEN,
+    MESH as MESH,
     PRESSURES as PRESSURES,
     RIGID as RIGID,
     SLIDES as SLIDES,
@@ -22,9 +20,9 @@ from palpate.records.contact import (
     STICKS as STICKS,
     Contact as Contact,
     Pressure as Pressure,
-    RigidMotion as RigidMotion,
-    Support as Support,
+    PressureMap as PressureMap,
     Tool as Tool,
+    mesh_tool as mesh_tool,
 )
 from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
@@ -80,7 +78,7 @@ from palpate.records.files import (
 from palpate.records.measured_points import (
     ImportedField as ImportedField,
     MeasuredPoints as MeasuredPoints,
-    on_object as on_object,
+    in_object_frame as in_object_frame,
     on_surface as on_surface,
 )
 from palpate.records.probing import (
@@ -136,6 +134,13 @@ from palpate.records.session import (
     Session as Session,
     Step as Step,
     require_probings as require_probings,
+)
+from palpate.records.support import (
+    FIXED as FIXED,
+    FREE as FREE,
+    GIVEN as GIVEN,
+    RigidMotion as RigidMotion,
+    Support as Support,
 )
 from palpate.records.text import (
     FORCES as FORCES,

@@ -10,10 +10,10 @@ from palpate.errors import InputError
 from palpate.records.quantities import ANGLE_UNITS, COMPLIANCE_UNITS, LENGTH_UNITS
 from palpate.records.text import TomlTable
 
-_SHARES = {"%": 0.01}
-_SHARE_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
+_FRACTION_UNITS = {"%": 0.01}
+_FRACTION_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
 
-_LARGEST_SHARE, _LARGEST_ANGLE, _LARGEST_LENGTH = 0.5, 0.5, 1.0
+_LARGEST_FRACTION, _LARGEST_ANGLE, _LARGEST_LENGTH = 0.5, 0.5, 1.0
 # One metre per pascal: in effect no support [m/Pa].
 _LARGEST_COMPLIANCE = 1.0
 
@@ -69,10 +69,10 @@ class ErrorPriors:
             "pose_translation": _LARGEST_LENGTH,
             "support_compliance": _LARGEST_COMPLIANCE,
         }
-        for one in fields(self):
-            if one.name != "contact_points":
-                limit = largest.get(one.name, _LARGEST_SHARE)
-                _check_range(one.name.replace("_", " "), getattr(self, one.name), limit)
+        for prior in fields(self):
+            if prior.name != "contact_points":
+                limit = largest.get(prior.name, _LARGEST_FRACTION)
+                _check_range(prior.name.replace("_", " "), getattr(self, prior.name), limit)
         for name, std in self.contact_points.items():
             _check_range(f"the contact point of '{name}'", std, _LARGEST_LENGTH)
 
@@ -116,12 +116,16 @@ def read_error_priors(
     found["contact_points"] = _contact_points(root, metres_per_unit)
     table = root.optional("errors", root.table)
     if table is None:
-        with root.blamed():
+        with root.error_context():
             return ErrorPriors(**found)
     table.check_keys(
-        (*_SHARE_KEYS, "force_direction", "contact_point", "pose", "support_compliance")
+        (*_FRACTION_KEYS, "force_direction", "contact_point", "pose", "support_compliance")
     )
-    found |= {key: table.quantity(key, _SHARES, 1.0) for key in _SHARE_KEYS if key in table.values}
+    found |= {
+        key: table.quantity(key, _FRACTION_UNITS, 1.0)
+        for key in _FRACTION_KEYS
+        if key in table.values
+    }
     if "force_direction" in table.values:
         found["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
     if "contact_point" in table.values:
@@ -129,7 +133,7 @@ def read_error_priors(
     if "support_compliance" in table.values:
         found["support_compliance"] = table.quantity("support_compliance", COMPLIANCE_UNITS, 1.0)
     found |= _pose(table, metres_per_unit)
-    with table.blamed():
+    with table.error_context():
         return ErrorPriors(**found)
 
 

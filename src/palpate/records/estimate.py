@@ -10,7 +10,7 @@ from typing import Any
 from palpate.errors import InputError
 
 # Relative rounding error of a product in double precision, with a margin.
-_EXACT = 1e-12
+_RELATIVE_ROUNDING = 1e-12
 # An estimated error of more than this many prior standard deviations is reported as a likely fault.
 SURPRISING = 3.0
 # Beyond this many, which happens by chance once in two million, the model is contradicted.
@@ -30,7 +30,7 @@ _SCALE_CURE = (
     " probings: the displacements hardly exceed their noise"
 )
 # Meaning of each status, and advice what to do about it.
-_FINDINGS = {
+_STATUS_TEXTS = {
     "ok": ("all three constants are determined by the data", ""),
     "poisson_ratio" + _SUFFIX: ("Poisson's ratio is not determined by the data", _TANGENTIAL_CURE),
     "shear_modulus" + _SUFFIX: ("the shear modulus is not determined by the data", _SCALE_CURE),
@@ -93,12 +93,12 @@ class Status(StrEnum):
     @property
     def sentence(self) -> str:
         """Meaning in words, without initial capital and full stop."""
-        return _FINDINGS[self.value][0]
+        return _STATUS_TEXTS[self.value][0]
 
     @property
     def cure(self) -> str:
         """What to do about it, in words; empty if there is nothing to do."""
-        return _FINDINGS[self.value][1]
+        return _STATUS_TEXTS[self.value][1]
 
     @property
     def advice(self) -> str:
@@ -118,12 +118,12 @@ class Status(StrEnum):
         InputError                  not exactly these three keys
         """
         _check_identifiable(identifiable)
-        lost = [name for name in CONSTANT_NAMES if not identifiable[name]]
-        if not lost:
+        undetermined = [name for name in CONSTANT_NAMES if not identifiable[name]]
+        if not undetermined:
             return cls.OK
-        if len(lost) == len(CONSTANT_NAMES):
+        if len(undetermined) == len(CONSTANT_NAMES):
             return cls.NOTHING_IDENTIFIABLE
-        return cls("_and_".join(lost) + _SUFFIX)
+        return cls("_and_".join(undetermined) + _SUFFIX)
 
 
 def _check_identifiable(identifiable: Mapping[str, bool]) -> None:
@@ -352,20 +352,20 @@ class Estimate:
     def __repr__(self) -> str:
         parts = []
         for name in CONSTANT_NAMES:
-            one: Constant = getattr(self, name)
-            low, high = one.ci95
-            told = f"{one.value:.4g} " if self.identifiable[name] else "not determined "
-            parts.append(f"{name} {told}({low:.4g} to {high:.4g})")
+            constant: Constant = getattr(self, name)
+            low, high = constant.ci95
+            value = f"{constant.value:.4g} " if self.identifiable[name] else "not determined "
+            parts.append(f"{name} {value}({low:.4g} to {high:.4g})")
         return f"Estimate: {self.status.sentence}; {', '.join(parts)}"
 
 
-def _check_constants(found: ProbeEstimate | Estimate, identifiable: Mapping[str, bool]) -> None:
+def _check_constants(estimate: ProbeEstimate | Estimate, identifiable: Mapping[str, bool]) -> None:
     """Refuse constants that contradict each other, or `identifiable`."""
-    constants: dict[str, Constant] = {name: getattr(found, name) for name in CONSTANT_NAMES}
-    for name, one in constants.items():
-        if identifiable[name] and not math.isfinite(one.value):
+    constants: dict[str, Constant] = {name: getattr(estimate, name) for name in CONSTANT_NAMES}
+    for name, constant in constants.items():
+        if identifiable[name] and not math.isfinite(constant.value):
             raise InputError(f"{name} is identifiable by `identifiable`, but has no value")
-    values = [one.value for one in constants.values()]
+    values = [constant.value for constant in constants.values()]
     _check_ranges(*values)
     # A constant that is not determined is given for its whole range, independently of the others.
     if all(identifiable.values()):
@@ -385,8 +385,8 @@ def _check_product(shear: float, ratio: float, young: float) -> None:
     """Refuse constants that violate E = 2 G (1 + nu)."""
     expected = 2.0 * shear * (1.0 + ratio)
     # All three may have been rounded by hand.
-    room = 2.0 * (1.0 + ratio) * _rounding(shear) + 2.0 * shear * _rounding(ratio)
-    if abs(young - expected) > room + _rounding(young) + _EXACT * expected:
+    tolerance = 2.0 * (1.0 + ratio) * _rounding(shear) + 2.0 * shear * _rounding(ratio)
+    if abs(young - expected) > tolerance + _rounding(young) + _RELATIVE_ROUNDING * expected:
         raise InputError(
             f"young_modulus is {young:g} Pa, but 2 G (1 + nu) is {expected:g} Pa, with"
             f" G = {shear:g} Pa and nu = {ratio:g}"

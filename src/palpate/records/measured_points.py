@@ -30,7 +30,7 @@ class MeasuredPoints:
     source : str                    file they came from, for messages
     notes : tuple of str            what was assumed, converted or left out, in sentences about the
                                     file, without its name
-    poor : int                      number of points rejected for low correlation, NaN rows
+    poorly_correlated : int         number of points rejected for low correlation, NaN rows
     contradicted : int              number of points rejected as contradicting their neighbours, NaN
                                     rows
     """
@@ -40,7 +40,7 @@ class MeasuredPoints:
     std: Points | None
     source: str
     notes: tuple[str, ...]
-    poor: int = 0
+    poorly_correlated: int = 0
     contradicted: int = 0
 
     def without(self, contradicted: Flags) -> "MeasuredPoints":
@@ -72,8 +72,9 @@ class ImportedField:
     field : DisplacementField       on the mesh; failed points on the surface are NaN rows
     read : int                      number of points in the file
     failed : int                    of these kept as NaN rows, for whatever reason
-    poor, contradicted : int        rejected for low correlation, as contradicting their neighbours
-    nowhere : int                   failed points left out: without a position, or off the surface
+    poorly_correlated : int         rejected for low correlation
+    contradicted : int              rejected as contradicting their neighbours
+    without_position : int          failed points left out: without a position, or off the surface
     off_surface : int               measured points left out because they lie off the surface
     median_distance : float [m]     of all measured points from the surface
     notes : tuple of str            sentences about the file
@@ -82,9 +83,9 @@ class ImportedField:
     field: DisplacementField
     read: int
     failed: int
-    poor: int
+    poorly_correlated: int
     contradicted: int
-    nowhere: int
+    without_position: int
     off_surface: int
     median_distance: float
     notes: tuple[str, ...]
@@ -95,8 +96,8 @@ def in_metres(
     path: Path,
     *,
     length_unit: str | None,
-    usual: str | None,
-    least_score: float | None = None,
+    default_unit: str | None,
+    min_score: float | None = None,
 ) -> MeasuredPoints:
     """Convert a program's points to metres; points that were not measured become NaN rows.
 
@@ -108,8 +109,8 @@ def in_metres(
     given : ProgramPoints           as read from the file
     path : Path                     the file
     length_unit : str or None       as given by the user
-    usual : str or None             unit that the program uses if its file states none
-    least_score : float or None     points with a lower correlation are rejected
+    default_unit : str or None      unit that the program uses if its file states none
+    min_score : float or None       points with a lower correlation are rejected
 
     Returns
     -------
@@ -120,41 +121,49 @@ def in_metres(
     RecordError                     nothing was measured, nothing moved, no unit or contradictory
                                     units
     """
-    metres, unit_notes = _metres(path, found=given.unit, given=length_unit, usual=usual)
+    metres, unit_notes = _metres(
+        path, found=given.unit, given=length_unit, default_unit=default_unit
+    )
     moved = np.where(np.isinf(given.displacement), np.nan, given.displacement)
     points = np.where(np.isinf(given.points), np.nan, given.points)
     failed = ~measured_rows(moved) | np.isnan(points).any(axis=1)
     if given.failed is not None:
         failed |= given.failed
-    poor = np.zeros(len(failed), dtype=bool)
-    if given.score is not None and least_score is not None:
-        poor = ~failed & (given.score < least_score)
-    failed |= poor
-    low = f"; {poor.sum()} correlate by less than {least_score} (--min-score)" if poor.any() else ""
-    _check_measured(path, moved, failed, low)
-    nowhere = failed & (np.isnan(points).any(axis=1) | ~points.any(axis=1))
+    poorly_correlated = np.zeros(len(failed), dtype=bool)
+    if given.score is not None and min_score is not None:
+        poorly_correlated = ~failed & (given.score < min_score)
+    failed |= poorly_correlated
+    low_score_text = (
+        f"; {poorly_correlated.sum()} correlate by less than {min_score} (--min-score)"
+        if poorly_correlated.any()
+        else ""
+    )
+    _check_measured(path, moved, failed, low_score_text)
+    without_position = failed & (np.isnan(points).any(axis=1) | ~points.any(axis=1))
     std, notes = given.std, given.notes + unit_notes
     if std is not None:
-        blank = int((~(std[~failed] > 0.0) | np.isinf(std[~failed])).any(axis=1).sum())
-        if blank:
-            notes += (f"{blank} measured points have no sigma; that of the others was left out.",)
+        without_std = int((~(std[~failed] > 0.0) | np.isinf(std[~failed])).any(axis=1).sum())
+        if without_std:
+            notes += (
+                f"{without_std} measured points have no sigma; that of the others was left out.",
+            )
             std = None
     return MeasuredPoints(
-        points=metres * np.where(nowhere[:, None], np.nan, points),
+        points=metres * np.where(without_position[:, None], np.nan, points),
         displacement=metres * np.where(failed[:, None], np.nan, moved),
         std=None if std is None else metres * np.where(failed[:, None], np.nan, std),
         source=str(path),
         notes=notes,
-        poor=int(poor.sum()),
+        poorly_correlated=int(poorly_correlated.sum()),
     )
 
 
-def _check_measured(path: Path, moved: Points, failed: Flags, low: str) -> None:
+def _check_measured(path: Path, moved: Points, failed: Flags, low_score_text: str) -> None:
     """Refuse a file in which nothing was measured, or nothing moved."""
     if failed.all():
         raise RecordError(
-            f"{path}: not one of its {len(failed)} points was measured (failed or NaN{low}); is it"
-            " the right file and state? Evaluate it again"
+            f"{path}: not one of its {len(failed)} points was measured (failed or"
+            f" NaN{low_score_text}); is it the right file and state? Evaluate it again"
         )
     if not moved[~failed].any():
         raise RecordError(
@@ -164,37 +173,39 @@ def _check_measured(path: Path, moved: Points, failed: Flags, low: str) -> None:
 
 
 def _metres(
-    path: Path, *, found: str | None, given: str | None, usual: str | None
+    path: Path, *, found: str | None, given: str | None, default_unit: str | None
 ) -> tuple[float, tuple[str, ...]]:
     """Length of a file's unit [m], and notes on what was assumed.
 
-    The unit stated in the file comes first, then the user's, then the program's usual one; an
+    The unit stated in the file comes first, then the user's, then the program's default one; an
     unknown unit, a contradiction, or none at all is refused.
     """
     names = " ".join(LENGTH_UNITS)
-    said = unit_name(found) if found else None
-    if said is not None and said not in LENGTH_UNITS:
+    stated = unit_name(found) if found else None
+    if stated is not None and stated not in LENGTH_UNITS:
         raise RecordError(
             f"{path}: its lengths are in '{found}'; known units are {names}: export it in one of"
             " them (pixels are no lengths: a stereo result is needed)"
         )
     if given is not None and given not in LENGTH_UNITS:
         raise RecordError(f"--length-unit is '{given}'; must be one of {names}")
-    if said is not None and given is not None and said != given:
+    if stated is not None and given is not None and stated != given:
         raise RecordError(
-            f"{path}: its header says {said}, --length-unit says {given}; leave the option out"
+            f"{path}: its header says {stated}, --length-unit says {given}; leave the option out"
         )
-    if unit := said or given:
+    if unit := stated or given:
         return LENGTH_UNITS[unit], ()
-    if usual is None:
+    if default_unit is None:
         raise RecordError(
             f"{path}: does not say its unit of length; say it with --length-unit ({names})"
         )
-    note = f"It does not say its unit of length; {usual} was taken (--length-unit)."
-    return LENGTH_UNITS[usual], (note,)
+    note = f"It does not say its unit of length; {default_unit} was taken (--length-unit)."
+    return LENGTH_UNITS[default_unit], (note,)
 
 
-def on_object(measured: MeasuredPoints, T_object_file: Float[np.ndarray, "4 4"]) -> MeasuredPoints:
+def in_object_frame(
+    measured: MeasuredPoints, T_object_file: Float[np.ndarray, "4 4"]
+) -> MeasuredPoints:
     """Transform points and displacements to the object frame.
 
     The standard deviations are those of the rotated components; the correlation between components
@@ -242,32 +253,32 @@ def on_surface(
                                     more than half of them: then frames or units differ
     """
     is_measured = measured_rows(measured.displacement)
-    has_place = ~np.isnan(measured.points).any(axis=1)
-    distance = np.full(len(has_place), np.inf)
-    distance[has_place] = closest_points(mesh, measured.points[has_place]).distance
+    has_position = ~np.isnan(measured.points).any(axis=1)
+    distance = np.full(len(has_position), np.inf)
+    distance[has_position] = closest_points(mesh, measured.points[has_position]).distance
     is_near = distance <= surface_limit(mesh)
-    off = int((is_measured & ~is_near).sum())
-    if off:
+    off_surface = int((is_measured & ~is_near).sum())
+    if off_surface:
         _check_off_surface(measured, mesh, distance, drop_off_surface=drop_off_surface)
-    kept = np.flatnonzero(is_near)
+    rows = np.flatnonzero(is_near)
     std = measured.std
-    points = measured.points[kept]
+    points = measured.points[rows]
     field = DisplacementField(
         points=points,
-        displacement=measured.displacement[kept],
-        std=None if std is None else std[kept],
+        displacement=measured.displacement[rows],
+        std=None if std is None else std[rows],
         vertex=None,
         surface=closest_points(mesh, points),
         source=measured.source,
     )
     return ImportedField(
         field=field,
-        read=len(has_place),
+        read=len(has_position),
         failed=int((~is_measured & is_near).sum()),
-        poor=measured.poor,
+        poorly_correlated=measured.poorly_correlated,
         contradicted=measured.contradicted,
-        nowhere=int((~is_measured & ~is_near).sum()),
-        off_surface=off,
+        without_position=int((~is_measured & ~is_near).sum()),
+        off_surface=off_surface,
         median_distance=float(np.median(distance[is_measured])),
         notes=measured.notes + _span_notes(measured, mesh),
     )
@@ -316,15 +327,15 @@ def _check_off_surface(
 ) -> None:
     """Refuse points off the surface, unless they are a minority and may be left out."""
     is_measured: Flags = measured_rows(measured.displacement)
-    found, limit = distance[is_measured], surface_limit(mesh)
-    off, middle = int((found > limit).sum()), float(np.median(found))
-    if drop_off_surface and middle <= limit:
+    distances, limit = distance[is_measured], surface_limit(mesh)
+    off_surface, median = int((distances > limit).sum()), float(np.median(distances))
+    if drop_off_surface and median <= limit:
         return
     size = bounding_diagonal(mesh)
     span = _span(measured)
     what = (
-        f"{measured.source}: {off} of {len(found)} measured points lie farther than {limit:.3g} m"
-        f" off the surface (median {middle:.3g} m, worst {found.max():.3g} m)"
+        f"{measured.source}: {off_surface} of {len(distances)} measured points lie farther than"
+        f" {limit:.3g} m off the surface (median {median:.3g} m, worst {distances.max():.3g} m)"
     )
     if not _MIN_SPAN * size <= span <= _MAX_SPAN * size:
         raise RecordError(
@@ -332,7 +343,7 @@ def _check_off_surface(
             " length_unit of the session"
         )
     pose = "--to-object FILE, a TOML file with length_unit, R and t, where x_object = R x_file + t"
-    if middle > limit:
+    if median > limit:
         raise RecordError(
             f"{what}: the frame of the program is not the object's; say where it lies with {pose}"
         )

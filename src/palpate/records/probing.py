@@ -9,8 +9,9 @@ from scipy.sparse import csr_array, diags_array, kron
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
-from palpate.records.contact import RIGID, Contact, RigidMotion
-from palpate.records.large_turn import check_turn
+from palpate.records.contacts import RIGID, Contact
+from palpate.records.large_rotation import check_rotation
+from palpate.records.support import RigidMotion
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
 
 # Tolerance on the sum of some hundred weights in single precision.
@@ -47,7 +48,7 @@ class PointCorrelation:
         object.__setattr__(self, "pair", pair)
         object.__setattr__(self, "value", value)
 
-    def among(self, rows: Indices, count: int) -> "PointCorrelation":
+    def subset(self, rows: Indices, count: int) -> "PointCorrelation":
         """Restrict to a subset of the points, renumbered by their position in `rows`.
 
         Parameters
@@ -61,14 +62,15 @@ class PointCorrelation:
         kept = (pair >= 0).all(axis=1)
         return PointCorrelation(np.sort(pair[kept], axis=1), self.value[kept])
 
-    def scaled(self, share: Float[np.ndarray, " n"]) -> "PointCorrelation":
+    def scaled(self, variance_fraction: Float[np.ndarray, " n"]) -> "PointCorrelation":
         """Correlation of the total errors, of which the correlated errors are only a part.
 
         Parameters
         ----------
-        share : (n,) float [-]  fraction of each point's variance that is correlated, 0 to 1
+        variance_fraction : (n,) float [-]  fraction of each point's variance that is correlated,
+                                            0 to 1
         """
-        root = np.sqrt(share[self.pair].prod(axis=1))
+        root = np.sqrt(variance_fraction[self.pair].prod(axis=1))
         return PointCorrelation(self.pair, self.value * root)
 
 
@@ -107,36 +109,38 @@ class SurfaceAverage:
                 f" {len(points)} points, and three rows for each displacement"
             )
         total = self._total()
-        wrong = np.abs(total - np.eye(3) * self.given[:, None, None]).max(axis=(1, 2), initial=0.0)
+        wrong = np.abs(total - np.eye(3) * self.has_weights[:, None, None]).max(
+            axis=(1, 2), initial=0.0
+        )
         if (wrong > _ROUNDING).any():
             row = int(wrong.argmax())
             raise InputError(f"weights of displacement {row} add up to {total[row].tolist()}")
 
     @property
-    def given(self) -> Flags:
+    def has_weights(self) -> Flags:
         """True for the displacements that have weights, (n,) bool."""
         return np.diff(self.weights.indptr)[::3] > 0
 
     def _total(self) -> Float[np.ndarray, "n 3 3"]:
         return (self.weights @ np.tile(np.eye(3), (len(self.points), 1))).reshape(-1, 3, 3)
 
-    def of(self, alone: csr_array, around: csr_array) -> csr_array:
+    def averaging_matrix(self, at_points: csr_array, at_samples: csr_array) -> csr_array:
         """Matrix from nodal displacements to the averaged displacements.
 
         Parameters
         ----------
-        alone : (n, v) sparse   interpolation from nodes to the n measured points
-        around : (s, v) sparse  interpolation from nodes to the sampling points `points`
+        at_points : (n, v) sparse   interpolation from nodes to the n measured points
+        at_samples : (s, v) sparse  interpolation from nodes to the sampling points `points`
 
         Returns
         -------
         (3 n, 3 v) sparse
         """
         unit = np.eye(3)
-        left = diags_array((~self.given).astype(np.float64)) @ alone
-        return csr_array(self.weights @ kron(around, unit) + kron(left, unit))
+        unweighted = diags_array((~self.has_weights).astype(np.float64)) @ at_points
+        return csr_array(self.weights @ kron(at_samples, unit) + kron(unweighted, unit))
 
-    def among(self, rows: Indices) -> "SurfaceAverage":
+    def subset(self, rows: Indices) -> "SurfaceAverage":
         """Restrict to a subset of the measured displacements.
 
         Parameters
@@ -146,7 +150,7 @@ class SurfaceAverage:
         chosen = (3 * rows[:, None] + np.arange(3)).ravel()
         return SurfaceAverage(self.points, csr_array(self.weights[chosen]))
 
-    def spread(self, rows: Indices, count: int) -> "SurfaceAverage":
+    def embedded(self, rows: Indices, count: int) -> "SurfaceAverage":
         """Embed into a longer list of displacements, of which the others have no weights.
 
         Parameters
@@ -232,10 +236,10 @@ class DisplacementField:
             raise InputError(f"average has {self.average.weights.shape[0]} rows; must be {3 * n}")
 
     def __repr__(self) -> str:
-        seen = observed_rows(self)
-        length = np.linalg.norm(self.displacement[seen], axis=1)
+        measured = observed_rows(self)
+        length = np.linalg.norm(self.displacement[measured], axis=1)
         median = f", median {1e3 * np.median(length):.3g} mm" if len(length) else ""
-        return f"DisplacementField: {len(seen)} points, {seen.sum()} measured{median}"
+        return f"DisplacementField: {len(measured)} points, {measured.sum()} measured{median}"
 
 
 def measured_rows(displacement: Points) -> Flags:
@@ -371,8 +375,8 @@ class Probing:
             )
         for field in (self.displacement, self.support_displacement):
             if field is not None:
-                seen = observed_rows(field)
-                check_turn(field.points[seen], field.displacement[seen], field.source)
+                measured = observed_rows(field)
+                check_rotation(field.points[measured], field.displacement[measured], field.source)
         if self.force_std is not None and np.any(self.force_std < 0.0):
             raise InputError(f"force_std is {self.force_std.tolist()}; must not be negative")
         std = self.tip_displacement_std
@@ -386,5 +390,5 @@ class Probing:
     def __repr__(self) -> str:
         force = ", ".join(f"{x:.3g}" for x in self.force)
         point = ", ".join(f"{1e3 * x:.4g}" for x in self.contact.point)
-        seen = "not measured yet" if self.displacement is None else repr(self.displacement)
-        return f"Probing {self.name!r}: ({force}) N at ({point}) mm; {seen}"
+        observed = "not measured yet" if self.displacement is None else repr(self.displacement)
+        return f"Probing {self.name!r}: ({force}) N at ({point}) mm; {observed}"

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
-from palpate.files import most_unpacked
+from palpate.files import max_unpacked_size
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, PictureTracks, Rig
 from palpate.records.text import TREE_SUFFIXES, nearest_word, read_toml, read_tree
@@ -22,8 +22,8 @@ from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 _MAX_PRINTED_ERROR = 1e-6
 # Zero-mean normalised cross-correlation below which a match is rejected: at this value a quarter of
 # the grey-level variance of the subsets is noise, or another surface.
-LEAST_CORRELATION = 0.75
-HDF5_MARK = b"\x89HDF\r\n\x1a\n"
+MIN_CORRELATION = 0.75
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class CalibrationFile:
             return cls(path, read_toml(path).values, length_unit)
         return cls(path, None if binary else read_tree(path), length_unit)
 
-    def beside(self) -> "list[CalibrationFile]":
+    def files_in_folder(self) -> "list[CalibrationFile]":
         """The YAML, JSON and XML files in this folder, sorted by name."""
         files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in TREE_SUFFIXES)
         return [CalibrationFile(file, read_tree(file), self.length_unit) for file in files]
@@ -69,12 +69,12 @@ class CalibrationFile:
         """Raise a `CalibrationError` about this file."""
         raise CalibrationError(f"{self.path}: {what}")
 
-    def metres(self, *, usual: str | None, stated: str | None = None) -> float:
+    def metres(self, *, default: str | None, stated: str | None = None) -> float:
         """Length of the file's unit [m].
 
         Parameters
         ----------
-        usual : str or None         unit of files of this kind; None: there is no usual unit
+        default : str or None       unit of files of this kind; None: there is no default unit
         stated : str or None        unit stated in the file; takes precedence over the caller's
 
         Raises
@@ -82,7 +82,7 @@ class CalibrationFile:
         InputError                  unknown unit
         CalibrationError            no unit is given anywhere
         """
-        unit = stated or (usual if self.length_unit is None else self.length_unit)
+        unit = stated or (default if self.length_unit is None else self.length_unit)
         allowed = ", ".join(FILE_LENGTH_UNITS)
         if unit is None:
             self.fail(
@@ -150,21 +150,21 @@ class CalibrationFile:
         return table[key]
 
     def number(
-        self, table: Mapping[str, Any], key: str, where: str, *, missing: float | None = None
+        self, table: Mapping[str, Any], key: str, where: str, *, default: float | None = None
     ) -> float:
         """One finite number of a table.
 
         Parameters
         ----------
         table, key, where           as in `entry`
-        missing : float or None     default if the key is missing; None: the key is required
+        default : float or None     default if the key is missing; None: the key is required
 
         Raises
         ------
         CalibrationError            a required key is missing, or not a finite number
         """
-        if missing is not None and key not in table:
-            return missing
+        if default is not None and key not in table:
+            return default
         return float(self.numbers(f"{key} of {where}", self.entry(table, key, where), ()))
 
     def size(self, given: Any) -> tuple[int, int] | None:
@@ -267,8 +267,8 @@ class Program:
     read_points : callable or None  (path, frame) -> ProgramPoints; frame is the index, from 0, of
                                     the state in files with several; None: the last one
     read_tracks : callable or None  (path, frame) -> PictureTracks, for results in pixels
-    usual_unit : str or None        unit of results that state none; None: the user must give it
-    least_score : float or None     matches with a lower `ProgramPoints.score` are rejected; None:
+    default_unit : str or None      unit of results that state none; None: the user must give it
+    min_score : float or None       matches with a lower `ProgramPoints.score` are rejected; None:
                                     its files hold no correlation
     correlates : bool               its displacements come from image correlation, so a point that
                                     contradicts all its neighbours is a false match
@@ -281,8 +281,8 @@ class Program:
     results: str = ""
     read_points: Callable[[Path, int | None], ProgramPoints] | None = None
     read_tracks: Callable[[Path, int | None], PictureTracks] | None = None
-    usual_unit: str | None = None
-    least_score: float | None = None
+    default_unit: str | None = None
+    min_score: float | None = None
     correlates: bool = True
     calibrations: str = ""
     holds_rig: Callable[[CalibrationFile], bool] | None = None
@@ -326,24 +326,26 @@ def checked_size(array: Any) -> Any:
     ------
     ValueError                      more numbers than any measurement has
     """
-    if math.prod(array.shape) * array.dtype.itemsize > most_unpacked(array.id.get_storage_size()):
+    if math.prod(array.shape) * array.dtype.itemsize > max_unpacked_size(
+        array.id.get_storage_size()
+    ):
         raise ValueError(f"it claims an array of {' x '.join(map(str, array.shape))} numbers")
     return array
 
 
-def camera_matrix(inner: Sequence[float] | np.ndarray, skew: float = 0.0) -> Matrix3:
+def camera_matrix(intrinsics: Sequence[float] | np.ndarray, skew: float = 0.0) -> Matrix3:
     """Camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] from fx, fy, cx, cy.
 
     Parameters
     ----------
-    inner : 4 floats [px]           fx, fy > 0, cx, cy
+    intrinsics : 4 floats [px]      fx, fy > 0, cx, cy
     skew : float [px]
 
     Returns
     -------
     (3, 3) float [px]
     """
-    fx, fy, cx, cy = inner
+    fx, fy, cx, cy = intrinsics
     return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 

@@ -25,7 +25,7 @@ MODULUS_RANGE = (1.0, 1.2e12)
 # Yield strength of the strongest steels [Pa].
 HIGHEST_PRESSURE = 3e9
 # Relative standard deviations below this are rounding errors.
-_ROUNDING = 1e-9
+_RELATIVE_ROUNDING = 1e-9
 # Shown in place of a value that the data do not determine.
 NOT_DETERMINED = "not determined"
 # Symbols of the constants, in the order in which they are shown.
@@ -104,7 +104,7 @@ def constant_text(constant: Constant, *, factor: float = 1.0) -> str:
     shown = value_text(constant, factor=factor)
     if not (math.isfinite(value) and math.isfinite(std)):
         return shown
-    return f"{shown} ± {std:.{_places(std, value)}f}"
+    return f"{shown} ± {std:.{_decimals(std, value)}f}"
 
 
 def value_text(constant: Constant, *, factor: float = 1.0) -> str:
@@ -120,7 +120,7 @@ def value_text(constant: Constant, *, factor: float = 1.0) -> str:
     str                             'unknown' if the value is not finite
     """
     value, std = constant.value / factor, constant.std / factor
-    return f"{value:.{_places(std, value)}f}" if math.isfinite(value) else "unknown"
+    return f"{value:.{_decimals(std, value)}f}" if math.isfinite(value) else "unknown"
 
 
 def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
@@ -135,9 +135,9 @@ def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
     -------
     str                             e.g. '20.70 to 21.30'
     """
-    places = _places(constant.std / factor, constant.value / factor)
+    decimals = _decimals(constant.std / factor, constant.value / factor)
     low, high = (end / factor for end in constant.ci95)
-    return f"{low:.{places}f} to {high:.{places}f}"
+    return f"{low:.{decimals}f} to {high:.{decimals}f}"
 
 
 def constant_row(estimate: Estimate, name: str) -> tuple[str, str, str]:
@@ -184,14 +184,14 @@ def verdict_text(estimate: Estimate) -> str:
             factor, _ = constant_unit(name, getattr(estimate, name).value)
             value = value_text(getattr(estimate, name), factor=factor)
             known.append(f"{symbol} = {value}{unit and ' ' + unit} ({interval})")
-    said = [f"{sentence[0].upper()}{sentence[1:]}."]
+    sentences = [f"{sentence[0].upper()}{sentence[1:]}."]
     if known:
-        said.append(f"{', '.join(known)} (95 % intervals in brackets).")
+        sentences.append(f"{', '.join(known)} (95 % intervals in brackets).")
     biased = [note for note in estimate.notes if BIASED in note]
-    said += biased[:1]
+    sentences += biased[:1]
     if len(biased) > 1:
-        said.append(f"{len(biased)} notes say so.")
-    return " ".join(said)
+        sentences.append(f"{len(biased)} notes say so.")
+    return " ".join(sentences)
 
 
 def constant_unit(name: str, value: float) -> tuple[float, str]:
@@ -210,10 +210,10 @@ def constant_unit(name: str, value: float) -> tuple[float, str]:
     return (1.0, "") if name == "poisson_ratio" else modulus_unit(value)
 
 
-def _places(std: float, value: float) -> int:
+def _decimals(std: float, value: float) -> int:
     """Number of decimals for two digits of the standard deviation, or three to four of the value
     if the deviation is not known."""
-    known = math.isfinite(std) and std > _ROUNDING * abs(value)
+    known = math.isfinite(std) and std > _RELATIVE_ROUNDING * abs(value)
     shown = std if known else abs(value) * 1e-2
     if not (math.isfinite(shown) and shown > 0.0):
         return 3
@@ -234,11 +234,11 @@ def budget_text(budget: Sequence[BudgetEntry], name: str) -> str:
                                     "gain of the force sensor 1 %, measured forces 0.59 %"; empty
                                     if nothing is known
     """
-    parts = [(getattr(one, name), one.source) for one in budget]
+    parts = [(getattr(entry, name), entry.source) for entry in budget]
     parts = sorted((part for part in parts if not math.isnan(part[0])), reverse=True)
-    told = [(std, source) for std, source in parts[:3] if std > parts[0][0] / 3.0]
+    largest = [(std, source) for std, source in parts[:3] if std > parts[0][0] / 3.0]
     ratio = name == "poisson_ratio"
-    return ", ".join(f"{source} {_deviation(std, ratio=ratio)}" for std, source in told)
+    return ", ".join(f"{source} {_deviation(std, ratio=ratio)}" for std, source in largest)
 
 
 def _deviation(std: float, *, ratio: bool) -> str:

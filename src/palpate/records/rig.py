@@ -13,7 +13,7 @@ from palpate.shapes import Matrix3, PointScalars, Vector3
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6
 # Baselines below this fraction of the farthest camera's distance are rounding errors.
-_SAME_PLACE = 1e-6
+_SAME_POSITION = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,8 +126,8 @@ class RigCovariance:
     def __post_init__(self) -> None:
         size = len(self.names)
         for name, shape in (("value", (size,)), ("covariance", (size, size))):
-            found = fixed_array(getattr(self, name), name=name, shape=shape)
-            object.__setattr__(self, name, found)
+            array = fixed_array(getattr(self, name), name=name, shape=shape)
+            object.__setattr__(self, name, array)
         largest = float(np.abs(self.covariance).max(initial=0.0))
         if np.any(np.abs(self.covariance - self.covariance.T) > 1e-9 * largest) or np.any(
             np.diag(self.covariance) < 0.0
@@ -192,9 +192,9 @@ def check_baselines(rig: Rig) -> None:
     CalibrationError                the text names both cameras
     """
     centre = np.array([camera_centre(camera) for camera in rig.cameras])
-    near = _SAME_PLACE * np.linalg.norm(centre, axis=1).max()
+    tolerance = _SAME_POSITION * np.linalg.norm(centre, axis=1).max()
     for (i, first), (k, second) in combinations(enumerate(rig.cameras), 2):
-        if np.linalg.norm(centre[i] - centre[k]) <= near:
+        if np.linalg.norm(centre[i] - centre[k]) <= tolerance:
             place = ", ".join(f"{x:.4g}" for x in centre[i])
             raise CalibrationError(
                 f"{rig.source}: cameras '{first.name}' and '{second.name}' stand at the same place,"

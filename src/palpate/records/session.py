@@ -9,18 +9,19 @@ import numpy as np
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import RIGID, Support
+from palpate.records.contacts import RIGID
 from palpate.records.error_priors import ErrorPriors
 from palpate.records.probing import Probing
+from palpate.records.support import Support
 from palpate.records.support_checks import check_supports
 from palpate.shapes import Indices, Vector3
 
 # Density of osmium [kg/m^3], and ten times the earth's gravity [m/s^2]: larger values mean a wrong
 # unit.
-_DENSEST = 22600.0
+_LARGEST_DENSITY = 22600.0
 _LARGEST_GRAVITY = 100.0
 # Number of probings that `repr` names.
-_NAMED = 6
+_MAX_NAMED = 6
 # Longest name, in characters, that tables have room for.
 _LONGEST_NAME = 200
 
@@ -106,10 +107,10 @@ class Session:
         if not self.supports and len(held):
             object.__setattr__(self, "supports", (Support(held),))
         check_supports(self.mesh, self.supports, self.probings)
-        if self.density is not None and not 0.0 < self.density <= _DENSEST:
+        if self.density is not None and not 0.0 < self.density <= _LARGEST_DENSITY:
             raise InputError(
-                f"density is {self.density}; must be positive and at most {_DENSEST:g} kg/m^3,"
-                " the densest metal's"
+                f"density is {self.density}; must be positive and at most {_LARGEST_DENSITY:g}"
+                " kg/m^3, the densest metal's"
             )
         if self.gravity is not None:
             gravity = fixed_array(self.gravity, name="gravity", shape=(3,))
@@ -124,7 +125,7 @@ class Session:
                     f"gravity is {np.linalg.norm(gravity):.4g} m/s^2; the earth's is 9.81, at most"
                     f" {_LARGEST_GRAVITY:g} is taken: is it in mm/s^2?"
                 )
-            pulled = [one.name for one in self.probings if one.contact.profile == RIGID]
+            pulled = [probing.name for probing in self.probings if probing.contact.profile == RIGID]
             if pulled:
                 raise InputError(
                     f"probing '{pulled[0]}' has its force on a support, and there is gravity: its"
@@ -133,17 +134,17 @@ class Session:
                 )
 
     def __repr__(self) -> str:
-        names = [one.name for one in self.probings] or [one.name for one in self.steps]
+        names = [item.name for item in self.probings] or [item.name for item in self.steps]
         kind = "steps" if self.steps else "probings"
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
         return (
-            f"Session {self.name!r}: {len(names)} {kind} ({', '.join(names[:_NAMED])}{more}),"
+            f"Session {self.name!r}: {len(names)} {kind} ({', '.join(names[:_MAX_NAMED])}{more}),"
             f" {len(self.mesh.vertices)} vertices, {len(self.held_triangles)} of"
             f" {len(self.mesh.triangles)} triangles held"
         )
 
     def _repr_html_(self) -> str:
-        rows = "".join(f"<li>{html.escape(repr(one))}</li>" for one in self.probings)
+        rows = "".join(f"<li>{html.escape(repr(probing))}</li>" for probing in self.probings)
         return f"<p>{html.escape(repr(self))}</p><ul>{rows}</ul>"
 
 
@@ -192,12 +193,12 @@ def _check_contents(session: Session) -> None:
                 f" {_LONGEST_NAME}: names stand in tables, pictures and file names"
             )
     if len(set(names)) < len(names):
-        twins = sorted({name for name in names if names.count(name) > 1})
+        repeated = sorted({name for name in names if names.count(name) > 1})
         kind = "probings" if probings else "steps"
-        raise InputError(f"{kind} share the name {quoted(twins[0])}; names must be distinct")
-    blind = [item.name for item in probings if item.images and item.displacement is None]
-    if session.rig is None and (steps or blind):
-        whose = f"probing '{blind[0]}' has" if blind else "the steps have"
+        raise InputError(f"{kind} share the name {quoted(repeated[0])}; names must be distinct")
+    unmeasured = [item.name for item in probings if item.images and item.displacement is None]
+    if session.rig is None and (steps or unmeasured):
+        whose = f"probing '{unmeasured[0]}' has" if unmeasured else "the steps have"
         raise InputError(
             f"{whose} images, but no rig is given: the cameras must be known; name their file in a"
             ' [rig] table, e.g. cameras = "rig.toml"'

@@ -6,15 +6,16 @@ import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import FIXED, FREE, GIVEN, RIGID, Support
+from palpate.records.contacts import RIGID
 from palpate.records.probing import Probing
+from palpate.records.support import FIXED, FREE, GIVEN, Support
 from palpate.shapes import Indices
 
 # Largest fraction of a force perpendicular to a roller's held directions, for its small friction.
-_UNANSWERED = 0.05
+_MAX_PERPENDICULAR = 0.05
 # A direction counts as held by other supports if the squared sine of its angle to their free
 # directions exceeds this, that of half a degree.
-_HELD = 1e-4
+_MIN_HELD_SINE_SQUARED = 1e-4
 
 
 def check_supports(
@@ -34,28 +35,28 @@ def check_supports(
     """
     for second in range(len(supports)):
         for first in range(second):
-            _check_apart(mesh, supports, first, second)
-    given = [number for number, one in enumerate(supports, start=1) if one.motion == GIVEN]
+            _check_disjoint(mesh, supports, first, second)
+    given = [number for number, support in enumerate(supports, start=1) if support.motion == GIVEN]
     for probing in probings:
         _check_motion(probing, given)
         if probing.contact.profile == RIGID and probing.contact.triangles is not None:
-            _check_pulled(probing, probing.contact.triangles, supports)
+            _check_pulled_support(probing, probing.contact.triangles, supports)
 
 
-def _check_apart(mesh: TriangleMesh, supports: Sequence[Support], first: int, second: int) -> None:
+def _check_disjoint(mesh: TriangleMesh, supports: Sequence[Support], i: int, j: int) -> None:
     """Refuse supports that share a triangle, or, unless both are fixed, a vertex."""
-    one, other = supports[first], supports[second]
-    twice = np.intersect1d(one.triangles, other.triangles).size
-    if twice:
+    first, second = supports[i], supports[j]
+    shared_triangles = np.intersect1d(first.triangles, second.triangles).size
+    if shared_triangles:
         raise InputError(
-            f"supports {first + 1} and {second + 1} share {twice} triangles; a triangle belongs to"
-            " one of them: correct the selectors"
+            f"supports {i + 1} and {j + 1} share {shared_triangles} triangles; a triangle belongs"
+            " to one of them: correct the selectors"
         )
-    corners, others = (np.unique(mesh.triangles[x.triangles]) for x in (one, other))
-    shared = np.intersect1d(corners, others).size
-    if shared and (one.motion != FIXED or other.motion != FIXED):
+    corners, others = (np.unique(mesh.triangles[x.triangles]) for x in (first, second))
+    shared_vertices = np.intersect1d(corners, others).size
+    if shared_vertices and (first.motion != FIXED or second.motion != FIXED):
         raise InputError(
-            f"supports {first + 1} and {second + 1} share {shared} vertices, which cannot"
+            f"supports {i + 1} and {j + 1} share {shared_vertices} vertices, which cannot"
             " follow both; leave a row of free triangles between them"
         )
 
@@ -81,13 +82,15 @@ def _check_motion(probing: Probing, given: Sequence[int]) -> None:
         )
 
 
-def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Support]) -> None:
+def _check_pulled_support(
+    probing: Probing, triangles: Indices, supports: Sequence[Support]
+) -> None:
     """Refuse a force on a support that is not free to move, or without another support to react."""
     place = f"probing '{probing.name}'"
     pulled = [
         number
-        for number, one in enumerate(supports, start=1)
-        if np.array_equal(one.triangles, triangles)
+        for number, support in enumerate(supports, start=1)
+        if np.array_equal(support.triangles, triangles)
     ]
     if not pulled or len(supports) < 2:
         raise InputError(
@@ -100,7 +103,7 @@ def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Suppo
             f" '{supports[pulled[0] - 1].motion}'; a support that is pulled moves as the force"
             ' makes it: say motion = "free", and give its measured points in the displacement file'
         )
-    _check_pull(probing, supports, pulled[0])
+    _check_pull_direction(probing, supports, pulled[0])
     if probing.tip_displacement is not None:
         raise InputError(
             f"{place}: tip_displacement is of a tool's contact point, but the force acts on a"
@@ -108,21 +111,21 @@ def _check_pulled(probing: Probing, triangles: Indices, supports: Sequence[Suppo
         )
 
 
-def _check_pull(probing: Probing, supports: Sequence[Support], number: int) -> None:
+def _check_pull_direction(probing: Probing, supports: Sequence[Support], number: int) -> None:
     """Refuse a force outside the pulled support's held directions, or in a direction along which no
     other support reacts."""
     place = f"probing '{probing.name}': its force acts on support {number}"
     holding = supports[number - 1].holding
-    across = float(np.linalg.norm(probing.force - holding @ probing.force))
-    if across > _UNANSWERED * float(np.linalg.norm(probing.force)):
+    perpendicular = float(np.linalg.norm(probing.force - holding @ probing.force))
+    if perpendicular > _MAX_PERPENDICULAR * float(np.linalg.norm(probing.force)):
         raise InputError(
-            f"{place}, a roller, and {across:.3g} N of it are across its directions, along which"
-            " it slides: give the part along them, or hold those directions too (directions in"
-            " [[support]])"
+            f"{place}, a roller, and {perpendicular:.3g} N of it are across its directions, along"
+            " which it slides: give the part along them, or hold those directions too (directions"
+            " in [[support]])"
         )
-    others = sum(one.holding for k, one in enumerate(supports, start=1) if k != number)
+    others = sum(support.holding for k, support in enumerate(supports, start=1) if k != number)
     value, vector = np.linalg.eigh(holding @ others @ holding + np.eye(3) - holding)
-    if value[0] < _HELD:
+    if value[0] < _MIN_HELD_SINE_SQUARED:
         axis = ", ".join(f"{x:.3g}" for x in np.round(vector[:, 0], 3) + 0.0)
         raise InputError(
             f"{place}, and along ({axis}) no other support holds the object, which would follow:"

@@ -73,7 +73,7 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
     if not result.is_dir():
         raise RecordError(f"{result}: is no folder; give the result folder of `palpate fit`")
     findings = verify_result(result)
-    wrong = [one for one in findings if one.role == "result" and not one.is_whole]
+    wrong = [one for one in findings if one.role == "result" and not one.is_unchanged]
     if wrong:
         shown = ", ".join(f"{one.file} ({one.state})" for one in wrong[:3])
         raise RecordError(

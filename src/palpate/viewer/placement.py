@@ -9,7 +9,7 @@ import tomlkit
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from palpate.disk import placed
+from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.records import Session, read_session, read_text
@@ -109,7 +109,7 @@ def write_draft(session: Session, draft: Draft) -> Session:
     lines = "".join(f"{row}\n" for row in draft.support) if draft.support is not None else ""
     folder = session.path.parent
     targets = [folder / SUPPORT_FILE] * bool(lines) + [session.path]
-    with placed(targets) as staged:
+    with atomic_replacement(targets) as staged:
         if lines:
             staged[0].write_text(lines, encoding="utf-8")
         staged[-1].write_text(text, encoding="utf-8", newline="")

@@ -264,5 +264,5 @@ def test_a_rate_is_shown_when_it_can_be_known(monkeypatch):
 
 def test_motions_are_counted_before_they_are_measured(session):
     (session / "steps.toml").write_text(STEPS)
-    assert flow_command._instants(read_session(session)) == 3
-    assert flow_command._instants(read_session(session / "steps.toml")) == 1
+    assert flow_command._motion_count(read_session(session)) == 3
+    assert flow_command._motion_count(read_session(session / "steps.toml")) == 1

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from lab.lab_configs import STAGE
 
-from palpate.app.commands.lab import _file
+from palpate.app.commands.lab import _config_file
 from palpate.lab.config_files import built_in
 from palpate.records import read_session
 
@@ -53,8 +53,8 @@ def test_a_folder_hides_no_built_in_configuration(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("demo", "mine"):
         (tmp_path / name).mkdir()
-    assert _file("demo") == built_in()["demo"]
-    assert _file("mine") == Path("mine")
+    assert _config_file("demo") == built_in()["demo"]
+    assert _config_file("mine") == Path("mine")
 
 
 def test_nothing_is_left_where_a_probe_misses(palpate, tmp_path):

@@ -59,7 +59,7 @@ def _averages(points):
     mean = np.array([1 / 3, 1 / 3, 1 / 3])[:, None] * np.ones(count)
     rows = dia_array((mean, [0, 1, 2]), shape=(count - 2, count))
     weights = csr_array(kron(rows, np.eye(3)))
-    return SurfaceAverage(points, weights).spread(np.arange(count - 2), count)
+    return SurfaceAverage(points, weights).embedded(np.arange(count - 2), count)
 
 
 def given_and_measured(folder):

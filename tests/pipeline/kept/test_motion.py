@@ -34,7 +34,7 @@ def test_the_kept_motion_is_the_measured_one(kept):
     # Without what each displacement is the average of, it would have other constants.
     np.testing.assert_array_equal(mine.average.points, theirs.average.points)
     assert abs(mine.average.weights - theirs.average.weights).sum() == 0.0
-    assert mine.average.given.any()
+    assert mine.average.has_weights.any()
     assert (mine.source, mine.scale_error) == (theirs.source, theirs.scale_error)
     assert again.notes == found.notes
 

@@ -67,7 +67,7 @@ def test_nothing_is_left_when_the_block_fails(tmp_path):
 
 
 def test_finished_parts_of_long_work_outlive_an_interruption(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(results, "_WORTH_KEEPING", -1.0)
+    monkeypatch.setattr(results, "_MIN_SECONDS_TO_KEEP", -1.0)
 
     def spoil():
         with result_folder(tmp_path / "result", kind="fit") as folder:
@@ -258,7 +258,7 @@ def test_a_sealed_file_is_replaced_and_nothing_else(tmp_path, capsys):
 
 
 def _states(found):
-    return {finding.file: finding.state for finding in found if not finding.is_whole}
+    return {finding.file: finding.state for finding in found if not finding.is_unchanged}
 
 
 def test_changes_of_results_and_inputs_are_found(tmp_path):

@@ -45,9 +45,9 @@ def test_multidic_poor_matches(tmp_path, version):
     path = write_mat(tmp_path / "a.mat", "DIC3D", states, version=version, criteria=criteria)
     measured = read_measured("duodic", path)
     assert list(measured_rows(measured.displacement)) == [True, False, True, False]
-    assert measured.poor == 1
-    assert read_measured("duodic", path, min_score=0.7).poor == 0
-    assert read_measured("duodic", path, frame=1).poor == 0
+    assert measured.poorly_correlated == 1
+    assert read_measured("duodic", path, min_score=0.7).poorly_correlated == 0
+    assert read_measured("duodic", path, frame=1).poorly_correlated == 0
     path = write_mat(
         tmp_path / "a.mat", "DIC3D", states, version=version, criteria=[c[:3] for c in criteria]
     )

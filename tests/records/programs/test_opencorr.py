@@ -74,7 +74,7 @@ def test_opencorr_matches_that_hardly_correlate_are_no_measurements(tmp_path):
             continue
         measured = read_measured("opencorr", path, min_score=least)
         assert list(np.flatnonzero(measured_rows(measured.displacement))) == kept
-        assert measured.poor == 3 - len(kept)
+        assert measured.poorly_correlated == 3 - len(kept)
     with pytest.raises(RecordError, match="--min-score is 75; must be a correlation"):
         read_measured("opencorr", path, min_score=75.0)
     bare = write_table(tmp_path / "b.csv", "u,v,w,ref_x,ref_y,ref_z", np.ones((2, 6)))

@@ -54,7 +54,7 @@ def test_a_new_program_is_one_line(tmp_path, monkeypatch):
         kinds=("toy",),
         results=".toy",
         read_points=read_points,
-        usual_unit="um",
+        default_unit="um",
         calibrations="Toy (.cal)",
         holds_rig=lambda file: str(file.content).startswith("TOY"),
         read_rig=read_toy_rig,

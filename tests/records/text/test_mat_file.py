@@ -68,7 +68,7 @@ def test_other_files_are_refused(tmp_path):
 
 
 def test_a_few_bytes_that_unpack_to_many_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_MOST_UNPACKED", 2**16)
+    monkeypatch.setattr(files, "_ANY_RATIO_BYTES", 2**16)
     path = tmp_path / "a.mat"
     savemat(path, {"a": np.zeros(2**18)}, do_compression=True)
     with pytest.raises(RecordError, match="cut off, or too large"):

@@ -41,7 +41,7 @@ def _measured(motion, seeds, method=JointFlow()):
 def _averaged(found, motion):
     average = found.average
     moved = (average.weights @ motion(average.points).ravel()).reshape(-1, 3)
-    moved[~average.given] = np.nan
+    moved[~average.has_weights] = np.nan
     return moved
 
 
@@ -66,7 +66,7 @@ def test_the_average_is_what_windows_find():
 def test_what_windows_follow_is_its_own_average(shape):
     place = _mesh().vertices
     (found,) = _measured(STILL, (1,), JointFlow(shape=shape))
-    given = found.average.given
+    given = found.average.has_weights
     assert given[np.isfinite(found.displacement).all(axis=1)].mean() > 0.9
 
     def turned(points):

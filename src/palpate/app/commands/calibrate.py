@@ -29,7 +29,7 @@ from palpate.calibration import (
     without_repeats,
     write_calibration,
 )
-from palpate.disk import placed
+from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.figures import (
     board_figure,
@@ -43,7 +43,7 @@ from palpate.probe import metres_from_text
 from palpate.progress import Progress, part_of
 from palpate.records import check_free, default_folder, record_inputs, result_folder
 
-_PAGES = (".pdf", ".png")
+_PAGE_SUFFIXES = (".pdf", ".png")
 _Kind = Literal["charuco", "chessboard", "circles", "asymmetric-circles", "aprilgrid"]
 
 
@@ -109,14 +109,14 @@ def calibrate(
     int
         0.
     """
-    named = _named_target(target, columns, rows, square, marker, gap, dictionary)
+    named = _make_target(target, columns, rows, square, marker, gap, dictionary)
     targets = _boards(named, boards)
-    told = None if baseline is None else metres_from_text(baseline, name="--baseline")
-    place = out or default_folder(pictures, "rig")
-    with result_folder(place, kind="calibrate", force=force) as folder:
+    baseline_length = None if baseline is None else metres_from_text(baseline, name="--baseline")
+    destination = out or default_folder(pictures, "rig")
+    with result_folder(destination, kind="calibrate", force=force) as folder:
         with progress_bar() as progress:
-            calibration = _calibrated(pictures, targets, folder, progress)
-        lengths = "" if told is None else baseline_text(calibration, told)
+            calibration = _calibrate(pictures, targets, folder, progress)
+        lengths = "" if baseline_length is None else baseline_text(calibration, baseline_length)
         frame = None if table is None else board_frame(calibration, targets, table)
         write_calibration(folder, calibration, frame=frame)
         save_figure(residual_figure(calibration), folder / "residuals.png")
@@ -126,19 +126,19 @@ def calibrate(
     quality = camera_quality(calibration)
     print_tables(_table(calibration, quality))
     print_notes([text for camera in quality for text in camera.missing])
-    print_text(f"{_lengths(calibration)}{lengths}Result in {place}")
+    print_text(f"{_lengths(calibration)}{lengths}Result in {destination}")
     return 0
 
 
-def _calibrated(
+def _calibrate(
     pictures: Path, targets: list[Target], folder: Path, progress: Progress
 ) -> Calibration:
     """Calibration from pictures or videos; used frames stay in the result."""
     videos = find_videos(pictures)
     if not videos:
         files = find_pictures(pictures)
-        every = [path for by_instant in files.values() for path in by_instant.values()]
-        record_inputs(folder, every)
+        all_files = [path for by_instant in files.values() for path in by_instant.values()]
+        record_inputs(folder, all_files)
         found = find_boards(files, targets, progress=part_of(progress, 0.0, 0.9))
         progress("adjustment", 0.9)
         return calibrate_cameras(found, targets)
@@ -193,7 +193,7 @@ def board(
     int
         0.
     """
-    if file.suffix.lower() not in _PAGES:
+    if file.suffix.lower() not in _PAGE_SUFFIXES:
         raise InputError(f"{file}: ends neither in .pdf nor in .png")
     check_free(file, force=force)
     drawn = Charuco(
@@ -201,7 +201,7 @@ def board(
         metres_from_text(marker, name="--marker"), dictionary, first,
     )  # fmt: skip
     page = board_figure(drawn)
-    with placed([file]) as (staged,):
+    with atomic_replacement([file]) as (staged,):
         save_page(page, staged, kind=file.suffix[1:].lower())
     width, height = (25.4 * page.get_size_inches()).round(1)
     print_text(
@@ -211,7 +211,7 @@ def board(
     return 0
 
 
-def _named_target(
+def _make_target(
     kind: str,
     columns: int,
     rows: int,

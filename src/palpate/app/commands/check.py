@@ -61,7 +61,10 @@ def _mesh_table(session: Session) -> Table:
     held = float(triangle_areas(session.mesh)[session.held_triangles].sum())
     support = f"{len(session.held_triangles)} triangles, {1e4 * held:.4g} cm^2,"
     support += f" {100.0 * held / quality.area:.1f} % of all"
-    moving = [(one.number, f"{one.motion}, {len(one.triangles)} triangles") for one in moves]
+    moving_rows = [
+        (support.number, f"{support.motion}, {len(support.triangles)} triangles")
+        for support in moves
+    ]
     edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
     gravity, density = session.gravity, session.density
     rows = (
@@ -73,7 +76,7 @@ def _mesh_table(session: Session) -> Table:
         ("worst aspect (longest edge / height)", f"{quality.worst_aspect:.2f}"),
         ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
         ("support", support if session.probings else "-"),
-        *((f"support {n} moves", motion) for n, motion in moving),
+        *((f"support {n} moves", motion) for n, motion in moving_rows),
         *((f"support {n} holds", what) for n, what in _rollers(session)),
         *((f"support {n} gives", what) for n, what in _springs(session)),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
@@ -101,11 +104,11 @@ def _springs(session: Session) -> list[tuple[int, str]]:
     """Supports that give, by their numbers, and how far they would under the largest force."""
     found = []
     areas = triangle_areas(session.mesh)
-    force = max((float(np.linalg.norm(one.force)) for one in session.probings), default=0.0)
+    force = max((float(np.linalg.norm(probing.force)) for probing in session.probings), default=0.0)
     for number, support in enumerate(session.supports, start=1):
         if support.stiffness is not None:
-            sunk = force * support.compliance / float(areas[support.triangles].sum())
-            text = f"{support.stiffness:.3g} N/m^3: {1e3 * sunk:.3g} mm under {force:.3g} N"
+            settlement = force * support.compliance / float(areas[support.triangles].sum())
+            text = f"{support.stiffness:.3g} N/m^3: {1e3 * settlement:.3g} mm under {force:.3g} N"
             found.append((number, text))
     return found
 
@@ -165,7 +168,10 @@ def _view_table(view: ViewSurvey, cameras: tuple[CameraSurvey, ...]) -> Table:
         ("of them, with texture and two cameras", str(view.followed)),
         ("vertices that would be measured", str(view.vertices)),
         ("windows around each, median", f"{view.windows:.0f}"),
-        *((f"structure in {one.name}", f"{number_text(px, '.1f')} px") for one, px in lengths),
+        *(
+            (f"structure in {camera.name}", f"{number_text(px, '.1f')} px")
+            for camera, px in lengths
+        ),
     )
     return terminal_table(
         "The first pictures", ("figure", "value"), rows,

@@ -123,10 +123,10 @@ def _checked_rows(
     """Readings of a record, one entry each; refused where they are a copy of an earlier one's."""
     readings = np.stack([record.displacement, record.force], axis=1)
     rows = {row.tobytes() for row in readings if row.any()}
-    for twin, others in earlier:
+    for file, others in earlier:
         if shared := copied_rows(rows, others):
             raise InputError(
-                f"{record.source}: holds the same readings as {twin}, {shared} of {len(rows)}; a"
+                f"{record.source}: holds the same readings as {file}, {shared} of {len(rows)}; a"
                 " specimen that counts twice makes the mean look surer than it is: name each"
                 " record once"
             )
@@ -141,13 +141,13 @@ def _size(given: str | None, name: str, record: CompressionRecord, found: float 
                 f"{record.source}: does not say the {name}; give it, e.g. --{name} 50mm"
             )
         return found
-    asked = metres_from_text(given, name=f"--{name}")
-    if found is not None and abs(asked - found) > _SAME_SIZE * found:
+    requested = metres_from_text(given, name=f"--{name}")
+    if found is not None and abs(requested - found) > _SAME_SIZE * found:
         raise InputError(
             f"{record.source}: says that the {name} is {1e3 * found:g} mm, and --{name} that it is"
-            f" {1e3 * asked:g} mm; leave the option out, or correct the file"
+            f" {1e3 * requested:g} mm; leave the option out, or correct the file"
         )
-    return asked
+    return requested
 
 
 def _strain_range(text: str) -> tuple[float, float]:

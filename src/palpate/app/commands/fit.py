@@ -45,7 +45,7 @@ from palpate.records import (
 from palpate.report import REPORT_FILE, write_report, write_result_files
 
 # Fractions of the work that are done when the fit and when the drawing begin.
-_PICTURES, _DRAWN = 0.5, 0.9
+_FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.9
 _REUSED = "the motion in the pictures is the one that {} holds: nothing has changed since"
 
 
@@ -110,11 +110,15 @@ def fit(
         require_probings(given)
         print_notes(given.notes)
         with progress_bar() as bar:
-            progress = log.listening(bar)
-            blind = any(one.displacement is None and one.images for one in given.probings)
+            progress = log.logged(bar)
+            has_pictures = any(
+                probing.displacement is None and probing.images for probing in given.probings
+            )
             # Shares of the work, about: pictures, where there are some, take as long as the rest.
-            middle = _PICTURES if blind else 0.0
-            measured, reused = _measured(given, target, folder, part_of(progress, 0.0, middle))
+            fit_begins = _FIT_BEGINS if has_pictures else 0.0
+            measured, reused = _with_motion_measured(
+                given, target, folder, part_of(progress, 0.0, fit_begins)
+            )
             print_notes(measured.notes[len(given.notes) :])
             before = {"loading": loading, "reading_and_motion": log.seconds - loading}
             result = fit_session(
@@ -123,10 +127,12 @@ def fit(
                 surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
                 finite_strain=strain == "finite",
-                progress=part_of(progress, middle, _DRAWN),
+                progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
             )
-            progress("tables and pictures", _DRAWN)
-            result = _told(result, before, log, _command(session, probe, settings, surface, strain))
+            progress("tables and pictures", _DRAWING_BEGINS)
+            result = _with_provenance(
+                result, before, log, _command(session, probe, settings, surface, strain)
+            )
             estimate = _write(folder, measured, result, log)
     _print(estimate, measured)
     if reused:
@@ -140,20 +146,24 @@ def fit(
     return 0
 
 
-def _measured(
+def _with_motion_measured(
     given: Session, target: Path, folder: Path, progress: Progress
 ) -> tuple[Session, bool]:
     """The session with the motion of its pictures, which the result keeps, and whether an earlier
     result held it."""
-    unread = any(one.displacement is None and one.images for one in given.probings)
-    kept = with_kept_motion(given, target) if unread else None
+    has_pictures = any(
+        probing.displacement is None and probing.images for probing in given.probings
+    )
+    kept = with_kept_motion(given, target) if has_pictures else None
     measured = kept or with_pictures_measured(given, progress=progress, parts=parts_folder(folder))
     if measured is not given:
         keep_motion(folder, given, measured)
     return measured, kept is not None
 
 
-def _told(result: FitResult, before: dict[str, float], log: StageLog, command: str) -> FitResult:
+def _with_provenance(
+    result: FitResult, before: dict[str, float], log: StageLog, command: str
+) -> FitResult:
     """The result with the seconds of the whole work so far, and what repeats it."""
     estimate = result.estimate
     seconds = {**before, **estimate.seconds, "total": log.seconds}

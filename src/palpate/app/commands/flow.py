@@ -44,7 +44,7 @@ else:
     # The names that are registered; a type checker cannot read them.
     MethodName = Literal[tuple(FLOW_METHODS)]
 # Before this a rate says more about the start than about the work [s].
-_RATE_STARTS = 1.0
+_MIN_RATE_SECONDS = 1.0
 
 
 def flow(
@@ -98,8 +98,8 @@ def flow(
         0, or 3 where a step failed or nothing could be measured in it.
     """
     target = out or default_folder(session, "flow")
-    asked = {"subset": subset, "step": step}
-    options = {name: value for name, value in asked.items() if value is not None}
+    requested = {"subset": subset, "step": step}
+    options = {name: value for name, value in requested.items() if value is not None}
     chosen = FLOW_METHODS[method](**options)
     # The target is tried first: no one should wait for a result that cannot be kept.
     with result_folder(target, kind="flow", force=force) as folder:
@@ -108,7 +108,7 @@ def flow(
         print_notes(given.notes)
         start = time.perf_counter()
         with progress_bar() as progress:
-            report = _with_rate(progress, _instants(given))
+            report = _with_rate(progress, _motion_count(given))
             found = measure_motion(
                 given, method=chosen, pose=pose, progress=report, parts=parts_folder(folder)
             )
@@ -122,8 +122,8 @@ def flow(
     print_notes(note for note in found.notes if note not in given.notes)
     print_tables(flow_table(figures, found.rig))
     _print_rejections(given, found)
-    print_text(f"{_closing(figures, seconds)}\nResult in {target}")
-    return NOT_OK if _complaints(figures) else 0
+    print_text(f"{_closing_text(figures, seconds)}\nResult in {target}")
+    return NOT_OK if _print_failures(figures) else 0
 
 
 def _write(
@@ -161,12 +161,12 @@ def _write(
 def _print_rejections(session: Session, found: SessionFlow) -> None:
     """Whether so many lost vertices are usual; nothing where a probing has none at all."""
     with suppress(InputError):
-        lost = rejections(with_measured_displacement(session, found))
-        if any(one.lost for one in lost):
-            print_text(rejection_note(lost))
+        counts = rejections(with_measured_displacement(session, found))
+        if any(rejection.lost for rejection in counts):
+            print_text(rejection_note(counts))
 
 
-def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
+def _closing_text(figures: Sequence[MotionFigures], seconds: float) -> str:
     """Which motions went through the instant before; how much was measured, and how fast."""
     lines = [
         f"{f.name}: points followed through the instant before: {f.through_last}"
@@ -181,7 +181,7 @@ def _closing(figures: Sequence[MotionFigures], seconds: float) -> str:
     )
 
 
-def _complaints(figures: Sequence[MotionFigures]) -> int:
+def _print_failures(figures: Sequence[MotionFigures]) -> int:
     """Say what failed, on stderr; how many motions did."""
     failures = {f.name: f.failure for f in figures if f.failure is not None}
     for f in figures:
@@ -196,7 +196,7 @@ def _complaints(figures: Sequence[MotionFigures]) -> int:
     return len(failures)
 
 
-def _instants(session: Session) -> int:
+def _motion_count(session: Session) -> int:
     """How many motions there are to measure."""
     images = [probing.images for probing in session.probings]
     loaded = sum(len(given.loaded) for given in images if given is not None)
@@ -209,7 +209,7 @@ def _with_rate(progress: Progress, count: int) -> Progress:
 
     def report(stage: str, fraction: float) -> None:
         seconds = time.perf_counter() - start
-        known = seconds > _RATE_STARTS and fraction > 0.0
+        known = seconds > _MIN_RATE_SECONDS and fraction > 0.0
         rate = f" ({fraction * count / seconds:.2g} motions/s)" if known else ""
         progress(escape(stage) + rate, fraction)
 

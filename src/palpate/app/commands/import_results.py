@@ -20,7 +20,7 @@ from palpate.app.terminal import (
     print_text,
     terminal_table,
 )
-from palpate.disk import placed
+from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.pipeline import survey_field, triangulated, without_contradicted
 from palpate.records import (
@@ -30,9 +30,9 @@ from palpate.records import (
     displacement_line,
     import_kinds,
     import_plan,
+    in_object_frame,
     kinds_text,
     named_displacements,
-    on_object,
     on_surface,
     read_import_pose,
     read_measured,
@@ -115,13 +115,13 @@ def import_displacements(
         Write although something else is there than what --replace speaks of, or than an unchanged
         result of this command; that is kept beside it as NAME.old.
     """
-    session, plan = _targets(files, probe, frame, replace=replace or out is not None)
+    session, plan = _import_targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
     print_notes((*session.notes, *notes))
-    in_space = None
+    triangulate = None
     if rig is not None:
         # Of the files, --length-unit says the unit of what has lengths: the calibration.
-        in_space = partial(triangulated, rig=read_rig(rig, length_unit=length_unit))
+        triangulate = partial(triangulated, rig=read_rig(rig, length_unit=length_unit))
     # The targets are tried first: no one should wait for a result that cannot be kept.
     done: list[_Import] = []
     inputs = [*(item.file for item in plan), *session_files(session.path)]
@@ -133,23 +133,23 @@ def import_displacements(
             measured = read_measured(
                 kind,
                 item.file,
-                length_unit=None if in_space else length_unit,
+                length_unit=None if triangulate else length_unit,
                 frame=item.frame,
                 min_score=min_score,
-                in_space=in_space,
+                triangulate=triangulate,
             )
             if import_kinds()[kind].correlates:
                 measured = without_contradicted(measured)
-            moved = on_object(measured, pose) if to_object is not None else measured
+            moved = in_object_frame(measured, pose) if to_object is not None else measured
             imported = on_surface(moved, session.mesh, drop_off_surface=drop_off_surface)
             done.append(_Import(item.probe, item.file, imported))
             unit = session.metres_per_unit
             write_displacement(folder(_csv_name(item.probe)), imported.field, metres_per_unit=unit)
-    _report(session, done, out)
+    _print_report(session, done, out)
     return 0
 
 
-def _targets(
+def _import_targets(
     files: Sequence[Path],
     probes: Sequence[str] | None,
     frames: Sequence[int] | None,
@@ -193,12 +193,12 @@ def _session_files(
     folder = session.path.parent
     names = {item.probe: _csv_name(item.probe) for item in plan}
     targets = [folder / name for name in names.values()]
-    strangers = _strangers(session, plan)
-    if strangers and not force:
+    foreign = _foreign_files(session, plan)
+    if foreign and not force:
         raise InputError(
-            f"{strangers[0]}: is there already, and the session does not name it for that probing;"
+            f"{foreign[0]}: is there already, and the session does not name it for that probing;"
             f" move it, write elsewhere with --out, or give --force to keep it as"
-            f" {strangers[0].name}.old"
+            f" {foreign[0].name}.old"
         )
     written: dict[str, Path] = {}
 
@@ -206,9 +206,9 @@ def _session_files(
         """Whether it may hold the only copy of what somebody measured."""
         return path.name in written and path.read_bytes() != written[path.name].read_bytes()
 
-    with placed([*targets, session.path], aside=differs) as staged:
+    with atomic_replacement([*targets, session.path], keep_old=differs) as staged:
         where = dict(zip(names.values(), staged, strict=False))
-        # By the names that `placed` asks for: links are followed.
+        # By the names that `atomic_replacement` asks for: links are followed.
         written.update((target.resolve().name, where[target.name]) for target in targets)
         yield where.__getitem__
         # As it is by now, and as bytes, so that line ends stay as they are.
@@ -218,9 +218,9 @@ def _session_files(
         staged[-1].write_bytes(edited.encode("utf-8"))
 
 
-def _strangers(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
+def _foreign_files(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
     """What stands in the way of the CSV files and is not the displacement that they replace."""
-    folder, strangers = session.path.parent, []
+    folder, foreign = session.path.parent, []
     named = named_displacements(session.path)
     for item in plan:
         target = folder / _csv_name(item.probe)
@@ -236,8 +236,8 @@ def _strangers(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
         files = {name: folder / file for name, file in named.items()}
         owners = [name for name, file in files.items() if file.exists() and target.samefile(file)]
         if owners != [item.probe]:
-            strangers.append(Path(os.path.realpath(target)))
-    return strangers
+            foreign.append(Path(os.path.realpath(target)))
+    return foreign
 
 
 @contextmanager
@@ -252,7 +252,7 @@ def _csv_name(probe: str) -> str:
     return f"{probe}.csv"
 
 
-def _report(session: Session, done: Sequence[_Import], out: Path | None) -> None:
+def _print_report(session: Session, done: Sequence[_Import], out: Path | None) -> None:
     """What was read and where it went."""
     print_tables(_table(done))
     notes = [(item.file.name, note) for item in done for note in item.imported.notes]
@@ -273,9 +273,10 @@ def _table(done: Sequence[_Import]) -> Table:
     for item in done:
         read, field = item.imported, survey_field(item.imported.field)
         lengths = (read.median_distance, field.median_displacement, field.median_sigma)
-        left_out = read.nowhere + read.off_surface
+        left_out = read.without_position + read.off_surface
         counts = (
-            read.read, field.observed, read.failed, read.poor, read.contradicted, left_out
+            read.read, field.observed, read.failed, read.poorly_correlated, read.contradicted,
+            left_out,
         )  # fmt: skip
         digits = (".3f", ".3f", ".4f")
         rows.append(

@@ -55,19 +55,19 @@ def lab(
         0.
     """
     if list_:
-        print_tables(*_lists())
+        print_tables(*_choice_tables())
         return 0
     if config is None or out is None:
         raise InputError(
             "give a configuration and a folder: palpate lab CONFIG.toml OUT; --list shows the"
             f" built-in ones: {', '.join(built_in())}"
         )
-    file = _file(config)
+    file = _config_file(config)
     plan = read_lab_config(file)
     plan = plan if seed is None else replace(plan, seed=seed)
     # What is found out while it is made is the configuration's, too.
-    about = TomlTable(file, "", {}).blamed()
-    with result_folder(out, kind="lab", force=force) as folder, about:
+    errors_named = TomlTable(file, "", {}).error_context()
+    with result_folder(out, kind="lab", force=force) as folder, errors_named:
         record_inputs(folder, session_files(file))
         variant = choose_variant()
         print_notes([variant.why])
@@ -75,11 +75,11 @@ def lab(
             make_session(
                 plan, folder, variant=variant, progress=progress, parts=parts_folder(folder)
             )
-    print_text(_closing(plan, out), wrapped=False)
+    print_text(_closing_text(plan, out), wrapped=False)
     return 0
 
 
-def _file(config: str) -> Path:
+def _config_file(config: str) -> Path:
     """The file that a name means."""
     path, known = Path(config), built_in()
     # A folder that happens to have the name of a built-in one is not meant.
@@ -92,7 +92,7 @@ def _file(config: str) -> Path:
     )
 
 
-def _closing(config: LabConfig, out: Path) -> str:
+def _closing_text(config: LabConfig, out: Path) -> str:
     what = (
         f"{len(config.probes)} probings"
         if config.stage is None
@@ -102,7 +102,7 @@ def _closing(config: LabConfig, out: Path) -> str:
     return f"{config.name}: {what} in {out}; next: palpate {then} {out}"
 
 
-def _lists() -> list[Table]:
+def _choice_tables() -> list[Table]:
     """What there is to choose from."""
     ready = [
         (name, file.read_text(encoding="utf-8").splitlines()[0].lstrip("# "))

@@ -23,7 +23,7 @@ from palpate.simulation import read_fit
 
 _Triple = tuple[float, float, float]
 # Newtons that no tool has; and of the object's size, what is no small deformation.
-_STRONGEST, _SMALL = 1e9, 0.1
+_LARGEST_FORCE, _SMALL_DEFORMATION = 1e9, 0.1
 # Rows and columns of the stress that are shown, by their names.
 _COMPONENTS = {
     "sxx": (0, 0), "syy": (1, 1), "szz": (2, 2), "sxy": (0, 1), "syz": (1, 2), "szx": (2, 0),
@@ -91,8 +91,10 @@ def poke(
     if not any(force):
         raise InputError("--force is zero; give the force of the tool in newtons: --force 0 0 -1")
     check_cache(cache)
-    if np.abs(force).max() > _STRONGEST:
-        raise InputError(f"--force is {_numbers(force)}; must be newtons, at most {_STRONGEST:g}")
+    if np.abs(force).max() > _LARGEST_FORCE:
+        raise InputError(
+            f"--force is {_numbers(force)}; must be newtons, at most {_LARGEST_FORCE:g}"
+        )
     if fit is not None:
         given = fit.session
         print_notes(fit.notes)
@@ -108,7 +110,7 @@ def poke(
             progress=progress,
         )  # fmt: skip
     moved = float(np.linalg.norm(found.largest)) / bounding_diagonal(given.mesh)
-    if moved > _SMALL:
+    if moved > _SMALL_DEFORMATION:
         note = (
             f"The object would move by {moved:.2g} times its size: outside small deformation, for"
             " which alone this holds; check force and constants, or press less."
@@ -132,7 +134,7 @@ def _material(
     """Shear modulus [Pa] and Poisson's ratio from a result folder or from the command line."""
     moduli = [modulus for modulus in (young, shear) if modulus is not None]
     if result is not None and not moduli and ratio is None:
-        return _estimated(result)
+        return _estimated_constants(result)
     if result is not None or len(moduli) != 1 or ratio is None:
         raise InputError(
             "give the material in one way: a result of `palpate fit` in place of the session,"
@@ -150,7 +152,7 @@ def _material(
     return (shear, ratio) if shear is not None else (moduli[0] / (2.0 * (1.0 + ratio)), ratio)
 
 
-def _estimated(result: Path) -> tuple[float, float]:
+def _estimated_constants(result: Path) -> tuple[float, float]:
     """The constants of an estimate; a note where the data did not determine all of them."""
     estimate = read_estimate(result / "estimate.json" if result.is_dir() else result)
     if estimate.status is not Status.OK:

@@ -52,10 +52,10 @@ def reproduce(
     int
         0.
     """
-    names = _chosen(experiment, page)
+    names = _chosen_experiments(experiment, page)
     target = out or Path(f"paper-{experiment}")
     # A folder each, unless an experiment is alone.
-    below = {name: name if len(names) > 1 else "" for name in names}
+    subfolder = {name: name if len(names) > 1 else "" for name in names}
     with result_folder(target, kind="reproduce", force=force) as folder:
         variant = choose_variant()
         print_notes([variant.why])
@@ -64,21 +64,21 @@ def reproduce(
             work = Workplace(folder / _SESSIONS, variant, quick, progress, parts)
             results = run_experiments(names, work)
         for name, result in results.items():
-            (folder / below[name]).mkdir(exist_ok=True)
-            write_result(folder / below[name], result)
+            (folder / subfolder[name]).mkdir(exist_ok=True)
+            write_result(folder / subfolder[name], result)
     for result in results.values():
         summary = result.summary
         print_tables(terminal_table(summary.title, summary.columns, shown_rows(summary)))
     if page is not None:
         command = f"palpate reproduce {ALL}{' --quick' if quick else ''} --page {page.as_posix()}"
-        folders = {name: target / below[name] for name in names}
+        folders = {name: target / subfolder[name] for name in names}
         write_page(page, results, folders, command=command)
     done = f"Result in {target}" + ("" if page is None else f"; page {page}")
     print_text(done, wrapped=False)
     return 0
 
 
-def _chosen(experiment: str, page: Path | None) -> list[str]:
+def _chosen_experiments(experiment: str, page: Path | None) -> list[str]:
     """What is to be done; bad input is refused before anything is measured."""
     if experiment != ALL and experiment not in EXPERIMENTS:
         raise InputError(

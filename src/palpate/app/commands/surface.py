@@ -30,9 +30,9 @@ from palpate.scanning import (
 )
 
 # A scan may have as many; they are remeshed to a thousandth.
-_MOST_TRIANGLES = 2_000_000
+_MAX_TRIANGLES = 2_000_000
 # Beyond, a file in millimetres was taken for one in metres [m].
-_LARGE = 3.0
+_LARGEST_SIZE = 3.0
 _Unit = Literal["m", "cm", "mm", "um", "in"]
 
 
@@ -78,10 +78,10 @@ def mesh(
     """
     unit = LENGTH_UNITS[length_unit]
     plane = None if support is None else plane_from_text(support, metres_per_unit=unit)
-    place = out or Path(f"{file.stem}-mesh")
-    with result_folder(place, kind="mesh", force=force) as folder:
+    destination = out or Path(f"{file.stem}-mesh")
+    with result_folder(destination, kind="mesh", force=force) as folder:
         record_inputs(folder, [file] if near is None else [file, near])
-        given = read_mesh(file, metres_per_unit=unit, most=_MOST_TRIANGLES)
+        given = read_mesh(file, metres_per_unit=unit, most=_MAX_TRIANGLES)
         print_notes(_size_note(given, length_unit))
         points = None if near is None else read_points(near, metres_per_unit=unit)
         with progress_bar() as progress:
@@ -93,7 +93,7 @@ def mesh(
     if made.actions:
         print_tables(_actions_table(made))
     print_tables(_figures_table(made))
-    print_text(f"Result in {place}")
+    print_text(f"Result in {destination}")
     return 0
 
 
@@ -132,8 +132,8 @@ def scan(
     int
         0.
     """
-    place = out or default_folder(scan if scan.is_dir() else scan.parent, "mesh")
-    with result_folder(place, kind="scan", force=force) as folder:
+    destination = out or default_folder(scan if scan.is_dir() else scan.parent, "mesh")
+    with result_folder(destination, kind="scan", force=force) as folder:
         with progress_bar() as progress:
             read = read_scan(scan, progress=part_of(progress, 0.0, 0.6))
             record_inputs(folder, read.files if near is None else [*read.files, near])
@@ -148,14 +148,14 @@ def scan(
         save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
     print_tables(_views_table(made))
     print_tables(_scan_table(made))
-    print_text(f"Result in {place}")
+    print_text(f"Result in {destination}")
     return 0
 
 
 def _views_table(made: ScannedSurface) -> Table:
     rows = [
-        (one.name, str(one.points), f"{100.0 * one.overlap:.0f}", f"{1e3 * one.offset:.2g}")
-        for one in made.agreements
+        (view.name, str(view.points), f"{100.0 * view.overlap:.0f}", f"{1e3 * view.offset:.2g}")
+        for view in made.agreements
     ]
     return terminal_table(
         "Views", ("view", "points", "overlap %", "off mm"), rows,
@@ -174,7 +174,7 @@ def _scan_table(made: ScannedSurface) -> Table:
             ", ".join(f"{1e3 * g:.2g}" for g in made.distance) + " mm",
         ),
         ("1 sigma of vertices median, 95 %", spread),
-        ("area that no view shows", f"{100.0 * _guessed_share(made):.1f} %"),
+        ("area that no view shows", f"{100.0 * _guessed_fraction(made):.1f} %"),
     )
     return terminal_table(
         "Surface: closed, manifold, outward, without self-intersection", ("figure", "value"), rows,
@@ -185,7 +185,7 @@ def _scan_table(made: ScannedSurface) -> Table:
 
 def _size_note(given: TriangleMesh, unit: str) -> list[str]:
     size = bounding_diagonal(given)
-    if size < _LARGE:
+    if size < _LARGEST_SIZE:
         return []
     return [f"the object is {size:.3g} m across; if the file is not in {unit}, say --length-unit"]
 
@@ -196,16 +196,16 @@ def _actions_table(made: PreparedSurface) -> Table:
 
 
 def _figures_table(made: PreparedSurface) -> Table:
-    off = made.deviation
-    gaps = (off.median, off.percentile_95, off.largest)
+    deviation = made.deviation
+    gaps = (deviation.median, deviation.percentile_95, deviation.largest)
     rows = (
         *_quality_rows(made.quality),
         (
             "distance median, 95 %, largest",
             ", ".join(f"{_rounded(1e3 * g):.2g}" for g in gaps) + " mm",
         ),
-        ("change of volume", f"{round(100.0 * off.volume, 2) + 0.0:+.2f} %"),
-        ("area that nobody measured", f"{100.0 * _guessed_share(made):.1f} %"),
+        ("change of volume", f"{round(100.0 * deviation.volume, 2) + 0.0:+.2f} %"),
+        ("area that nobody measured", f"{100.0 * _guessed_fraction(made):.1f} %"),
     )
     return terminal_table(
         "Surface: closed, manifold, outward, without self-intersection",
@@ -231,6 +231,6 @@ def _quality_rows(quality: MeshQuality, volume_error: str = "") -> list[tuple[st
     ]
 
 
-def _guessed_share(made: PreparedSurface | ScannedSurface) -> float:
+def _guessed_fraction(made: PreparedSurface | ScannedSurface) -> float:
     areas = triangle_areas(made.mesh)
     return float(areas[made.guessed].sum() / areas.sum())

@@ -23,7 +23,7 @@ def verify(result: Path, /) -> int:
         0, or 3 where something has changed since or contradicts itself.
     """
     found = verify_result(result)
-    wrong = [finding for finding in found if not finding.is_whole]
+    wrong = [finding for finding in found if not finding.is_unchanged]
     if wrong:
         rows = [(finding.file, finding.role, finding.state) for finding in wrong]
         print_tables(terminal_table(f"Changed in {result}", ("file", "role", "state"), rows))

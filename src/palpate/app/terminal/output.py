@@ -29,9 +29,9 @@ def print_tables(*tables: Table) -> None:
     wanted = wanted_output()
     if wanted.json:
         wanted.tables.extend(
-            table_content(one.heading, one.names, one.cells, one.below)
-            for one in tables
-            if isinstance(one, ShownTable)
+            table_content(table.heading, table.names, table.cells, table.below)
+            for table in tables
+            if isinstance(table, ShownTable)
         )
     else:
         Console().print(*tables)
@@ -70,7 +70,7 @@ def table_content(
     """
     shown = [
         {
-            name: cell if k == 0 else _value(cell)
+            name: cell if k == 0 else _cell_value(cell)
             for k, (name, cell) in enumerate(zip(columns, row, strict=True))
         }
         for row in rows
@@ -78,7 +78,7 @@ def table_content(
     return {"title": title, "rows": shown, "caption": caption}
 
 
-def _value(cell: str) -> Any:
+def _cell_value(cell: str) -> Any:
     """What a cell says: null for a dash, a number, `value` and `std`, both ends of an interval, the
     components of a vector."""
     text = cell.strip()
@@ -93,5 +93,5 @@ def _value(cell: str) -> Any:
     if found := _INTERVAL.fullmatch(text):
         return [float(found[1]), float(found[2])]
     if _VECTOR.fullmatch(text):
-        return [_value(part) for part in text.split(",")]
+        return [_cell_value(part) for part in text.split(",")]
     return text

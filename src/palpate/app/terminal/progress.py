@@ -22,7 +22,7 @@ def progress_bar() -> Iterator[Progress]:
     line with the seconds so far, on a terminal or not.
     """
     if wanted_output().verbose:
-        with _told_compilation(_told_lines()) as report:
+        with _announce_compilation(_line_progress()) as report:
             yield report
         return
     console = Console(file=sys.stderr)
@@ -42,12 +42,12 @@ def progress_bar() -> Iterator[Progress]:
     def show(stage: str, fraction: float) -> None:
         bar.update(task, description=stage, completed=fraction)
 
-    with bar, _told_compilation(show) as report:
+    with bar, _announce_compilation(show) as report:
         yield report
 
 
 @contextmanager
-def _told_compilation(show: Progress) -> Iterator[Progress]:
+def _announce_compilation(show: Progress) -> Iterator[Progress]:
     """Progress that says so where its stage waits for kernels: after installing they are compiled,
     which takes up to a minute in which nothing else moves."""
     last, depth = ("", 0.0), 0
@@ -74,7 +74,7 @@ def _told_compilation(show: Progress) -> Iterator[Progress]:
         yield report
 
 
-def _told_lines() -> Progress:
+def _line_progress() -> Progress:
     """Progress as lines on stderr."""
     start, last = wanted_output().start, [""]
 
@@ -114,16 +114,16 @@ class StageLog:
         if not self.lines or not self.lines[-1].endswith(f"s  {stage}"):
             self.lines.append(f"{self.seconds:9.2f} s  {stage}")
 
-    def listening(self, say: Progress) -> Progress:
+    def logged(self, progress: Progress) -> Progress:
         """Progress that is noted on its way.
 
         Parameters
         ----------
-        say : callable              is told all the same
+        progress : callable         is told all the same
         """
 
         def report(stage: str, fraction: float) -> None:
             self.add(stage)
-            say(stage, fraction)
+            progress(stage, fraction)
 
         return report

@@ -17,7 +17,7 @@ _WORD = re.compile(r"(?!unknown|nan|inf|not determined)[A-Za-z\[]")
 # Words may go on in the next line, but not be squeezed to less, nor names to less than that.
 _WORDS_WIDTH, _NAMES_WIDTH = 16, 32
 # What stands beside every column, and at the end.
-_BESIDE, _FRAME = 2, 1
+_COLUMN_PADDING, _FRAME_WIDTH = 2, 1
 
 
 class ShownTable(Table):
@@ -60,33 +60,33 @@ class ShownTable(Table):
     def _has_words(self, column: int) -> bool:
         return column == 0 or any(_WORD.match(row[column]) for row in self.cells)
 
-    def _least(self, column: int) -> int:
+    def _min_width(self, column: int) -> int:
         """Width that breaks no number, no word, and no name of usual length."""
         cells = [row[column] for row in self.cells]
         head = min(_HEADING_WIDTH, _longest(self.names[column].split()))
-        whole = _longest(cells)
+        longest_cell = _longest(cells)
         if column == 0:
-            return max(head, min(whole, _NAMES_WIDTH))
+            return max(head, min(longest_cell, _NAMES_WIDTH))
         if not self._has_words(column):
-            return max(head, whole)
-        longest = _longest(word for cell in cells for word in cell.split())
-        return max(head, longest, min(whole, _WORDS_WIDTH))
+            return max(head, longest_cell)
+        longest_word = _longest(word for cell in cells for word in cell.split())
+        return max(head, longest_word, min(longest_cell, _WORDS_WIDTH))
 
     def _widths(self, room: int) -> list[int]:
         """Widths of the columns: the least, then as far as there is room whole cells, whole words
         in the headings, whole headings."""
-        every = range(len(self.names))
-        widths = [self._least(k) for k in every]
+        indices = range(len(self.names))
+        widths = [self._min_width(k) for k in indices]
         while sum(widths) > max(room, len(widths)):
             # Words and names are broken sooner than numbers.
-            widest = max(every, key=lambda k: (self._has_words(k) and widths[k] > 1, widths[k]))
+            widest = max(indices, key=lambda k: (self._has_words(k) and widths[k] > 1, widths[k]))
             widths[widest] -= 1
         for wanted in (
-            [_longest(row[k] for row in self.cells) for k in every],
+            [_longest(row[k] for row in self.cells) for k in indices],
             [_longest(name.split()) for name in self.names],
             [len(name) for name in self.names],
         ):
-            for k in sorted(every, key=lambda k: wanted[k] - widths[k]):
+            for k in sorted(indices, key=lambda k: wanted[k] - widths[k]):
                 widths[k] += max(min(wanted[k] - widths[k], room - sum(widths)), 0)
         return widths
 
@@ -97,7 +97,7 @@ class ShownTable(Table):
         if self.heading:
             yield Text(self.heading, style="table.title")
         if len(parts) == 1:
-            room = options.max_width - _FRAME - _BESIDE * len(self.names)
+            room = options.max_width - _FRAME_WIDTH - _COLUMN_PADDING * len(self.names)
             for column, width in zip(self.columns, self._widths(room), strict=True):
                 column.width = width
             yield from super().__rich_console__(console, options)
@@ -112,13 +112,13 @@ class ShownTable(Table):
 
     def _parts(self, width: int) -> list[list[int]]:
         """Columns beside that of the names, as many at a time as have room, in even parts."""
-        needed = [self._least(k) + _BESIDE for k in range(len(self.names))]
-        room = max(width - _FRAME - needed[0], 1)
-        every = range(1, len(self.names))
-        parts = _filled(every, needed, room)
+        needed = [self._min_width(k) + _COLUMN_PADDING for k in range(len(self.names))]
+        room = max(width - _FRAME_WIDTH - needed[0], 1)
+        indices = range(1, len(self.names))
+        parts = _split_columns(indices, needed, room)
         # The least room that takes no more parts spreads the columns evenly.
         while len(parts) > 1 and room > max(needed[1:]):
-            tighter = _filled(every, needed, room - 1)
+            tighter = _split_columns(indices, needed, room - 1)
             if len(tighter) > len(parts):
                 break
             parts, room = tighter, room - 1
@@ -130,7 +130,7 @@ def _longest(words: Iterable[str]) -> int:
     return max(map(len, words), default=0)
 
 
-def _filled(columns: Sequence[int], needed: Sequence[int], room: int) -> list[list[int]]:
+def _split_columns(columns: Sequence[int], needed: Sequence[int], room: int) -> list[list[int]]:
     """Columns in parts, each filled as far as there is room."""
     parts, used = [list[int]()], 0
     for k in columns:

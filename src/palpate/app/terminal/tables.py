@@ -27,7 +27,7 @@ _LABELS = {
     "poisson_ratio": "Poisson's ratio nu",
     "young_modulus": "Young's modulus E",
 }
-_SHORT = {"reprojection": "reproj.", "neighbours": "neighb."}
+_SHORT_CAUSES = {"reprojection": "reproj.", "neighbours": "neighb."}
 
 
 def terminal_table(
@@ -95,27 +95,27 @@ def constants_table(estimate: Estimate) -> Table:
 
 def _captions(estimate: Estimate) -> list[str]:
     """What the intervals hold beside noise, in sentences."""
-    found = []
+    sentences = []
     if assumed := len(estimate.settings.get("assumed_forces", ())):
-        share = estimate.settings["errors"]["force"]
-        found.append(
+        fraction = estimate.settings["errors"]["force"]
+        sentences.append(
             f"The force of {assumed} of {len(estimate.probes)} probings is assumed known to"
-            f" {100 * share:.2g} % (no force_std given)."
+            f" {100 * fraction:.2g} % (no force_std given)."
         )
     lengths = estimate.settings.get("lengths", {})
     if "rig_covariance" in lengths.get("source", ""):
         along = ", ".join(f"{100 * std:.2g} %" for std in lengths["std"])
-        found.append(f"Lengths are known by the cameras' calibration to {along} along x, y, z.")
-    found += budget_sentences(estimate.budget)
-    every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
-    if every:
-        worst = max(every, key=lambda one: abs(one.value) / one.prior_std)
+        sentences.append(f"Lengths are known by the cameras' calibration to {along} along x, y, z.")
+    sentences += budget_sentences(estimate.budget)
+    errors = [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
+    if errors:
+        worst = max(errors, key=lambda error: abs(error.value) / error.prior_std)
         value, std, prior = error_texts(worst)
-        found.append(
+        sentences.append(
             f"Of the errors that points share, farthest off is the {worst.name}, by {value} ± {std}"
             f" (assumed: {prior}, prior, 1 sigma)."
         )
-    return found
+    return sentences
 
 
 def budget_sentences(budget: Sequence[BudgetEntry]) -> list[str]:
@@ -150,9 +150,9 @@ def probes_table(estimate: Estimate) -> Table:
     _, unit = modulus_unit(estimate.young_modulus.value)
     rows = [
         (
-            probe.name, _single(estimate, probe, "poisson_ratio"),
-            _single(estimate, probe, "shear_modulus"),
-            _single(estimate, probe, "young_modulus"), str(probe.observed),
+            probe.name, _probing_constant(estimate, probe, "poisson_ratio"),
+            _probing_constant(estimate, probe, "shear_modulus"),
+            _probing_constant(estimate, probe, "young_modulus"), str(probe.observed),
             str(probe.missing), str(probe.rejected), _millimetres(probe.rms_residual),
             _millimetres(probe.prediction_error),
         )
@@ -168,7 +168,7 @@ def probes_table(estimate: Estimate) -> Table:
     )
 
 
-def _single(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
+def _probing_constant(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
     """A constant as one probing alone determines it; the shear modulus without its deviation."""
     # What all together do not determine, none does.
     if not probe.identifiable.get(name, estimate.identifiable[name]):
@@ -220,7 +220,9 @@ def _causes(f: MotionFigures) -> str:
     """Causes and counts, the most frequent first."""
     found = sorted(((n, cause) for cause, n in f.rejected.items() if n), key=lambda x: -x[0])
     # Without a space, lest a line be broken between a cause and its count.
-    return " ".join(f"{_SHORT.get(cause, cause)}:{count}" for count, cause in found) or "none"
+    return (
+        " ".join(f"{_SHORT_CAUSES.get(cause, cause)}:{count}" for count, cause in found) or "none"
+    )
 
 
 def _millimetres(metres: float | None) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from palpate.disk import placed, write_bytes, write_errors
+from palpate.disk import atomic_replacement, write_bytes, write_errors
 from palpate.errors import InputError, MeshError
-from palpate.files import damage, read_bytes
+from palpate.files import read_bytes, read_errors
 from palpate.geometry.files.corners import check_text_msh, check_text_ply, whole_numbers
 from palpate.geometry.files.obj_file import parse_obj
 from palpate.geometry.files.step_file import STEP_SUFFIXES, read_step
@@ -92,12 +92,12 @@ def read_mesh(
             f"{path}: mesh files of type '{suffix}' are not read;"
             f" convert it to one of {' '.join(_READ)}"
         )
-    content = read_bytes(path, most=_MOST_BYTES, kind=MeshError)
+    content = read_bytes(path, max_bytes=_MOST_BYTES, kind=MeshError)
     solid = suffix in _MESHIO_SUFFIXES
     _check_count(path, _claimed(content, suffix), most, solid=solid)
     if suffix in STEP_SUFFIXES:
         metres_per_unit = 1.0
-    with damage(
+    with read_errors(
         path,
         "open it in a mesh program and save it again",
         what=f"cannot be read as a surface in the format {suffix[1:].upper()}",
@@ -155,7 +155,7 @@ def _write_surface(path: Path, suffix: str, mesh: TriangleMesh) -> None:
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
         content = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
-        with placed([path]) as (staged,):
+        with atomic_replacement([path]) as (staged,):
             content.write(staged, file_format=_MESHIO_SUFFIXES[suffix])
     else:
         writable = " ".join((*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES))

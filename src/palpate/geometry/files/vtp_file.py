@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from palpate.files import most_unpacked
+from palpate.files import max_unpacked_size
 from palpate.geometry.files.corners import whole_numbers
 from palpate.shapes import Triangles, Vertices
 
@@ -136,7 +136,7 @@ def _payload(block: bytes, header: np.dtype, compressor: str | None) -> bytes:
         return block[header.itemsize : header.itemsize + first]
     sizes = np.frombuffer(block, header, first, offset=3 * header.itemsize).astype(np.int64)
     ends = (3 + first) * header.itemsize + np.cumsum(sizes)
-    parts, room = [], most_unpacked(len(block))
+    parts, room = [], max_unpacked_size(len(block))
     for end, size in zip(ends, sizes, strict=True):
         unpacker = _UNPACKERS[compressor]()
         parts.append(unpacker.decompress(block[end - size : end], room + 1))

@@ -101,7 +101,7 @@ class _Bench:
 
     def record(self, name: str, measure: Callable[[], tuple[_Files, tuple[Table, Table]]]) -> None:
         """Write a part of the measurement, computed now or stored by an interrupted run."""
-        files, tables = self.parts.kept(name, measure)
+        files, tables = self.parts.load_or_make(name, measure)
         for file, content in files.items():
             (self.folder / file).write_bytes(content)
         self.measured.append(tables)

@@ -147,7 +147,7 @@ def read_fitted_surface(folder: Path) -> FittedSurface:
             " fit the session again"
         )
     what = "is damaged or of another version"
-    with stored_arrays(path, "fit the session again", what=what, most=_MOST_BYTES) as kept:
+    with stored_arrays(path, "fit the session again", what=what, max_bytes=_MOST_BYTES) as kept:
         return _surface(kept)
 
 

@@ -10,7 +10,7 @@ Read first : `log.py`, `bags.py`, `touches.py`, `plateaus.py`.
 
 from palpate.recording.force.bags import (
     BAG_SUFFIXES as BAG_SUFFIXES,
-    PLACES as PLACES,
+    POSITIONS as POSITIONS,
     read_log_table as read_log_table,
 )
 from palpate.recording.force.log import (
@@ -25,14 +25,14 @@ from palpate.recording.force.plateaus import (
     find_plateau as find_plateau,
     read_force as read_force,
     still_force as still_force,
-    why_unread as why_unread,
+    unreadable_reason as unreadable_reason,
 )
 from palpate.recording.force.touches import (
-    EvenForce as EvenForce,
+    ResampledForce as ResampledForce,
     Touch as Touch,
     Zero as Zero,
-    even_force as even_force,
     find_touches as find_touches,
     find_zero as find_zero,
     mean_std as mean_std,
+    resample_force as resample_force,
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.errors import RecordError, quoted
-from palpate.files import checked_file, damage
+from palpate.files import checked_file, read_errors
 from palpate.optional_imports import late_import
 from palpate.records import TextTable, make_table, read_text_table
 
@@ -15,11 +15,11 @@ BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 _CURE = "record it again, or export the topic as a table"
 _AXES = ("x", "y", "z")
 # Message stamps not above this were never set.
-_NEVER = 1e-9
+_UNSET_STAMP = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class LoggedQuantity:
     """A quantity that is sought in a bag.
 
     Attributes
@@ -34,7 +34,7 @@ class Quantity:
     kinds: Mapping[str, str]
 
 
-FORCES = Quantity(
+FORCES = LoggedQuantity(
     "force",
     ("fx [N]", "fy [N]", "fz [N]"),
     {
@@ -46,7 +46,7 @@ FORCES = Quantity(
         "std_msgs/msg/Float32": "data",
     },
 )
-PLACES = Quantity(
+POSITIONS = LoggedQuantity(
     "pose",
     _AXES,
     {
@@ -59,14 +59,16 @@ PLACES = Quantity(
 )
 
 
-def read_log_table(path: Path, *, topic: str | None, wanted: Quantity, cure: str) -> TextTable:
+def read_log_table(
+    path: Path, *, topic: str | None, wanted: LoggedQuantity, cure: str
+) -> TextTable:
     """The table of a log: a text file, or one topic of a bag.
 
     Parameters
     ----------
     path : Path                     a text table, or a bag with a suffix of `BAG_SUFFIXES`
     topic : str or None             of a bag; None: the only one that holds the quantity
-    wanted : Quantity
+    wanted : LoggedQuantity
     cure : str                      description of a valid table, for messages
 
     Returns
@@ -91,25 +93,30 @@ def read_log_table(path: Path, *, topic: str | None, wanted: Quantity, cure: str
     checked_file(path)
     highlevel = late_import("rosbags.highlevel", extra="bags", purpose=f"reading {path.name}")
     with (
-        damage(path, _CURE, what="cannot be read as a bag"),
+        read_errors(path, _CURE, what="cannot be read as a bag"),
         highlevel.AnyReader([path]) as reader,
     ):
-        meant = _connections(path, reader.connections, topic, wanted)
-        rows = list(_rows(reader, meant, wanted.kinds[meant[0].msgtype]))
+        chosen = _connections(path, reader.connections, topic, wanted)
+        rows = list(_rows(reader, chosen, wanted.kinds[chosen[0].msgtype]))
     names = wanted.columns if rows and rows[0].count(",") == len(_AXES) else (wanted.name,)
     head = ("time [s]", *names)
     return make_table(path, [",".join(head), *rows], head, first=1, delimiter=",", cure=cure)
 
 
-def _connections(path: Path, connections: Any, topic: str | None, wanted: Quantity) -> list[Any]:
+def _connections(
+    path: Path, connections: Any, topic: str | None, wanted: LoggedQuantity
+) -> list[Any]:
     """Connections of the requested topic, or of the only suitable one."""
-    listed = ", ".join(f"{one.topic} ({one.msgtype})" for one in connections) or "none"
-    fitting = [one for one in connections if one.msgtype in wanted.kinds]
+    listed = (
+        ", ".join(f"{connection.topic} ({connection.msgtype})" for connection in connections)
+        or "none"
+    )
+    suitable = [connection for connection in connections if connection.msgtype in wanted.kinds]
     if topic is not None:
-        fitting = [one for one in fitting if one.topic == topic]
-    if len({one.topic for one in fitting}) == 1:
-        return fitting
-    what = "no topic" if not fitting else f"{len(fitting)} topics"
+        suitable = [connection for connection in suitable if connection.topic == topic]
+    if len({connection.topic for connection in suitable}) == 1:
+        return suitable
+    what = "no topic" if not suitable else f"{len(suitable)} topics"
     named = f" called {quoted(topic)}" if topic is not None else ""
     raise RecordError(
         f"{path}: {what}{named} with a {wanted.name} ({', '.join(wanted.kinds)}); its topics are"
@@ -117,14 +124,14 @@ def _connections(path: Path, connections: Any, topic: str | None, wanted: Quanti
     )
 
 
-def _rows(reader: Any, connections: list[Any], place: str) -> Iterator[str]:
+def _rows(reader: Any, connections: list[Any], attribute_path: str) -> Iterator[str]:
     """Lines of the table, one per message."""
     for connection, recorded, raw in reader.messages(connections=connections):
         message = reader.deserialize(raw, connection.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         time = 1e-9 * recorded
-        if stamp is not None and stamp.sec + stamp.nanosec > _NEVER:
+        if stamp is not None and stamp.sec + stamp.nanosec > _UNSET_STAMP:
             time = stamp.sec + 1e-9 * stamp.nanosec
-        found = reduce(getattr, filter(None, place.split(".")), message)
+        found = reduce(getattr, filter(None, attribute_path.split(".")), message)
         values = [getattr(found, axis) for axis in _AXES] if hasattr(found, "x") else [found]
         yield ",".join(f"{value:.9f}" for value in (time, *values))

@@ -21,14 +21,14 @@ _CURE = (
     "a force log is a table with a line of headings, a column of times and one to three of forces"
 )
 # Plausible range of a probing's forces [N]; outside it the unit is wrong.
-_LARGEST, _SMALLEST = 500.0, 1e-4
+_LARGEST_FORCE, _SMALLEST_FORCE = 500.0, 1e-4
 # Longest recording [s].
-_LONGEST = 86400.0
+_LONGEST_RECORDING = 86400.0
 # A gap is a step longer than this many median steps and than this time [s].
 _GAP_STEPS, _GAP = 5.0, 0.05
 # Saturation: at least so many equal extreme readings in a row, unless more than this fraction of
 # all other readings repeat too, as with a coarse resolution.
-_STUCK, _REPEATED = 10, 0.2
+_MIN_EQUAL_READINGS, _MAX_REPEATED = 10, 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,15 +145,15 @@ def read_force_log(gauge: Gauge) -> ForceLog:
     seconds = SECONDS[_unit(table, [time], gauge.time_unit, tuple(SECONDS), "s", "time", notes)]
     newtons = NEWTONS[_unit(table, columns, gauge.unit, tuple(NEWTONS), "N", "force", notes)]
     values = table.values([time, *columns])
-    good = np.isfinite(values).all(axis=1)
-    if good.sum() < 2:
-        raise RecordError(f"{table.path}: has {int(good.sum())} rows of numbers; {_CURE}")
-    numbers = np.array(table.numbers)[good]
-    when, reading = seconds * values[good, 0], newtons * values[good, 1:]
-    _check_times(table.path, when, numbers)
-    _check_size(table.path, reading)
-    gaps = _gaps(when)
-    if missing := int((~good).sum()):
+    valid = np.isfinite(values).all(axis=1)
+    if valid.sum() < 2:
+        raise RecordError(f"{table.path}: has {int(valid.sum())} rows of numbers; {_CURE}")
+    line_numbers = np.array(table.numbers)[valid]
+    times, reading = seconds * values[valid, 0], newtons * values[valid, 1:]
+    _check_times(table.path, times, line_numbers)
+    _check_force_range(table.path, reading)
+    gaps = _gaps(times)
+    if missing := int((~valid).sum()):
         notes.append(f"{table.path.name}: {missing} rows without a number were left out.")
     if gaps:
         longest = max(end - begin for begin, end in gaps)
@@ -162,20 +162,24 @@ def read_force_log(gauge: Gauge) -> ForceLog:
             " there."
         )
     sign = -1.0 if gauge.on_tool else 1.0
-    stuck = np.any([_stuck(column, gauge.limit) for column in reading.T], axis=0)
+    saturated = np.any([_saturated(column, gauge.limit) for column in reading.T], axis=0)
     force = sign * reading @ gauge.axes
-    return ForceLog(when, force, stuck, gauge.axes, gaps, missing, str(table.path), tuple(notes))
+    return ForceLog(
+        times, force, saturated, gauge.axes, gaps, missing, str(table.path), tuple(notes)
+    )
 
 
-def _bare(heading: str) -> str:
+def _bare_heading(heading: str) -> str:
     """A heading without its unit, in lower case."""
     match = _UNIT.match(heading)
     return (match["name"] if match else heading).strip().lower()
 
 
-def _named(table: TextTable, wanted: str, what: str) -> Column:
+def _find_column(table: TextTable, wanted: str, what: str) -> Column:
     """The only column of that name, with or without its unit."""
-    found = [c for c in table.columns if wanted.lower() in (c.heading.lower(), _bare(c.heading))]
+    found = [
+        c for c in table.columns if wanted.lower() in (c.heading.lower(), _bare_heading(c.heading))
+    ]
     if len(found) == 1:
         return found[0]
     listed = ", ".join(column.heading[:40] for column in table.columns[:12])
@@ -187,8 +191,8 @@ def _named(table: TextTable, wanted: str, what: str) -> Column:
 
 def _time_column(table: TextTable, wanted: str | None) -> Column:
     if wanted is not None:
-        return _named(table, wanted, "time")
-    found = [column for column in table.columns if _bare(column.heading) in _TIME_WORDS]
+        return _find_column(table, wanted, "time")
+    found = [column for column in table.columns if _bare_heading(column.heading) in _TIME_WORDS]
     if len(found) == 1:
         return found[0]
     listed = ", ".join(column.heading[:40] for column in table.columns[:12])
@@ -201,8 +205,8 @@ def _time_column(table: TextTable, wanted: str | None) -> Column:
 def _force_columns(table: TextTable, wanted: tuple[str, ...], count: int) -> list[Column]:
     """The force columns, one for each axis."""
     if wanted:
-        return [_named(table, name, "force") for name in wanted]
-    found = [column for column in table.columns if _bare(column.heading) in _FORCE_WORDS]
+        return [_find_column(table, name, "force") for name in wanted]
+    found = [column for column in table.columns if _bare_heading(column.heading) in _FORCE_WORDS]
     if len(found) == count:
         return found
     listed = ", ".join(column.heading[:40] for column in table.columns[:12])
@@ -217,38 +221,38 @@ def _unit(
     columns: list[Column],
     wanted: str | None,
     known: tuple[str, ...],
-    usual: str,
+    default: str,
     what: str,
     notes: list[str],
 ) -> str:
     """The given unit or that of the headings; refused if they contradict each other."""
-    said = {match["unit"] for c in columns if (match := _UNIT.match(c.heading))}
+    stated = {match["unit"] for c in columns if (match := _UNIT.match(c.heading))}
     heading = columns[0].heading
-    if len(said) > 1 or said - set(known):
+    if len(stated) > 1 or stated - set(known):
         raise RecordError(
-            f"{table.path}: the unit of the {what} is {quoted(', '.join(sorted(said)))}; must be"
+            f"{table.path}: the unit of the {what} is {quoted(', '.join(sorted(stated)))}; must be"
             f" one of {', '.join(known)}, the same for all its columns"
         )
-    if said and wanted is not None and wanted not in said:
+    if stated and wanted is not None and wanted not in stated:
         raise RecordError(
             f"{table.path}: column {quoted(heading)} and the unit {quoted(wanted)} that was asked"
             " for contradict each other; correct one of them"
         )
-    if not said and wanted is None:
-        notes.append(f"{table.path.name}: no unit is given for the {what}; {usual} is taken.")
-    return wanted or next(iter(said), usual)
+    if not stated and wanted is None:
+        notes.append(f"{table.path.name}: no unit is given for the {what}; {default} is taken.")
+    return wanted or next(iter(stated), default)
 
 
 def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray) -> None:
-    back = np.flatnonzero(np.diff(time) < 0.0)
-    if len(back):
-        k = back[0]
+    decreasing = np.flatnonzero(np.diff(time) < 0.0)
+    if len(decreasing):
+        k = decreasing[0]
         raise RecordError(
             f"{path}: line {numbers[k + 1]}: the time {time[k + 1]:g} s is before that of the line"
-            f" above, {time[k]:g} s ({len(back)} such lines); were two recordings joined, or did"
-            " the clock wrap round?"
+            f" above, {time[k]:g} s ({len(decreasing)} such lines); were two recordings joined, or"
+            " did the clock wrap round?"
         )
-    if not 0.0 < time[-1] - time[0] <= _LONGEST:
+    if not 0.0 < time[-1] - time[0] <= _LONGEST_RECORDING:
         raise RecordError(
             f"{path}: its times run over {time[-1] - time[0]:g} s; a recording has some seconds to"
             " a day: are they in another unit? Say it as `time_unit` in [force]"
@@ -256,14 +260,14 @@ def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray)
         )
 
 
-def _check_size(path: Path, reading: Float[np.ndarray, "n k"]) -> None:
+def _check_force_range(path: Path, reading: Float[np.ndarray, "n k"]) -> None:
     """Refuse implausible changes of the force; a constant part is the tool's weight."""
     spread = float(np.abs(reading - np.median(reading, axis=0)).max())
-    if not _SMALLEST <= spread <= _LARGEST:
+    if not _SMALLEST_FORCE <= spread <= _LARGEST_FORCE:
         raise RecordError(
             f"{path}: the force changes by {spread:.3g} N at most; the forces of probings are from"
-            f" {_SMALLEST:g} to {_LARGEST:g} N: is it in another unit? Say it as `unit` in [force]"
-            f" ({', '.join(NEWTONS)})"
+            f" {_SMALLEST_FORCE:g} to {_LARGEST_FORCE:g} N: is it in another unit? Say it as `unit`"
+            f" in [force] ({', '.join(NEWTONS)})"
         )
 
 
@@ -273,17 +277,17 @@ def _gaps(time: Float[np.ndarray, " n"]) -> tuple[tuple[float, float], ...]:
     return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(longer))
 
 
-def _stuck(reading: Float[np.ndarray, " n"], limit: float | None) -> Bool[np.ndarray, " n"]:
+def _saturated(reading: Float[np.ndarray, " n"], limit: float | None) -> Bool[np.ndarray, " n"]:
     """Saturated readings: at the given limit, or recognised by repeated extreme values."""
     found = np.zeros(len(reading), dtype=bool)
     if limit is not None:
         found |= np.abs(reading) >= 0.999 * limit
     for end in (reading.max(), reading.min()):
         others = reading[1:] != end
-        again = (np.diff(reading) == 0.0)[others]
-        if len(again) and again.mean() < _REPEATED:
+        repeats = (np.diff(reading) == 0.0)[others]
+        if len(repeats) and repeats.mean() < _MAX_REPEATED:
             for first, last in true_runs(reading == end):
-                found[first:last] |= last - first >= _STUCK
+                found[first:last] |= last - first >= _MIN_EQUAL_READINGS
     return found
 
 

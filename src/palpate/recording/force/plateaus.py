@@ -6,17 +6,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from palpate.recording.force.log import ForceLog, true_runs
-from palpate.recording.force.touches import EvenForce, Touch, Zero, mean_std
+from palpate.recording.force.touches import ResampledForce, Touch, Zero, mean_std
 
 # Half the window for slopes of the force [s].
-_HALF = 0.12
+_HALF_WINDOW = 0.12
 # At rest the force changes by less than this fraction of itself per second, or by less than this
 # many standard deviations of the slope's noise.
-_MAX_CREEP, _SIGMAS = 0.03, 5.0
+_MAX_CREEP, _NOISE_SIGMAS = 0.03, 5.0
 # Least force of a plateau as a fraction of the touch's peak.
-_HIGH = 0.7
+_MIN_PEAK_FRACTION = 0.7
 # Least duration of a plateau [s]; time cut off at either end [s].
-_SHORTEST, _TRIM = 0.25, 0.04
+_MIN_DURATION, _TRIM = 0.25, 0.04
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,55 +40,55 @@ class Reading:
     creep: float
 
 
-def still_force(even: EvenForce, zero: Zero) -> Bool[np.ndarray, " n"]:
+def still_force(resampled: ResampledForce, zero: Zero) -> Bool[np.ndarray, " n"]:
     """Times at which the force changes by no more than noise and a bounded creep.
 
     Parameters
     ----------
-    even : EvenForce
+    resampled : ResampledForce
     zero : Zero
 
     Returns
     -------
-    (n,) bool                       at the times of `even`; False within and next to gaps
+    (n,) bool                       at the times of `resampled`; False within and next to gaps
     """
-    half = max(1, round(_HALF / even.step))
+    half = max(1, round(_HALF_WINDOW / resampled.step))
     kernel = np.concatenate([np.ones(half), np.zeros(1), -np.ones(half)]) / half
-    span = (half + 1) * even.step
-    known = np.isfinite(even.force)
-    filled = np.where(known, even.force, 0.0)
+    span = (half + 1) * resampled.step
+    known = np.isfinite(resampled.force)
+    filled = np.where(known, resampled.force, 0.0)
     slope = np.column_stack([np.convolve(part, kernel, "same") for part in filled.T]) / span
-    size = np.linalg.norm(filled - zero.at(even.time), axis=1)
-    noise = even.noise * np.sqrt(2.0 / half) / span
-    still = np.linalg.norm(slope, axis=1) <= np.maximum(_SIGMAS * noise, _MAX_CREEP * size)
-    whole = np.convolve(known.all(axis=1), np.ones(2 * half + 1), "same") > 2 * half
-    return still & whole
+    size = np.linalg.norm(filled - zero.at(resampled.time), axis=1)
+    noise = resampled.noise * np.sqrt(2.0 / half) / span
+    still = np.linalg.norm(slope, axis=1) <= np.maximum(_NOISE_SIGMAS * noise, _MAX_CREEP * size)
+    complete = np.convolve(known.all(axis=1), np.ones(2 * half + 1), "same") > 2 * half
+    return still & complete
 
 
 def find_plateau(
-    even: EvenForce, zero: Zero, touch: Touch, still: Bool[np.ndarray, " n"]
+    resampled: ResampledForce, zero: Zero, touch: Touch, still: Bool[np.ndarray, " n"]
 ) -> tuple[float, float] | None:
     """The longest span at rest near the peak force of a touch.
 
     Parameters
     ----------
-    even : EvenForce
+    resampled : ResampledForce
     zero : Zero
     touch : Touch
-    still : (n,) bool               at rest, at the times of `even`
+    still : (n,) bool               at rest, at the times of `resampled`
 
     Returns
     -------
     (begin, end) [s] or None        None if there is none
     """
-    size = np.linalg.norm(even.force - zero.at(even.time), axis=1)
-    inside = (even.time >= touch.begin) & (even.time <= touch.end)
-    runs = true_runs(still & inside & (size > _HIGH * touch.peak))
+    size = np.linalg.norm(resampled.force - zero.at(resampled.time), axis=1)
+    inside = (resampled.time >= touch.begin) & (resampled.time <= touch.end)
+    runs = true_runs(still & inside & (size > _MIN_PEAK_FRACTION * touch.peak))
     if not runs:
         return None
     first, last = max(runs, key=lambda run: run[1] - run[0])
-    begin, end = even.time[first] + _TRIM, even.time[last - 1] - _TRIM
-    return (float(begin), float(end)) if end - begin >= _SHORTEST else None
+    begin, end = resampled.time[first] + _TRIM, resampled.time[last - 1] - _TRIM
+    return (float(begin), float(end)) if end - begin >= _MIN_DURATION else None
 
 
 def read_force(log: ForceLog, zero: Zero, plateau: tuple[float, float], time: float) -> Reading:
@@ -109,23 +109,23 @@ def read_force(log: ForceLog, zero: Zero, plateau: tuple[float, float], time: fl
     """
     begin, end = plateau
     rows = (log.time >= begin) & (log.time <= end)
-    when = log.time[rows] - time
+    relative_time = log.time[rows] - time
     force = log.force[rows] - zero.at(log.time[rows])
-    line = np.column_stack([np.ones_like(when), when])
+    line = np.column_stack([np.ones_like(relative_time), relative_time])
     solution = np.linalg.lstsq(line, force, rcond=None)[0]
-    off = force - line @ solution
+    residual = force - line @ solution
     # Variance of the line at that moment, relative to that of the mean of the readings.
-    lever = 1.0 + (when.mean() ** 2) / max(float(when.var()), 1e-12)
-    own = np.hypot(mean_std(off) * np.sqrt(lever), zero.bend)
+    lever = 1.0 + (relative_time.mean() ** 2) / max(float(relative_time.var()), 1e-12)
+    reading_std = np.hypot(mean_std(residual) * np.sqrt(lever), zero.interpolation_std)
     measured = (log.axes**2).sum(axis=0) > 0.0
-    share = np.sqrt((log.axes**2).sum(axis=0))
-    std = np.where(measured, np.hypot(own, share * zero.std), 0.0)
+    axis_weight = np.sqrt((log.axes**2).sum(axis=0))
+    std = np.where(measured, np.hypot(reading_std, axis_weight * zero.std), 0.0)
     size = float(np.linalg.norm(solution[0]))
     along = float(solution[1] @ solution[0]) / max(size, 1e-12)
     return Reading(begin, end, time, solution[0], std, along * (end - begin) / max(size, 1e-12))
 
 
-def why_unread(log: ForceLog, plateau: tuple[float, float] | None) -> str:
+def unreadable_reason(log: ForceLog, plateau: tuple[float, float] | None) -> str:
     """Why the force of a press cannot be read; empty if it can.
 
     Parameters
@@ -140,7 +140,7 @@ def why_unread(log: ForceLog, plateau: tuple[float, float] | None) -> str:
     if plateau is None:
         return (
             "force and pictures are at no time at rest together under its full load for"
-            f" {_SHORTEST} s, gaps of the log apart; hold the tool still for a second or two"
+            f" {_MIN_DURATION} s, gaps of the log apart; hold the tool still for a second or two"
         )
     rows = (log.time >= plateau[0]) & (log.time <= plateau[1])
     if log.saturated[rows].any():

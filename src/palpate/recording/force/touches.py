@@ -12,30 +12,30 @@ from palpate.errors import RecordError
 from palpate.recording.force.log import ForceLog
 
 # Readings are averaged over bins of this length [s].
-_BIN = 0.02
+_BIN_SECONDS = 0.02
 # A touch begins where the force differs from the zero by so many standard deviations and by this
 # fraction of the largest force of all; it ends below that threshold, or below this fraction of its
 # own peak.
-_SIGMAS, _LEAST_SHARE, _BACK_SHARE = 6.0, 0.01, 0.05
+_BEGIN_SIGMAS, _BEGIN_FRACTION, _END_FRACTION = 6.0, 0.01, 0.05
 # Time constant with which the zero is tracked [s]: so long that a slow push is not taken for drift.
-_FOLLOWED = 2.0
+_ZERO_TIME_CONSTANT = 2.0
 # Least duration of a state, contact or none, to count [s]; and largest change of the force during
 # that time at the end of a touch, as a fraction of the threshold.
-_SETTLED, _AT_REST = 0.06, 0.5
+_MIN_STATE_SECONDS, _REST_CHANGE = 0.06, 0.5
 # A touch that is shorter [s], or weaker than so many thresholds, is a knock.
-_SHORTEST, _WEAKEST = 0.3, 3.0
+_MIN_TOUCH_SECONDS, _MIN_TOUCH_PEAK = 0.3, 3.0
 # Least distance in time from a touch at which the zero is read, and duration of that reading [s].
-_AWAY, _ZERO_TIME = 0.15, 1.0
+_ZERO_DISTANCE, _ZERO_SECONDS = 0.15, 1.0
 # Time without contact required at the beginning [s], and largest scatter of the force in it, as a
 # fraction of the largest force.
-_START, _QUIET = 0.5, 0.1
+_START_SECONDS, _MAX_START_SCATTER = 0.5, 0.1
 # Standard deviation of second differences over that of the readings; and the rms length of a normal
 # vector of one, two and three components over its median length.
-_SECOND_DIFFERENCE, _FROM_MEDIAN = np.sqrt(6.0), (1.4826, 1.2011, 1.1260)
+_SECOND_DIFFERENCE_STD, _RMS_OVER_MEDIAN = np.sqrt(6.0), (1.4826, 1.2011, 1.1260)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EvenForce:
+class ResampledForce:
     """Force resampled at equal time steps.
 
     Attributes
@@ -81,7 +81,7 @@ class Zero:
     time : (j,) float [s]           times at which it was read
     value : (j, 3) float [N]        readings
     std : float [N]                 standard deviation of a component of one reading
-    bend : (3,) float [N]           standard deviation of the drift from linear interpolation,
+    interpolation_std : (3,) float [N]  standard deviation of the drift from linear interpolation,
                                     midway between two readings, if it is a random walk; an upper
                                     bound for a smooth drift
     """
@@ -89,7 +89,7 @@ class Zero:
     time: Float[np.ndarray, " j"]
     value: Float[np.ndarray, "j 3"]
     std: float
-    bend: Float[np.ndarray, "3"]
+    interpolation_std: Float[np.ndarray, "3"]
 
     def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
         """Zero at given times, by linear interpolation between the readings.
@@ -110,7 +110,7 @@ class Zero:
         return float(np.linalg.norm(self.value[:, None] - self.value[None], axis=2).max())
 
 
-def even_force(log: ForceLog) -> EvenForce:
+def resample_force(log: ForceLog) -> ResampledForce:
     """Resample a force log at equal time steps.
 
     Parameters
@@ -119,9 +119,9 @@ def even_force(log: ForceLog) -> EvenForce:
 
     Returns
     -------
-    EvenForce
+    ResampledForce
     """
-    step = max(_BIN, 1.01 * float(np.median(np.diff(log.time))))
+    step = max(_BIN_SECONDS, 1.01 * float(np.median(np.diff(log.time))))
     count = int((log.time[-1] - log.time[0]) / step) + 1
     time = log.time[0] + step * (np.arange(count) + 0.5)
     number = np.minimum(((log.time - log.time[0]) / step).astype(int), count - 1)
@@ -133,23 +133,28 @@ def even_force(log: ForceLog) -> EvenForce:
         return total / readings[filled]
 
     # The mean time of the readings is not the middle of the bin: correct for it by interpolation.
-    when = mean(log.time)
-    force = np.column_stack([np.interp(time, when, mean(part)) for part in log.force.T])
+    mean_time = mean(log.time)
+    force = np.column_stack([np.interp(time, mean_time, mean(part)) for part in log.force.T])
     for begin, end in log.gaps:
         force[(time > begin) & (time < end)] = np.nan
-    bent = np.diff(force, n=2, axis=0)
-    bent = np.linalg.norm(bent[np.isfinite(bent).all(axis=1)], axis=1) / _SECOND_DIFFERENCE
-    return EvenForce(time, force, float(np.median(bent)) * _FROM_MEDIAN[len(log.axes) - 1])
+    second_difference = np.diff(force, n=2, axis=0)
+    second_difference = (
+        np.linalg.norm(second_difference[np.isfinite(second_difference).all(axis=1)], axis=1)
+        / _SECOND_DIFFERENCE_STD
+    )
+    return ResampledForce(
+        time, force, float(np.median(second_difference)) * _RMS_OVER_MEDIAN[len(log.axes) - 1]
+    )
 
 
-def find_touches(even: EvenForce) -> tuple[tuple[Touch, ...], int]:
+def find_touches(resampled: ResampledForce) -> tuple[tuple[Touch, ...], int]:
     """Find the contacts of the tool with the object, and the number of knocks that were ignored.
 
     The log must begin with the tool off the object.
 
     Parameters
     ----------
-    even : EvenForce
+    resampled : ResampledForce
 
     Returns
     -------
@@ -160,56 +165,58 @@ def find_touches(even: EvenForce) -> tuple[tuple[Touch, ...], int]:
     ------
     RecordError                     the force is not quiet at the beginning
     """
-    known = np.isfinite(even.force).all(axis=1)
-    time, force = even.time[known], even.force[known]
-    zero, limit = _start(time, force, even.noise)
-    back = max(1, round(_SETTLED / even.step))
-    share = min(even.step / _FOLLOWED, 1.0)
+    known = np.isfinite(resampled.force).all(axis=1)
+    time, force = resampled.time[known], resampled.force[known]
+    zero, limit = _initial_zero(time, force, resampled.noise)
+    settled_steps = max(1, round(_MIN_STATE_SECONDS / resampled.step))
+    weight = min(resampled.step / _ZERO_TIME_CONSTANT, 1.0)
     found: list[Touch] = []
-    knocks, since, peak, count = 0, -1, 0.0, 0
+    knocks, begin, peak, count = 0, -1, 0.0, 0
     for k, value in enumerate(force):
         size = float(np.linalg.norm(value - zero))
-        if since < 0:
+        if begin < 0:
             count = count + 1 if size > limit else 0
-            if count >= back:
-                since, peak, count = k - back + 1, size, 0
+            if count >= settled_steps:
+                begin, peak, count = k - settled_steps + 1, size, 0
             elif count == 0:
-                zero = zero + share * (value - zero)
+                zero = zero + weight * (value - zero)
             continue
         peak = max(peak, size)
         # The end of the unloading must not be taken for the zero: the force must be at rest.
-        moved = float(np.linalg.norm(value - force[max(k - back, 0)]))
-        low = size < max(limit, _BACK_SHARE * peak) and moved < _AT_REST * limit
+        moved = float(np.linalg.norm(value - force[max(k - settled_steps, 0)]))
+        low = size < max(limit, _END_FRACTION * peak) and moved < _REST_CHANGE * limit
         count = count + 1 if low else 0
-        if count >= back:
-            touch = Touch(float(time[since]), float(time[k - back + 1]), peak, True)
-            knocks += _added(found, touch, limit)
-            zero, since, count = force[k - back + 1 : k + 1].mean(axis=0), -1, 0
-    if since >= 0:
-        knocks += _added(found, Touch(float(time[since]), float(time[-1]), peak, False), limit)
+        if count >= settled_steps:
+            touch = Touch(float(time[begin]), float(time[k - settled_steps + 1]), peak, True)
+            knocks += _add_unless_knock(found, touch, limit)
+            zero, begin, count = force[k - settled_steps + 1 : k + 1].mean(axis=0), -1, 0
+    if begin >= 0:
+        knocks += _add_unless_knock(
+            found, Touch(float(time[begin]), float(time[-1]), peak, False), limit
+        )
     return tuple(found), knocks
 
 
-def _start(
+def _initial_zero(
     time: Float[np.ndarray, " n"], force: Float[np.ndarray, "n 3"], noise: float
 ) -> tuple[Float[np.ndarray, "3"], float]:
     """Zero at the beginning, and the threshold by which a force must differ from it."""
-    first = force[time < time[0] + _START]
+    first = force[time < time[0] + _START_SECONDS]
     zero = np.median(first, axis=0)
     largest = float(np.linalg.norm(force - zero, axis=1).max())
     scatter = float(np.sqrt(((first - zero) ** 2).sum(axis=1).mean()))
-    if scatter > max(_QUIET * largest, 3.0 * noise):
+    if scatter > max(_MAX_START_SCATTER * largest, 3.0 * noise):
         raise RecordError(
-            f"the force changes by {scatter:.3g} N within the first {_START} s, up to"
+            f"the force changes by {scatter:.3g} N within the first {_START_SECONDS} s, up to"
             f" {largest:.3g} N later on: the recording must begin with the tool at rest and off the"
             " object, or the tool's weight is not known; cut off what is before"
         )
-    return zero, max(_SIGMAS * max(noise, scatter), _LEAST_SHARE * largest)
+    return zero, max(_BEGIN_SIGMAS * max(noise, scatter), _BEGIN_FRACTION * largest)
 
 
-def _added(found: list[Touch], touch: Touch, limit: float) -> bool:
+def _add_unless_knock(found: list[Touch], touch: Touch, limit: float) -> bool:
     """Add a touch if it is a press; True if it is a knock."""
-    if touch.end - touch.begin < _SHORTEST or touch.peak < _WEAKEST * limit:
+    if touch.end - touch.begin < _MIN_TOUCH_SECONDS or touch.peak < _MIN_TOUCH_PEAK * limit:
         return True
     found.append(touch)
     return False
@@ -231,14 +238,14 @@ def find_zero(log: ForceLog, touches: tuple[Touch, ...]) -> Zero:
     ------
     RecordError                     no time without contact
     """
-    begins = [log.time[0] - _AWAY, *(touch.end for touch in touches if touch.ended)]
-    ends = [*(touch.begin for touch in touches), log.time[-1] + _AWAY][: len(begins)]
+    begins = [log.time[0] - _ZERO_DISTANCE, *(touch.end for touch in touches if touch.ended)]
+    ends = [*(touch.begin for touch in touches), log.time[-1] + _ZERO_DISTANCE][: len(begins)]
     parts: list[Bool[np.ndarray, " n"]] = []
     for begin, end in zip(begins, ends, strict=True):
-        low, high = begin + _AWAY, end - _AWAY
+        low, high = begin + _ZERO_DISTANCE, end - _ZERO_DISTANCE
         windows = [(low, high)]
-        if high - low > 2.0 * _ZERO_TIME:
-            windows = [(low, low + _ZERO_TIME), (high - _ZERO_TIME, high)]
+        if high - low > 2.0 * _ZERO_SECONDS:
+            windows = [(low, low + _ZERO_SECONDS), (high - _ZERO_SECONDS, high)]
         parts += [(log.time >= a) & (log.time <= b) for a, b in windows]
     parts = [part for part in parts if part.sum() >= 2]
     if not parts:
@@ -249,7 +256,7 @@ def find_zero(log: ForceLog, touches: tuple[Touch, ...]) -> Zero:
     time = np.array([log.time[part].mean() for part in parts])
     value = np.stack([log.force[part].mean(axis=0) for part in parts])
     std = max(float(mean_std(log.force[part]).max()) for part in parts)
-    return Zero(time, value, std, _bend(time, value))
+    return Zero(time, value, std, _interpolation_std(time, value))
 
 
 def mean_std(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
@@ -266,14 +273,16 @@ def mean_std(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
     -------
     (k,) float                      in the unit of the values
     """
-    off = values - values.mean(axis=0)
-    variance = (off**2).sum(axis=0) / max(len(off) - 1, 1)
-    product = (off[1:] * off[:-1]).sum(axis=0) / max(len(off) - 1, 1)
-    alike = np.clip(product / np.where(variance > 0.0, variance, 1.0), 0.0, 0.99)
-    return np.sqrt(variance / len(off) * (1.0 + alike) / (1.0 - alike))
+    deviation = values - values.mean(axis=0)
+    variance = (deviation**2).sum(axis=0) / max(len(deviation) - 1, 1)
+    product = (deviation[1:] * deviation[:-1]).sum(axis=0) / max(len(deviation) - 1, 1)
+    correlation = np.clip(product / np.where(variance > 0.0, variance, 1.0), 0.0, 0.99)
+    return np.sqrt(variance / len(deviation) * (1.0 + correlation) / (1.0 - correlation))
 
 
-def _bend(time: Float[np.ndarray, " j"], value: Float[np.ndarray, "j 3"]) -> np.ndarray:
+def _interpolation_std(
+    time: Float[np.ndarray, " j"], value: Float[np.ndarray, "j 3"]
+) -> np.ndarray:
     """Standard deviation of each component from linear interpolation, midway between two zeros.
 
     For a random walk, its variance is half that of a zero from the line through its two neighbours,
@@ -284,7 +293,7 @@ def _bend(time: Float[np.ndarray, " j"], value: Float[np.ndarray, "j 3"]) -> np.
     if len(time) < 3:
         # A straight line fits two values whatever they are: allow for half their difference.
         return np.abs(value[1] - value[0]) / 2.0
-    share = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
-    off = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
-    bend: np.ndarray = np.sqrt((off**2).mean(axis=0) / 2.0)
-    return bend
+    weight = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
+    deviation = value[1:-1] - (1.0 - weight) * value[:-2] - weight * value[2:]
+    std: np.ndarray = np.sqrt((deviation**2).mean(axis=0) / 2.0)
+    return std

@@ -13,7 +13,7 @@ from palpate.recording.pictures.footage import (
     read_times as read_times,
 )
 from palpate.recording.pictures.moments import (
-    MOST_FRAMES as MOST_FRAMES,
+    MAX_FRAMES as MAX_FRAMES,
     Moment as Moment,
     write_moments as write_moments,
 )

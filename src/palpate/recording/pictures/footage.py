@@ -14,7 +14,7 @@ from palpate.records import read_text_table
 from palpate.vision import open_video, read_grey, video_frames
 
 # Longest recording [s].
-_LONGEST = 86400.0
+_LONGEST_RECORDING = 86400.0
 _TIMES_CURE = "times of pictures are a table with a heading and a column of seconds, a line each"
 
 
@@ -50,7 +50,7 @@ class Footage:
             times = fixed_array(self.times, name="times", shape=(None,))
             object.__setattr__(self, "times", times)
             steps = np.diff(times)
-            if len(times) < 2 or np.any(steps <= 0.0) or steps.sum() > _LONGEST:
+            if len(times) < 2 or np.any(steps <= 0.0) or steps.sum() > _LONGEST_RECORDING:
                 raise InputError(
                     f"times of camera '{self.camera}' must be two or more seconds of one day that"
                     " increase from frame to frame"
@@ -139,7 +139,7 @@ def _video_frames(footage: Footage) -> Iterator[Frame]:
         )
 
 
-def promised_frames(footage: Footage) -> int:
+def header_frame_count(footage: Footage) -> int:
     """Number of frames according to the file's header.
 
     Parameters

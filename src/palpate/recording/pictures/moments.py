@@ -13,8 +13,8 @@ from palpate.progress import Progress, silent
 from palpate.recording.pictures.footage import Footage, read_frames
 
 # Largest number of averaged frames: it reduces the noise to a third within a short time.
-MOST_FRAMES = 8
-_WHITE_16 = 257.0
+MAX_FRAMES = 8
+_SCALE_TO_16_BITS = 257.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def write_moments(
     """
     taken: dict[str, int] = {}
     waiting = sorted(moments, key=lambda moment: moment.begin)
-    total, count, deep = np.zeros((0, 0)), 0, False
+    total, count, is_16_bit = np.zeros((0, 0)), 0, False
 
     def finish(moment: Moment) -> None:
         if not count:
@@ -65,13 +65,15 @@ def write_moments(
             )
         name = moment.file.replace("{camera}", footage.camera)
         mean = total / count
-        picture = np.rint(_WHITE_16 * mean).astype(np.uint16) if deep else _eight_bits(mean)
+        picture = (
+            np.rint(_SCALE_TO_16_BITS * mean).astype(np.uint16) if is_16_bit else _as_8_bits(mean)
+        )
         if not cv2.imwrite(str(folder / name), picture):
             raise RecordError(f"{folder / name}: cannot be written; check the folder's rights")
         taken[moment.file] = count
 
     for frame in read_frames(footage):
-        while waiting and (frame.time > waiting[0].end or count == MOST_FRAMES):
+        while waiting and (frame.time > waiting[0].end or count == MAX_FRAMES):
             finish(waiting.pop(0))
             count = 0
             progress(f"pictures of camera {footage.camera}", len(taken) / len(moments))
@@ -79,12 +81,12 @@ def write_moments(
             break
         if frame.time >= waiting[0].begin:
             total = frame.grey + (total if count else np.float64(0.0))
-            count, deep = count + 1, frame.grey.dtype != np.uint8
+            count, is_16_bit = count + 1, frame.grey.dtype != np.uint8
     for moment in waiting:
         finish(moment)
         count = 0
     return taken
 
 
-def _eight_bits(grey: Float[np.ndarray, "rows columns"]) -> np.ndarray:
+def _as_8_bits(grey: Float[np.ndarray, "rows columns"]) -> np.ndarray:
     return np.clip(np.rint(grey), 0.0, 255.0).astype(np.uint8)

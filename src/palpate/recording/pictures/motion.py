@@ -11,16 +11,16 @@ from jaxtyping import Bool, Float, Shaped
 
 from palpate.errors import RecordError
 from palpate.progress import Progress, silent
-from palpate.recording.pictures.footage import Footage, promised_frames, read_frames
+from palpate.recording.pictures.footage import Footage, header_frame_count, read_frames
 
 # Approximate number of columns of the reduced pictures.
-_COLUMNS = 240
+_REDUCED_COLUMNS = 240
 # A time step longer than this many median steps means dropped frames.
-_DROPPED = 1.5
+_DROPPED_STEP = 1.5
 # A frame is still if its change exceeds the median change on plateaus by less than so many robust
 # standard deviations, or this fraction.
-_SCATTERS, _SHARE = 5.0, 0.1
-_FROM_MEDIAN = 1.4826
+_STILL_SIGMAS, _STILL_FRACTION = 5.0, 0.1
+_STD_OVER_MAD = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +63,7 @@ class CameraMotion:
         return float(np.median(np.diff(self.time)))
 
 
-def reduced(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"]:
+def downsampled(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"]:
     """A picture downsampled by averaging blocks of pixels.
 
     Parameters
@@ -74,7 +74,7 @@ def reduced(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"
     -------
     (rows, columns) float32
     """
-    factor = max(1, round(grey.shape[1] / _COLUMNS))
+    factor = max(1, round(grey.shape[1] / _REDUCED_COLUMNS))
     size = (grey.shape[1] // factor, grey.shape[0] // factor)
     small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.float32)
@@ -100,9 +100,9 @@ def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMot
     times: list[float] = []
     speeds, changes = [np.nan], [0.0]
     first = before = np.zeros((0, 0), dtype=np.float32)
-    promised = promised_frames(footage)
+    announced = header_frame_count(footage)
     for frame in read_frames(footage):
-        picture = reduced(frame.grey)
+        picture = downsampled(frame.grey)
         if times:
             speeds.append(_rms(picture - before))
             changes.append(_rms(picture - first))
@@ -110,8 +110,8 @@ def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMot
             first = picture
         times.append(frame.time)
         before = picture
-        if frame.number % 30 == 0 and promised:
-            progress(f"camera {footage.camera}", min(frame.number / promised, 1.0))
+        if frame.number % 30 == 0 and announced:
+            progress(f"camera {footage.camera}", min(frame.number / announced, 1.0))
     time, speed = np.array(times), np.array(speeds)
     if len(time) < 3 or np.any(np.diff(time) <= 0.0):
         raise RecordError(
@@ -119,8 +119,8 @@ def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMot
             f" times in a file as `times` of camera '{footage.camera}'"
         )
     steps = np.diff(time) / np.median(np.diff(time))
-    dropped = int(np.rint(steps[steps > _DROPPED] - 1.0).sum())
-    lost = max(promised - len(time), 0)
+    dropped = int(np.rint(steps[steps > _DROPPED_STEP] - 1.0).sum())
+    lost = max(announced - len(time), 0)
     return CameraMotion(
         footage.camera, time, speed, np.array(changes), dropped, int((speed == 0.0).sum()), lost
     )
@@ -149,10 +149,10 @@ def still_frames(
         held |= (motion.time >= begin) & (motion.time <= end)
     # A repeated frame carries no information on motion.
     speed = np.where(motion.speed > 0.0, motion.speed, np.nan)
-    usual = speed[held & np.isfinite(speed)]
-    if not len(usual):
+    plateau_speed = speed[held & np.isfinite(speed)]
+    if not len(plateau_speed):
         return held
-    level = float(np.median(usual))
-    scatter = _FROM_MEDIAN * float(np.median(np.abs(usual - level)))
-    limit = level + max(_SCATTERS * scatter, _SHARE * level)
+    level = float(np.median(plateau_speed))
+    scatter = _STD_OVER_MAD * float(np.median(np.abs(plateau_speed - level)))
+    limit = level + max(_STILL_SIGMAS * scatter, _STILL_FRACTION * level)
     return ~(speed > limit)

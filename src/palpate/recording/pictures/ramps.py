@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.recording.pictures.footage import Footage, read_frames
-from palpate.recording.pictures.motion import reduced
+from palpate.recording.pictures.motion import downsampled
 
 # Time kept before and after a ramp [s]: largest permitted error of the clocks' coarse offset.
 MARGIN = 1.2
 # Largest number of frames of a press in memory.
-_MOST = 160
+_MAX_FRAMES = 160
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,12 +22,12 @@ class Ramp:
     Attributes
     ----------
     time : (n,) float [s]           of the frames on both ramps, camera's clock
-    share : (n,) float [-]          progress of the picture from first contact (0) to full load (1);
+    progress : (n,) float [-]       progress of the picture from first contact (0) to full load (1);
                                     without NaN, linear in the displacement if that is small
     """
 
     time: Float[np.ndarray, " n"]
-    share: Float[np.ndarray, " n"]
+    progress: Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +35,14 @@ class RampTimes:
     """Begin of a press, begin and end of its plateau, and its end, on the camera's clock [s]."""
 
     begin: float
-    rest: float
-    leave: float
+    plateau_begin: float
+    plateau_end: float
     end: float
 
     def shows(self, time: float) -> bool:
         """Whether a frame at that time is on one of the ramps, or within `MARGIN` of them."""
-        loading = self.begin - MARGIN <= time <= self.rest + MARGIN
-        return loading or self.leave - MARGIN <= time <= self.end + MARGIN
+        loading = self.begin - MARGIN <= time <= self.plateau_begin + MARGIN
+        return loading or self.plateau_end - MARGIN <= time <= self.end + MARGIN
 
 
 def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | None]:
@@ -72,7 +72,7 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | 
             kept = []
         if waiting and waiting[0].shows(frame.time):
             kept = _thinned(kept)
-            kept.append((frame.time, reduced(frame.grey)))
+            kept.append((frame.time, downsampled(frame.grey)))
     for press in waiting:
         found.append(_ramp(press, kept))
         kept = []
@@ -81,7 +81,7 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | 
 
 def _thinned(kept: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
     """The frames, reduced to every second one once there are too many."""
-    return kept[::2] if len(kept) >= _MOST else kept
+    return kept[::2] if len(kept) >= _MAX_FRAMES else kept
 
 
 def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None:
@@ -90,7 +90,7 @@ def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None
         return None
     time = np.array([when for when, _ in kept])
     pictures = np.stack([picture.ravel() for _, picture in kept])
-    resting = (time >= press.rest) & (time <= press.leave)
+    resting = (time >= press.plateau_begin) & (time <= press.plateau_end)
     if not resting.any():
         return None
     full = pictures[resting].mean(axis=0, dtype=np.float64)
@@ -103,5 +103,5 @@ def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None
     size = float(pattern @ change)
     if size <= 0.0:
         return None
-    share = (pictures @ pattern - first @ pattern) / size
-    return Ramp(time, np.asarray(share))
+    progress = (pictures @ pattern - first @ pattern) / size
+    return Ramp(time, np.asarray(progress))

@@ -9,7 +9,7 @@ from palpate.shapes import Flags, Indices
 
 # Displacements are taken for positions under load if they differ from the points by less than this
 # fraction of themselves, exceed this fraction of the body's size, and there are at least so many.
-_SAME, _FAR, _FEW = 0.3, 0.1, 3
+_MAX_DIFFERENCE, _MIN_LENGTH, _MIN_POINTS = 0.3, 0.1, 3
 
 
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
@@ -32,7 +32,7 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
             " exactly zero: nothing moved, which says nothing about stiffness; were the pictures at"
             " rest compared with themselves?"
         )
-    _check_no_places(mesh, field, measured)
+    _check_not_positions(mesh, field, measured)
     fixed = held_points(mesh, held, field)[measured]
     if fixed.all():
         raise InputError(
@@ -62,15 +62,19 @@ def held_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> 
     return (is_held[corners] | (field.surface.barycentric < 1e-6)).all(axis=1)
 
 
-def _check_no_places(mesh: TriangleMesh, field: DisplacementField, seen: Flags) -> None:
+def _check_not_positions(mesh: TriangleMesh, field: DisplacementField, measured: Flags) -> None:
     """Refuse positions under load in place of displacements."""
-    moved, rest = field.displacement[seen], field.points[seen]
+    moved, rest = field.displacement[measured], field.points[measured]
     length = float(np.sqrt((moved**2).sum(axis=1).mean()))
-    left = float(np.sqrt(((moved - rest) ** 2).sum(axis=1).mean()))
-    if seen.sum() >= _FEW and length > _FAR * bounding_diagonal(mesh) and left < _SAME * length:
+    difference = float(np.sqrt(((moved - rest) ** 2).sum(axis=1).mean()))
+    if (
+        measured.sum() >= _MIN_POINTS
+        and length > _MIN_LENGTH * bounding_diagonal(mesh)
+        and difference < _MAX_DIFFERENCE * length
+    ):
         raise InputError(
-            f"ux,uy,uz of {field.source} are nearly its x,y,z: they differ by {left:.3g} m, of"
-            f" {length:.3g} m: are they places under load? Take x,y,z off them"
+            f"ux,uy,uz of {field.source} are nearly its x,y,z: they differ by {difference:.3g} m,"
+            f" of {length:.3g} m: are they places under load? Take x,y,z off them"
         )
 
 
@@ -90,11 +94,11 @@ def check_copies(probings: tuple[Probing, ...]) -> None:
         if probing.displacement is None:
             continue
         rows = _moved_rows(probing.displacement)
-        for twin, others in earlier:
+        for other, others in earlier:
             if shared := copied_rows(rows, others):
                 raise InputError(
                     f"{shared} of {len(rows)} points of probing {quoted(probing.name)} have the"
-                    f" same displacement, digit by digit, as in probing {quoted(twin.name)};"
+                    f" same displacement, digit by digit, as in probing {quoted(other.name)};"
                     " noise makes any two measurements differ: name the file that belongs to each,"
                     " or leave one out"
                 )

@@ -12,7 +12,7 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records.contact import RIGID, Contact
+from palpate.records.contacts import RIGID, Contact
 from palpate.records.probing import Probing, observed_rows
 from palpate.records.quantities import HIGHEST_PRESSURE, MODULUS_RANGE, modulus_unit
 from palpate.shapes import Indices
@@ -74,12 +74,12 @@ def check_contact(mesh: TriangleMesh, held: Indices, contact: Contact) -> None:
     # Triangles that face the other way are on the far side of a thin object, out of reach.
     normals = unit_normals(mesh)
     facing = normals[held] @ normals[int(distance.argmin())] > -0.5
-    clear = float(distance[held][facing].min(initial=np.inf))
-    if clear < radius:
+    clearance = float(distance[held][facing].min(initial=np.inf))
+    if clearance < radius:
         raise InputError(
-            f"the contact is partly on the support: its point is {clear:.4g} m from the support,"
-            f" nearer than its radius of {radius:.4g} m; probe farther from the support, or check"
-            " the radius"
+            f"the contact is partly on the support: its point is {clearance:.4g} m from the"
+            f" support, nearer than its radius of {radius:.4g} m; probe farther from the support,"
+            " or check the radius"
         )
 
 

@@ -12,28 +12,28 @@ from palpate.geometry import (
 from palpate.records.checks.displacements import held_points
 from palpate.records.checks.loads import UNIT_HINT, largest_displacement
 from palpate.records.checks.probings import probing_notes
-from palpate.records.contact import FIXED
 from palpate.records.error_priors import ErrorPriors
 from palpate.records.session import Session
+from palpate.records.support import FIXED
 
 # Edge over wall thickness beyond which bending is modelled too stiff: by 3 % at 1.7, 20 % at 2.8.
 _COARSE_EDGE = 1.7
 # Least fraction of the surface on thin walls; smaller thin parts hardly affect bending.
-_THIN_SHARE = 0.02
+_MIN_THIN_FRACTION = 0.02
 # Range of objects that can be probed on a bench [m]; outside it the unit is probably wrong.
 _SMALLEST_OBJECT, _LARGEST_OBJECT = 1e-3, 5.0
-_EARTH = 9.81
+_EARTH_GRAVITY = 9.81
 # Least plausible density [kg/m^3]; foams have 10 to 100.
-_LIGHTEST = 5.0
+_SMALLEST_DENSITY = 5.0
 # Settlement into a support, over the largest measured displacement, that would have been noticed.
-_SINKS = 2.0
+_MAX_SETTLEMENT = 2.0
 # Least plausible fraction of the surface that is held; with less the selector probably missed.
 _SMALLEST_SUPPORT = 2e-3
 # Largest fraction that is held unless an object is embedded; a larger tolerance selects more.
-_MOST_HELD = 0.6
+_LARGEST_SUPPORT = 0.6
 # A fixed support has slipped if the median displacement of its points, at least so many, exceeds
 # this fraction of the median of all points.
-_SLIPS, _FEW_HELD = 0.5, 4
+_SLIP_FRACTION, _MIN_HELD_POINTS = 0.5, 4
 
 
 def check_error_lengths(session: Session) -> None:
@@ -47,19 +47,19 @@ def check_error_lengths(session: Session) -> None:
     ------
     InputError                      the text names the error
     """
-    size, usual = bounding_diagonal(session.mesh), ErrorPriors()
+    size, default = bounding_diagonal(session.mesh), ErrorPriors()
     given = {
         f"point_std of {quoted(name)}": value
         for name, value in session.errors.contact_points.items()
     }
-    for one in session.probings:
-        if one.tip_displacement_std is not None:
-            given[f"tip_displacement_std of {quoted(one.name)}"] = float(
-                one.tip_displacement_std.max()
+    for probing in session.probings:
+        if probing.tip_displacement_std is not None:
+            given[f"tip_displacement_std of {quoted(probing.name)}"] = float(
+                probing.tip_displacement_std.max()
             )
     for key in ("contact_point", "pose_translation"):
         value = getattr(session.errors, key)
-        if value != getattr(usual, key):
+        if value != getattr(default, key):
             given[f"{key.replace('_', ' ')} of [errors]"] = value
     for name, value in given.items():
         if value > size:
@@ -86,11 +86,15 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {UNIT_HINT}.")
     notes += _support_notes(session)
-    if session.gravity is not None and abs(np.linalg.norm(session.gravity) / _EARTH - 1.0) > 0.01:
+    if (
+        session.gravity is not None
+        and abs(np.linalg.norm(session.gravity) / _EARTH_GRAVITY - 1.0) > 0.01
+    ):
         notes.append(
-            f"Gravity is {np.linalg.norm(session.gravity):.3g} m/s^2; the earth's is {_EARTH}."
+            f"Gravity is {np.linalg.norm(session.gravity):.3g} m/s^2; the earth's is"
+            f" {_EARTH_GRAVITY}."
         )
-    if session.density is not None and session.density < _LIGHTEST:
+    if session.density is not None and session.density < _SMALLEST_DENSITY:
         notes.append(
             f"The density is {session.density:.3g} kg/m^3, lighter than foam: is it in g/cm^3?"
         )
@@ -107,7 +111,7 @@ def _thin_notes(mesh: TriangleMesh) -> list[str]:
     edge = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).mean(axis=1)
     thickness, area = wall_thickness(mesh), triangle_areas(mesh)
     thin = edge > _COARSE_EDGE * thickness
-    if area[thin].sum() < _THIN_SHARE * area.sum():
+    if area[thin].sum() < _MIN_THIN_FRACTION * area.sum():
         return []
     k = int(np.where(thin, thickness, np.inf).argmin())
     share = edge[thin] / (_COARSE_EDGE * thickness[thin])
@@ -125,14 +129,14 @@ def _thin_notes(mesh: TriangleMesh) -> list[str]:
 def _support_notes(session: Session) -> list[str]:
     """A note on a support that is an implausibly small or large part of the surface."""
     area, held = triangle_areas(session.mesh), session.held_triangles
-    share = float(area[held].sum() / area.sum())
-    text = f"The support is {100.0 * share:.3g} % of the surface"
-    if session.probings and share < _SMALLEST_SUPPORT:
+    fraction = float(area[held].sum() / area.sum())
+    text = f"The support is {100.0 * fraction:.3g} % of the surface"
+    if session.probings and fraction < _SMALLEST_SUPPORT:
         text += (
             f" ({len(held)} triangles): is it all that is held? Check the selectors in [support]."
         )
         return [text]
-    if share > _MOST_HELD:
+    if fraction > _LARGEST_SUPPORT:
         text += ": if the object stands on one side only, check the tolerance of the plane."
         return [text]
     return []
@@ -140,24 +144,25 @@ def _support_notes(session: Session) -> list[str]:
 
 def _slip_notes(session: Session) -> list[str]:
     """Notes on fixed supports whose points moved like the rest."""
-    still = [
-        one.triangles
-        for one in session.supports
-        if one.motion == FIXED and one.stiffness is None and one.directions is None
+    fixed = [
+        support.triangles
+        for support in session.supports
+        if support.motion == FIXED and support.stiffness is None and support.directions is None
     ]
-    held = np.concatenate([np.zeros(0, dtype=np.int64), *still])
+    held = np.concatenate([np.zeros(0, dtype=np.int64), *fixed])
     notes = []
     for probing in session.probings:
         if probing.displacement is None:
             continue
         moved = np.linalg.norm(probing.displacement.displacement, axis=1)
         motion = float(np.nanmedian(moved))
-        slips = moved[held_points(session.mesh, held, probing.displacement)]
-        slips = slips[~np.isnan(slips)]
-        if len(slips) >= _FEW_HELD and np.median(slips) > _SLIPS * motion:
+        on_support = moved[held_points(session.mesh, held, probing.displacement)]
+        on_support = on_support[~np.isnan(on_support)]
+        if len(on_support) >= _MIN_HELD_POINTS and np.median(on_support) > _SLIP_FRACTION * motion:
             notes.append(
-                f"Probing {probing.name}: {len(slips)} points on the support moved by"
-                f" {np.median(slips):.3g} m (median), all points by {motion:.3g} m: it slipped, or"
+                f"Probing {probing.name}: {len(on_support)} points on the support moved by"
+                f" {np.median(on_support):.3g} m (median), all points by {motion:.3g} m: it"
+                " slipped, or"
                 ' the points are in another frame; see motion = "given" or "free" of [support].'
             )
     return notes
@@ -170,12 +175,12 @@ def _settlement_notes(session: Session) -> list[str]:
     for number, support in enumerate(session.supports, start=1):
         for probing in session.probings:
             force = float(np.linalg.norm(probing.force))
-            sunk = force * support.compliance / float(areas[support.triangles].sum())
+            settlement = force * support.compliance / float(areas[support.triangles].sum())
             largest = largest_displacement(probing)
-            if len(session.supports) == 1 and sunk > _SINKS * largest > 0.0:
+            if len(session.supports) == 1 and settlement > _MAX_SETTLEMENT * largest > 0.0:
                 notes.append(
                     f"Probing {probing.name}: under its {force:.3g} N the object would sink"
-                    f" {sunk:.3g} m into support {number}, whose stiffness is"
+                    f" {settlement:.3g} m into support {number}, whose stiffness is"
                     f" {support.stiffness:.3g} N/m^3; nothing moved farther than {largest:.3g} m:"
                     " is it in N/m^3?"
                 )

@@ -5,19 +5,19 @@ import numpy as np
 from palpate.geometry import TriangleMesh, triangle_distances, unit_normals
 from palpate.records.checks.loads import UNIT_HINT, largest_displacement, modulus_range, pascals
 from palpate.records.estimate import BIASED
-from palpate.records.large_turn import LARGE_TURN, whole_turn
+from palpate.records.large_rotation import LARGE_ROTATION, rigid_rotation_angle
 from palpate.records.probing import Probing, observed_rows
 from palpate.shapes import Vector3
 
 # Range of moduli outside which the unit of the force is doubted [Pa]: brain tissue has 1 kPa, wood
 # along its grain 10 GPa.
-_DOUBTED_MODULUS = (1e2, 1e10)
+_USUAL_MODULUS = (1e2, 1e10)
 # Largest distance of the contact point from the surface, in contact radii.
-_OFF_SURFACE = 0.5
+_MAX_OFF_SURFACE = 0.5
 # Signs are doubted if, within so many contact radii, with at least so many points, this fraction of
 # them moves against the force, by so many standard deviations of their mean.
-_ABOUT, _FEW, _MOST = 3.0, 4, 0.9
-_SIGMAS = 3.0
+_NEAR_RADII, _MIN_POINTS, _COUNTER_FRACTION = 3.0, 4, 0.9
+_COUNTER_SIGMAS = 3.0
 
 
 def probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str]:
@@ -50,13 +50,13 @@ def probing_notes(mesh: TriangleMesh, probing: Probing, size: float) -> list[str
             f" outside small deformation; {BIASED}: press less, or fit with --strain finite."
         )
     if probing.displacement is not None:
-        seen = observed_rows(probing.displacement)
-        turn = whole_turn(
-            probing.displacement.points[seen], probing.displacement.displacement[seen]
+        measured = observed_rows(probing.displacement)
+        angle = rigid_rotation_angle(
+            probing.displacement.points[measured], probing.displacement.displacement[measured]
         )
-        if turn > LARGE_TURN:
+        if angle > LARGE_ROTATION:
             notes.append(
-                f"the measured points turned by {np.degrees(turn):.0f} degrees as a whole, outside"
+                f"the measured points turned by {np.degrees(angle):.0f} degrees as a whole, outside"
                 " small deformation: if the whole object turned, with its support, turn the"
                 " measured displacements back first."
             )
@@ -69,7 +69,7 @@ def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[s
     if not force:
         return notes
     modulus = float(np.sqrt(np.prod(modulus_range(mesh, force, largest)))) if largest else 0.0
-    if largest and not _DOUBTED_MODULUS[0] <= modulus <= _DOUBTED_MODULUS[1]:
+    if largest and not _USUAL_MODULUS[0] <= modulus <= _USUAL_MODULUS[1]:
         notes.append(
             f"the force of {force:.3g} N and the largest displacement of {largest:.3g} m mean a"
             f" Young's modulus of about {pascals(modulus)},"
@@ -82,7 +82,7 @@ def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[s
     direction = probing.force / force
     distance = triangle_distances(mesh, probing.contact.point)
     triangle, gap = int(distance.argmin()), float(distance.min())
-    if probing.contact.radius is not None and gap > _OFF_SURFACE * probing.contact.radius:
+    if probing.contact.radius is not None and gap > _MAX_OFF_SURFACE * probing.contact.radius:
         notes.append(
             f"the contact point is {gap:.3g} m off the surface, its radius is"
             f" {probing.contact.radius:.3g} m: the patch is smaller than that, or elsewhere; check"
@@ -108,18 +108,18 @@ def _counter_notes(probing: Probing, direction: Vector3) -> list[str]:
     if field is None or radius is None:
         return []
     near = observed_rows(field)
-    near &= np.linalg.norm(field.points - probing.contact.point, axis=1) < _ABOUT * radius
+    near &= np.linalg.norm(field.points - probing.contact.point, axis=1) < _NEAR_RADII * radius
     along = field.displacement[near] @ direction
     counter = int((along < 0.0).sum())
-    if len(along) < _FEW or counter < _MOST * len(along):
+    if len(along) < _MIN_POINTS or counter < _COUNTER_FRACTION * len(along):
         return []
     if field.std is not None:
         std = float(np.sqrt((field.std[near] ** 2).max(axis=1).mean() / len(along)))
-        if abs(float(along.mean())) < _SIGMAS * std:
+        if abs(float(along.mean())) < _COUNTER_SIGMAS * std:
             return []
     text = (
-        f"{counter} of {len(along)} points within {_ABOUT:g} contact radii moved against the force,"
-        " as no held body does: check the signs of force and displacement, the order of their"
-        " components, and that they belong to one probing."
+        f"{counter} of {len(along)} points within {_NEAR_RADII:g} contact radii moved against the"
+        " force, as no held body does: check the signs of force and displacement, the order of"
+        " their components, and that they belong to one probing."
     )
     return [text]

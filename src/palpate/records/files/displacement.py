@@ -11,15 +11,15 @@ from palpate.records.measured_points import surface_limit
 from palpate.records.probing import DisplacementField, measured_rows
 from palpate.records.text import TextTable, nearest_word, read_text_table, write_text
 
-_PLACE = ("x", "y", "z")
-_MOVE = ("ux", "uy", "uz")
-_STD = ("sx", "sy", "sz")
-_COLUMNS = (*_PLACE, *_MOVE, *_STD, "sigma", "vertex")
-_HEADER = ",".join(_PLACE + _MOVE)
+_POSITION_COLUMNS = ("x", "y", "z")
+_DISPLACEMENT_COLUMNS = ("ux", "uy", "uz")
+_STD_COLUMNS = ("sx", "sy", "sz")
+_COLUMNS = (*_POSITION_COLUMNS, *_DISPLACEMENT_COLUMNS, *_STD_COLUMNS, "sigma", "vertex")
+_HEADER = ",".join(_POSITION_COLUMNS + _DISPLACEMENT_COLUMNS)
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 # Range of standard deviations over the size of the body: no instrument is more accurate, and
 # larger ones carry no information.
-_FINEST, _COARSEST = 1e-12, 1.0
+_SMALLEST_STD, _LARGEST_STD = 1e-12, 1.0
 
 
 def read_displacement(
@@ -49,25 +49,25 @@ def read_displacement(
     table = read_text_table(path, cure=f"give a header {_HEADER} and a row per observed point")
     notes = _check_header(table)
     known = [column for column in table.columns if column.heading.lower() in _COLUMNS]
-    table, values, copies = _without_copies(table, table.values(known))
+    table, values, copies = _without_repeated_rows(table, table.values(known))
     notes += copies
     column = {known[i].heading.lower(): values[:, i] for i in range(len(known))}
-    points = metres_per_unit * np.stack([column[name] for name in _PLACE], axis=1)
+    points = metres_per_unit * np.stack([column[name] for name in _POSITION_COLUMNS], axis=1)
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise RecordError(
             f"{path}: line {table.numbers[row]}: x, y or z is not a finite number;"
             " only displacements may be NaN (not measured)"
         )
-    moved = metres_per_unit * np.stack([column[name] for name in _MOVE], axis=1)
+    moved = metres_per_unit * np.stack([column[name] for name in _DISPLACEMENT_COLUMNS], axis=1)
     std = _std(column, metres_per_unit)
     if std is not None:
         _check_std(table, std, moved, mesh)
     if np.isinf(moved).any():
         row, k = map(int, np.argwhere(np.isinf(moved))[0])
         raise RecordError(
-            f"{path}: line {table.numbers[row]}: {_MOVE[k]} is infinite; must be a number, or NaN"
-            " where it was not measured"
+            f"{path}: line {table.numbers[row]}: {_DISPLACEMENT_COLUMNS[k]} is infinite; must be a"
+            " number, or NaN where it was not measured"
         )
     if np.isnan(moved).any(axis=1).all():
         raise RecordError(
@@ -106,10 +106,10 @@ def write_displacement(
     ------
     RecordError                     the file cannot be written
     """
-    names = [*_PLACE, *_MOVE]
+    names = [*_POSITION_COLUMNS, *_DISPLACEMENT_COLUMNS]
     parts = [field.points / metres_per_unit, field.displacement / metres_per_unit]
     if field.std is not None:
-        names += _STD
+        names += _STD_COLUMNS
         parts.append(field.std / metres_per_unit)
     rows = [[repr(float(value)) for value in row] for row in np.concatenate(parts, axis=1)]
     if field.vertex is not None:
@@ -119,7 +119,7 @@ def write_displacement(
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _without_copies(
+def _without_repeated_rows(
     table: TextTable, values: np.ndarray
 ) -> tuple[TextTable, np.ndarray, tuple[str, ...]]:
     """A table and its numbers without repeated rows, which are no independent measurements and
@@ -144,20 +144,20 @@ def _check_header(table: TextTable) -> tuple[str, ...]:
             f"{path}: its columns are separated by {_SEPARATORS.get(table.delimiter, 'blanks')};"
             f" separate them by commas, with points in the numbers, under the line {_HEADER}"
         )
-    missing = [name for name in (*_PLACE, *_MOVE) if name not in header]
+    missing = [name for name in (*_POSITION_COLUMNS, *_DISPLACEMENT_COLUMNS) if name not in header]
     if missing:
         raise RecordError(
             f"{path}: the column '{missing[0]}' is missing; the first line must hold {_HEADER}"
         )
-    twins = sorted({name for name in header if header.count(name) > 1})
-    if twins:
-        raise RecordError(f"{path}: the column '{twins[0]}' is there twice; remove one")
-    given = [name for name in _STD if name in header]
-    if given and len(given) < 3:
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated:
+        raise RecordError(f"{path}: the column '{repeated[0]}' is there twice; remove one")
+    std_names = [name for name in _STD_COLUMNS if name in header]
+    if std_names and len(std_names) < 3:
         raise RecordError(
-            f"{path}: has {', '.join(given)} only; give sx, sy and sz, or sigma for all three"
+            f"{path}: has {', '.join(std_names)} only; give sx, sy and sz, or sigma for all three"
         )
-    if given and "sigma" in header:
+    if std_names and "sigma" in header:
         raise RecordError(f"{path}: has both sx,sy,sz and sigma; give one of the two")
     unknown = [name for name in header if name not in _COLUMNS]
     optional = [name for name in ("sigma", "vertex") if name not in header]
@@ -197,23 +197,23 @@ def _std(column: dict[str, np.ndarray], metres_per_unit: float) -> np.ndarray | 
     if "sigma" in column:
         return metres_per_unit * np.repeat(column["sigma"][:, None], 3, axis=1)
     if "sx" in column:
-        return metres_per_unit * np.stack([column[name] for name in _STD], axis=1)
+        return metres_per_unit * np.stack([column[name] for name in _STD_COLUMNS], axis=1)
     return None
 
 
 def _check_std(table: TextTable, std: np.ndarray, moved: np.ndarray, mesh: TriangleMesh) -> None:
     """Refuse impossible standard deviations of measured points."""
     size = bounding_diagonal(mesh)
-    bad = ~((std >= _FINEST * size) & (std <= _COARSEST * size)).all(axis=1)
+    bad = ~((std >= _SMALLEST_STD * size) & (std <= _LARGEST_STD * size)).all(axis=1)
     bad &= measured_rows(moved)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
         raise RecordError(
             f"{table.path}: line {table.numbers[row]}: the standard deviation is"
             f" {', '.join(f'{x:.3g}' for x in np.unique(std[row]))} m, of {int(bad.sum())} measured"
-            f" points like this; must be from {_FINEST * size:.1g} to {_COARSEST * size:.2g} m, the"
-            " size of the body: give one standard deviation of each point, in the unit of the"
-            " displacements, or leave the column out"
+            f" points like this; must be from {_SMALLEST_STD * size:.1g} to"
+            f" {_LARGEST_STD * size:.2g} m, the size of the body: give one standard deviation of"
+            " each point, in the unit of the displacements, or leave the column out"
         )
 
 

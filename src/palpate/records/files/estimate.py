@@ -26,9 +26,9 @@ ESTIMATE_FORMAT = "palpate-estimate/1"
 _QUANTILES = (1.9, 200.0)
 # As E = 2 G (1 + nu), no relative standard deviation exceeds the sum of the other two; the margin
 # is for the scatter between probings, which is estimated for each constant separately.
-_MOST_OF_SUM = 3.0
+_MAX_OF_SUM = 3.0
 # Relative rounding error in double precision, with a margin: an interval may be as narrow.
-_EXACT = 1e-12
+_RELATIVE_ROUNDING = 1e-12
 
 
 def write_estimate(path: Path | str, estimate: Estimate) -> None:
@@ -70,7 +70,7 @@ def read_estimate(path: Path | str) -> Estimate:
     if found != ESTIMATE_FORMAT:
         root.fail("format", f"is {quoted(found)}; this version reads '{ESTIMATE_FORMAT}'")
     flags = root.table("identifiable")
-    with root.blamed():
+    with root.error_context():
         estimate = Estimate(
             status=Status(root.choice("status", tuple(Status))),
             identifiable={name: flags.boolean(name) for name in CONSTANT_NAMES},
@@ -83,39 +83,45 @@ def read_estimate(path: Path | str) -> Estimate:
             budget=_read_budget(root),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
-        _check_spreads("", estimate, estimate.identifiable)
+        _check_deviations("", estimate, estimate.identifiable)
         for probe in estimate.probes:
-            _check_spreads(f"probing {probe.name!r}: ", probe, probe.identifiable)
+            _check_deviations(f"probing {probe.name!r}: ", probe, probe.identifiable)
     return estimate
 
 
-def _check_spreads(
+def _check_deviations(
     where: str, found: Estimate | ProbeEstimate, identifiable: Mapping[str, bool]
 ) -> None:
     """Refuse standard deviations that contradict their intervals, or each other."""
-    told = {name: getattr(found, name) for name, known in identifiable.items() if known}
-    for name, one in told.items():
-        low, high = one.ci95
+    determined = {name: getattr(found, name) for name, known in identifiable.items() if known}
+    for name, constant in determined.items():
+        low, high = constant.ci95
         half = 0.5 * (high - low)
-        if not math.isfinite(half + one.std):
+        if not math.isfinite(half + constant.std):
             raise InputError(f"{where}{name} is identifiable by `identifiable`, but has no std")
-        least, most = (quantile * one.std for quantile in _QUANTILES)
+        lowest, highest = (quantile * constant.std for quantile in _QUANTILES)
         # If Poisson's ratio is unknown, the interval of the other constant covers its whole range.
-        wide = half > most + _EXACT * abs(one.value) and "poisson_ratio" in told
-        if wide or half < least - _EXACT * abs(one.value):
+        wide = (
+            half > highest + _RELATIVE_ROUNDING * abs(constant.value)
+            and "poisson_ratio" in determined
+        )
+        if wide or half < lowest - _RELATIVE_ROUNDING * abs(constant.value):
             raise InputError(
-                f"{where}{name} has std {one.std:g}, but ci95 {low:g} to {high:g}; of a 95 %"
+                f"{where}{name} has std {constant.std:g}, but ci95 {low:g} to {high:g}; of a 95 %"
                 f" interval the half is {_QUANTILES[0]:g} std or more, {_QUANTILES[1]:g} at most"
             )
-    if len(told) < len(CONSTANT_NAMES):
+    if len(determined) < len(CONSTANT_NAMES):
         return
-    share = {n: one.std / (one.value + (n == "poisson_ratio")) for n, one in told.items()}
-    for name, own in share.items():
-        others = sum(share.values()) - own
-        if own > _MOST_OF_SUM * others:
+    relative = {
+        n: constant.std / (constant.value + (n == "poisson_ratio"))
+        for n, constant in determined.items()
+    }
+    for name, relative_std in relative.items():
+        others = sum(relative.values()) - relative_std
+        if relative_std > _MAX_OF_SUM * others:
             raise InputError(
-                f"{where}{name} has std {told[name].std:g}, {100 * own:.3g} %, but the others leave"
-                f" it {100 * others:.3g} %, as E is 2 G (1 + nu)"
+                f"{where}{name} has std {determined[name].std:g}, {100 * relative_std:.3g} %, but"
+                f" the others leave it {100 * others:.3g} %, as E is 2 G (1 + nu)"
             )
 
 
@@ -158,7 +164,7 @@ def _read_constant(table: TomlTable) -> Constant:
         table.file, f"{table.name} ci95", dict(zip(("low", "high"), ends, strict=True))
     )
     low, high = _known(pair, "low", -math.inf), _known(pair, "high", math.inf)
-    with table.blamed():
+    with table.error_context():
         return Constant(_known(table, "value"), _known(table, "std"), (low, high))
 
 
@@ -173,18 +179,18 @@ def _read_support(table: TomlTable) -> SupportEstimate:
 def _read_errors(table: TomlTable) -> tuple[ErrorEstimate, ...]:
     return tuple(
         ErrorEstimate(
-            name=one.text("name"),
-            unit=str(one.get("unit")),
-            **{key: _number(one, key) for key in ("value", "std", "prior_std")},
+            name=entry.text("name"),
+            unit=str(entry.get("unit")),
+            **{key: _number(entry, key) for key in ("value", "std", "prior_std")},
         )
-        for one in table.optional("errors", table.tables) or ()
+        for entry in table.optional("errors", table.tables) or ()
     )
 
 
 def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:
     return tuple(
-        BudgetEntry(one.text("source"), *(_known(one, name) for name in CONSTANT_NAMES))
-        for one in table.optional("budget", table.tables) or ()
+        BudgetEntry(entry.text("source"), *(_known(entry, name) for name in CONSTANT_NAMES))
+        for entry in table.optional("budget", table.tables) or ()
     )
 
 
@@ -201,7 +207,7 @@ def _read_probe(table: TomlTable) -> ProbeEstimate:
     constants = {
         name: _read_constant(table.table(name, f"{table.name} [{name}]")) for name in CONSTANT_NAMES
     }
-    with table.blamed():
+    with table.error_context():
         return ProbeEstimate(
             name=table.text("name"),
             observed=table.count("observed"),

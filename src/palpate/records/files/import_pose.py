@@ -75,12 +75,12 @@ def _matrix(table: TomlTable, key: str, size: int) -> np.ndarray:
 def _rotation(table: TomlTable, given: np.ndarray) -> tuple[np.ndarray, float]:
     """The rotation nearest to an almost orthogonal matrix, and the error of that matrix."""
     error = float(np.abs(given @ given.T - np.eye(3)).max())
-    turn = float(np.linalg.det(given))
+    determinant = float(np.linalg.det(given))
     if error > _MAX_TYPED_ERROR:
         table.fail(
             "R", f"is no rotation: R R^T is {error:.2g} off the identity; check its rows and digits"
         )
-    if turn < 0.0:
+    if determinant < 0.0:
         table.fail(
             "R",
             "is a mirror image (determinant -1); both frames are right-handed: swap two axes, or"

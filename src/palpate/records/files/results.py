@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from palpate.disk import placed
+from palpate.disk import atomic_replacement
 from palpate.errors import InputError, RecordError
 from palpate.records.files.sums import (
     NOT_LISTED,
@@ -29,9 +29,9 @@ RESULT_FORMAT = "palpate-result/1"
 _EARLIER_MARK = "palpate result folder; files:"
 SEAL_NAME = "sha256"
 # Finished parts are kept after an interruption if the work took at least this long [s].
-_WORTH_KEEPING = 60.0
+_MIN_SECONDS_TO_KEEP = 60.0
 # Errors of a full, read-only or failing file system.
-_DISK = (
+_DISK_ERRORS = (
     errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG,
     errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
@@ -78,11 +78,11 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
     """
     target = Path(os.path.abspath(target))
     _check_place(target)
-    strange = partial(_strange_folder, kind=kind)
-    _refuse(target, strange(target), force=force)
+    objection = partial(_folder_objection, kind=kind)
+    _refuse(target, objection(target), force=force)
     with (
-        placed([target], folder=True, aside=strange) as (new,),
-        _worth_keeping(parts_folder(new)),
+        atomic_replacement([target], folder=True, keep_old=objection) as (new,),
+        _keep_long_work(parts_folder(new)),
         disk_errors(target),
     ):
         yield new
@@ -93,15 +93,15 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
 
 
 @contextmanager
-def _worth_keeping(parts: Path) -> Iterator[None]:
+def _keep_long_work(parts: Path) -> Iterator[None]:
     """Remove finished parts if the block fails, unless they took long to compute."""
     start = time.monotonic()
     try:
         yield
     except BaseException:
-        if parts.exists() and time.monotonic() - start > _WORTH_KEEPING:
-            said = f"finished parts are kept in {parts}: run again to go on"
-            print(f"palpate: note: {said}", file=sys.stderr)
+        if parts.exists() and time.monotonic() - start > _MIN_SECONDS_TO_KEEP:
+            text = f"finished parts are kept in {parts}: run again to go on"
+            print(f"palpate: note: {text}", file=sys.stderr)
         else:
             shutil.rmtree(parts, ignore_errors=True)
         raise
@@ -121,7 +121,7 @@ def parts_folder(folder: Path) -> Path:
     return folder.with_suffix(".parts")
 
 
-def parts_beside(target: Path) -> Path:
+def target_parts_folder(target: Path) -> Path:
     """`parts_folder` of the result folder that was to be put in place as `target`.
 
     Parameters
@@ -171,9 +171,9 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     if target.exists() and not target.is_file():
         kind = "a folder" if target.is_dir() else "no regular file"
         raise InputError(f"{target}: is {kind}; name a file with --out")
-    _refuse(target, _strange_file(target), force=force)
+    _refuse(target, _file_objection(target), force=force)
     with (
-        placed([target], aside=lambda old: bool(_strange_file(old))) as (new,),
+        atomic_replacement([target], keep_old=lambda old: bool(_file_objection(old))) as (new,),
         disk_errors(target),
     ):
         yield new
@@ -216,8 +216,10 @@ def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) 
     ------
     RecordError                     an input cannot be read
     """
-    whole = {**content, "inputs": _sums(inputs, folder)}
-    return json_text({**whole, SEAL_NAME: hashlib.sha256(json_text(whole).encode()).hexdigest()})
+    with_inputs = {**content, "inputs": _sums(inputs, folder)}
+    return json_text(
+        {**with_inputs, SEAL_NAME: hashlib.sha256(json_text(with_inputs).encode()).hexdigest()}
+    )
 
 
 def is_sealed(text: str) -> bool:
@@ -234,10 +236,10 @@ def is_sealed(text: str) -> bool:
     try:
         content = json.loads(text)
         value = content.pop(SEAL_NAME)
-        own = json_text(content)
+        unsealed = json_text(content)
     except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
         return False
-    same = hashlib.sha256(own.encode()).hexdigest() == value
+    same = hashlib.sha256(unsealed.encode()).hexdigest() == value
     return same and text == json_text({**content, SEAL_NAME: value})
 
 
@@ -263,9 +265,9 @@ def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
         return "", {}, {}
     try:
         sums = sums_in(folder / CONTENTS_FILE)
-        there = {path.relative_to(folder).as_posix() for path in _everything(folder)}
-        strangers = sorted(there - {*sums, CONTENTS_FILE})
-        return kind, changes(folder, sums) | dict.fromkeys(strangers, NOT_LISTED), sums
+        present = {path.relative_to(folder).as_posix() for path in _all_files(folder)}
+        unlisted = sorted(present - {*sums, CONTENTS_FILE})
+        return kind, changes(folder, sums) | dict.fromkeys(unlisted, NOT_LISTED), sums
     except OSError as error:
         raise RecordError(f"{error.filename}: cannot be read ({error.strerror})") from error
 
@@ -287,7 +289,7 @@ def disk_errors(target: Path) -> Iterator[None]:
     except OSError as error:
         # An error may concern a file that was read; written files have the target's name in theirs.
         elsewhere = os.path.isabs(str(error.filename)) and target.name not in str(error.filename)
-        if error.errno not in _DISK or elsewhere:
+        if error.errno not in _DISK_ERRORS or elsewhere:
             raise
         raise RecordError(
             f"{target}: cannot be written ({error.strerror}); nothing was changed: make room, or"
@@ -319,15 +321,15 @@ def _check_place(target: Path) -> None:
         )
 
 
-def _refuse(target: Path, strange: str, *, force: bool) -> None:
-    if strange and not force:
+def _refuse(target: Path, objection: str, *, force: bool) -> None:
+    if objection and not force:
         raise InputError(
-            f"{target}: {strange}; nothing was touched: choose another place with --out, or give"
+            f"{target}: {objection}; nothing was touched: choose another place with --out, or give"
             f" --force to keep that as {target.name}.old"
         )
 
 
-def _strange_folder(target: Path, kind: str) -> str:
+def _folder_objection(target: Path, kind: str) -> str:
     """Why a folder may not be replaced; empty if it is an unchanged result of that kind, or empty,
     or missing."""
     if not target.is_dir():
@@ -342,14 +344,14 @@ def _strange_folder(target: Path, kind: str) -> str:
     if not found:
         if _EARLIER_MARK in _first_line(target):
             return "is a result of an earlier version, which cannot tell whether it was changed"
-        return f"holds files that are no result of Palpate's, e.g. {_few(names)}"
+        return f"holds files that are no result of Palpate's, e.g. {_first_names(names)}"
     if changed:
-        whole = [f"{name} ({how})" for name, how in changed.items()]
-        return f"is a result that was changed since: {_few(whole)}"
+        descriptions = [f"{name} ({how})" for name, how in changed.items()]
+        return f"is a result that was changed since: {_first_names(descriptions)}"
     return "" if found == kind else f"is a result of `palpate {found}`"
 
 
-def _strange_file(target: Path) -> str:
+def _file_objection(target: Path) -> str:
     """Why a file may not be replaced; empty if it is an unchanged result, or missing."""
     if not os.path.lexists(target):
         return ""
@@ -376,18 +378,18 @@ def _first_line(folder: Path) -> str:
     return ""
 
 
-def _everything(folder: Path) -> Iterator[Path]:
+def _all_files(folder: Path) -> Iterator[Path]:
     """All files and links below a folder; links are not followed."""
-    for top, folders, files in os.walk(folder, onerror=_raised):
+    for top, folders, files in os.walk(folder, onerror=_raise):
         links = [name for name in folders if os.path.islink(os.path.join(top, name))]
         yield from (Path(top, name) for name in (*files, *links))
 
 
-def _raised(error: OSError) -> None:
+def _raise(error: OSError) -> None:
     raise error
 
 
-def _few(names: list[str]) -> str:
+def _first_names(names: list[str]) -> str:
     """The first names of a list, shortened, and the number of the others."""
     shown = ", ".join(name if len(name) <= 40 else f"{name[:37]}..." for name in names[:3])
     return shown + (f" and {len(names) - 3} more" if len(names) > 3 else "")

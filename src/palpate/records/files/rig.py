@@ -90,7 +90,7 @@ def _read_toml_rig(root: TomlTable, length_unit: str | None) -> Rig:
     if "length_unit" in root.values or length_unit is None:
         length_unit = root.choice("length_unit", tuple(FILE_LENGTH_UNITS))
     file = CalibrationFile(root.file, None, length_unit)
-    metres = file.metres(usual=None)
+    metres = file.metres(default=None)
     cameras = [_camera(file, table, metres) for table in root.tables("camera")]
     names = [camera.name for camera in cameras]
     reference = 0
@@ -123,8 +123,8 @@ def _size(table: TomlTable, where: str) -> tuple[int, int] | None:
     if "size" not in table.values:
         return None
     value = table.values["size"]
-    whole = isinstance(value, list) and all(type(item) is int and item > 0 for item in value)
-    if not (whole and len(value) == 2):
+    valid = isinstance(value, list) and all(type(item) is int and item > 0 for item in value)
+    if not (valid and len(value) == 2):
         raise CalibrationError(
             f"{table.file}: {where} size is {quoted(value)}; must be two whole numbers,"
             " columns and rows, e.g. [640, 480]"

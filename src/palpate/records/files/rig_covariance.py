@@ -13,7 +13,7 @@ from palpate.records.rig import RigCovariance
 COVARIANCE_FORMAT = "palpate-rig-covariance/1"
 _FILE = "rig_covariance.npz"
 # Largest size [bytes]: the covariance of three thousand parameters; four cameras have eighty.
-_MOST_BYTES = 2**26
+_MAX_BYTES = 2**26
 _CURE = "calibrate again, or remove it: then lengths are known as [errors] says"
 
 
@@ -71,9 +71,9 @@ def read_rig_covariance(path: Path) -> RigCovariance:
     CalibrationError                as in `RigCovariance`
     """
     what = "cannot be read as the covariance of a rig"
-    with stored_arrays(path, _CURE, what=what, most=_MOST_BYTES) as stored:
-        form = str(stored["format"])
-        if form != COVARIANCE_FORMAT:
-            raise ValueError(f"its format is {form!r}, not '{COVARIANCE_FORMAT}'")
+    with stored_arrays(path, _CURE, what=what, max_bytes=_MAX_BYTES) as stored:
+        file_format = str(stored["format"])
+        if file_format != COVARIANCE_FORMAT:
+            raise ValueError(f"its format is {file_format!r}, not '{COVARIANCE_FORMAT}'")
         names = tuple(map(str, stored["names"].tolist()))
         return RigCovariance(names, stored["value"], stored["covariance"], str(path))

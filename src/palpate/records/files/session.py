@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.disk import settle
+from palpate.disk import roll_back_interrupted
 from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
@@ -19,7 +19,6 @@ from palpate.records.checks import (
     check_observed_points,
     plausibility_notes,
 )
-from palpate.records.contact import Support
 from palpate.records.error_priors import read_error_priors
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.loads import (
@@ -34,6 +33,7 @@ from palpate.records.files.support import read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS, LENGTH_UNITS
 from palpate.records.session import Session, Step
+from palpate.records.support import Support
 from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
 from palpate.shapes import Vector3
 
@@ -53,7 +53,7 @@ _PROBE_KEYS[_PROBE_KEYS.index("loads")] = "load"
 _PROBE_KEYS.append("tip_displacement_offset_std")
 
 
-def _any_size(n_vertices: int, n_probings: int) -> None:
+def _allow_any_size(n_vertices: int, n_probings: int) -> None:
     """Accepts sessions of any size."""
 
 
@@ -62,7 +62,7 @@ def read_session(
     *,
     probes: Sequence[str] | None = None,
     observations: bool = True,
-    allow: Callable[[int, int], object] = _any_size,
+    allow: Callable[[int, int], object] = _allow_any_size,
 ) -> Session:
     """Read and validate a session; all quantities are converted to SI units.
 
@@ -96,20 +96,20 @@ def read_session(
     body = root.table("object")
     body.check_keys(("mesh", "length_unit", "density"))
     metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
-    chosen = _chosen(root, probes)
-    mesh, notes = _mesh(body, metres, lambda count: chosen and allow(count, len(chosen)))
+    requested = _requested_probes(root, probes)
+    mesh, notes = _mesh(body, metres, lambda count: requested and allow(count, len(requested)))
     supports: tuple[Support, ...] = ()
     if "support" in root.values or root.values.get("probe"):
         supports = read_supports(root, mesh, metres_per_unit=metres)
     probings: list[Probing] = []
-    for table in chosen:
+    for table in requested:
         probing, probing_notes = _probing(table, mesh, supports, metres, observations=observations)
         probings.append(probing)
         notes += probing_notes
-    gravity = _only_key(root, "gravity", "acceleration")
-    rig = _only_key(root, "rig", "cameras")
+    gravity = _single_key_table(root, "gravity", "acceleration")
+    rig = _single_key_table(root, "rig", "cameras")
     cameras = rig.existing_file("cameras") if rig else None
-    with root.blamed():
+    with root.error_context():
         check_copies(tuple(probings))
         session = Session(
             name=root.optional("name", root.label) or root.file.parent.name,
@@ -149,7 +149,7 @@ def session_file(path: Path) -> Path:
     InUseError                      another process is changing it
     """
     folder = os.path.isdir(path)
-    settle(path / "session.toml" if folder else path)
+    roll_back_interrupted(path / "session.toml" if folder else path)
     if folder:
         file = path / "session.toml"
         if not os.access(path, os.R_OK | os.X_OK):
@@ -181,7 +181,7 @@ def _mesh(
     path = body.existing_file("mesh")
     try:
         mesh = read_mesh(path, metres_per_unit=metres)
-        with replace(body, file=path, name="").blamed():
+        with replace(body, file=path, name="").error_context():
             allow(len(mesh.vertices))
         mesh, notes = checked_mesh(mesh)
     except MeshError as error:
@@ -190,7 +190,7 @@ def _mesh(
     return mesh, tuple(f"{path.name}: {note}" for note in notes)
 
 
-def _only_key(root: TomlTable, name: str, key: str) -> TomlTable | None:
+def _single_key_table(root: TomlTable, name: str, key: str) -> TomlTable | None:
     """An optional table with a single key."""
     table = root.optional(name, root.table)
     if table is not None:
@@ -198,16 +198,16 @@ def _only_key(root: TomlTable, name: str, key: str) -> TomlTable | None:
     return table
 
 
-def _chosen(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
+def _requested_probes(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
     """The requested probe tables."""
     tables = _named_tables(root, "probe", _PROBE_KEYS)
     names = [table.text("name") for table in tables]
     for name in probes or ():
         if name not in names:
-            there = ", ".join(names) or "none, it is a rigid-motion sequence"
+            known = ", ".join(names) or "none, it is a rigid-motion sequence"
             near = nearest_word(name, names)
             raise RecordError(
-                f"{root.file}: there is no probing '{name}'{near} (there are: {there})"
+                f"{root.file}: there is no probing '{name}'{near} (there are: {known})"
             )
     return [t for t, name in zip(tables, names, strict=True) if probes is None or name in probes]
 
@@ -255,7 +255,7 @@ def _probing(
         )
     support_field, support_notes = read_support_field(table, mesh, metres_per_unit=metres)
     tip, tip_std = _tip(table, metres)
-    with table.blamed():
+    with table.error_context():
         loads = read_loads(table, mesh, metres_per_unit=metres)
         contact, force = read_push(table, mesh, supports, loads, metres_per_unit=metres)
         probing = Probing(

@@ -73,7 +73,7 @@ def import_plan(
             f"--frame gives {len(states)} numbers for {len(names)} probings; give one for all, or"
             " one for each"
         )
-    _check_names(session, names, sources, asked=probes is not None)
+    _check_names(session, names, sources, requested=probes is not None)
     if len(states) == 1:
         states *= len(names)
     numbers = states or [None] * len(names)
@@ -84,24 +84,24 @@ def import_plan(
 
 
 def _check_names(
-    session: Session, names: Sequence[str], files: Sequence[Path], *, asked: bool
+    session: Session, names: Sequence[str], files: Sequence[Path], *, requested: bool
 ) -> None:
     """Refuse unknown and repeated names of probings."""
     known = [probing.name for probing in session.probings]
-    there = f"(there are: {', '.join(known)})"
+    known_text = f"(there are: {', '.join(known)})"
     for name, file in zip(names, files, strict=True):
         if name in known:
             continue
-        if not asked:
+        if not requested:
             raise RecordError(
-                f"{file}: no probing of {session.path} is named '{name}' {there}; say whose it is,"
-                f" e.g. --probe {known[0]}"
+                f"{file}: no probing of {session.path} is named '{name}' {known_text}; say whose it"
+                f" is, e.g. --probe {known[0]}"
             )
         near = nearest_word(name, known)
-        raise RecordError(f"{session.path}: there is no probing '{name}'{near} {there}")
+        raise RecordError(f"{session.path}: there is no probing '{name}'{near} {known_text}")
     if len(set(names)) < len(names):
-        twin = next(name for name in names if names.count(name) > 1)
-        raise RecordError(f"two results are given for the probing '{twin}'; give one")
+        repeated = next(name for name in names if names.count(name) > 1)
+        raise RecordError(f"two results are given for the probing '{repeated}'; give one")
 
 
 def displacement_line(file: str) -> str:
@@ -160,7 +160,7 @@ def with_displacements(text: str, files: Mapping[str, str]) -> str:
         if "displacement" in probe or not isinstance(probe, Table):
             probe["displacement"] = file
         else:
-            _add_behind_last_key(probe, "displacement", file)
+            _add_after_last_key(probe, "displacement", file)
     return tomlkit.dumps(document)
 
 
@@ -170,7 +170,7 @@ def _probes(document: Mapping[str, Any]) -> Sequence[Any]:
     return probes if isinstance(probes, list) else [probes]
 
 
-def _add_behind_last_key(table: Table, key: str, value: str) -> None:
+def _add_after_last_key(table: Table, key: str, value: str) -> None:
     """Add a key before the blank lines, comments and tables at the end of a table.
 
     `Table.append` alone would put it after the comment that introduces the next table.

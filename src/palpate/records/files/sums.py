@@ -55,8 +55,8 @@ def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
     RecordError, OSError            as in `file_sum`
     """
     single = chain.from_iterable(_files_in(path) for path in files)
-    below = {Path(os.path.relpath(file, start)).as_posix(): file for file in single}
-    return {name: file_sum(file) for name, file in sorted(below.items())}
+    by_name = {Path(os.path.relpath(file, start)).as_posix(): file for file in single}
+    return {name: file_sum(file) for name, file in sorted(by_name.items())}
 
 
 def sums_text(sums: Mapping[str, str]) -> str:
@@ -140,15 +140,15 @@ def session_files(path: Path | str) -> list[Path]:
     found, values = {file}, read_toml(file).values
     for text in _texts(values):
         pattern = "*".join(re.sub(r"([*?[])", r"[\1]", part) for part in text.split("{camera}"))
-        below = Path(pattern)
-        if "\0" in text or not below.name or len(text) > 1000:
+        relative = Path(pattern)
+        if "\0" in text or not relative.name or len(text) > 1000:
             continue
-        top = Path(below.anchor) if below.is_absolute() else file.parent
-        found |= set(top.glob(str(below.relative_to(below.anchor))))
+        start = Path(relative.anchor) if relative.is_absolute() else file.parent
+        found |= set(start.glob(str(relative.relative_to(relative.anchor))))
     rig = values.get("rig")
     if isinstance(rig, dict) and isinstance(rig.get("cameras"), str):
-        beside = covariance_file(file.parent / rig["cameras"])
-        found |= {beside} if beside else set()
+        covariance = covariance_file(file.parent / rig["cameras"])
+        found |= {covariance} if covariance else set()
     return sorted(
         each for each in set(chain.from_iterable(map(_files_in, found))) if each.is_file()
     )

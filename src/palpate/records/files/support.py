@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from palpate.errors import RecordError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import FIXED, MOTIONS, Support
 from palpate.records.quantities import STIFFNESS_UNITS
+from palpate.records.support import FIXED, MOTIONS, Support
 from palpate.records.text import TomlTable, read_text
 from palpate.shapes import Indices
 
@@ -45,7 +45,7 @@ def read_supports(
             stiffness = table.quantity("stiffness", STIFFNESS_UNITS, 1.0)
         selectors = {key: value for key, value in table.values.items() if key in _SELECTORS}
         held = read_support(replace(table, values=selectors), mesh, metres_per_unit=metres_per_unit)
-        with table.blamed():
+        with table.error_context():
             supports.append(Support(held, motion, directions, stiffness))
     if not supports:
         root.fail("support", "has no table; say what is held")

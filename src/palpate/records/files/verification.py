@@ -6,19 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from palpate.errors import RecordError
-from palpate.parts import is_whole_part
+from palpate.parts import is_intact_part
 from palpate.records.files.estimate import read_estimate
 from palpate.records.files.results import (
     INPUTS_FILE,
     SEAL_NAME,
     folder_changes,
     is_sealed,
-    parts_beside,
+    target_parts_folder,
 )
 from palpate.records.files.sums import CHANGED, changes, sums_in
 from palpate.records.text import read_text
 
-WHOLE = "as it was"
+UNCHANGED = "as it was"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Finding:
     file : str                      path relative to the result
     role : str                      "result", "input", or "part": a finished part that an
                                     interrupted run left
-    state : str                     `WHOLE`, or what is wrong
+    state : str                     `UNCHANGED`, or what is wrong
     """
 
     file: str
@@ -38,9 +38,9 @@ class Finding:
     state: str
 
     @property
-    def is_whole(self) -> bool:
+    def is_unchanged(self) -> bool:
         """Whether the file is unchanged and consistent."""
-        return self.state == WHOLE
+        return self.state == UNCHANGED
 
 
 def verify_result(path: Path) -> tuple[Finding, ...]:
@@ -69,13 +69,15 @@ def verify_result(path: Path) -> tuple[Finding, ...]:
 
 def _parts(path: Path) -> list[Finding]:
     """The finished parts stored next to a result."""
-    folder = parts_beside(Path(os.path.abspath(path)))
+    folder = target_parts_folder(Path(os.path.abspath(path)))
     try:
         names = sorted(os.listdir(folder)) if folder.is_dir() else []
     except OSError as error:
         raise RecordError(f"{folder}: cannot be read ({error.strerror})") from error
     return [
-        Finding(f"{folder.name}/{name}", "part", WHOLE if is_whole_part(folder / name) else CHANGED)
+        Finding(
+            f"{folder.name}/{name}", "part", UNCHANGED if is_intact_part(folder / name) else CHANGED
+        )
         for name in names
         # Temporary files of a part that was being written; the next run removes them.
         if not name.startswith(".")
@@ -89,14 +91,14 @@ def _folder_findings(folder: Path) -> tuple[Finding, ...]:
             f"{folder}: is no result that can be verified: it has no contents.txt with sums, as"
             " this version writes it; results of earlier versions have none"
         )
-    states = dict.fromkeys(sums, WHOLE) | changed
-    if states.get("estimate.json") == WHOLE:
+    states = dict.fromkeys(sums, UNCHANGED) | changed
+    if states.get("estimate.json") == UNCHANGED:
         try:
             read_estimate(folder / "estimate.json")
         except RecordError as error:
             states["estimate.json"] = str(error).removeprefix(f"{folder / 'estimate.json'}: ")
-    own = [Finding(name, "result", state) for name, state in states.items()]
-    return (*own, *_inputs(folder, sums_in(folder / INPUTS_FILE)))
+    findings = [Finding(name, "result", state) for name, state in states.items()]
+    return (*findings, *_inputs(folder, sums_in(folder / INPUTS_FILE)))
 
 
 def _file_findings(path: Path) -> tuple[Finding, ...]:
@@ -106,7 +108,7 @@ def _file_findings(path: Path) -> tuple[Finding, ...]:
     if not is_sealed(text):
         return (Finding(path.name, "result", CHANGED),)
     return (
-        Finding(path.name, "result", WHOLE),
+        Finding(path.name, "result", UNCHANGED),
         *_inputs(path.parent, json.loads(text)["inputs"]),
     )
 
@@ -116,4 +118,4 @@ def _inputs(folder: Path, sums: dict[str, str]) -> list[Finding]:
         changed = changes(folder, sums)
     except OSError as error:
         raise RecordError(f"{error.filename}: cannot be read ({error.strerror})") from error
-    return [Finding(name, "input", changed.get(name, WHOLE)) for name in sums]
+    return [Finding(name, "input", changed.get(name, UNCHANGED)) for name in sums]

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from scipy.io import netcdf_file
 
 from palpate.errors import RecordError
-from palpate.files import checked_file, damage, read_bytes
+from palpate.files import checked_file, read_bytes, read_errors
 from palpate.records.program import (
-    HDF5_MARK,
-    LEAST_CORRELATION,
+    HDF5_SIGNATURE,
+    MIN_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
@@ -25,14 +25,14 @@ from palpate.records.program import (
 from palpate.records.rig import Camera, Rig
 from palpate.records.text import open_hdf5, read_text_table
 
-_PLACE = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
-_MOVE = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
+_POSITION = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
+_DISPLACEMENT = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
 _MATCH, _SIGMA, _GAMMA = "MATCH", "SIGMA", "GAMMA"
-_USED = (*_PLACE, *_MOVE, _MATCH, _SIGMA, _GAMMA)
+_USED = (*_POSITION, *_DISPLACEMENT, _MATCH, _SIGMA, _GAMMA)
 _EXODUS_SUFFIXES = (".e", ".exo", ".ex2", ".exodus")
-_CLASSIC = (b"CDF\x01", b"CDF\x02")
+_NETCDF_CLASSIC = (b"CDF\x01", b"CDF\x02")
 # DICe's names of lens models whose radial terms are OpenCV's; VIC3D has the numbers of VIC-3D.
-_LENSES = (
+_LENS_MODELS = (
     "OPENCV_LENS_DISTORTION",
     "K1R3_K2R5_K3R7",
     "VIC3D_LENS_DISTORTION",
@@ -74,22 +74,22 @@ def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
     else:
         chosen_frame(path, frame)
         columns, notes = _text_columns(path), ()
-    failed = np.zeros(len(columns[_PLACE[0]]), dtype=bool)
+    failed = np.zeros(len(columns[_POSITION[0]]), dtype=bool)
     if _MATCH in columns:
         failed |= columns[_MATCH] != 0.0
     if _SIGMA in columns:
         failed |= columns[_SIGMA] < 0.0
     if not {_MATCH, _SIGMA} & set(columns):
         notes += ("It has no MATCH and no SIGMA, so failed points cannot be recognised.",)
-    place = np.stack([columns[name] for name in _PLACE], axis=1)
-    moved = np.stack([columns[name] for name in _MOVE], axis=1)
+    position = np.stack([columns[name] for name in _POSITION], axis=1)
+    moved = np.stack([columns[name] for name in _DISPLACEMENT], axis=1)
     score = 1.0 - 0.5 * columns[_GAMMA] if _GAMMA in columns else None
-    return ProgramPoints(place, moved, failed, score=score, notes=notes)
+    return ProgramPoints(position, moved, failed, score=score, notes=notes)
 
 
 def _check_names(path: Path, names: list[str]) -> None:
     """Refuse a result without the model coordinates and displacements of a stereo evaluation."""
-    if missing := [name for name in _PLACE + _MOVE if name not in names]:
+    if missing := [name for name in _POSITION + _DISPLACEMENT if name not in names]:
         shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
         raise RecordError(
             f"{path}: has no {missing[0]}; it is a 2-D result, or one whose [output_spec] leaves"
@@ -116,15 +116,17 @@ def _text_columns(path: Path) -> Columns:
 def _exodus_columns(path: Path, frame: int | None) -> tuple[Columns, tuple[str, ...]]:
     """Nodal variables of one state."""
     start = read_bytes(path, 8)
-    if start != HDF5_MARK and start[:4] not in _CLASSIC:
+    if start != HDF5_SIGNATURE and start[:4] not in _NETCDF_CLASSIC:
         raise RecordError(
             f"{path}: is not an Exodus file in NetCDF's classic, 64-bit offset or HDF5 form;"
             " write it again, or give DICe's text files"
         )
-    with damage(checked_file(path), "write it again, or give DICe's text files"):
-        names, values = _nodal(_hdf5_arrays(path) if start == HDF5_MARK else _classic_arrays(path))
+    with read_errors(checked_file(path), "write it again, or give DICe's text files"):
+        names, values = _nodal_variables(
+            _hdf5_arrays(path) if start == HDF5_SIGNATURE else _classic_arrays(path)
+        )
     _check_names(path, names)
-    count = len(values[_MOVE[0]])
+    count = len(values[_DISPLACEMENT[0]])
     if count == 0:
         raise RecordError(f"{path}: holds no state; was the evaluation broken off? Run it again")
     state, notes = chosen_frame(path, frame, count)
@@ -147,7 +149,7 @@ def _hdf5_arrays(path: Path) -> dict[str, np.ndarray]:
         }
 
 
-def _nodal(
+def _nodal_variables(
     arrays: Mapping[str, np.ndarray],
 ) -> tuple[list[str], dict[str, Float[np.ndarray, "t n"]]]:
     """Names of all nodal variables, and values of those needed; in one array each, or in one array
@@ -159,16 +161,18 @@ def _nodal(
     values = {}
     for number, name in enumerate(names, start=1):
         if name in _USED:
-            together = "vals_nod_var" in arrays
-            found = arrays["vals_nod_var" if together else f"vals_nod_var{number}"]
-            values[name] = np.array(found[:, number - 1] if together else found, dtype=np.float64)
+            in_one_array = "vals_nod_var" in arrays
+            array = arrays["vals_nod_var" if in_one_array else f"vals_nod_var{number}"]
+            values[name] = np.array(
+                array[:, number - 1] if in_one_array else array, dtype=np.float64
+            )
     return names, values
 
 
 def _holds_rig(file: CalibrationFile) -> bool:
     """True for a camera system file; DICe's other XML files are parameter lists too."""
     is_list = isinstance(file.content, Element) and file.content.tag == "ParameterList"
-    return is_list and bool(_lists(file.content, "CAMERA "))
+    return is_list and bool(_sublists(file.content, "CAMERA "))
 
 
 def read_dice_rig(file: CalibrationFile) -> Rig:
@@ -189,7 +193,7 @@ def read_dice_rig(file: CalibrationFile) -> Rig:
     CalibrationError                a missing value, an unsupported lens model or transformation, or
                                     as in `Camera` and `Rig`
     """
-    metres, root = file.metres(usual="mm"), file.content
+    metres, root = file.metres(default="mm"), file.content
     for name in (node.get("name", "") for node in root):
         if name.startswith("user_") and "transform" in name:
             file.fail(
@@ -198,7 +202,7 @@ def read_dice_rig(file: CalibrationFile) -> Rig:
             )
     chained = _values(root).get("extrinsics_relative_camera_to_camera", "false").lower() == "true"
     cameras: list[Camera] = []
-    for number, node in enumerate(_lists(root, "CAMERA ")):
+    for number, node in enumerate(_sublists(root, "CAMERA ")):
         pose = _pose(file, node, metres)
         if chained and cameras:
             pose = pose @ cameras[0].T_camera_object
@@ -212,39 +216,39 @@ def _camera(
     values = _values(node)
     name = values.get("CAMERA_ID", "").strip() or str(number)
     where = f"camera '{name}'"
-    model = values.get("LENS_DISTORTION_MODEL", _LENSES[-1]).upper()
-    if model not in _LENSES:
-        file.fail(f"{where} has the lens model {model}; known are {', '.join(_LENSES)}")
-    skew = file.number(values, "FS", where, missing=0.0)
+    model = values.get("LENS_DISTORTION_MODEL", _LENS_MODELS[-1]).upper()
+    if model not in _LENS_MODELS:
+        file.fail(f"{where} has the lens model {model}; known are {', '.join(_LENS_MODELS)}")
+    skew = file.number(values, "FS", where, default=0.0)
     if skew != 0.0 and model != "VIC3D_LENS_DISTORTION":
         file.fail(f"{where} has FS {skew:g}, which DICe passes over with {model}; take it out")
-    lens = [file.number(values, key, where, missing=0.0) for key in (*_LENS_TERMS, "T1", "T2")]
+    lens = [file.number(values, key, where, default=0.0) for key in (*_LENS_TERMS, "T1", "T2")]
     if model == "NO_LENS_DISTORTION" and any(lens):
         file.fail(
             f"{where} has lens terms but LENS_DISTORTION_MODEL is NO_LENS_DISTORTION or missing;"
             " name the model or take the terms out"
         )
     height_width = values.get("IMAGE_HEIGHT_WIDTH")
-    size = file.size(height_width and _row(height_width)[::-1])
-    inner = [file.number(values, key, where) for key in ("FX", "FY", "CX", "CY")]
-    matrix = camera_matrix(inner, skew)
+    size = file.size(height_width and _row_entries(height_width)[::-1])
+    intrinsics = [file.number(values, key, where) for key in ("FX", "FY", "CX", "CY")]
+    matrix = camera_matrix(intrinsics, skew)
     return file.camera(name, size=size, matrix=matrix, distortion=lens, pose=pose)
 
 
 def _pose(file: CalibrationFile, node: Element, metres: float) -> Float[np.ndarray, "4 4"]:
     """Pose x_camera of x_world, or of x of the first camera if the extrinsics are relative."""
     values, where = _values(node), node.get("name", "")
-    shift = [file.number(values, key, where, missing=0.0) for key in ("TX", "TY", "TZ")]
-    angles = [file.number(values, key, where, missing=0.0) for key in ("ALPHA", "BETA", "GAMMA")]
+    translation = [file.number(values, key, where, default=0.0) for key in ("TX", "TY", "TZ")]
+    angles = [file.number(values, key, where, default=0.0) for key in ("ALPHA", "BETA", "GAMMA")]
     rotation = rotation_from_angles(angles)
-    for table in _lists(node, "rotation_3x3_matrix"):
-        place = f"{where}: rotation_3x3_matrix"
-        rows = [_row(file.entry(_values(table), f"ROW {i}", place)) for i in range(3)]
-        rotation = np.stack([file.numbers(place, row, (3,)) for row in rows])
-    return make_pose(rotation, metres * np.array(shift))
+    for table in _sublists(node, "rotation_3x3_matrix"):
+        table_name = f"{where}: rotation_3x3_matrix"
+        rows = [_row_entries(file.entry(_values(table), f"ROW {i}", table_name)) for i in range(3)]
+        rotation = np.stack([file.numbers(table_name, row, (3,)) for row in rows])
+    return make_pose(rotation, metres * np.array(translation))
 
 
-def _lists(node: Element, start: str) -> list[Element]:
+def _sublists(node: Element, start: str) -> list[Element]:
     """Sublists whose names begin with `start`, in the order of the numbers in their names."""
     lists = node.findall("ParameterList")
     found = [child for child in lists if child.get("name", "").startswith(start)]
@@ -255,7 +259,7 @@ def _values(node: Element) -> dict[str, str]:
     return {child.get("name", ""): child.get("value", "") for child in node.findall("Parameter")}
 
 
-def _row(text: str) -> list[str]:
+def _row_entries(text: str) -> list[str]:
     """Entries of a text such as { 1.0, 0.0, 0.0 }."""
     return text.strip().strip("{}").split(",")
 
@@ -264,8 +268,8 @@ DICE = Program(
     kinds=("dice",),
     results=".txt, .e",
     read_points=read_dice_points,
-    usual_unit="mm",
-    least_score=LEAST_CORRELATION,
+    default_unit="mm",
+    min_score=MIN_CORRELATION,
     calibrations="DICe (XML)",
     holds_rig=_holds_rig,
     read_rig=read_dice_rig,

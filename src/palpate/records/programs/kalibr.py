@@ -34,7 +34,7 @@ def read_kalibr_rig(file: CalibrationFile) -> Rig:
     Kalibr (github.com/ethz-asl/kalibr), wiki "yaml formats": T_cn_cnm1 maps points from the frame
     of the previous camera to this one; radtan is k1 k2 p1 p2 of OpenCV.
     """
-    metres = file.metres(usual="m")
+    metres = file.metres(default="m")
     tables = {name: table for name, table in file.content.items() if isinstance(table, dict)}
     names = sorted((n for n in tables if n.startswith("cam")), key=lambda n: (len(n), n))
     cameras: list[Camera] = []
@@ -57,12 +57,12 @@ def _camera(file: CalibrationFile, name: str, table: Mapping[str, Any], pose: np
             f"{name} is of the model {model} with {lens}; only pinhole with radtan (or none) is"
             " known: calibrate with --models pinhole-radtan"
         )
-    inner = file.numbers(f"{name} intrinsics", file.entry(table, "intrinsics", name), (4,))
+    intrinsics = file.numbers(f"{name} intrinsics", file.entry(table, "intrinsics", name), (4,))
     terms = [] if lens == "none" else file.entry(table, "distortion_coeffs", name)
     return file.camera(
         name,
         size=file.size(table.get("resolution")),
-        matrix=camera_matrix(inner),
+        matrix=camera_matrix(intrinsics),
         distortion=file.numbers(f"{name} distortion_coeffs", terms, None),
         pose=pose,
     )

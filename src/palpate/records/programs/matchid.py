@@ -28,7 +28,7 @@ _COLUMNS = {
     "W": ("out-of-plane: w", "out-of-plane w", "out-of-plane displacement w", "w"),
 }
 _LINE = re.compile(r"\s*([^;:\[\]]+?)\s*(?:\[\s*([^\]]*?)\s*\])?\s*[;:]\s*(.*?)\s*$")
-_WHOLE = "the calibration"
+_WHERE = "the calibration"
 # Longer lines are not of this form, and matching the pattern would take too long.
 _LONGEST_LINE = 200
 
@@ -59,22 +59,22 @@ def read_matchid_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """
     chosen_frame(path, frame)
     table = read_text_table(path, cure="export the points from MatchID again, as text")
-    wanted = table.require(_COLUMNS, spelled=_plain, why=_why)
+    wanted = table.require(_COLUMNS, normalise=_bare_name, reason=_reason)
     notes: tuple[str, ...] = ()
-    if table.find(["sigma"], spelled=_plain):
+    if table.find(["sigma"], normalise=_bare_name):
         notes = ("The column Sigma was left out: it does not say whose error it is.",)
     values = table.values(wanted)
     return ProgramPoints(values[:, :3], values[:, 3:], unit=table.unit(wanted), notes=notes)
 
 
-def _why(missing: list[str]) -> str:
+def _reason(missing: list[str]) -> str:
     return missing_depth(missing) or (
         "export all variables of a time step in one table, header [Category].[Long variable"
         " name].[units]"
     )
 
 
-def _plain(name: str) -> str:
+def _bare_name(name: str) -> str:
     """Name without its category, in lower case: 'coor.X' becomes 'x'."""
     return name.rpartition(".")[2].strip().lower()
 
@@ -117,24 +117,24 @@ def read_matchid_rig(file: CalibrationFile) -> Rig:
     for line in _lines(file):
         if match := _LINE.match(line):
             values[match[1].lower()], units[match[1].lower()] = match[3], match[2]
-    angles = [file.number(values, name, _WHOLE) for name in ("theta", "phi", "psi")]
+    angles = [file.number(values, name, _WHERE) for name in ("theta", "phi", "psi")]
     if (units["theta"] or "deg").lower().startswith("rad"):
         angles = [float(np.rad2deg(angle)) for angle in angles]
-    shift = [file.number(values, name, _WHOLE) for name in ("tx", "ty", "tz")]
-    metres = file.metres(stated=units["tx"], usual="mm")
-    second = make_pose(rotation_from_angles(angles), metres * np.array(shift))
+    translation = [file.number(values, name, _WHERE) for name in ("tx", "ty", "tz")]
+    metres = file.metres(stated=units["tx"], default="mm")
+    second = make_pose(rotation_from_angles(angles), metres * np.array(translation))
     return file.rig([_camera(file, values, i, pose) for i, pose in enumerate((np.eye(4), second))])
 
 
 def _camera(
     file: CalibrationFile, values: Mapping[str, str], index: int, pose: np.ndarray
 ) -> Camera:
-    def number(key: str, missing: float | None = None) -> float:
-        return file.number(values, f"cam{index}_{key}", _WHOLE, missing=missing)
+    def number(key: str, default: float | None = None) -> float:
+        return file.number(values, f"cam{index}_{key}", _WHERE, default=default)
 
-    inner = [number(key) for key in ("fx", "fy", "cx", "cy")]
-    lens = [number(key, missing=0.0) for key in ("kappa 1", "kappa 2", "p1", "p2", "kappa 3")]
-    matrix = camera_matrix(inner, number("fs", missing=0.0))
+    intrinsics = [number(key) for key in ("fx", "fy", "cx", "cy")]
+    lens = [number(key, default=0.0) for key in ("kappa 1", "kappa 2", "p1", "p2", "kappa 3")]
+    matrix = camera_matrix(intrinsics, number("fs", default=0.0))
     return file.camera(str(index), matrix=matrix, distortion=lens, pose=pose)
 
 
@@ -142,7 +142,7 @@ MATCHID = Program(
     kinds=("matchid",),
     results=".csv",
     read_points=read_matchid_points,
-    usual_unit="mm",
+    default_unit="mm",
     calibrations="MatchID (.caldat)",
     holds_rig=_holds_rig,
     read_rig=read_matchid_rig,

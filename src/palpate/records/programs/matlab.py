@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.files import checked_file, damage, read_bytes
+from palpate.files import checked_file, read_bytes, read_errors
 from palpate.records.program import (
-    HDF5_MARK,
+    HDF5_SIGNATURE,
     CalibrationFile,
     Program,
     checked_size,
@@ -20,18 +20,18 @@ from palpate.records.rig import Camera, Rig
 from palpate.records.text import open_hdf5, read_mat
 
 _CAMERAS = ("CameraParameters1", "CameraParameters2")
-_TURN, _SHIFT = "RotationOfCamera2", "TranslationOfCamera2"
+_ROTATION, _TRANSLATION = "RotationOfCamera2", "TranslationOfCamera2"
 _EXPORT = (
     "in MATLAB, with p the stereoParameters (DuoDIC: p = calibrationSession.CameraParameters):"
-    f" s = toStruct(p); s.{_TURN} = p.{_TURN}; s.{_SHIFT} = p.{_SHIFT};"
+    f" s = toStruct(p); s.{_ROTATION} = p.{_ROTATION}; s.{_TRANSLATION} = p.{_TRANSLATION};"
     " save('stereo.mat', '-struct', 's')"
 )
 # Deepest nesting at which the structure is sought: DIC3D.stereoParams, calibrationSession.x.y.
-_DEPTH = 4
+_MAX_DEPTH = 4
 
 
 @dataclass(frozen=True, slots=True)
-class _Object:
+class _Opaque:
     """A MATLAB object: its class can be read, its content only by MATLAB."""
 
     kind: str
@@ -75,20 +75,22 @@ def read_matlab_rig(file: CalibrationFile) -> Rig:
     content = _variables(file.path)
     table = next((t for t in _tables(content) if _CAMERAS[0] in t), None)
     values = [value for t in _tables(content) for value in t.values()]
-    objects = [value.kind for value in values if isinstance(value, _Object)]
+    objects = [value.kind for value in values if isinstance(value, _Opaque)]
     if table is None and objects:
         file.fail(f"holds an object ({objects[0]}), which only MATLAB can read; {_EXPORT}")
     if table is None:
         names = ", ".join(list(content)[:8]) or "nothing"
         file.fail(f"holds no stereo calibration (CameraParameters1 ...) but {names}; {_EXPORT}")
-    parts = [file.entry(table, key, "the calibration") for key in (*_CAMERAS, _TURN, _SHIFT)]
-    first, second, turn, shift = parts
+    parts = [
+        file.entry(table, key, "the calibration") for key in (*_CAMERAS, _ROTATION, _TRANSLATION)
+    ]
+    first, second, rotation_values, translation_values = parts
     if not (isinstance(first, dict) and isinstance(second, dict)):
         file.fail(f"its CameraParameters1 and 2 are no structures; {_EXPORT}")
     unit = unit_name(str(first.get("WorldUnits", "")).strip())
-    metres = file.metres(stated=unit if unit in FILE_LENGTH_UNITS else None, usual="mm")
-    rotation = file.numbers(_TURN, turn, (3, 3)).T
-    pose = make_pose(rotation, metres * file.numbers(_SHIFT, shift, (3,)))
+    metres = file.metres(stated=unit if unit in FILE_LENGTH_UNITS else None, default="mm")
+    rotation = file.numbers(_ROTATION, rotation_values, (3, 3)).T
+    pose = make_pose(rotation, metres * file.numbers(_TRANSLATION, translation_values, (3,)))
     return file.rig([_camera(file, "1", first, np.eye(4)), _camera(file, "2", second, pose)])
 
 
@@ -115,8 +117,8 @@ def _camera(
 def _variables(path: Path) -> dict[str, Any]:
     """All variables of a MATLAB file, structures as dictionaries."""
     start = read_bytes(path, 520)
-    with damage(checked_file(path), "save it again in MATLAB", what="is no MATLAB file"):
-        if HDF5_MARK in (start[:8], start[512:520]):
+    with read_errors(checked_file(path), "save it again in MATLAB", what="is no MATLAB file"):
+        if HDF5_SIGNATURE in (start[:8], start[512:520]):
             with open_hdf5(path) as file:
                 return {name: _value(file[name]) for name in file if not name.startswith("#")}
         found = read_mat(path, what="is no MATLAB file", cure="save it again in MATLAB")
@@ -125,15 +127,15 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 def _from_version_5(value: Any) -> Any:
-    """A variable with MATLAB objects replaced by `_Object`; scipy gives them as arrays with the
+    """A variable with MATLAB objects replaced by `_Opaque`; scipy gives them as arrays with the
     fields variable, system, class and reference."""
     if isinstance(value, dict):
         return {name: _from_version_5(item) for name, item in value.items()}
     is_object = isinstance(value, np.ndarray) and "s2" in (value.dtype.names or ())
-    return _Object(_text(value["s2"][0])) if is_object else value
+    return _Opaque(_text(value["s2"][0])) if is_object else value
 
 
-def _tables(content: Any, depth: int = _DEPTH) -> Iterator[dict[str, Any]]:
+def _tables(content: Any, depth: int = _MAX_DEPTH) -> Iterator[dict[str, Any]]:
     """A dictionary and all dictionaries nested in it, outer ones first."""
     if isinstance(content, dict) and depth:
         yield content
@@ -149,7 +151,7 @@ def _value(item: Any) -> Any:
     if kind in ("cell", "struct"):
         return None
     if "MATLAB_object_decode" in item.attrs or item.dtype.kind not in "fiub":
-        return _Object(kind)
+        return _Opaque(kind)
     array = np.asarray(checked_size(item)).T
     return "".join(map(chr, array.ravel())) if kind == "char" else array
 

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from scipy.linalg import rq
 
 from palpate.errors import RecordError
-from palpate.files import damage, read_bytes
+from palpate.files import read_bytes, read_errors
 from palpate.records.program import (
-    HDF5_MARK,
-    LEAST_CORRELATION,
+    HDF5_SIGNATURE,
+    MIN_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
@@ -21,11 +21,11 @@ from palpate.records.program import (
     make_pose,
 )
 from palpate.records.rig import Camera, PictureTracks, Rig
-from palpate.records.text import MAT_MARK, open_hdf5, read_mat
+from palpate.records.text import MAT_SIGNATURE, open_hdf5, read_mat
 
-_PLACES, _PIXELS = "Points3D", "Points"
+_POSITIONS, _PIXELS = "Points3D", "Points"
 _CURE = "save it again in MATLAB"
-_MARK_HDF5 = b"MATLAB 7.3 MAT-file"
+_HDF5_HEADER = b"MATLAB 7.3 MAT-file"
 _PATTERN = "DLTstruct_cam_*.mat"
 _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
 
@@ -58,13 +58,13 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     STEP4_PostProcessing.m: Disp.DispVec{ii} = Points3D{ii} - Points3D{1}; DuoDIC
     (github.com/SolavLab/DuoDIC), DuoDIC_STEP3_3D_reconstruction.m, saved with -v7.3.
     """
-    states, criteria = _cells(path, (_PLACES, "corrComb"), "3-D result (step 3 or 4)")
+    states, criteria = _cells(path, (_POSITIONS, "corrComb"), "3-D result (step 3 or 4)")
     if len(states) < 2:
         raise RecordError(
             f"{path}: Points3D holds {len(states)} state; the first is the rest, so a displacement"
             " needs at least two"
         )
-    _check_arrays(path, _PLACES, states, 3, "give the results of step 3 or 4")
+    _check_arrays(path, _POSITIONS, states, 3, "give the results of step 3 or 4")
     state, notes = chosen_frame(path, frame, len(states))
     score = _score(path, criteria, (0, state), states) if criteria else None
     return ProgramPoints(states[0], states[state] - states[0], score=score, notes=notes)
@@ -147,10 +147,10 @@ def _score(
 def _cells(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
     """Arrays of some cell arrays, from the only struct that has the first; empty where missing."""
     start = read_bytes(path, 520)
-    with damage(path, _CURE):
-        if start.startswith(_MARK_HDF5) or HDF5_MARK in (start[:8], start[512:520]):
+    with read_errors(path, _CURE):
+        if start.startswith(_HDF5_HEADER) or HDF5_SIGNATURE in (start[:8], start[512:520]):
             return _cells_of_hdf5(path, keys, what)
-        if start.startswith(MAT_MARK):
+        if start.startswith(MAT_SIGNATURE):
             return _cells_of_version_5(path, keys, what)
     raise RecordError(f"{path}: is not a MATLAB file of version 5 to 7.3; save it again in MATLAB")
 
@@ -207,7 +207,7 @@ def _only_struct(
             f"{path}: holds several structs with {key} ({', '.join(names)}); save one of them in a"
             " file of its own"
         )
-    is_planar = key == _PLACES and any(_PIXELS in content[name] for name in structs)
+    is_planar = key == _POSITIONS and any(_PIXELS in content[name] for name in structs)
     cure = (
         "it is the 2-D result of step 2: name the calibration of its cameras with --rig, or give"
         " the 3-D result (step 3 or 4)"
@@ -242,7 +242,7 @@ def read_multidic_rig(file: CalibrationFile) -> Rig:
     CalibrationError                parameters of no camera, or a camera that faces away from the
                                     object
     """
-    metres = file.metres(usual="mm")
+    metres = file.metres(default="mm")
     return file.rig([_camera(camera, metres) for camera in _transformations(file.path)])
 
 
@@ -264,7 +264,7 @@ def read_control_points(path: Path | str) -> tuple[ControlPoints, ...]:
     ------
     RecordError, CalibrationError   as in `read_multidic_rig`
     """
-    pairs = [_control(file) for file in _transformations(Path(path))]
+    pairs = [_control_points(file) for file in _transformations(Path(path))]
     return tuple((1e-3 * points, pixels) for points, pixels in pairs)
 
 
@@ -277,10 +277,10 @@ def _transformations(path: Path) -> list[CalibrationFile]:
             f"{path}: is not a camera's transformation of MultiDIC; {_PAIRS_HINT} (in"
             " DLTstructPairs.mat the lens is a MATLAB object, which only MATLAB can read)"
         )
-    return [CalibrationFile(file, _content(file)) for file in files]
+    return [CalibrationFile(file, _read_transformation(file)) for file in files]
 
 
-def _content(path: Path) -> dict[str, Any]:
+def _read_transformation(path: Path) -> dict[str, Any]:
     """Fields of the transformation's structure in a MATLAB file."""
     what = "is no MATLAB file of version 5 to 7.2"
     variables = read_mat(path, what=what, cure="save it with '-v7'", squeeze_me=True)
@@ -306,7 +306,7 @@ def _camera(file: CalibrationFile, metres: float) -> Camera:
     matrix, rotation = matrix @ signs, signs @ rotation
     translation = np.linalg.solve(matrix, projection[:, 3])
     if "C3Dtrue" in file.content:
-        points, _ = _control(file)
+        points, _ = _control_points(file)
         behind = int(np.sum(points @ rotation[2] + translation[2] <= 0.0))
         if behind:
             file.fail(
@@ -321,7 +321,7 @@ def _camera(file: CalibrationFile, metres: float) -> Camera:
     return file.camera(str(file.content["indCam"]), matrix=matrix, distortion=(), pose=pose)
 
 
-def _control(file: CalibrationFile) -> ControlPoints:
+def _control_points(file: CalibrationFile) -> ControlPoints:
     """Points of the columns seen by the camera, in the file's unit, and their pixels from 0."""
     where = "MultiDIC's transformation"
     table = np.asarray(file.entry(file.content, "C3Dtrue", where), dtype=np.float64)
@@ -341,8 +341,8 @@ MULTIDIC = Program(
     results=".mat",
     read_points=read_multidic_points,
     read_tracks=read_multidic_tracks,
-    usual_unit="mm",
-    least_score=LEAST_CORRELATION,
+    default_unit="mm",
+    min_score=MIN_CORRELATION,
     calibrations=f"MultiDIC ({_PATTERN})",
     holds_rig=_holds_rig,
     read_rig=read_multidic_rig,

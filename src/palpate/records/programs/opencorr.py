@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.errors import RecordError
-from palpate.records.program import LEAST_CORRELATION, Program, ProgramPoints, chosen_frame
+from palpate.records.program import MIN_CORRELATION, Program, ProgramPoints, chosen_frame
 from palpate.records.text import Column, TextTable, read_text_table
 from palpate.shapes import PointScalars
 
@@ -40,19 +40,19 @@ def read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
     """
     chosen_frame(path, frame)
     table = read_text_table(path, cure="export the points from OpenCorr again, as text")
-    is_volume = table.find(["z"], spelled=str.lower) is not None
+    is_volume = table.find(["z"], normalise=str.lower) is not None
     wanted = table.require(
-        _COLUMNS, spelled=str.lower, why=lambda missing: _why(missing, is_volume=is_volume)
+        _COLUMNS, normalise=str.lower, reason=lambda missing: _reason(missing, is_volume=is_volume)
     )
     values = table.values(wanted)
-    if scores := [c for name in _SCORES if (c := table.find([name], spelled=str.lower))]:
-        score = _least_score(table, scores)
+    if scores := [c for name in _SCORES if (c := table.find([name], normalise=str.lower))]:
+        score = _lowest_score(table, scores)
         return ProgramPoints(values[:, 3:], values[:, :3], ~(score > 0.0), score=score)
     notes = ("It has no columns ZNCC, so failed points cannot be recognised.",)
     return ProgramPoints(values[:, 3:], values[:, :3], notes=notes)
 
 
-def _least_score(table: TextTable, columns: Sequence[Column]) -> PointScalars:
+def _lowest_score(table: TextTable, columns: Sequence[Column]) -> PointScalars:
     """The lowest correlation of each row."""
     found = table.values(columns)
     if len(beyond := np.argwhere(found > _LARGEST_SCORE)):
@@ -64,7 +64,7 @@ def _least_score(table: TextTable, columns: Sequence[Column]) -> PointScalars:
     return np.asarray(found.min(axis=1))
 
 
-def _why(missing: list[str], *, is_volume: bool) -> str:
+def _reason(missing: list[str], *, is_volume: bool) -> str:
     """What kind of table it probably is instead, for the error message."""
     if "w" in missing:
         return "it is a 2-D table, and depth is needed: save a stereo result (saveTable2DS)"
@@ -80,6 +80,6 @@ OPENCORR = Program(
     kinds=("opencorr",),
     results=".csv",
     read_points=read_opencorr_points,
-    usual_unit="mm",
-    least_score=LEAST_CORRELATION,
+    default_unit="mm",
+    min_score=MIN_CORRELATION,
 )

@@ -15,23 +15,25 @@ from palpate.records.rig import Camera, Rig
 
 # The letter or word of a quantity, then the number or side of its camera. Next to R and T, R1 and
 # R2 are rotations of a rectification, and are ignored.
-_WHICH = r"_?(\d+|[Ll]eft|[Rr]ight|[LR])?$"
-_MATRIX = re.compile(r"(?:K|M|[Cc]amera_?[Mm]atrix|[Cc]amera_?[Mm]at|[Ii]ntrinsics?)" + _WHICH)
-_LENS = re.compile(r"(?:D|(?:dist|Dist)(?:ortion)?_?(?:[Cc]oeff?(?:icient)?s?)?)" + _WHICH)
-_TURN = re.compile(r"(?:R|[Rr]vec|(?:rotation|Rotation)(?:_?[Mm]atrix)?)" + _WHICH)
-_SHIFT = re.compile(r"(?:T|t|[Tt]vec|[Tt]ranslation(?:_?[Vv]ector)?)" + _WHICH)
-_SIZE = re.compile(r"(?:[Ii]ma?ge?_?)?[Ss]ize" + _WHICH)
-_SHAPES = frozenset({"rows", "sizes"})
+_CAMERA_SUFFIX = r"_?(\d+|[Ll]eft|[Rr]ight|[LR])?$"
+_MATRIX = re.compile(
+    r"(?:K|M|[Cc]amera_?[Mm]atrix|[Cc]amera_?[Mm]at|[Ii]ntrinsics?)" + _CAMERA_SUFFIX
+)
+_LENS = re.compile(r"(?:D|(?:dist|Dist)(?:ortion)?_?(?:[Cc]oeff?(?:icient)?s?)?)" + _CAMERA_SUFFIX)
+_ROTATION = re.compile(r"(?:R|[Rr]vec|(?:rotation|Rotation)(?:_?[Mm]atrix)?)" + _CAMERA_SUFFIX)
+_TRANSLATION = re.compile(r"(?:T|t|[Tt]vec|[Tt]ranslation(?:_?[Vv]ector)?)" + _CAMERA_SUFFIX)
+_SIZE = re.compile(r"(?:[Ii]ma?ge?_?)?[Ss]ize" + _CAMERA_SUFFIX)
+_SHAPE_KEYS = frozenset({"rows", "sizes"})
 # Names of OpenCV's standard lens model in ROS and elsewhere; OpenCV's calibration sample writes
 # `fisheye_model`.
-_LENSES = ("plumb_bob", "rational_polynomial", "radtan", "brown_conrady", "opencv", "none", "")
+_LENS_MODELS = ("plumb_bob", "rational_polynomial", "radtan", "brown_conrady", "opencv", "none", "")
 _COUNTERPART = {"intrinsic": "extrinsic", "extrinsic": "intrinsic"}
 
 
 def _holds_rig(file: CalibrationFile) -> bool:
     """True if a file, or one in a folder, has a camera matrix, or a rotation and a translation."""
     if file.path.is_dir():
-        return any(_holds_rig(other) for other in file.beside())
+        return any(_holds_rig(other) for other in file.files_in_folder())
     entries = _entries(file)
     return any(_MATRIX.match(name) for name in entries) or {"R", "T"} <= set(entries)
 
@@ -58,7 +60,7 @@ def read_opencv_rig(file: CalibrationFile) -> Rig:
     CalibrationError                a missing part, no unit of length, or as in `Camera` and `Rig`
     """
     if file.path.is_dir():
-        cameras = [other for other in file.beside() if _holds_rig(other)]
+        cameras = [other for other in file.files_in_folder() if _holds_rig(other)]
         return file.rig([_only_camera(camera) for camera in cameras])
     entries = _entries(file)
     if other := _counterpart(file.path):
@@ -96,8 +98,8 @@ def _counterpart(path: Path) -> Path | None:
     """The extrinsics file next to an intrinsics file, or vice versa, if there is one."""
     for word, other in _COUNTERPART.items():
         if word in path.name:
-            twin = path.with_name(path.name.replace(word, other))
-            return twin if twin.is_file() else None
+            file = path.with_name(path.name.replace(word, other))
+            return file if file.is_file() else None
     return None
 
 
@@ -106,7 +108,7 @@ def _entries(file: CalibrationFile) -> dict[str, Any]:
     if isinstance(file.content, Element):
         return {child.tag: _xml_value(child) for child in file.content}
     content = file.content if isinstance(file.content, dict) else {}
-    return {str(key): _plain(value) for key, value in content.items()}
+    return {str(key): _matrix_numbers(value) for key, value in content.items()}
 
 
 def _camera(
@@ -114,7 +116,7 @@ def _camera(
 ) -> Camera:
     where = f"camera '{name or file.path.stem}'"
     model = str(entries.get("distortion_model") or "").lower()
-    if model not in _LENSES or str(entries.get("fisheye_model") or "0") not in ("0", "False"):
+    if model not in _LENS_MODELS or str(entries.get("fisheye_model") or "0") not in ("0", "False"):
         file.fail(
             f"{where} has the lens model {model or 'fisheye'}; only OpenCV's usual one is known"
             " (k1 k2 p1 p2 k3 ..., plumb_bob): calibrate again with it"
@@ -131,23 +133,26 @@ def _camera(
 
 
 def _own_pose(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> np.ndarray:
-    turn, shift = _numbered(entries, _TURN).get(name), _numbered(entries, _SHIFT).get(name)
-    if turn is None or shift is None:
+    rotation, translation = (
+        _numbered(entries, _ROTATION).get(name),
+        _numbered(entries, _TRANSLATION).get(name),
+    )
+    if rotation is None or translation is None:
         file.fail(
             f"camera '{name or file.path.stem}' has no pose: give R and T between two cameras, or"
             f" a rotation and a translation for each (found: {', '.join(entries)})"
         )
     where = f"camera '{name or file.path.stem}'"
-    return opencv_pose(file, where, turn, shift, _metres(file, entries))
+    return opencv_pose(file, where, rotation, translation, _metres(file, entries))
 
 
 def _metres(file: CalibrationFile, entries: Mapping[str, Any]) -> float:
     stated = entries.get("length_unit")
-    return file.metres(stated=str(stated) if stated else None, usual=None)
+    return file.metres(stated=str(stated) if stated else None, default=None)
 
 
 def opencv_pose(
-    file: CalibrationFile, where: str, turn: Any, shift: Any, metres: float
+    file: CalibrationFile, where: str, rotation: Any, translation: Any, metres: float
 ) -> Float[np.ndarray, "4 4"]:
     """Pose x_camera = R x_object + t from OpenCV's rotation and translation.
 
@@ -155,9 +160,9 @@ def opencv_pose(
     ----------
     file : CalibrationFile
     where : str                     which camera it is, for the message
-    turn : 3 or 9 numbers           rotation vector (axis times angle in radians), or matrix
-    shift : 3 numbers               translation
-    metres : float [m]              unit of `shift`
+    rotation : 3 or 9 numbers       rotation vector (axis times angle in radians), or matrix
+    translation : 3 numbers         translation
+    metres : float [m]              unit of `translation`
 
     Returns
     -------
@@ -167,11 +172,11 @@ def opencv_pose(
     ------
     CalibrationError                wrong counts, numbers that are not finite
     """
-    rotation = file.numbers(f"{where} rotation", turn, None)
-    if rotation.size == 3:
-        rotation = Rotation.from_rotvec(rotation).as_matrix()
-    rotation = file.numbers(f"{where} rotation", rotation, (3, 3))
-    return make_pose(rotation, metres * file.numbers(f"{where} translation", shift, (3,)))
+    matrix = file.numbers(f"{where} rotation", rotation, None)
+    if matrix.size == 3:
+        matrix = Rotation.from_rotvec(matrix).as_matrix()
+    matrix = file.numbers(f"{where} rotation", matrix, (3, 3))
+    return make_pose(matrix, metres * file.numbers(f"{where} translation", translation, (3,)))
 
 
 def _size(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> tuple[int, int] | None:
@@ -192,16 +197,16 @@ def _numbered(entries: Mapping[str, Any], pattern: re.Pattern[str]) -> dict[str,
     return found
 
 
-def _plain(value: Any) -> Any:
+def _matrix_numbers(value: Any) -> Any:
     """The numbers of a table with rows, cols (or sizes) and data, which represents a matrix."""
-    is_matrix = isinstance(value, Mapping) and "data" in value and not _SHAPES.isdisjoint(value)
+    is_matrix = isinstance(value, Mapping) and "data" in value and not _SHAPE_KEYS.isdisjoint(value)
     return value["data"] if is_matrix else value
 
 
 def _xml_value(node: Element) -> Any:
     """The numbers of a matrix, or the words of an entry."""
     parts = {child.tag: (child.text or "") for child in node}
-    if "data" in parts and not _SHAPES.isdisjoint(parts):
+    if "data" in parts and not _SHAPE_KEYS.isdisjoint(parts):
         return parts["data"].split()
     words = (node.text or "").strip().strip('"').split()
     return words if len(words) > 1 else "".join(words)

@@ -14,7 +14,7 @@ _NAMES = [f"stereo_{quantity}_mm" for quantity in ("disp_u", "disp_v", "disp_w",
 _COLUMNS = {name: (name,) for name in _NAMES}
 _CONVERGED = ("converged", "stereo_converged")
 # One row of ResultArrays::write_to_disk_stereo, packed.
-_ROW = np.dtype(
+_ROW_TYPE = np.dtype(
     [
         ("subset", "<i4", 2),
         ("disp_px", "<f8", 3),
@@ -62,15 +62,15 @@ def read_pyvale_points(path: Path, frame: int | None = None) -> ProgramPoints:
 def _text(path: Path) -> tuple[Points, Points, Flags]:
     """Positions under load, displacements and failure flags, from text."""
     table = read_text_table(path, cure="export the points from pyvale again, as text")
-    why = _why(table)
-    values = table.values(table.require(_COLUMNS, spelled=str, why=lambda _: why))
+    reason = _reason(table)
+    values = table.values(table.require(_COLUMNS, normalise=str, reason=lambda _: reason))
     failed = np.zeros(len(values), dtype=bool)
     if flags := [column for column in table.columns if column.name in _CONVERGED]:
         failed = (table.values(flags) == 0.0).any(axis=1)
     return values[:, 3:], values[:, :3], failed
 
 
-def _why(table: TextTable) -> str:
+def _reason(table: TextTable) -> str:
     """Why the columns of a stereo result may be missing, for the error message."""
     names = [column.name for column in table.columns]
     if "disp_u" in names and not any(name.startswith("stereo_") for name in names):
@@ -81,12 +81,12 @@ def _why(table: TextTable) -> str:
 def _binary(path: Path) -> tuple[Points, Points, Flags]:
     """Positions under load, displacements and failure flags, from packed rows."""
     content = read_bytes(path)
-    if not content or len(content) % _ROW.itemsize:
+    if not content or len(content) % _ROW_TYPE.itemsize:
         raise RecordError(
-            f"{path}: has {len(content)} bytes, no whole number of rows of {_ROW.itemsize}; it was"
-            " cut off, or is no stereo result of pyvale: write it again, as text if in doubt"
+            f"{path}: has {len(content)} bytes, no whole number of rows of {_ROW_TYPE.itemsize}; it"
+            " was cut off, or is no stereo result of pyvale: write it again, as text if in doubt"
         )
-    rows = np.frombuffer(content, dtype=_ROW)
+    rows = np.frombuffer(content, dtype=_ROW_TYPE)
     failed = (rows["converged"] == 0) | (rows["stereo_converged"] == 0)
     return rows["place_mm"].astype(np.float64), rows["disp_mm"].astype(np.float64), failed
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.errors import RecordError
-from palpate.files import damage
+from palpate.files import read_errors
 from palpate.records.measured_points import MeasuredPoints, in_metres
 from palpate.records.program import CalibrationFile, Program, ProgramPoints
 from palpate.records.programs.dice import DICE
@@ -59,7 +59,7 @@ def read_measured(
     length_unit: str | None = None,
     frame: int | None = None,
     min_score: float | None = None,
-    in_space: Callable[[PictureTracks], ProgramPoints] | None = None,
+    triangulate: Callable[[PictureTracks], ProgramPoints] | None = None,
 ) -> MeasuredPoints:
     """Points and displacements of one result file, in metres, in the program's own frame.
 
@@ -70,8 +70,8 @@ def read_measured(
     length_unit : str or None       um, mm, cm, m or in, if the file states none
     frame : int or None             state, from 0, in files with several; None: the last one
     min_score : float or None       lowest correlation of a match that is accepted, -1 to 1; None:
-                                    the program's own `least_score`
-    in_space : callable or None     triangulates matches in pixels; None: the file has 3-D points
+                                    the program's own `min_score`
+    triangulate : callable or None  triangulates matches in pixels; None: the file has 3-D points
 
     Returns
     -------
@@ -88,13 +88,13 @@ def read_measured(
         raise RecordError(f"kind is '{kind}'; must be one of {', '.join(import_kinds())}")
     if min_score is not None and not -1.0 <= min_score <= 1.0:
         raise RecordError(f"--min-score is {min_score:g}; must be a correlation, -1 to 1")
-    if in_space is not None and program.read_tracks is None:
+    if triangulate is not None and program.read_tracks is None:
         raise RecordError(f"{path}: files of {kind} hold places, no pixels; leave --rig out")
     # Infinities from a damaged file are refused below; no warnings about them.
     cure = f"export it again from {kind}"
-    with damage(Path(path), cure, what="cannot be read"), np.errstate(all="ignore"):
-        if in_space is not None and program.read_tracks is not None:
-            given = in_space(program.read_tracks(Path(path), frame))
+    with read_errors(Path(path), cure, what="cannot be read"), np.errstate(all="ignore"):
+        if triangulate is not None and program.read_tracks is not None:
+            given = triangulate(program.read_tracks(Path(path), frame))
         else:
             given = program.read_points(Path(path), frame)
     if min_score is not None and given.score is None:
@@ -106,8 +106,8 @@ def read_measured(
         given,
         Path(path),
         length_unit=length_unit,
-        usual=program.usual_unit,
-        least_score=program.least_score if min_score is None else min_score,
+        default_unit=program.default_unit,
+        min_score=program.min_score if min_score is None else min_score,
     )
 
 
@@ -130,17 +130,17 @@ def read_calibration(path: Path, *, length_unit: str | None) -> Rig:
     CalibrationError                missing or contradictory content
     """
     file = CalibrationFile.read(path, length_unit)
-    with damage(path, "export the calibration again", what="cannot be read as a calibration"):
+    with read_errors(path, "export the calibration again", what="cannot be read as a calibration"):
         for program in PROGRAMS:
             if program.holds_rig and program.read_rig and program.holds_rig(file):
                 return program.read_rig(file)
     known = ", ".join(program.calibrations for program in PROGRAMS if program.calibrations)
     raise RecordError(
-        f"{path}: is no camera calibration{_holdings(file)}; known are rig.toml, {known}"
+        f"{path}: is no camera calibration{_contents_text(file)}; known are rig.toml, {known}"
     )
 
 
-def _holdings(file: CalibrationFile) -> str:
+def _contents_text(file: CalibrationFile) -> str:
     """The names of what a file holds instead, if there are any."""
     if file.path.is_dir():
         return ", and it holds none"

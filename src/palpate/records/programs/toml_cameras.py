@@ -47,7 +47,7 @@ def read_camera_tables(file: CalibrationFile) -> Rig:
     is_caliscope = "cameras" in file.content or any("port" in t for t in tables.values())
     stated = file.content.get("length_unit")
     metres = file.metres(
-        stated=str(stated) if stated else None, usual="m" if is_caliscope else None
+        stated=str(stated) if stated else None, default="m" if is_caliscope else None
     )
     used = {key: table for key, table in tables.items() if table.get("ignore") is not True}
     return file.rig([_camera(file, key, table, metres) for key, table in used.items()])

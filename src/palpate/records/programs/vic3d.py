@@ -19,7 +19,7 @@ from palpate.records.rig import Camera, Rig
 from palpate.records.text import missing_depth, read_text_table
 
 _COLUMNS = {name: (name,) for name in "XYZUVW"}
-_STD = ("sigma_x", "sigma_y", "sigma_z")
+_STD_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
 
 
 def read_vic3d_points(path: Path, frame: int | None = None) -> ProgramPoints:
@@ -50,12 +50,12 @@ def read_vic3d_points(path: Path, frame: int | None = None) -> ProgramPoints:
     chosen_frame(path, frame)
     table = read_text_table(path, cure="export the points from VIC-3D again, as text")
     # Upper case only: columns in lower case are pixels.
-    wanted = table.require(_COLUMNS, spelled=str, why=_why)
-    deviations = [c for name in _STD if (c := table.find([name], spelled=str.lower))]
+    wanted = table.require(_COLUMNS, normalise=str, reason=_reason)
+    deviations = [c for name in _STD_COLUMNS if (c := table.find([name], normalise=str.lower))]
     values = table.values(wanted)
     failed, std = None, None
     notes: tuple[str, ...] = ()
-    if sigma := table.find(["sigma"], spelled=str.lower):
+    if sigma := table.find(["sigma"], normalise=str.lower):
         failed = table.values([sigma])[:, 0] < 0.0
     else:
         notes += ("It has no column sigma, so failed points cannot be recognised.",)
@@ -66,7 +66,7 @@ def read_vic3d_points(path: Path, frame: int | None = None) -> ProgramPoints:
     return ProgramPoints(values[:, :3], values[:, 3:], failed, std, unit, notes)
 
 
-def _why(missing: list[str]) -> str:
+def _reason(missing: list[str]) -> str:
     return missing_depth(missing) or (
         "export X, Y, Z, U, V, W and sigma (capitals: lengths; small letters are pixels)"
     )
@@ -104,7 +104,7 @@ def read_vic3d_rig(file: CalibrationFile) -> Rig:
     Inferred from the pairs of pictures and the matches in such files: the residual distance from
     epipolar lines is 0.05 px.
     """
-    metres, sizes = file.metres(usual="mm"), _sizes(file.content)
+    metres, sizes = file.metres(default="mm"), _sizes(file.content)
     return file.rig([_camera(file, node, metres, sizes) for node in file.content.iter("camera")])
 
 
@@ -112,20 +112,22 @@ def _camera(
     file: CalibrationFile, node: Element, metres: float, sizes: Mapping[str, tuple[int, int]]
 ) -> Camera:
     name = node.get("id", "")
-    inner = file.numbers(f'<camera id="{name}">', (node.text or "").split(), (8,))
-    turn = node.find("orientation")
-    if turn is None:
+    intrinsics = file.numbers(f'<camera id="{name}">', (node.text or "").split(), (8,))
+    orientation = node.find("orientation")
+    if orientation is None:
         file.fail(
             f"camera '{name}' has no <orientation>; save the project after the stereo calibration"
         )
-    outer = file.numbers(f"<orientation> of camera '{name}'", (turn.text or "").split(), (6,))
-    cx, cy, fx, fy, skew, k1, k2, k3 = inner
+    extrinsics = file.numbers(
+        f"<orientation> of camera '{name}'", (orientation.text or "").split(), (6,)
+    )
+    cx, cy, fx, fy, skew, k1, k2, k3 = intrinsics
     return file.camera(
         name,
         size=sizes.get(name),
         matrix=camera_matrix((fx, fy, cx, cy), skew),
         distortion=(k1, k2, 0.0, 0.0, k3),
-        pose=make_pose(rotation_from_angles(outer[:3]), metres * outer[3:]),
+        pose=make_pose(rotation_from_angles(extrinsics[:3]), metres * extrinsics[3:]),
     )
 
 
@@ -147,7 +149,7 @@ VIC3D = Program(
     kinds=("vic3d",),
     results=".csv",
     read_points=read_vic3d_points,
-    usual_unit="mm",
+    default_unit="mm",
     calibrations="VIC-3D (XML)",
     holds_rig=_holds_rig,
     read_rig=read_vic3d_rig,

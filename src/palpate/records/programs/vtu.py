@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import RecordError
-from palpate.files import damage, read_bytes
+from palpate.files import read_bytes, read_errors
 from palpate.geometry import check_packed_arrays
 from palpate.optional_imports import late_import
 from palpate.records.program import Program, ProgramPoints, chosen_frame
@@ -16,10 +16,10 @@ from palpate.shapes import Points
 
 _SUFFIXES = (".vtu", ".vtk")
 # A million points with all that a program says of them.
-_MOST_BYTES = 2**30
-_MOVE = ("displacement", "displacements", "disp", "u")
-_PARTS = (("ux", "uy", "uz"), ("displacement_x", "displacement_y", "displacement_z"))
-_STD = ("displacement_std", "displacement_sigma", "std", "sigma")
+_MAX_BYTES = 2**30
+_DISPLACEMENT_NAMES = ("displacement", "displacements", "disp", "u")
+_COMPONENT_NAMES = (("ux", "uy", "uz"), ("displacement_x", "displacement_y", "displacement_z"))
+_STD_NAMES = ("displacement_std", "displacement_sigma", "std", "sigma")
 _SURFACE_CELLS = ("vertex", "line", "triangle", "quad", "polygon")
 
 
@@ -67,10 +67,10 @@ def _content(path: Path) -> Any:
         raise RecordError(
             f"{path}: is no .vtu file; save it as an unstructured grid of VTK (.vtu or .vtk)"
         )
-    content = read_bytes(path, most=_MOST_BYTES)
+    content = read_bytes(path, max_bytes=_MAX_BYTES)
     meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
     what = f"cannot be read as {path.suffix[1:].upper()}"
-    with damage(path, "open it in ParaView and save it again", what=what):
+    with read_errors(path, "open it in ParaView and save it again", what=what):
         if path.suffix.lower() == ".vtu":
             check_packed_arrays(content)
         return meshio.read(path)
@@ -78,7 +78,7 @@ def _content(path: Path) -> Any:
 
 def _displacement(path: Path, data: Mapping[str, np.ndarray]) -> Points:
     """The displacement, as a vector or as three scalars."""
-    for name in _MOVE:
+    for name in _DISPLACEMENT_NAMES:
         if name in data and data[name].ndim == 2:
             if data[name].shape[1] != 3:
                 raise RecordError(
@@ -86,10 +86,10 @@ def _displacement(path: Path, data: Mapping[str, np.ndarray]) -> Points:
                     " is needed: three"
                 )
             return np.array(data[name], dtype=np.float64)
-    for parts in _PARTS:
+    for parts in _COMPONENT_NAMES:
         if all(name in data and data[name].ndim == 1 for name in parts):
             return np.stack([data[name] for name in parts], axis=1).astype(np.float64)
-    near = next(filter(None, (nearest_word(name, _MOVE) for name in data)), "")
+    near = next(filter(None, (nearest_word(name, _DISPLACEMENT_NAMES) for name in data)), "")
     raise RecordError(
         f"{path}: has no point data 'displacement' (or U, u, disp; or ux, uy, uz){near}; it has:"
         f" {', '.join(data) or 'no point data'}"
@@ -98,7 +98,7 @@ def _displacement(path: Path, data: Mapping[str, np.ndarray]) -> Points:
 
 def _std(path: Path, data: Mapping[str, np.ndarray]) -> Points | None:
     """The standard deviation of the displacement, of each component or of all three."""
-    for name in _STD:
+    for name in _STD_NAMES:
         if name in data:
             values = np.array(data[name], dtype=np.float64)
             if values.ndim == 1:

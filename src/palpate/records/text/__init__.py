@@ -22,7 +22,7 @@ from palpate.records.text.json_file import (
     json_text as json_text,
     read_json as read_json,
 )
-from palpate.records.text.mat_file import MAT_MARK as MAT_MARK, read_mat as read_mat
+from palpate.records.text.mat_file import MAT_SIGNATURE as MAT_SIGNATURE, read_mat as read_mat
 from palpate.records.text.nearest import (
     nearest_file as nearest_file,
     nearest_word as nearest_word,

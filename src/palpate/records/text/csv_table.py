@@ -32,7 +32,7 @@ _NO_NUMBER = {
 }
 _NO_NUMBER_START = ("nan", "1.#")
 # Largest file [bytes]: three million rows of six numbers.
-_MOST_BYTES = 2**28
+_MAX_BYTES = 2**28
 # Longest line [characters]: longer than in any table, but within the limit of the csv module.
 _LONGEST_LINE = 100_000
 # Longest heading searched for a unit [characters], which takes quadratic time.
@@ -87,19 +87,19 @@ class TextTable:
     rows: tuple[str, ...]
     preamble: tuple[str, ...]
 
-    def find(self, words: Collection[str], *, spelled: Callable[[str], str]) -> Column | None:
+    def find(self, words: Collection[str], *, normalise: Callable[[str], str]) -> Column | None:
         """The column whose name is one of some words, or None.
 
         Parameters
         ----------
         words : collection of str
-        spelled : callable          column name -> normalised name that is compared with the words
+        normalise : callable        column name -> normalised name that is compared with the words
 
         Raises
         ------
         RecordError                 several columns match
         """
-        found = [column for column in self.columns if spelled(column.name) in words]
+        found = [column for column in self.columns if normalise(column.name) in words]
         if len(found) > 1:
             raise RecordError(
                 f"{self.path}: the column '{found[0].name}' is there {len(found)} times; export one"
@@ -110,27 +110,27 @@ class TextTable:
         self,
         wanted: Mapping[str, Collection[str]],
         *,
-        spelled: Callable[[str], str],
-        why: Callable[[list[str]], str],
+        normalise: Callable[[str], str],
+        reason: Callable[[list[str]], str],
     ) -> list[Column]:
         """Required columns, in the order of `wanted`.
 
         Parameters
         ----------
         wanted : mapping            name for messages -> words, as in `find`
-        spelled : callable          as in `find`
-        why : callable              missing names -> likely reason or remedy, for the message
+        normalise : callable        as in `find`
+        reason : callable           missing names -> likely reason or remedy, for the message
 
         Raises
         ------
         RecordError                 a column is missing, or occurs twice
         """
-        found = {name: self.find(words, spelled=spelled) for name, words in wanted.items()}
+        found = {name: self.find(words, normalise=normalise) for name, words in wanted.items()}
         if missing := [name for name, column in found.items() if column is None]:
             shown = ", ".join(column.name[:40] for column in self.columns[:12])
             more = ", ..." if len(self.columns) > 12 else ""
             raise RecordError(
-                f"{self.path}: the column '{missing[0]}' is missing; {why(missing)}; it has:"
+                f"{self.path}: the column '{missing[0]}' is missing; {reason(missing)}; it has:"
                 f" {shown}{more}"
             )
         return [column for column in found.values() if column]
@@ -175,7 +175,7 @@ class TextTable:
         found = self._values(wanted)
         if (beyond := np.argwhere(np.isfinite(found) & (np.abs(found) > LARGEST_NUMBER))).size:
             row, k = beyond[0]
-            raise self._refused(self.numbers[row], wanted[k], f"{found[row, k]:g}")
+            raise self._cell_error(self.numbers[row], wanted[k], f"{found[row, k]:g}")
         # Powers of smaller numbers would underflow.
         found[np.abs(found) < 1.0 / LARGEST_NUMBER] = 0.0
         return found
@@ -219,9 +219,9 @@ class TextTable:
             # Python would accept 1_0 as ten.
             return float(word.replace("_", "?"))
         except ValueError as error:
-            raise self._refused(line, column, word) from error
+            raise self._cell_error(line, column, word) from error
 
-    def _refused(self, line: int, column: Column, word: str) -> RecordError:
+    def _cell_error(self, line: int, column: Column, word: str) -> RecordError:
         """The error about one cell."""
         return RecordError(
             f"{self.path}: line {line}: column {quoted(column.name or column.index + 1)} holds"
@@ -265,14 +265,16 @@ def read_text_table(path: Path, *, cure: str) -> TextTable:
     RecordError                     missing, not text, no header, no rows, a header among the rows
     """
     lines = text_lines(path, cure=cure)
-    top = next((i for i, line in enumerate(lines) if _is_header(line)), None)
-    if top is None:
+    header_row = next((i for i, line in enumerate(lines) if _is_header(line)), None)
+    if header_row is None:
         raise RecordError(f"{path}: is empty; {cure}")
-    delimiter = next((mark for mark in ";\t," if mark in lines[top]), " ")
-    headings = [word.strip().strip('"').strip() for word in split_cells(lines[top], delimiter)]
+    delimiter = next((mark for mark in ";\t," if mark in lines[header_row]), " ")
+    headings = [
+        word.strip().strip('"').strip() for word in split_cells(lines[header_row], delimiter)
+    ]
     while headings and not headings[-1]:
         headings.pop()
-    return make_table(path, lines, headings, first=top + 1, delimiter=delimiter, cure=cure)
+    return make_table(path, lines, headings, first=header_row + 1, delimiter=delimiter, cure=cure)
 
 
 def make_table(
@@ -351,7 +353,7 @@ def text_lines(path: Path, *, cure: str) -> list[str]:
     ------
     RecordError                     missing, not readable, not text, or with an overlong line
     """
-    lines = _decoded(path, read_bytes(path, most=_MOST_BYTES), cure).splitlines()
+    lines = _decode(path, read_bytes(path, max_bytes=_MAX_BYTES), cure).splitlines()
     for number, line in enumerate(lines, start=1):
         if len(line) > _LONGEST_LINE:
             raise RecordError(
@@ -361,7 +363,7 @@ def text_lines(path: Path, *, cure: str) -> list[str]:
     return lines
 
 
-def _decoded(path: Path, content: bytes, cure: str) -> str:
+def _decode(path: Path, content: bytes, cure: str) -> str:
     if content[:2] in _BYTE_ORDER_MARKS:
         return content.decode("utf-16", errors="replace")
     if b"\0" in content:

@@ -26,17 +26,17 @@ def file_stems(names: Sequence[str], *, kind: str) -> list[str]:
     stems: list[str] = []
     taken: set[str] = set()
     for number, name in enumerate(names, start=1):
-        other = f"{kind}-{number}"
-        stem = name if _names_file(name) else other
+        fallback = f"{kind}-{number}"
+        stem = name if _is_file_name(name) else fallback
         # Some file systems do not distinguish upper and lower case.
         while taken & {(stem + ending).lower() for ending in _ENDINGS}:
-            stem = other if stem == name else f"{stem}-"
+            stem = fallback if stem == name else f"{stem}-"
         taken |= {(stem + ending).lower() for ending in _ENDINGS}
         stems.append(stem)
     return stems
 
 
-def _names_file(name: str) -> bool:
+def _is_file_name(name: str) -> bool:
     """Whether a name is valid on every file system and not that of a result's own file."""
     plain = name.replace("_", "").replace("-", "").replace(".", "")
     fits = plain.isalnum() and name[0] != "." and len(os.fsencode(name)) <= _LONGEST_STEM

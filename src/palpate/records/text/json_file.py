@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.errors import RecordError, quoted
-from palpate.files import damage
+from palpate.files import read_errors
 from palpate.records.text.text_file import read_text
 from palpate.records.text.toml_table import TomlTable
 
@@ -29,16 +29,16 @@ def read_json(path: Path) -> TomlTable:
     """
     text = read_text(path)
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
         if len(found) < len(pairs):
             names = [name for name, _ in pairs]
-            twin = next(name for name in names if names.count(name) > 1)
-            raise RecordError(f"{path}: has {quoted(twin)} twice in one object; keep one")
+            repeated = next(name for name in names if names.count(name) > 1)
+            raise RecordError(f"{path}: has {quoted(repeated)} twice in one object; keep one")
         return found
 
-    with damage(path, "write it again", what="is not valid JSON"):
-        content = json.loads(text, object_pairs_hook=unique)
+    with read_errors(path, "write it again", what="is not valid JSON"):
+        content = json.loads(text, object_pairs_hook=unique_keys)
     if not isinstance(content, dict):
         raise RecordError(f"{path}: is {quoted(content)}; must be an object in braces")
     return TomlTable(path, "", content)
@@ -56,17 +56,17 @@ def json_text(content: Mapping[str, Any]) -> str:
     -------
     str                             indented by one blank a level; ends with a line break
     """
-    return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
+    return json.dumps(_json_value(content), indent=1, allow_nan=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     """The value in JSON's own types."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_json_value(item) for item in value]
     if isinstance(value, (bool, str, int)) or value is None:
         return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
-    return _plain(value.tolist()) if hasattr(value, "tolist") else str(value)
+    return _json_value(value.tolist()) if hasattr(value, "tolist") else str(value)

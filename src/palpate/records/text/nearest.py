@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 # Limits on what is compared, as the comparison takes quadratic time.
-_LONGEST_WORD, _MOST_NAMES = 100, 1000
+_LONGEST_WORD, _MAX_NAMES = 100, 1000
 
 
 def nearest_word(word: str, allowed: Sequence[str]) -> str:
@@ -25,20 +25,20 @@ def nearest_word(word: str, allowed: Sequence[str]) -> str:
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
-def nearest_file(path: Path, *, but: str = "") -> str:
+def nearest_file(path: Path, *, exclude: str = "") -> str:
     """Part of an error message that suggests the file with the nearest name in the same folder.
 
     Parameters
     ----------
     path : Path                     of the missing file
-    but : str                       name of the referring file, which is never suggested
+    exclude : str                   name of the referring file, which is never suggested
 
     Returns
     -------
     str                             as in `nearest_word`; also empty if there is no such folder
     """
     try:
-        beside = [name for name in os.listdir(path.parent) if name not in (path.name, but)]
-        return nearest_word(path.name, sorted(beside)[:_MOST_NAMES])
+        others = [name for name in os.listdir(path.parent) if name not in (path.name, exclude)]
+        return nearest_word(path.name, sorted(others)[:_MAX_NAMES])
     except (OSError, ValueError):
         return ""

@@ -7,7 +7,7 @@ from palpate.errors import RecordError
 from palpate.files import read_bytes
 
 # Larger than any hand-written text or calibration; parsing more would take minutes.
-_MOST_BYTES = 4 * 2**20
+_MAX_BYTES = 4 * 2**20
 
 
 def read_text(path: Path) -> str:
@@ -22,7 +22,7 @@ def read_text(path: Path) -> str:
     RecordError                     missing, not readable, too large, not UTF-8
     """
     try:
-        return read_bytes(path, most=_MOST_BYTES).decode("utf-8-sig")
+        return read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RecordError(f"{path}: is not a text file in UTF-8; save it as such") from error
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import InputError, RecordError, quoted
-from palpate.files import damage, is_file
+from palpate.files import is_file, read_errors
 from palpate.records.text.nearest import nearest_file, nearest_word
 from palpate.records.text.text_file import read_text
 from palpate.shapes import Vector3
@@ -100,7 +100,7 @@ class TomlTable:
         return read(key) if key in self.values else None
 
     @contextmanager
-    def blamed(self) -> Iterator[None]:
+    def error_context(self) -> Iterator[None]:
         """Prefix errors that records raise within the block with this file and table.
 
         Raises
@@ -368,7 +368,7 @@ class TomlTable:
         path = self.file.parent / self.text(key)
         if not is_file(path):
             what = "is a folder, not a file" if os.path.isdir(path) else "no such file"
-            near = nearest_file(path, but=self.file.name)
+            near = nearest_file(path, exclude=self.file.name)
             self.fail(key, f"{what}: {quoted(str(path))[1:-1]}{near}")
         return path
 
@@ -389,7 +389,7 @@ def read_toml(path: Path) -> TomlTable:
     RecordError                     missing, not readable, not TOML (with line and column)
     """
     text = read_text(path)
-    with damage(path, "correct it there", what="is not valid TOML"):
+    with read_errors(path, "correct it there", what="is not valid TOML"):
         return TomlTable(path, "", tomllib.loads(text))
 
 

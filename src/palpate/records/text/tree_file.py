@@ -7,13 +7,13 @@ from xml.etree import ElementTree
 import yaml
 
 from palpate.errors import RecordError
-from palpate.files import checked_file, damage, read_bytes
+from palpate.files import checked_file, read_bytes, read_errors
 
 TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
 # Largest YAML file [bytes]: it is parsed at 0.1 megabyte a second; calibrations have kilobytes.
-_MOST_BYTES = 2**20
+_MAX_BYTES = 2**20
 # Deepest nesting of brackets: the parser's time grows quadratically; matrices need two.
-_MOST_NESTED = 50
+_MAX_NESTING = 50
 _CURE = "export the calibration again"
 
 
@@ -35,7 +35,7 @@ def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
     """
     data = read_bytes(path)
     if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        with damage(path, _CURE, what="is not valid XML"):
+        with read_errors(path, _CURE, what="is not valid XML"):
             return ElementTree.fromstring(data.lstrip())
     try:
         text = data.decode("utf-8-sig")
@@ -47,8 +47,8 @@ def read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
         return text
     # OpenCV's first line (%YAML:1.0) is not valid YAML.
     body = text.partition("\n")[2] if text.startswith("%YAML") else text
-    checked_file(path, most=_MOST_BYTES)
-    with damage(path, _CURE, what="is not valid YAML"):
+    checked_file(path, max_bytes=_MAX_BYTES)
+    with read_errors(path, _CURE, what="is not valid YAML"):
         root = yaml.load(body, Loader=_Loader)  # a SafeLoader: plain values only
     return root if isinstance(root, dict) else text
 
@@ -69,18 +69,18 @@ class _Loader(yaml.SafeLoader):
 
     def fetch_flow_collection_start(self, token: type[yaml.Token]) -> None:
         """An opening bracket; refused beyond a nesting depth that no calibration has."""
-        if self.flow_level == _MOST_NESTED:
+        if self.flow_level == _MAX_NESTING:
             line = self.get_mark().line + 1
-            raise ValueError(f"line {line}: more than {_MOST_NESTED} brackets are open")
+            raise ValueError(f"line {line}: more than {_MAX_NESTING} brackets are open")
         super().fetch_flow_collection_start(token)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """A mapping; duplicate keys, which YAML forbids but the parser accepts, are refused."""
-        seen = set()
+        keys = set()
         for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+            if isinstance(key, yaml.ScalarNode) and key.value in keys:
                 raise ValueError(f"line {key.start_mark.line + 1}: '{key.value}' is there twice")
-            seen.add(str(key.value))
+            keys.add(str(key.value))
         return super().construct_mapping(node, deep=deep)
 
 

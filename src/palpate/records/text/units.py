@@ -13,7 +13,7 @@ from palpate.shapes import Vector3
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
 MODULI = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "psi": 6894.757293168361, "N/mm^2": 1e6}
-_ANOTHER = {"\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um", "N/mm2": "N/mm^2"}
+_ALIASES = {"\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um", "N/mm2": "N/mm^2"}
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
 
 Quantity = float | int | str
@@ -38,7 +38,7 @@ def quantity(value: Quantity, units: Mapping[str, float], name: str = "the numbe
     """
     found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if found:
-        unit = _ANOTHER.get(found[2], found[2]) or next(iter(units))
+        unit = _ALIASES.get(found[2], found[2]) or next(iter(units))
         if unit in units and math.isfinite(number := float(found[1]) * units[unit]):
             return number
     elif not isinstance(value, str) and math.isfinite(float(value)):
@@ -68,4 +68,4 @@ def quantities(value: Sequence[Quantity], units: Mapping[str, float], name: str)
     """
     if isinstance(value, str) or len(value) != 3:
         raise InputError(f"{name} is {value!r}; must be three numbers: x, y, z")
-    return np.array([quantity(one, units, name) for one in value])
+    return np.array([quantity(component, units, name) for component in value])

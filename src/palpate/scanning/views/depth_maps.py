@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.files import damage, parse_array, read_bytes
+from palpate.files import parse_array, read_bytes, read_errors
 from palpate.records import Camera
 from palpate.shapes import Points
 from palpate.vision import normalised, picture_count
@@ -68,8 +68,8 @@ def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Poin
 
 
 def _levels(path: Path) -> Float[np.ndarray, "rows columns"]:
-    content = read_bytes(path, most=_MAX_BYTES)
-    with damage(path, "write it again", what="cannot be read as a depth map"):
+    content = read_bytes(path, max_bytes=_MAX_BYTES)
+    with read_errors(path, "write it again", what="cannot be read as a depth map"):
         levels: np.ndarray | None
         if path.suffix.lower() == ".npy":
             levels = parse_array(content)

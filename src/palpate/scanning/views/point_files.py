@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.files import damage, parse_array, read_bytes
+from palpate.files import parse_array, read_bytes, read_errors
 from palpate.optional_imports import late_import
 from palpate.shapes import Points
 
@@ -43,12 +43,12 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
             f"{path}: point files of type '{suffix}' are not read; convert it to one of"
             f" {' '.join(POINT_SUFFIXES)}"
         )
-    content = read_bytes(path, most=_MAX_BYTES)
+    content = read_bytes(path, max_bytes=_MAX_BYTES)
     if suffix == ".e57":
         late_import("pye57", extra="e57", purpose=f"reading {path.name}")
         metres_per_unit = 1.0
     what = f"cannot be read as points of type {suffix[1:].upper()}"
-    with damage(path, "three columns x y z of text are read, too", what=what):
+    with read_errors(path, "three columns x y z of text are read, too", what=what):
         points = np.asarray(_read(path, content, suffix), dtype=np.float64)
         if points.ndim != 2 or points.shape[1] < 3:
             raise ValueError(f"its numbers have the shape {points.shape}, not three columns")

@@ -125,7 +125,7 @@ def _setup(table: TomlTable) -> tuple[_Setup, list[Path]]:
     if "turntable" in table.values:
         turn = table.table("turntable")
         turn.check_keys(("point", "axis"))
-        with turn.blamed():
+        with turn.error_context():
             turntable = Turntable(unit * turn.vector("point"), turn.vector("axis"))
     noise = None if sigma is None else sigma * unit
     return _Setup(folder, unit, noise, camera, level, rig, turntable), files
@@ -136,7 +136,7 @@ def _depth_camera(table: TomlTable) -> Camera:
     if not (isinstance(given, list) and len(given) == 4):
         table.fail("camera", "must be four numbers in pixels: [fx, fy, cx, cy]")
     distortion = table.values.get("distortion", [])
-    with table.blamed():
+    with table.error_context():
         try:
             fx, fy, cx, cy = (float(x) for x in given)
             terms = np.array(distortion, dtype=np.float64)
@@ -165,7 +165,7 @@ def _view(table: TomlTable, number: int, setup: _Setup) -> tuple[View, list[Path
         points = read_points(file, metres_per_unit=setup.unit)
     else:
         table.fail("file", f"is {file.name}; a depth map needs a [depth] table with its camera")
-    with table.blamed():
+    with table.error_context():
         return make(points, pose=pose), [*files, file]
 
 

@@ -177,7 +177,7 @@ def pixel_grid(camera: Camera, shape: tuple[int, int]) -> Float[np.ndarray, "2 r
     flat = np.empty_like(pixels)
     in_threads(
         normalised_kernel, len(pixels), packed_camera(camera), lens_radius_limit(camera.distortion),
-        pixels, flat, fewest=_MIN_PIXELS_PER_THREAD,
+        pixels, flat, min_items=_MIN_PIXELS_PER_THREAD,
     )  # fmt: skip
     return np.ascontiguousarray(flat.T).reshape(2, *shape)
 

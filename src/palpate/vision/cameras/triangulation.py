@@ -96,7 +96,7 @@ def triangulate(
     inverse, square = np.full((*start.shape, 3), np.nan), np.full(len(start), np.nan)
     in_threads(
         _refine_range, len(start), packed_rig(rig), np.ascontiguousarray(pixels, dtype=np.float64),
-        seen, weight, start, inverse, square, fewest=_MIN_POINTS_PER_THREAD,
+        seen, weight, start, inverse, square, min_items=_MIN_POINTS_PER_THREAD,
     )  # fmt: skip
     with np.errstate(invalid="ignore"):
         residual = np.sqrt(square / (2.0 * cameras))

@@ -170,7 +170,7 @@ def refine_joint(
         _refine_range, count, first, _padded_to_four([picture.coefficients for picture in moved]),
         _Points(scene.point[rows], scene.tangent[rows], scene.half_window[rows]),
         np.ascontiguousarray(start), np.isfinite(start).all(axis=(1, 2)), noise, limits, found,
-        fewest=_MIN_POINTS_PER_THREAD,
+        min_items=_MIN_POINTS_PER_THREAD,
     )  # fmt: skip
     return found
 

@@ -105,7 +105,7 @@ def with_average(
     )  # fmt: skip
     bends = local_fits(scatter, scatter.point, flow.tangent[valid], reach=BEND_REACH * half)
     average = surface_average(flow.subset, rig, surface, vertices, bends, order)
-    return replace(found, average=average.spread(rows, len(surface.vertices)))
+    return replace(found, average=average.embedded(rows, len(surface.vertices)))
 
 
 def _scatter(flow: RangeFlow, valid: Flags) -> Scatter:

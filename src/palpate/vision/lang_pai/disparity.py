@@ -106,7 +106,7 @@ def disparity_map(
     disparity, score = np.full((2, *stack.shape[1:]), np.nan)
     rows = stack.shape[1] - WINDOW + 1
     trials = _trials(views, limits)
-    in_threads(_match_rows, rows, stack, views, trials, disparity, score, fewest=_BAND)
+    in_threads(_match_rows, rows, stack, views, trials, disparity, score, min_items=_BAND)
     kept = np.isfinite(disparity)
     for i in range(1, len(pictures)):
         shift = views.offset[i] + views.ratio[i] * disparity

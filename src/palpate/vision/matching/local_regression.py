@@ -122,7 +122,7 @@ def local_field(
         np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
         scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
         float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, covariance,
-        weight, fewest=_MIN_PLACES_PER_THREAD,
+        weight, min_items=_MIN_PLACES_PER_THREAD,
     )  # fmt: skip
     found = (nearest >= 0).sum(axis=1)
     return LocalField(value, gradient, curvature, covariance, found, nearest, weight)

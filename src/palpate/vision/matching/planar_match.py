@@ -117,7 +117,7 @@ def refine_planar(
         np.ascontiguousarray(start, dtype=np.float64),
         np.ascontiguousarray(start_gradient, dtype=np.float64), subset // 2, BASES[shape],
         found.displacement, found.gradient, found.covariance, found.score, found.converged,
-        fewest=_MIN_WINDOWS_PER_THREAD,
+        min_items=_MIN_WINDOWS_PER_THREAD,
     )  # fmt: skip
     return found
 

@@ -11,7 +11,7 @@ from palpate.records import result_folder
 
 # Board of the pictures, as `palpate calibrate` is told; dots a square of its print.
 _BOARD = Charuco(7, 5, 16e-3, 12e-3)
-_DOTS = 80
+_DOTS_PER_SQUARE = 80
 
 
 def tutorial(
@@ -57,4 +57,4 @@ def printed_board() -> Print:
     Print
     """
     extent = _BOARD.columns * _BOARD.square, _BOARD.rows * _BOARD.square
-    return Print(np.ascontiguousarray(_BOARD.drawing(_DOTS)), extent)
+    return Print(np.ascontiguousarray(_BOARD.drawing(_DOTS_PER_SQUARE)), extent)

@@ -16,13 +16,13 @@ from palpate.recording import (
     Outline,
     Template,
     chosen_side,
+    default_radius,
     flat_sides,
     likely_template,
     likely_unit,
     outline_text,
     read_surface,
     survey_folder,
-    usual_radius,
 )
 from palpate.records import FILE_LENGTH_UNITS, read_rig, write_text
 
@@ -83,44 +83,50 @@ def init(
             f"{folder}: holds no surface of the object (PLY, STL, OBJ, OFF, MSH, VTU or VTP); put"
             " it there first"
         )
-    asked = sys.stdin is not None and sys.stdin.isatty()
-    kind = template or _choice("what is it", likely_template(survey), list(TEMPLATES), asked=asked)
+    interactive = sys.stdin is not None and sys.stdin.isatty()
+    kind = template or _choose(
+        "what is it", likely_template(survey), list(TEMPLATES), interactive=interactive
+    )
     target = folder / TEMPLATES[kind][1]
     if target.exists():
         raise InputError(f"{target}: is there already; nothing was changed: move it away first")
     file = survey.meshes[0]
     if mesh is None:
-        file = _choice("mesh", file, list(survey.meshes), asked=asked)
+        file = _choose("mesh", file, list(survey.meshes), interactive=interactive)
     surface = read_surface(survey, file)
     sides = flat_sides(surface)
     units = list(FILE_LENGTH_UNITS)
-    length = unit or _choice("unit of lengths", likely_unit(surface), units, asked=asked)
+    length = unit or _choose(
+        "unit of lengths", likely_unit(surface), units, interactive=interactive
+    )
     flat = [side.name for side in sides]
     if held is None and flat:
-        held = _choice("side that is held", flat[0], flat, asked=asked)  # type: ignore[assignment]
+        held = _choose("side that is held", flat[0], flat, interactive=interactive)  # type: ignore[assignment]
     outline = Outline(
         cast(Template, kind), _checked_name(name) or folder.resolve().name, file, length,
-        chosen_side(sides, held), _checked("radius", radius) or usual_radius(surface),
-        radius is not None, _checked("tool-radius", tool_radius),
+        chosen_side(sides, held), _checked_radius("radius", radius) or default_radius(surface),
+        radius is not None, _checked_radius("tool-radius", tool_radius),
     )  # fmt: skip
     write_text(target, outline_text(survey, outline))
-    print_text(f"{_found(survey)}\n{target} is written; {_next(kind, target)}")
+    print_text(f"{_found_text(survey)}\n{target} is written; {_next_step(kind, target)}")
     return 0
 
 
 def _with_files(survey: FolderSurvey, mesh: str | None, rig: Path | None) -> FolderSurvey:
     """What was found, the files that were named first; one may lie elsewhere."""
     if mesh is not None:
-        name = mesh if mesh in survey.meshes else _from(survey.folder, Path(mesh))
-        survey = replace(survey, meshes=(name, *(one for one in survey.meshes if one != name)))
+        name = mesh if mesh in survey.meshes else _relative_name(survey.folder, Path(mesh))
+        survey = replace(
+            survey, meshes=(name, *(file_name for file_name in survey.meshes if file_name != name))
+        )
     if rig is not None:
         file = rig / "rig.toml" if rig.is_dir() else rig
-        names = _from(survey.folder, file), *survey.rigs
+        names = _relative_name(survey.folder, file), *survey.rigs
         survey = replace(survey, rigs=tuple(dict.fromkeys(names)), rig=read_rig(file))
     return survey
 
 
-def _from(folder: Path, file: Path) -> str:
+def _relative_name(folder: Path, file: Path) -> str:
     """A file's name from a folder."""
     if not file.exists():
         raise RecordError(f"{file}: no such file, nor is it in {folder}; check the name")
@@ -128,26 +134,28 @@ def _from(folder: Path, file: Path) -> str:
 
 
 def _checked_name(name: str | None) -> str | None:
-    most = 200
-    if name is not None and not (name.strip() and name.isprintable() and len(name) <= most):
-        raise InputError(f"--name is {quoted(name)}; must be one line of 1 to {most} characters")
+    max_length = 200
+    if name is not None and not (name.strip() and name.isprintable() and len(name) <= max_length):
+        raise InputError(
+            f"--name is {quoted(name)}; must be one line of 1 to {max_length} characters"
+        )
     return name
 
 
-def _checked(option: str, radius: float | None) -> float | None:
+def _checked_radius(option: str, radius: float | None) -> float | None:
     if radius is not None and radius <= 0.0:
         raise InputError(f"--{option} is {radius:g}; must be positive, in the unit of the mesh")
     return radius
 
 
-def _choice(what: str, usual: str, allowed: list[str], *, asked: bool) -> str:
+def _choose(what: str, default: str, allowed: list[str], *, interactive: bool) -> str:
     """What the person says, or what is most likely where nobody can be asked."""
-    if not asked or len(allowed) == 1:
-        return usual
-    return Prompt.ask(what, choices=allowed, default=usual)
+    if not interactive or len(allowed) == 1:
+        return default
+    return Prompt.ask(what, choices=allowed, default=default)
 
 
-def _found(survey: FolderSurvey) -> str:
+def _found_text(survey: FolderSurvey) -> str:
     """How many files of each kind are there."""
     counts = (
         (survey.meshes, "mesh", "meshes"),
@@ -159,13 +167,13 @@ def _found(survey: FolderSurvey) -> str:
         (survey.poses, "log of poses", "logs of poses"),
     )
     return "Found: " + ", ".join(
-        f"{len(names)} {one if len(names) == 1 else several}"
-        for names, one, several in counts
+        f"{len(names)} {singular if len(names) == 1 else plural}"
+        for names, singular, plural in counts
         if names
     )
 
 
-def _next(kind: str, target: Path) -> str:
+def _next_step(kind: str, target: Path) -> str:
     marks = target.read_text(encoding="utf-8").count("<- fill in")
     places = "place" if marks == 1 else f"{marks} places"
     done = f"fill in the {places} marked, then" if marks else "next"

@@ -31,7 +31,7 @@ from palpate.campaign import (
     run_campaign,
     write_table,
 )
-from palpate.disk import placed
+from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.figures import save_figure
 from palpate.records import check_free, disk_errors, modulus_unit
@@ -40,10 +40,10 @@ from palpate.records import check_free, disk_errors, modulus_unit
 _Campaign = Annotated[Path, Parameter(help="Folder of the campaign.")]
 _Force = Annotated[bool, Parameter(help="Replace a file of that name.")]
 # Workers wait for pictures, not for each other; more of them only share the memory.
-_MOST_PER_CORE = 16
-_WORDS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
+_MAX_PER_CORE = 16
+_LABELS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
 # A message in a table is for knowing what it is about; the files have all of it.
-_MOST_LETTERS = 160
+_MAX_MESSAGE = 160
 
 
 def run(
@@ -88,10 +88,10 @@ def run(
     int
         0, or 3 where a session has no result.
     """
-    most = _MOST_PER_CORE * cores()
-    if workers is not None and (scheduler is not None or not 1 <= workers <= most):
+    limit = _MAX_PER_CORE * cores()
+    if workers is not None and (scheduler is not None or not 1 <= workers <= limit):
         raise InputError(
-            f"--workers is {workers}; must be 1 to {most}, {_MOST_PER_CORE} for every core, and is"
+            f"--workers is {workers}; must be 1 to {limit}, {_MAX_PER_CORE} for every core, and is"
             " for the cluster that the command starts itself, not for one with --scheduler"
         )
     items = read_items(sessions)
@@ -147,13 +147,13 @@ def table(
         write_table(out, rows)
         print_text(f"{len(rows)} rows in {out}", wrapped=False)
         return 0
-    far = outliers(rows)
+    outlying = outliers(rows)
     factor, unit = _unit(rows)
     cells = [
         (
             row.session, row.group or "-", row.state if row.state != DONE else row.status or "-",
             _constant(row, "young_modulus", factor), _constant(row, "poisson_ratio", 1.0),
-            " ".join(far.get(row.session, ())) or "-", number_text(row.seconds, ".1f"),
+            " ".join(outlying.get(row.session, ())) or "-", number_text(row.seconds, ".1f"),
         )
         for row in rows
     ]  # fmt: skip
@@ -192,7 +192,7 @@ def plot(
     if all(row.state != DONE for row in rows):
         raise InputError(f"{folder}: no session has a result yet; there is nothing to draw")
     figure = campaign_figure(rows, name)
-    with placed([target]) as (staged,), disk_errors(target):
+    with atomic_replacement([target]) as (staged,), disk_errors(target):
         save_figure(figure, staged, kind=target.suffix[1:])
     print_text(f"Picture in {target}", wrapped=False)
     return 0
@@ -202,30 +202,32 @@ def _print_summary(rows: Sequence[Row]) -> None:
     """A line for every group, then what failed and what stands out."""
     factor, unit = _unit(rows)
     groups = groups_of(rows)
-    lines = [_line(group, [row for row in rows if row.group == group], factor) for group in groups]
+    lines = [
+        _summary_row(group, [row for row in rows if row.group == group], factor) for group in groups
+    ]
     if len(groups) > 1:
-        lines.append(_line("all", rows, factor))
+        lines.append(_summary_row("all", rows, factor))
     columns = ("group", "sessions", "done", "failed", "waiting", f"E {unit}", "nu", "time s")
     caption = "E, nu: median over the sessions, and the middle half of them; time: median of one"
     print_tables(terminal_table("Campaign", columns, lines, caption=caption, total=len(groups) > 1))
-    failed = [f"{row.session}: {_short(row.message)}" for row in rows if row.state == FAILED]
+    failed = [f"{row.session}: {_shortened(row.message)}" for row in rows if row.state == FAILED]
     print_notes(failed)
     for session, names in outliers(rows).items():
-        print_text(f"Outlier: {session} ({' and '.join(_WORDS[name] for name in names)})")
+        print_text(f"Outlier: {session} ({' and '.join(_LABELS[name] for name in names)})")
 
 
-def _line(group: str, rows: Sequence[Row], factor: float) -> tuple[str, ...]:
+def _summary_row(group: str, rows: Sequence[Row], factor: float) -> tuple[str, ...]:
     counts = [sum(row.state == state for row in rows) for state in (DONE, FAILED, WAITING)]
     young = [row.young_modulus / factor for row in rows if row.young_modulus is not None]
     ratio = [row.poisson_ratio for row in rows if row.poisson_ratio is not None]
     seconds = [row.seconds for row in rows if row.seconds is not None and row.state == DONE]
     return (
-        group or "-", str(len(rows)), *map(str, counts), _middle(young), _middle(ratio),
+        group or "-", str(len(rows)), *map(str, counts), _median_text(young), _median_text(ratio),
         number_text(statistics.median(seconds) if seconds else None, ".1f"),
     )  # fmt: skip
 
 
-def _middle(values: list[float]) -> str:
+def _median_text(values: list[float]) -> str:
     """Median and quartiles."""
     if len(values) < 2:
         return number_text(values[0] if values else None, ".4g")
@@ -246,5 +248,5 @@ def _constant(row: Row, name: str, factor: float) -> str:
     return f"{value / factor:.4g} ({ends[0]} to {ends[1]})"
 
 
-def _short(text: str) -> str:
-    return text if len(text) <= _MOST_LETTERS else f"{text[:_MOST_LETTERS]} ..."
+def _shortened(text: str) -> str:
+    return text if len(text) <= _MAX_MESSAGE else f"{text[:_MAX_MESSAGE]} ..."

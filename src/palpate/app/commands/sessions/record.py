@@ -55,8 +55,8 @@ def record(
         0.
     """
     given = read_recording(recording)
-    place = out or default_folder(given.path.parent, "session")
-    with result_folder(place, kind="record", force=force) as folder:
+    destination = out or default_folder(given.path.parent, "session")
+    with result_folder(destination, kind="record", force=force) as folder:
         with progress_bar() as progress:
             found = find_presses(given, progress=part_of(progress, 0.0, 0.6))
             placed = write_recorded(folder, given, found, progress=part_of(progress, 0.6, 1.0))
@@ -65,7 +65,7 @@ def record(
     print_notes(found.notes)
     print_tables(_presses(found, placed))
     print_tables(_clocks(found))
-    print_text(f"{_zero(found)}\nSession in {place}; next: palpate check {place}")
+    print_text(f"{_zero(found)}\nSession in {destination}; next: palpate check {destination}")
     return 0
 
 
@@ -74,23 +74,23 @@ def _inputs(given: Recording) -> list[Path]:
     files = {given.path, given.gauge.file, *given.files}
     for footage in given.footage:
         files |= {footage.video} if footage.video else set(footage.pictures)
-    return sorted(files | ({given.places.poses} if given.places.poses else set()))
+    return sorted(files | ({given.contact_source.poses} if given.contact_source.poses else set()))
 
 
 def _presses(found: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
     rows = []
-    for one in placed:
-        reading = one.press.reading
+    for item in placed:
+        reading = item.press.reading
         size = float(np.linalg.norm(reading.force))
         sigma = float(np.linalg.norm(reading.std * reading.force) / max(size, 1e-300))
         factor, unit = length_unit(1e-3)
-        point = ", ".join(f"{x / factor:.2f}" for x in one.point)
-        std = number_text(one.point_std / factor, ".2f")
+        point = ", ".join(f"{x / factor:.2f}" for x in item.point)
+        std = number_text(item.point_std / factor, ".2f")
         rows.append(
             (
-                one.press.name, f"{reading.time:.2f}", f"{reading.end - reading.begin:.2f}",
+                item.press.name, f"{reading.time:.2f}", f"{reading.end - reading.begin:.2f}",
                 f"{size:.4f} ± {sigma:.4f}", f"{100 * reading.creep:+.2f}",
-                number_text(100 * hysteresis(found, one.press), "+.1f"), str(one.frames),
+                number_text(100 * hysteresis(found, item.press), "+.1f"), str(item.frames),
                 point, std,
             )
         )  # fmt: skip

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError
-from palpate.records.large_turn import check_turn, whole_turn
+from palpate.records.large_rotation import check_rotation, rigid_rotation_angle
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-0.02, 0.02, (200, 3))
@@ -23,11 +23,13 @@ def test_a_turn_is_found_whatever_comes_with_it(degrees, flat):
     points = POINTS * [1.0, 1.0, 0.0] if flat else POINTS
     moved = turned(points, degrees) + 2e-5 * RNG.normal(size=points.shape)
     # 200 points 12 mm from their middle, 0.02 mm each: 1e-4 rad, five times that.
-    assert whole_turn(points, moved) == pytest.approx(np.radians(degrees), abs=6e-4)
+    assert rigid_rotation_angle(points, moved) == pytest.approx(np.radians(degrees), abs=6e-4)
 
 
 def test_an_axis_of_the_other_sign_is_the_same_turn():
-    assert whole_turn(POINTS, turned(POINTS, -30.0)) == pytest.approx(np.radians(30.0), abs=1e-9)
+    assert rigid_rotation_angle(POINTS, turned(POINTS, -30.0)) == pytest.approx(
+        np.radians(30.0), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,17 +45,17 @@ def test_an_axis_of_the_other_sign_is_the_same_turn():
 )
 def test_what_is_no_turn(moved):
     # A shift leaves round-off, and a turn of that.
-    assert whole_turn(POINTS, moved) < 1e-12
-    check_turn(POINTS, moved, "n.csv")
+    assert rigid_rotation_angle(POINTS, moved) < 1e-12
+    check_rotation(POINTS, moved, "n.csv")
 
 
 def test_points_on_a_line_say_nothing():
     line = np.outer(np.linspace(0.0, 1.0, 9), [0.01, 0.02, 0.0])
-    assert whole_turn(line, turned(line, 40.0)) == 0.0
-    assert whole_turn(POINTS[:2], turned(POINTS[:2], 40.0)) == 0.0
+    assert rigid_rotation_angle(line, turned(line, 40.0)) == 0.0
+    assert rigid_rotation_angle(POINTS[:2], turned(POINTS[:2], 40.0)) == 0.0
 
 
 def test_small_turns_are_let_through_and_large_ones_named():
-    check_turn(POINTS, turned(POINTS, 28.0), "n.csv")
+    check_rotation(POINTS, turned(POINTS, 28.0), "n.csv")
     with pytest.raises(InputError, match=r"n\.csv: the measured points turned by 30 degrees"):
-        check_turn(POINTS, turned(POINTS, 30.0), "n.csv")
+        check_rotation(POINTS, turned(POINTS, 30.0), "n.csv")

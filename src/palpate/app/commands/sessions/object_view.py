@@ -64,14 +64,14 @@ def calibrate_object(
     """
     given = read_rig(rig)
     surface = read_mesh(mesh, metres_per_unit=LENGTH_UNITS[length_unit])
-    beside = covariance_file(rig)
-    known = None if beside is None else read_rig_covariance(beside)
-    place = out or Path(f"{mesh.stem}-rig")
-    with result_folder(place, kind="calibrate", force=force) as folder:
+    covariance = covariance_file(rig)
+    known = None if covariance is None else read_rig_covariance(covariance)
+    destination = out or Path(f"{mesh.stem}-rig")
+    with result_folder(destination, kind="calibrate", force=force) as folder:
         instants = find_instants(given, images)
         pictures = [
-            Path(one.replace("{camera}", camera.name))
-            for one in (instants if refine else instants[:1])
+            Path(pattern.replace("{camera}", camera.name))
+            for pattern in (instants if refine else instants[:1])
             for camera in given.cameras
         ]
         with progress_bar() as progress:
@@ -83,7 +83,7 @@ def calibrate_object(
         save_figure(object_figure(view.rig, surface, view.grey), folder / "object.png")
     print_notes(view.notes)
     print_tables(_table(view))
-    print_text(f"{_refinement(view)}Result in {place}")
+    print_text(f"{_refinement(view)}Result in {destination}")
     return 0
 
 
@@ -106,19 +106,19 @@ def _table(view: ObjectView) -> Table:
 
 def _refinement(view: ObjectView) -> str:
     """What became of the rig, in sentences."""
-    made = view.refined
-    if made is None:
+    refined = view.refined
+    if refined is None:
         return ""
     held = (
-        f"rays of points that took no part miss each other by {made.after:.3f} px, with the rig as"
-        f" it was by {made.before:.3f} px"
+        f"rays of points that took no part miss each other by {refined.after:.3f} px, with the rig"
+        f" as it was by {refined.before:.3f} px"
     )
-    if not made.better:
+    if not refined.better:
         return (
-            f"The rig is left as it was: refined from {made.points} points, {held}; that, or the"
+            f"The rig is left as it was: refined from {refined.points} points, {held}; that, or the"
             " distance of the surface from the mesh, is no better\n"
         )
     return (
-        f"The rig is refined from {made.points} points, {made.rejected} left out: {held}; what"
-        f" changed most is {made.largest_change}\n"
+        f"The rig is refined from {refined.points} points, {refined.rejected} left out: {held};"
+        f" what changed most is {refined.largest_change}\n"
     )

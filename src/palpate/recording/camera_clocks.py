@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 
 from palpate.errors import RecordError
 from palpate.progress import Progress, part_of, silent
-from palpate.recording.clock import Clock, SizeOfForce, coarse_offset, fine_clock, hysteresis_of
-from palpate.recording.force import EvenForce, Touch, Zero, true_runs
+from palpate.recording.clock import Clock, ForceMagnitude, coarse_offset, fine_clock, hysteresis_of
+from palpate.recording.force import ResampledForce, Touch, Zero, true_runs
 from palpate.recording.pictures import (
     CameraMotion,
     Footage,
@@ -23,21 +23,21 @@ from palpate.recording.pictures import (
 from palpate.recording.recording_file import Recording
 
 # Least time between a touch and the rest picture before it, and least duration of that rest [s].
-_AWAY, _REST = 0.15, 0.2
+_MIN_GAP, _MIN_REST = 0.15, 0.2
 # Changes of a picture that differ by less than this fraction of the largest count as equal.
-_AS_GOOD = 0.01
+_EQUAL_CHANGE = 0.01
 # Largest scatter of single presses' offsets, in frames; more means that a clock runs unevenly.
-_MOST_SCATTER = 1.0
+_MAX_SCATTER = 1.0
 # A given offset may differ from the estimated one by the largest of: so many standard deviations,
 # frames, and fractions of a ramp's duration (the bias that a hysteresis of 30 % causes).
-_SIGMAS, _FRAMES, _RAMPS = 5.0, 1.0, 0.15
+_OFFSET_SIGMAS, _OFFSET_FRAMES, _OFFSET_RAMPS = 5.0, 1.0, 0.15
 
 Span = tuple[float, float]
 
 
-def follow(
+def synchronise_cameras(
     recording: Recording,
-    even: EvenForce,
+    resampled: ResampledForce,
     zero: Zero,
     touches: Sequence[Touch],
     plateaus: Sequence[Span | None],
@@ -49,7 +49,7 @@ def follow(
     Parameters
     ----------
     recording : Recording
-    even, zero : EvenForce, Zero
+    resampled, zero : ResampledForce, Zero
     touches, plateaus : sequences   of the same presses, found in the force alone
     progress : callable             called with the current step (text) and the fraction done, 0..1
 
@@ -62,21 +62,23 @@ def follow(
     RecordError                     a video that cannot be decoded or shows no press; a clock that
                                     drifts against the gauge's, or contradicts a given offset
     """
-    size = np.linalg.norm(even.force - zero.at(even.time), axis=1)
-    known = np.isfinite(size)
-    force = SizeOfForce(even.time, np.interp(even.time, even.time[known], size[known]))
+    magnitude = np.linalg.norm(resampled.force - zero.at(resampled.time), axis=1)
+    known = np.isfinite(magnitude)
+    force = ForceMagnitude(
+        resampled.time, np.interp(resampled.time, resampled.time[known], magnitude[known])
+    )
     # Without a plateau, take the middle of the touch.
     middles = [0.5 * (touch.begin + touch.end) for touch in touches]
-    rests = [plateau or (m, m) for plateau, m in zip(plateaus, middles, strict=True)]
+    plateau_spans = [plateau or (m, m) for plateau, m in zip(plateaus, middles, strict=True)]
     count = len(recording.footage)
 
-    def work(k: int) -> tuple[CameraMotion, Clock]:
-        footage, say = recording.footage[k], part_of(progress, k / count, (k + 1) / count)
-        motion = camera_motion(footage, progress=part_of(say, 0.0, 0.5))
-        return motion, _clock(footage, motion, force, touches, rests)
+    def process(k: int) -> tuple[CameraMotion, Clock]:
+        footage, report = recording.footage[k], part_of(progress, k / count, (k + 1) / count)
+        motion = camera_motion(footage, progress=part_of(report, 0.0, 0.5))
+        return motion, _clock(footage, motion, force, touches, plateau_spans)
 
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        found = list(pool.map(work, range(count)))
+        found = list(pool.map(process, range(count)))
     motions, clocks = zip(*found, strict=True)
     return motions, clocks
 
@@ -84,46 +86,48 @@ def follow(
 def _clock(
     footage: Footage,
     motion: CameraMotion,
-    force: SizeOfForce,
+    force: ForceMagnitude,
     touches: Sequence[Touch],
-    rests: Sequence[Span],
+    plateau_spans: Sequence[Span],
 ) -> Clock:
     """A camera's clock offset; a given one is checked against the estimate from the pictures."""
-    told = footage.offset
-    coarse = coarse_offset(force, motion) if told is None else (told, np.nan, None)
+    given = footage.offset
+    coarse = coarse_offset(force, motion) if given is None else (given, np.nan, None)
     times = [
         RampTimes(*(time - coarse[0] for time in (touch.begin, *rest, touch.end)))
-        for touch, rest in zip(touches, rests, strict=True)
+        for touch, rest in zip(touches, plateau_spans, strict=True)
     ]
     ramps = camera_ramps(footage, times)
     found = fine_clock(coarse, force, touches, ramps, footage.camera)
     frame = motion.interval
-    if found.scatter > _MOST_SCATTER * frame:
+    if found.scatter > _MAX_SCATTER * frame:
         raise RecordError(
             f"{footage.source}: the clock of camera '{footage.camera}' does not run with the"
             f" gauge's: its offset differs by {1e3 * found.scatter:.0f} ms (one sigma) from press"
             f" to press, a frame is {1e3 * frame:.0f} ms; were frames dropped? Give the time of"
             " each frame as `times`"
         )
-    if told is None:
+    if given is None:
         return found
-    away = abs(found.offset - told)
-    ramp = float(np.median([a - touch.begin for touch, (a, _) in zip(touches, rests, strict=True)]))
-    if away > max(_SIGMAS * found.std, _FRAMES * frame, _RAMPS * ramp):
+    difference = abs(found.offset - given)
+    ramp = float(
+        np.median([a - touch.begin for touch, (a, _) in zip(touches, plateau_spans, strict=True)])
+    )
+    if difference > max(_OFFSET_SIGMAS * found.std, _OFFSET_FRAMES * frame, _OFFSET_RAMPS * ramp):
         raise RecordError(
-            f"{footage.source}: the offset of camera '{footage.camera}' is said to be {told:g} s,"
-            f" and its pictures go with the force at {found.offset:.3f} s, {away / frame:.1f}"
+            f"{footage.source}: the offset of camera '{footage.camera}' is said to be {given:g} s,"
+            f" and its pictures go with the force at {found.offset:.3f} s, {difference / frame:.1f}"
             " frames away: the camera was not synchronised; correct `offset`, or leave it out"
         )
     hysteresis = tuple(
-        np.nan if ramp is None else hysteresis_of(force, touch, ramp, told)
+        np.nan if ramp is None else hysteresis_of(force, touch, ramp, given)
         for touch, ramp in zip(touches, ramps, strict=True)
     )
-    return replace(found, offset=told, given=True, hysteresis=hysteresis)
+    return replace(found, offset=given, given=True, hysteresis=hysteresis)
 
 
 def still_pictures(
-    even: EvenForce,
+    resampled: ResampledForce,
     motions: Sequence[CameraMotion],
     clocks: Sequence[Clock],
     plateaus: Sequence[Span | None],
@@ -132,30 +136,30 @@ def still_pictures(
 
     Parameters
     ----------
-    even : EvenForce
+    resampled : ResampledForce
     motions, clocks : sequences     one per camera
     plateaus : sequence of (begin, end) [s] or None     plateaus of the force, gauge's clock
 
     Returns
     -------
-    (n,) bool                       at the times of `even`
+    (n,) bool                       at the times of `resampled`
     """
-    still = np.ones(len(even.time), dtype=bool)
+    still = np.ones(len(resampled.time), dtype=bool)
     for motion, clock in zip(motions, clocks, strict=True):
         shifted = [(a - clock.offset, b - clock.offset) for a, b in filter(None, plateaus)]
         flags = still_frames(motion, shifted)
         time = motion.time + clock.offset
         # Motion between two frames shows in the later one.
-        later = np.searchsorted(time, even.time)
+        later = np.searchsorted(time, resampled.time)
         inside = (later > 0) & (later < len(time))
         later = np.clip(later, 1, len(time) - 1)
-        whole = time[later] - time[later - 1] < 3.0 * motion.interval
-        still &= inside & flags[later] & whole
+        contiguous = time[later] - time[later - 1] < 3.0 * motion.interval
+        still &= inside & flags[later] & contiguous
     return still
 
 
 def rest_before(
-    even: EvenForce,
+    resampled: ResampledForce,
     motions: Sequence[CameraMotion],
     clocks: Sequence[Clock],
     free: Span,
@@ -167,34 +171,34 @@ def rest_before(
 
     Parameters
     ----------
-    even : EvenForce
+    resampled : ResampledForce
     motions, clocks : sequences     one per camera
     free : (begin, end) [s]         the pause, without contact
-    still : (n,) bool               no motion, at the times of `even`
+    still : (n,) bool               no motion, at the times of `resampled`
 
     Returns
     -------
     (begin, end) [s] or None        gauge's clock; None if there is no such span
     """
-    time = even.time
-    quiet = still & (time > free[0] + _AWAY) & (time < free[1] - _AWAY)
-    length = max(2, round(_REST / even.step))
+    time = resampled.time
+    at_rest = still & (time > free[0] + _MIN_GAP) & (time < free[1] - _MIN_GAP)
+    length = max(2, round(_MIN_REST / resampled.step))
     best: tuple[float, Span] | None = None
-    for first, last in true_runs(quiet):
+    for first, last in true_runs(at_rest):
         if last - first < length:
             continue
-        change = _change(motions, clocks, time[first:last])
+        change = _total_change(motions, clocks, time[first:last])
         mean = np.convolve(change, np.ones(length) / length, "valid")
-        least = float(mean.min())
-        if best is None or least < best[0]:
+        smallest = float(mean.min())
+        if best is None or smallest < best[0]:
             # Many spans are nearly as good; take their middle, farthest from any motion.
-            good = np.flatnonzero(mean < least + _AS_GOOD * len(motions))
-            k = first + int(good[len(good) // 2])
-            best = least, (float(time[k]), float(time[k + length - 1]))
+            equal = np.flatnonzero(mean < smallest + _EQUAL_CHANGE * len(motions))
+            k = first + int(equal[len(equal) // 2])
+            best = smallest, (float(time[k]), float(time[k + length - 1]))
     return None if best is None else best[1]
 
 
-def _change(
+def _total_change(
     motions: Sequence[CameraMotion], clocks: Sequence[Clock], time: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
     """Sum over the cameras of the change since the first picture, each relative to its maximum."""
