@@ -1,6 +1,7 @@
 """Closed triangle surfaces for tests, made by hand: no mesh program, no file."""
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from palpate.geometry import TriangleMesh, welded
 
@@ -51,3 +52,26 @@ def joined(*meshes: TriangleMesh) -> TriangleMesh:
         np.concatenate([mesh.vertices for mesh in meshes]),
         np.concatenate([m.triangles + s for m, s in zip(meshes, starts, strict=False)]),
     )
+
+
+def hull_mesh(vertices: np.ndarray) -> TriangleMesh:
+    """Convex hull of points as an outward mesh."""
+    hull = ConvexHull(vertices)
+    used, triangles = np.unique(hull.simplices, return_inverse=True)
+    triangles = triangles.reshape(-1, 3)
+    corner = vertices[used][triangles]
+    inward = np.einsum(
+        "ta,ta->t", np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]),
+        hull.equations[:, :3],
+    ) < 0.0  # fmt: skip
+    triangles[inward] = triangles[inward][:, ::-1]
+    return TriangleMesh(vertices[used], triangles)
+
+
+def ball_mesh(axes: np.ndarray, count: int = 8000) -> TriangleMesh:
+    """Ellipsoid of these half axes, with its lowest point at the origin."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    ring = np.sqrt(1.0 - z**2)
+    unit = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    return hull_mesh(unit * axes + np.array([0.0, 0.0, axes[2]]))

@@ -54,12 +54,12 @@ SESSION = (
     Table("[object]", FILES + "session", "read_session", 1, (RECORDS + "session.Session",)),
     Table(
         "[support], or several [[support]]", FILES + "support", "read_supports", 0,
-        (RECORDS + "contact.Support",),
+        (RECORDS + "support.Support",),
     ),
     Table("plane of a support: one table, or a list", FILES + "support", "_plane_distance"),
     Table("box of a support: one table, or a list", FILES + "support", "_inside_box"),
-    Table("[gravity]", FILES + "session", "_only_key", 0, (), ("acceleration",)),
-    Table("[rig]", FILES + "session", "_only_key", 0, (), ("cameras",)),
+    Table("[gravity]", FILES + "session", "_single_key_table", 0, (), ("acceleration",)),
+    Table("[rig]", FILES + "session", "_single_key_table", 0, (), ("cameras",)),
     Table(
         "[errors]", RECORDS + "error_priors", "read_error_priors", 0,
         (RECORDS + "error_priors.ErrorPriors",),
@@ -71,18 +71,22 @@ SESSION = (
     ),
     Table(
         "contact of a probe: a round patch", FILES + "loads", "_contact", 1,
-        (RECORDS + "contact.Contact",),
+        (RECORDS + "contacts.contact.Contact",),
     ),
     Table(
         "contact of a probe: a tool", FILES + "loads", "_tool", 0,
-        (RECORDS + "contact.Tool", RECORDS + "contact.Contact"),
+        (RECORDS + "contacts.contact.Tool", RECORDS + "contacts.contact.Contact"),
+    ),
+    Table(
+        "contact of a probe: a tool given as a mesh", FILES + "loads", "_mesh_tool", 0,
+        (RECORDS + "contacts.contact.Tool", RECORDS + "contacts.contact.Contact"),
     ),
     Table("contact of a probe: a face", FILES + "loads", "_contact", 0),
     Table("contact of a probe: a grip", FILES + "loads", "read_push"),
     Table("[[probe.load]]", FILES + "loads", "read_loads", 0, (RECORDS + "probing.Load",)),
     Table(
         "support_motion of a probe", FILES + "loads", "read_support_motion", 0,
-        (RECORDS + "contact.RigidMotion",),
+        (RECORDS + "support.RigidMotion",),
     ),
     Table("images of a probe", FILES + "session", "_images", 0, (RECORDS + "probing.Images",)),
     Table(
@@ -279,8 +283,8 @@ def program_sections() -> Iterator[str]:
             ("kind", ", ".join(f"`{kind}`" for kind in program.kinds)),
             ("results", f"`{program.results}`" if program.results else ""),
             ("calibrations", program.calibrations),
-            ("unit where the file says none", program.usual_unit),
-            ("least score", program.least_score),
+            ("unit where the file says none", program.default_unit),
+            ("lowest accepted score", program.min_score),
         ]
         for name, value in facts:
             if value not in (None, ""):

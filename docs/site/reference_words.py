@@ -45,6 +45,9 @@ WORDS = {
     "tool": "what presses; the touched patch follows from force and constants",
     "tool_radius": "of the sphere, of the flat face of a punch (`flat`) or of a `cylinder`, or of the"
     " base of the cone",
+    "tool_mesh": "closed convex surface in the `length_unit`; the origin of its frame is the tool's centre"
+    " point, which `point` places on the object",
+    "tool_rotation": "rotation vector that turns the mesh's frame into the object's [rad]; by default none",
     "tool_angle": "of a cone, and only there: between its axis and its side",
     ("contact of a probe: a grip", "support"): "number of the support that is pulled, from 1",
     "contact": "where it presses: a table, below",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from surfaces import box
+from surfaces import ball_mesh, box
 
 from palpate.errors import PalpateError
 from palpate.geometry import closest_points
@@ -18,7 +18,16 @@ from palpate.pipeline import (
     session_observations,
 )
 from palpate.probe import contact_circle
-from palpate.records import EXACT, SPHERE, Contact, DisplacementField, Probing, Session, Tool
+from palpate.records import (
+    EXACT,
+    SPHERE,
+    Contact,
+    DisplacementField,
+    Probing,
+    Session,
+    Tool,
+    mesh_tool,
+)
 
 SHEAR, NU, BALL = 2e4, 0.3, 6e-3
 PLACE, PUSH = np.array([0.021, 0.019, 0.04]), 0.34
@@ -66,6 +75,17 @@ def test_the_circle_is_found(measured: Session) -> None:
     radius = float(note.split("touches: ")[1].split(" mm")[0])
     (known,) = measured.probings
     assert radius == pytest.approx(1e3 * known.contact.radius, rel=0.01)
+
+
+def test_a_ball_that_is_given_as_a_mesh_is_as_good(measured: Session) -> None:
+    """Solved on a grid, for a polyhedron, with the slope of a sphere: pressure, outward part, load.
+
+    The truth has r / R in place of the slope, which is 2 % of an outward part that is worth 0.004.
+    """
+    tool = mesh_tool(ball_mesh(np.full(3, BALL), 1500), np.eye(3))
+    estimate = fit_session(_named(measured, tool)).estimate
+    assert estimate.young_modulus.value == pytest.approx(2 * SHEAR * (1 + NU), rel=2e-3)
+    assert estimate.poisson_ratio.value == pytest.approx(NU, abs=1e-3)
 
 
 def test_without_its_outward_part_a_sphere_makes_nu_too_large(measured: Session) -> None:

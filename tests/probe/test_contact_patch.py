@@ -28,9 +28,9 @@ def patch_on_cube(held=NOBODY, **options):
 def test_profiles_of_the_session_format(profile, expected):
     patch = patch_on_cube(profile=profile)
     # Half a radius away, at the rim, and beyond it.
-    np.testing.assert_allclose(patch.pressure(np.array([0.5])), expected)
-    assert patch.pressure(np.array([0.0]))[0] == 1
-    assert not patch.pressure(np.array([1.0, 1.5])).any()
+    np.testing.assert_allclose(patch.contact.pressure(np.array([0.5])), expected)
+    assert patch.contact.pressure(np.array([0.0]))[0] == 1
+    assert not patch.contact.pressure(np.array([1.0, 1.5])).any()
     position = TOP + np.array([[0.06, 0.08, 0.0]])
     found = patch.density(np.array([0]), np.full((1, 3), 1 / 3), position)
     np.testing.assert_allclose(found, expected)

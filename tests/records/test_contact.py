@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from surfaces import box, hull_mesh
 
 from palpate.errors import InputError, RecordError
-from palpate.records import PRESSURES, Contact, Tool, read_session
-from palpate.records.contact import contact_profiles
+from palpate.geometry import TriangleMesh, write_mesh
+from palpate.records import MESH, PRESSURES, Contact, Tool, read_session
+from palpate.records.contacts import contact_profiles
 
 
 @pytest.mark.parametrize(
@@ -69,9 +71,43 @@ def test_a_cone_has_an_angle(edited):
     assert contact.profile == "cone"
 
 
+def _punch(folder, half=(0.004, 0.002, 0.01)):
+    """A bar of these half sides [m], its lower face about the origin, written as a file."""
+    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+    mesh = hull_mesh(np.array(half) * (corners + np.array([0.0, 0.0, 1.0])))
+    write_mesh(folder / "punch.stl", mesh)
+
+
+def test_a_tool_of_any_convex_shape_is_a_mesh_in_a_file(edited):
+    tool = 'tool = "mesh", tool_mesh = "punch.stl", tool_rotation = [0, 0, 1.5707963267948966]'
+    folder = edited('radius = 0.006, profile = "smooth"', tool)
+    _punch(folder)
+    contact = read_session(folder).probings[0].contact
+    assert contact.tool is not None
+    assert (contact.tool.shape, contact.tool.friction) == (MESH, "slides")
+    assert contact.tool.radius == pytest.approx(0.002)
+    # A quarter turn about z: the long side lies along y, the lower face stays.
+    for normal, offset in [([0, 1, 0], 0.004), ([1, 0, 0], 0.002), ([0, 0, -1], 0.0)]:
+        there = np.abs(contact.tool.planes[:, :3] - normal).max(axis=1) < 1e-6
+        assert contact.tool.planes[there, 3] == pytest.approx([offset], abs=1e-9)
+
+
+def test_a_tool_s_mesh_must_be_convex(edited):
+    folder = edited('radius = 0.006, profile = "smooth"', 'tool = "mesh", tool_mesh = "object.ply"')
+    mesh = box()
+    dented = mesh.vertices.copy()
+    dented[0] = mesh.vertices.mean(axis=0) * 0.9
+    write_mesh(folder / "object.ply", TriangleMesh(dented, mesh.triangles))
+    with pytest.raises(RecordError, match=r"tool's mesh holds .* must be convex and closed"):
+        read_session(folder)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ('tool = "mesh"', "the key 'tool_mesh' is missing"),
+        ('tool = "mesh", tool_mesh = "no.stl"', "no.stl"),
+        ('tool = "mesh", tool_mesh = "n.csv", tool_radius = 3', "unknown key 'tool_radius'"),
         ('tool = "cone", tool_radius = 3', "no tool_angle; a cone needs one"),
         ('tool = "cone", tool_radius = 3, tool_angle = "5 deg"', "5 degrees; must be from 29"),
         ('tool = "flat", tool_radius = 3, tool_angle = "60 deg"', "no other tool has one"),

@@ -17,6 +17,7 @@ from palpate.bem.compressed import (
 )
 from palpate.bem.integrals import check_material, integral_weights
 from palpate.bem.loads import (
+    LOAD_CELLS,
     IndentationCorrection,
     LoadCells,
     RightHand,
@@ -189,7 +190,7 @@ def load_right_hand(
     corrections: Sequence[IndentationCorrection | None] | None = None,
     *,
     forces: Float[np.ndarray, "k 3"] | None = None,
-    cells: LoadCells | None = None,
+    cells: LoadCells = LOAD_CELLS,
 ) -> RightHand:
     """Right-hand sides of surface loads: for one newton along each axis, or for one given force.
 
@@ -200,7 +201,7 @@ def load_right_hand(
     corrections : sequence of k IndentationCorrection or None    for the local indentation around
                                       each load (`indentation_corrections`)
     forces : (k, 3) float [N] or None             None: one newton along each axis
-    cells : LoadCells or None                     subdivision of the loads, see `load_points`
+    cells : LoadCells                             subdivision of the loads, see `load_points`
 
     Returns
     -------

@@ -13,6 +13,7 @@ from palpate.geometry.closest_point import (
     distinct_points as distinct_points,
     triangle_distances as triangle_distances,
 )
+from palpate.geometry.convex_planes import convex_planes as convex_planes
 from palpate.geometry.files import (
     MESH_SUFFIXES as MESH_SUFFIXES,
     check_packed_arrays as check_packed_arrays,

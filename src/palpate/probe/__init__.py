@@ -32,3 +32,7 @@ from palpate.probe.contact_patch import (
     ContactPatch as ContactPatch,
     find_contact_patch as find_contact_patch,
 )
+from palpate.probe.convex_contact import (
+    ConvexContact as ConvexContact,
+    convex_contact as convex_contact,
+)

@@ -67,17 +67,11 @@ def contact_circle(
     305 (1968) 55) and within 2 % for a sphere. The pressure under a cone is that of a cone as long
     as more of the force is due to its slope than to the curvature of the surface.
     """
-    if not force > 0.0:
-        raise InputError(
-            f"the tool pulls with {-force:.3g} N: its force must point into the object; check the"
-            " force's sign and frame"
-        )
-    reduced_modulus = 2.0 * shear_modulus / (1.0 - poisson_ratio)
-    if tool.friction == STICKS:
-        reduced_modulus *= _no_slip_factor(poisson_ratio)
+    check_inward(force)
+    modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
     if tool.is_flat:
         hertz_radius = (
-            (0.75 * force / (reduced_modulus * curvature)) ** (1 / 3) if curvature > 0.0 else np.inf
+            (0.75 * force / (modulus * curvature)) ** (1 / 3) if curvature > 0.0 else np.inf
         )
         if hertz_radius < tool.radius:
             return ContactCircle(hertz_radius, "hertz")
@@ -85,21 +79,43 @@ def contact_circle(
 
     def excess(ratio: float) -> float:
         radius = ratio * tool.radius
-        return (
-            reduced_modulus * (_flat_force(tool, radius) + _curvature_force(curvature, radius))
-            - force
-        )
+        return modulus * (_flat_force(tool, radius) + _curvature_force(curvature, radius)) - force
 
     if excess(_MAX_RADIUS_RATIO) < 0.0:
-        raise InputError(
-            f"a force of {force:.3g} N would bury a {tool.shape} of {1e3 * tool.radius:.3g} mm in a"
-            f" material of G = {shear_modulus:.3g} Pa; check the tool's radius and the force"
-        )
+        raise buried(tool, force, shear_modulus)
     radius = tool.radius * float(brentq(excess, 1e-6, _MAX_RADIUS_RATIO, xtol=1e-9))
     conical = tool.shape == CONE and _flat_force(tool, radius) > abs(
         _curvature_force(curvature, radius)
     )
     return ContactCircle(radius, "cone" if conical else "hertz")
+
+
+def check_inward(force: float) -> None:
+    """Refuse a tool that pulls; `force` [N] is along the inward normal.
+
+    Raises
+    ------
+    InputError                      a force that is not positive
+    """
+    if not force > 0.0:
+        raise InputError(
+            f"the tool pulls with {-force:.3g} N: its force must point into the object; check the"
+            " force's sign and frame"
+        )
+
+
+def reduced_modulus(tool: Tool, *, shear_modulus: float, poisson_ratio: float) -> float:
+    """Modulus E / (1 - nu^2) of the object [Pa], times the factor of a tool to which it sticks."""
+    modulus = 2.0 * shear_modulus / (1.0 - poisson_ratio)
+    return modulus * (_no_slip_factor(poisson_ratio) if tool.friction == STICKS else 1.0)
+
+
+def buried(tool: Tool, force: float, shear_modulus: float) -> InputError:
+    """The error of a force [N] that presses a tool in up to its side."""
+    return InputError(
+        f"a force of {force:.3g} N would bury a {tool.shape} of {1e3 * tool.radius:.3g} mm in a"
+        f" material of G = {shear_modulus:.3g} Pa; check the tool's radius and the force"
+    )
 
 
 def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> float:

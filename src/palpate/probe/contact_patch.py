@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, triangle_distances, unit_normals
-from palpate.records import PRESSURES, Contact, Pressure
+from palpate.records import Contact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,19 +50,12 @@ class ContactPatch:
 
         Returns
         -------
-        (n,) float [-]            the contact's profile (`records.PRESSURES`) at s = distance from
-                                  the contact point over the radius; without a radius, the linear
-                                  hat function of the nearest vertex
+        (n,) float [-]            `Contact.pressure_at`; without a radius, the linear hat function
+                                  of the nearest vertex
         """
         if self.contact.radius is None:
             return (barycentric * (self.corners[triangle] == self.vertex)).sum(axis=1)
-        distance = np.linalg.norm(position - self.contact.point, axis=1)
-        return self.pressure(distance / self.contact.radius)
-
-    @property
-    def pressure(self) -> Pressure:
-        """Pressure at a distance over the radius, up to a factor; zero from 1 on."""
-        return PRESSURES[self.contact.profile]
+        return self.contact.pressure_at((position - self.contact.point) / self.contact.radius)
 
 
 def find_contact_patch(
@@ -102,13 +95,13 @@ def find_contact_patch(
         triangles = np.flatnonzero((mesh.triangles == vertex).any(axis=1))
     else:
         distance = float(nearest.distance[0])
-        if distance >= contact.radius:
+        if distance >= contact.reach:
             raise InputError(
                 f"probe '{name}': the contact point is {1e3 * distance:.3g} mm from the surface, "
-                f"farther than its radius of {1e3 * contact.radius:.3g} mm; check the frame and "
+                f"farther than its radius of {1e3 * contact.reach:.3g} mm; check the frame and "
                 f"the units of {point_name}"
             )
-        triangles = _connected_triangles(mesh, contact.point, contact.radius, first)
+        triangles = _connected_triangles(mesh, contact.point, contact.reach, first)
     held = np.intersect1d(triangles, held_triangles)
     if held.size:
         raise InputError(

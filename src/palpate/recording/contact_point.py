@@ -32,14 +32,14 @@ from palpate.shapes import Indices, Points, Vector3
 # Poisson's ratios that are tried; the contact point hardly depends on the ratio.
 _POISSON_RATIOS = (0.2, 0.35, 0.48)
 # Step sizes of the search in contact radii, and largest number of moves for each.
-_STEPS, _MOST_MOVES = (1.0, 0.4), 8
+_STEPS, _MAX_MOVES = (1.0, 0.4), 8
 # Points closer to the contact than this many radii are ignored: their motion depends on the
 # pressure distribution.
-_NEAREST = 1.2
+_MIN_DISTANCE = 1.2
 # The search begins at the middle of the points whose displacement exceeds this percentile.
-_MOST_MOVED = 97.0
+_MOVED_PERCENTILE = 97.0
 # Least number of points, and least fraction of the motion that a contact must explain.
-_LEAST_POINTS, _LEAST_EXPLAINED = 30, 0.5
+_MIN_POINTS, _MIN_EXPLAINED = 30, 0.5
 _HEXAGON = np.array([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3.0)])
 
 
@@ -100,7 +100,7 @@ def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _MeasuredPress:
     """Measured force and displacements of one press, and the interpolation to its points."""
 
     force: Vector3
@@ -140,49 +140,51 @@ def find_contact(
     RecordError                     too few points, no point explains the motion, or all fit alike
     InputError                      a contact on the support
     """
-    if len(points) < _LEAST_POINTS:
+    if len(points) < _MIN_POINTS:
         raise RecordError(
             f"only {len(points)} points of the surface could be followed: the contact cannot be"
             " found; give `points` or `poses` in [contact]"
         )
-    guess = _start(model.mesh, points, displacement, force)
+    guess = _first_guess(model.mesh, points, displacement, force)
     place = closest_points(model.mesh, points)
     nodes = model.system.surface.displacement
     at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
-    seen = _Seen(force, radius, profile, points, displacement, at_points)
+    press = _MeasuredPress(force, radius, profile, points, displacement, at_points)
     for step in _STEPS:
-        for _ in range(_MOST_MOVES):
-            ring, across = _ring(model.mesh, guess, step * radius)
-            rest = _unexplained(model, seen, ring)
-            best = int(rest.argmin())
+        for _ in range(_MAX_MOVES):
+            ring, tangents = _ring(model.mesh, guess, step * radius)
+            residuals = _unexplained(model, press, ring)
+            best = int(residuals.argmin())
             if best == 0:
                 break
             guess = ring[best]
-    shift, curve = _lowest(step * radius * _HEXAGON, rest)
-    position = closest_points(model.mesh, (guess + shift @ across)[None])
-    explained = 1.0 - float(rest.min()) / float(_square(seen, guess))
-    if explained < _LEAST_EXPLAINED:
+    shift, half_hessian = _paraboloid_minimum(step * radius * _HEXAGON, residuals)
+    position = closest_points(model.mesh, (guess + shift @ tangents)[None])
+    explained = 1.0 - float(residuals.min()) / float(_sum_of_squares(press, guess))
+    if explained < _MIN_EXPLAINED:
         raise RecordError(
             f"no place of the surface explains how it moved (the best one {100 * explained:.0f} %):"
             " the contact cannot be found; give `points` or `poses` in [contact]"
         )
     # Errors of neighbouring points are correlated: the effective number of independent points is
     # that of patches of the contact's size in the measured area.
-    span = np.ptp((points - guess) @ across.T, axis=0)
+    span = np.ptp((points - guess) @ tangents.T, axis=0)
     count = float(np.clip(span.prod() / (np.pi * radius**2), 8.0, len(points)))
-    variance = float(rest.min()) / count * np.linalg.inv(curve)
+    variance = float(residuals.min()) / count * np.linalg.inv(half_hessian)
     return FoundContact(position.position[0], float(np.sqrt(variance.trace() / 2.0)), explained)
 
 
-def _start(mesh: TriangleMesh, points: Points, displacement: Points, force: Vector3) -> Vector3:
+def _first_guess(
+    mesh: TriangleMesh, points: Points, displacement: Points, force: Vector3
+) -> Vector3:
     """First guess: centroid of the points that move most along the force, moved to the surface.
 
     The tool occludes the contact itself, so this may be off by a tool radius.
     """
     along = np.maximum(displacement @ force, 0.0)
-    most = along >= np.percentile(along, _MOST_MOVED)
-    middle = np.average(points[most], axis=0, weights=along[most])
-    position: Vector3 = closest_points(mesh, middle[None]).position[0]
+    moving = along >= np.percentile(along, _MOVED_PERCENTILE)
+    centroid = np.average(points[moving], axis=0, weights=along[moving])
+    position: Vector3 = closest_points(mesh, centroid[None]).position[0]
     return position
 
 
@@ -191,62 +193,64 @@ def _ring(
 ) -> tuple[Points, Float[np.ndarray, "2 3"]]:
     """A surface point and six around it, and two unit tangents there."""
     place = closest_points(mesh, centre[None])
-    across = np.linalg.svd(unit_normals(mesh)[place.triangle[0]][None])[2][1:]
-    return closest_points(mesh, centre + size * _HEXAGON @ across).position, across
+    tangents = np.linalg.svd(unit_normals(mesh)[place.triangle[0]][None])[2][1:]
+    return closest_points(mesh, centre + size * _HEXAGON @ tangents).position, tangents
 
 
-def _square(seen: _Seen, centre: Vector3) -> float:
+def _sum_of_squares(press: _MeasuredPress, centre: Vector3) -> float:
     """Sum of squared measured displacements of the points away from a contact [m^2]."""
-    away = np.linalg.norm(seen.point - centre, axis=1) > _NEAREST * seen.radius
-    return float(np.square(seen.displacement[away]).sum())
+    is_far = np.linalg.norm(press.point - centre, axis=1) > _MIN_DISTANCE * press.radius
+    return float(np.square(press.displacement[is_far]).sum())
 
 
-def _unexplained(model: ContactModel, seen: _Seen, places: Points) -> Float[np.ndarray, " k"]:
+def _unexplained(
+    model: ContactModel, press: _MeasuredPress, candidates: Points
+) -> Float[np.ndarray, " k"]:
     """Sum of squared residuals for each candidate, at the best ratio and stiffness [m^2].
 
     The same measured points are used for all candidates.
     """
-    loads = [_load(model, seen, place) for place in places]
+    loads = [_load(model, press, candidate) for candidate in candidates]
     shapes = indentation_corrections(model.system.surface, loads)
-    right = load_right_hand(model.system, loads, shapes)
-    away = np.linalg.norm(seen.point - places[0], axis=1) > _NEAREST * seen.radius
-    measured = seen.displacement[away].ravel()
-    best = np.full(len(places), np.inf)
+    right_hand = load_right_hand(model.system, loads, shapes)
+    is_far = np.linalg.norm(press.point - candidates[0], axis=1) > _MIN_DISTANCE * press.radius
+    measured = press.displacement[is_far].ravel()
+    best = np.full(len(candidates), np.inf)
     free = model.system.unknowns.free_vertices
     for factor, ratio in zip(model.factors, _POISSON_RATIOS, strict=True):
-        unit = solve(factor, right.at(ratio)).reshape(-1, len(places), 3) @ seen.force
-        rest = []
-        for k in range(len(places)):
+        unit = solve(factor, right_hand.at(ratio)).reshape(-1, len(candidates), 3) @ press.force
+        residuals = []
+        for k in range(len(candidates)):
             moved = np.zeros_like(model.mesh.vertices)
             moved[free] = unit[: 3 * free.size, k].reshape(-1, 3)
-            expected = (seen.at_points @ moved)[away].ravel()
+            expected = (press.at_points @ moved)[is_far].ravel()
             scale = expected @ measured / (expected @ expected)
-            rest.append(float(np.square(measured - scale * expected).sum()))
-        if min(rest) < best.min():
-            best = np.array(rest)
+            residuals.append(float(np.square(measured - scale * expected).sum()))
+        if min(residuals) < best.min():
+            best = np.array(residuals)
     return best
 
 
-def _load(model: ContactModel, seen: _Seen, place: Vector3) -> SurfaceLoad:
-    contact = Contact(place, seen.radius, seen.profile)
+def _load(model: ContactModel, press: _MeasuredPress, place: Vector3) -> SurfaceLoad:
+    contact = Contact(place, press.radius, press.profile)
     patch = find_contact_patch(model.mesh, contact, model.held, name="searched")
-    disc = PressureDisc(contact.point, seen.radius, patch.pressure)
+    disc = PressureDisc(contact.point, press.radius, contact.pressure)
     return SurfaceLoad(patch.triangles, patch.density, disc)
 
 
-def _lowest(
+def _paraboloid_minimum(
     place: Float[np.ndarray, "k 2"], value: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
     """Minimum of a fitted paraboloid, limited to the fitted region, and half its Hessian."""
     x, y = place.T
     matrix = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     _, bx, by, cxx, cxy, cyy = np.linalg.lstsq(matrix, value, rcond=None)[0]
-    curve = np.array([[cxx, 0.5 * cxy], [0.5 * cxy, cyy]])
-    if np.linalg.eigvalsh(curve)[0] <= 0.0:
+    half_hessian = np.array([[cxx, 0.5 * cxy], [0.5 * cxy, cyy]])
+    if np.linalg.eigvalsh(half_hessian)[0] <= 0.0:
         raise RecordError(
             "the motion fits as well wherever the tool may have touched: the contact cannot be"
             " found; give `points` or `poses` in [contact]"
         )
-    shift = -0.5 * np.linalg.solve(curve, np.array([bx, by]))
+    shift = -0.5 * np.linalg.solve(half_hessian, np.array([bx, by]))
     reach = np.linalg.norm(place, axis=1).max()
-    return shift * min(1.0, reach / max(float(np.linalg.norm(shift)), 1e-300)), curve
+    return shift * min(1.0, reach / max(float(np.linalg.norm(shift)), 1e-300)), half_hessian

@@ -9,17 +9,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, enclosed_volume
+from palpate.geometry import TriangleMesh, convex_planes
 from palpate.shapes import Matrix3, Vector3
 from palpate.simulation.kernels import FACES, SPHERE, ToolArrays
 
 # Sides of the prism that approximates a round punch.
 _SIDES = 48
-# Largest difference in volume between a mesh and its convex hull, relative to the latter.
-_CONVEXITY_TOLERANCE = 1e-6
 # Largest deviation of an entry of R R^T from the identity.
 _ROTATION_TOLERANCE = 1e-9
 
@@ -124,19 +121,7 @@ def convex_tool(mesh: TriangleMesh) -> ConvexTool:
     ------
     InputError                      a mesh that is flat, open or not convex
     """
-    try:
-        hull = ConvexHull(mesh.vertices)
-    except (QhullError, ValueError) as error:
-        raise InputError("the tool's mesh has no volume; give a closed convex surface") from error
-    volume = enclosed_volume(mesh)
-    if abs(volume - hull.volume) > _CONVEXITY_TOLERANCE * hull.volume:
-        raise InputError(
-            f"the tool's mesh holds {1e6 * volume:.4g} ml, its convex hull {1e6 * hull.volume:.4g}"
-            " ml; a tool must be convex and closed, with outward normals: give its hull, or several"
-            " convex tools"
-        )
-    planes = np.unique(np.round(hull.equations, 12), axis=0)
-    planes = np.column_stack([planes[:, :3], -planes[:, 3]])
+    planes = convex_planes(mesh)
     return ConvexTool(planes, float(np.linalg.norm(mesh.vertices, axis=1).max()))
 
 

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array, kron
 
 from palpate.estimation import (
     ContactError,
+    Discretisation,
     FitSettings,
     ForceDirection,
     ForceGain,
@@ -268,3 +269,18 @@ def test_what_the_gauge_did_not_measure_is_not_turned():
     force = 0.01 * np.cross(np.eye(3), probe.force / SHEAR)
     np.testing.assert_allclose(along, np.outer(response[:, 2], force[:, 2]), atol=1e-15)
     assert np.abs(turned - along).max() > 0.1 * np.abs(turned).max()
+
+
+def test_the_discretisation_error_is_a_share_of_the_step_from_the_coarser_mesh() -> None:
+    """What is left of an error that has shrunk in proportion: the prediction on the coarser mesh
+    lies a step away from that on the finer one, in the other direction."""
+    probe, std = _probes()[0], 0.2
+    fine = probe.response
+
+    def coarser(poisson_ratio: float, shear_modulus: float) -> np.ndarray:
+        assert shear_modulus == pytest.approx(SHEAR)
+        return 0.97 * fine.value(poisson_ratio)
+
+    (column,) = _columns(Discretisation(std, coarser), probe).T
+    step = 0.03 * fine.value(NU) @ _load(probe)
+    np.testing.assert_allclose(column, std * step, rtol=1e-9)

@@ -163,7 +163,7 @@ def test_a_few_bytes_that_unpack_to_many(
     suffix: str, compressor: str, pack: Callable[[bytes], bytes], tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(files, "_MOST_UNPACKED", 2**16)
+    monkeypatch.setattr(files, "_ANY_RATIO_BYTES", 2**16)
     block = pack(bytes(2**22))
     head = struct.pack("<4I", 1, 2**22, 0, len(block))
     data = base64.b64encode(head).decode() + base64.b64encode(block).decode()

@@ -6,6 +6,7 @@ from surfaces import box
 
 from palpate.geometry.closest_point import surface_search
 from palpate.geometry.registration.coarse_pose import (
+    _nearest_of_the_best,
     coarse_pose,
     compact_groups,
     even_sample,
@@ -86,3 +87,15 @@ def test_the_side_that_faces_an_eye_is_kept():
     # From within nothing faces the eye; then nothing is known, and all is kept.
     inside = facing_surface(mesh, 0.5 * SIZE, angle=1e-3)
     assert len(inside.triangles) == len(mesh.triangles)
+
+
+def test_points_of_another_object_do_not_choose_the_pose():
+    """A third of the points lies far off in the right pose; a pose that is moderately wrong for all
+    of them has a smaller mean square distance."""
+    search = surface_search(box(SIZE))
+    right = _faces(300, np.random.default_rng(1))
+    right[:100] += [0.0, 0.0, 0.03]
+    wrong = _faces(300, np.random.default_rng(2)) + 0.01
+    squares = [(search.closest(tried).distance ** 2).mean() for tried in (right, wrong)]
+    assert squares[0] > 1.3 * squares[1]
+    assert _nearest_of_the_best(search, np.stack([wrong, right]), wrong) == 1

@@ -387,6 +387,11 @@ def test_input_is_checked():
         register(points[:20], None, mesh)
     with pytest.raises(InputError, match="on one line"):
         register(np.linspace(0.0, 1.0, 100)[:, None] * [1.0, 2.0, 3.0], None, mesh)
+    for size in (1e-3, 1e3):
+        beside_line = np.linspace(0.0, 1.0, 100)[:, None] * [1.0, 2.0, 3.0]
+        beside_line += 1e-7 * rng.normal(size=(100, 3))
+        with pytest.raises(InputError, match="on one line"):
+            register(size * beside_line, None, mesh)
     with pytest.raises(InputError, match="std goes down to 0"):
         register(points, np.zeros(100), mesh)
     with pytest.raises(InputError, match="has the eigenvalue"):

@@ -28,6 +28,7 @@ from palpate.bem.loads.right_hand import (
     traction_column as traction_column,
 )
 from palpate.bem.loads.surface_load import (
+    LOAD_CELLS as LOAD_CELLS,
     LoadCells as LoadCells,
     SurfaceLoad as SurfaceLoad,
     integrate_load as integrate_load,

@@ -17,8 +17,8 @@ from palpate.bem.integrals import unit_gauss
 # Beyond this many radii the patch is treated as a point.
 _FAR = 8.0
 # Gauss points of the polar integrals: angles about points on the patch or close to it, angles about
-# points farther away, radii; and of the integral of a profile itself.
-_ANGLES, _ANGLES_BESIDE, _RADII, _PROFILE_POINTS = 96, 24, 12, 64
+# points farther away, radii of either half of a chord; and of the integral of a profile itself.
+_ANGLES, _ANGLES_BESIDE, _RADII, _PROFILE_POINTS = 96, 24, 10, 64
 # Beyond this many radii the smaller number of angles is exact to rounding.
 _BESIDE = 1.2
 
@@ -100,20 +100,43 @@ def _polar_integrals(
     half = np.sqrt(np.clip(1 - (s[:, None] * np.sin(angle)) ** 2, 0, None))
     middle = s[:, None] * np.cos(angle)
     first, last = np.maximum(middle - half, 0), np.maximum(middle + half, 0)
-    t, w_t = _rounded_gauss(_RADII)
-    reach = first[:, :, None] + (last - first)[:, :, None] * t
+    reach, w_t = chord_points(first, np.clip(middle, first, last), last, _RADII)
     square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
     inside = np.sqrt(np.clip(square, 0, None))
     pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
-    line = 2 * weight * ((last - first) * (pressure @ w_t))
-    r, w_r = _rounded_gauss(_PROFILE_POINTS)
+    line = 2 * weight * (pressure * w_t).sum(axis=2)
+    r, w_r = rounded_gauss(_PROFILE_POINTS)
     total = 2 * np.pi * np.sum(w_r * r * profile(r))
     cosine = np.cos(angle)
     return np.stack([(line * cosine**k).sum(axis=1) / total for k in range(3)], axis=1)
 
 
-def _rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def chord_points(
+    first: Float[np.ndarray, "*p"],
+    middle: Float[np.ndarray, "*p"],
+    last: Float[np.ndarray, "*p"],
+    count: int,
+) -> tuple[Float[np.ndarray, "*p q"], Float[np.ndarray, "*p q"]]:
+    """Points and weights along chords of a round patch, `count` on either side of their middle,
+    where they pass its centre; denser at both ends and there, where pressures are not smooth.
+
+    Parameters
+    ----------
+    first, middle, last : array     distance along each chord from a point of it
+
+    Returns
+    -------
+    points, weights : array         with 2 `count` values along a new last axis
+    """
+    x, w = rounded_gauss(count)
+    halves = (middle - first)[..., None], (last - middle)[..., None]
+    starts = first[..., None], middle[..., None]
+    points = [start + half * x for start, half in zip(starts, halves, strict=True)]
+    return np.concatenate(points, axis=-1), np.concatenate([half * w for half in halves], axis=-1)
+
+
+def rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Gauss points and weights on [0, 1] for integrands that vary as a square root, or its inverse,
-    at the ends."""
+    at the ends; (n,) each."""
     x, w = unit_gauss(n)
     return np.sin(0.5 * np.pi * x) ** 2, 0.5 * np.pi * np.sin(np.pi * x) * w

@@ -1,11 +1,11 @@
 """Displacement kernel integrated over the traction of a load itself, not over nodal values of it.
 
 A contact patch is often hardly wider than an element. Its traction is therefore integrated over the
-patch itself: with small cells, refined at the rim of the patch, and in polar coordinates around
-every collocation point on it.
+patch itself: with small cells that end at its rim, and in polar coordinates around every
+collocation point on it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numba
@@ -23,9 +23,9 @@ from palpate.bem.integrals import (
     lane_fields,
     lanes_of,
     triangle_rule,
-    unit_gauss,
 )
 from palpate.bem.loads.half_space import PressureDisc
+from palpate.bem.loads.polar_rule import polar_points
 from palpate.errors import InputError
 from palpate.geometry import element_points, quartered
 from palpate.threads import in_threads
@@ -36,10 +36,10 @@ Density = Callable[
 ]
 
 _N_FIELDS = DISPLACEMENT.count
-# Quarterings of a triangle: at most so many everywhere, and so many more at the rim of the patch.
-_MAX_LEVELS, _RIM_LEVELS = 2, 3
-# Panels, and Gauss points of each, along the radius and along the angle.
-_POLAR_PANELS, _POLAR_POINTS = 3, 4
+# Most quarterings of a triangle until a cell is no larger than a round patch's radius.
+_MAX_LEVELS = 10
+# Points on either half of a radius, and of the range of angles, about a collocation point.
+_POLAR_POINTS = 8
 # Sources whose fields are computed before they are summed: they fit into the L1 cache.
 _AT_ONCE = 16
 
@@ -67,21 +67,29 @@ class SurfaceLoad:
 class LoadCells:
     """Subdivision of the triangles under a load into cells; each level quarters a cell.
 
+    Levels are counted from the coarsest cells whose edges are no longer than the radius of a round
+    patch; for other loads, and where triangles are smaller, from the triangles.
+
     Attributes
     ----------
     degree : int                  of the quadrature rule on each cell
+    rim_points : int              of the rule on the part of a cell that lies in a round patch where
+                                  its rim crosses it (`polar_points`)
     coarsest : int                level of all cells
-    finest_rim : int              level of the cells that the rim of the load crosses
     finest : int                  level at which subdivision ends
     ratio : float                 least distance of the evaluation points from a cell, over its
                                   size, at which it needs no further subdivision
     """
 
     degree: int
+    rim_points: int
     coarsest: int
-    finest_rim: int
     finest: int
     ratio: float = 4.0
+
+
+# Unless others are asked for: cells of half the patch's radius.
+LOAD_CELLS = LoadCells(degree=5, rim_points=4, coarsest=1, finest=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +114,7 @@ def load_points(
     surface: BoundarySurface,
     load: SurfaceLoad,
     *,
-    cells: LoadCells | None = None,
+    cells: LoadCells = LOAD_CELLS,
     near: Float[np.ndarray, "p 3"] | None = None,
 ) -> LoadPoints:
     """Quadrature points for integrals of smooth functions times the density of a load.
@@ -115,8 +123,7 @@ def load_points(
     ----------
     surface : BoundarySurface
     load : SurfaceLoad
-    cells : LoadCells or None     subdivision of the triangles; None: one or two levels, to cells of
-                                  about a quarter of the patch's radius, and three more at its rim
+    cells : LoadCells             subdivision of the triangles
     near : (p, 3) float [m]       evaluation points: cells close to them are subdivided further
 
     Returns
@@ -127,30 +134,21 @@ def load_points(
     ------
     InputError                    the density vanishes on all its triangles
     """
-    cells = cells or _cells_of(surface, load)
-    rule = triangle_rule(cells.degree)
-    corners = np.tile(np.eye(3), (load.triangles.size, 1, 1))
-    triangle = np.asarray(load.triangles, dtype=np.int64)
-    for _ in range(cells.coarsest):
-        triangle, corners = quartered(triangle, corners)
+    triangle, corners = _coarsest_cells(surface, load, cells.coarsest)
     tree = None if near is None else cKDTree(near)
-    positions, weights, owners = [], [], []
+    positions, weights, owners = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     for level in range(cells.coarsest, cells.finest + 1):
-        if not triangle.size:
-            break
-        barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners)
-        position, area, density = _load_at(surface, load, triangle, barycentric)
-        loaded = density > 0
-        is_loaded = loaded.any(axis=1)
-        divide = is_loaded & ~loaded.all(axis=1) & np.array(level < cells.finest_rim)
-        if tree is not None and level < cells.finest:
-            centre = position.mean(axis=1)
-            size = np.linalg.norm(position - centre[:, None], axis=2).max(axis=1)
-            divide |= is_loaded & (tree.query(centre)[0] < cells.ratio * size)
-        kept = loaded & ~divide[:, None]
-        positions.append(position[kept])
-        weights.append((density * area * rule.weight)[kept] * 0.25**level)
-        owners.append(np.repeat(triangle, kept.sum(axis=1)))
+        divide = np.zeros(triangle.size, dtype=bool)
+        if tree is not None and level < cells.finest and triangle.size:
+            middle, size = _cell_balls(surface, triangle, corners)
+            divide = tree.query(middle)[0] < cells.ratio * size
+        for owner, position, weight in _cell_points(
+            surface, load, triangle[~divide], corners[~divide], cells
+        ):
+            loaded = weight > 0.0
+            positions.append(position[loaded])
+            weights.append(weight[loaded])
+            owners.append(np.repeat(owner, loaded.sum(axis=1)))
         triangle, corners = quartered(triangle[divide], corners[divide])
     weight = np.concatenate(weights)
     total = float(weight.sum())
@@ -162,14 +160,64 @@ def load_points(
     return LoadPoints(np.concatenate(positions), weight / total, np.concatenate(owners), total)
 
 
-def _cells_of(surface: BoundarySurface, load: SurfaceLoad) -> LoadCells:
-    coarsest = _MAX_LEVELS
-    if load.disc is not None:
-        corner = surface.element_nodes[load.triangles, :3]
+def _coarsest_cells(
+    surface: BoundarySurface, load: SurfaceLoad, level: int
+) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, "c 3 3"]]:
+    """Triangle and barycentric corners of the cells of a level (`LoadCells`), without those out of
+    a round patch's reach."""
+    triangle = np.asarray(load.triangles, dtype=np.int64)
+    corners = np.tile(np.eye(3), (triangle.size, 1, 1))
+    disc = load.disc
+    if disc is not None:
+        corner = surface.element_nodes[triangle, :3]
         edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max()
-        coarsest = int(np.clip(np.ceil(np.log2(4 * edge / load.disc.radius)), 1, _MAX_LEVELS))
-    finest = coarsest + _RIM_LEVELS
-    return LoadCells(degree=5, coarsest=coarsest, finest_rim=finest, finest=finest)
+        level += int(np.clip(np.ceil(np.log2(edge / disc.radius)), -level, _MAX_LEVELS))
+    for _ in range(level):
+        triangle, corners = quartered(triangle, corners)
+        if disc is not None:
+            middle, size = _cell_balls(surface, triangle, corners)
+            # Curved elements bulge by less than a cell's size.
+            reached = np.linalg.norm(middle - disc.centre, axis=1) < disc.radius + 2.0 * size
+            triangle, corners = triangle[reached], corners[reached]
+    return triangle, corners
+
+
+def _cell_balls(
+    surface: BoundarySurface, triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
+) -> tuple[Float[np.ndarray, "c 3"], Float[np.ndarray, " c"]]:
+    """Centre of each cell, and the distance of its farthest corner from it [m]."""
+    place = _corner_places(surface, triangle, corners)
+    middle = place.mean(axis=1)
+    return middle, np.linalg.norm(place - middle[:, None], axis=2).max(axis=1)
+
+
+def _corner_places(
+    surface: BoundarySurface, triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
+) -> Float[np.ndarray, "c 3 3"]:
+    """Corners of cells on flat triangles [m]."""
+    return np.einsum("ckj,cja->cka", corners, surface.element_nodes[triangle, :3])
+
+
+def _cell_points(
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    triangle: Int[np.ndarray, " c"],
+    corners: Float[np.ndarray, "c 3 3"],
+    cells: LoadCells,
+) -> Iterator[tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k q 3"], Float[np.ndarray, "k q"]]]:
+    """Triangle, points and weights of the cells within a load, then of those across its rim."""
+    rim, rule = np.zeros(triangle.size, dtype=bool), triangle_rule(cells.degree)
+    if load.disc is not None:
+        place = _corner_places(surface, triangle, corners)
+        away = np.linalg.norm(place - load.disc.centre, axis=2)
+        rim = away.max(axis=1) >= load.disc.radius
+        barycentric, weight = polar_points(place[rim], corners[rim], load.disc, cells.rim_points)
+        position, area, density = _load_at(surface, load, triangle[rim], barycentric)
+        yield triangle[rim], position, density * area * weight
+    barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners[~rim])
+    position, area, density = _load_at(surface, load, triangle[~rim], barycentric)
+    size = np.abs(np.linalg.det(corners[~rim]))[:, None]
+    yield triangle[~rim], position, density * area * size * rule.weight
 
 
 def _load_at(
@@ -212,7 +260,7 @@ def integrate_load(
     collocation: Collocation,
     blocks: FieldBlocks,
     *,
-    cells: LoadCells | None = None,
+    cells: LoadCells = LOAD_CELLS,
 ) -> Float[np.ndarray, "r 6"]:
     """The six displacement fields integrated against a load, at every collocation point.
 
@@ -222,7 +270,7 @@ def integrate_load(
     load : SurfaceLoad
     collocation : Collocation
     blocks : FieldBlocks          of that collocation, for the order of its rows
-    cells : LoadCells or None     see `load_points`
+    cells : LoadCells             see `load_points`
 
     Returns
     -------
@@ -257,27 +305,31 @@ def _recompute_rows_on_patch(
     order: Int[np.ndarray, " r"],
     fields: Float[np.ndarray, "r 6"],
 ) -> None:
-    """Recompute the rows of collocation points on the patch in polar coordinates around them."""
+    """Recompute the rows of collocation points on the patch in polar coordinates around them.
+
+    Each row is divided by its own integral of the density: where the points of a rule straddle the
+    rim of the patch, the shape of the load suffers, not its total.
+    """
     row, triangle, corners = _subtriangles_on_patch(surface, points.triangle, collocation, order)
     if not row.size:
         return
-    s, t, polar_weight = _polar_panels()
-    opposite = np.einsum("q,pj->pqj", 1 - t, corners[:, 1]) + np.einsum(
-        "q,pj->pqj", t, corners[:, 2]
-    )
-    barycentric = np.einsum("q,pj->pqj", 1 - s, corners[:, 0]) + s[:, None] * opposite
+    place = _corner_places(surface, triangle, corners)
+    barycentric, polar_weight = polar_points(place, corners, load.disc, _POLAR_POINTS)
     position, area, density = _load_at(surface, load, triangle, barycentric)
-    scale = np.abs(np.linalg.det(corners))[:, None] * polar_weight / points.total
-    weight = density * area * scale
+    weight = density * area * polar_weight / points.total
     around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
     by_row = np.argsort(row, kind="stable")
     rows, start = np.unique(row[by_row], return_index=True)
     recomputed = np.zeros((rows.size, 1, DISPLACEMENT.count))
+    total = np.bincount(row, weight.sum(axis=1))[rows]
+    of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
+    pairs = np.unique(np.stack([row, triangle]), axis=1)
+    total += 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])[rows]
     in_threads(
         _sum_around, rows.size, collocation.point[order[rows]], around[by_row], triangle[by_row],
         np.append(start, row.size), sources, points.triangle, recomputed,
     )  # fmt: skip
-    fields[rows] = recomputed[:, 0]
+    fields[rows] = recomputed[:, 0] / total[:, None]
 
 
 def _subtriangles_on_patch(
@@ -309,14 +361,6 @@ def _subtriangles_on_patch(
         )
     row, triangle, corners = (np.concatenate(part) for part in zip(*parts, strict=True))
     return row, triangle, corners
-
-
-def _polar_panels() -> tuple[Float[np.ndarray, " p"], ...]:
-    x, w = unit_gauss(_POLAR_POINTS)
-    start = np.arange(_POLAR_PANELS)[:, None] / _POLAR_PANELS
-    points, weights = (start + x / _POLAR_PANELS).ravel(), np.tile(w / _POLAR_PANELS, _POLAR_PANELS)
-    s, t = (grid.ravel() for grid in np.meshgrid(points, points, indexing="ij"))
-    return s, t, np.outer(weights * points, weights).ravel()
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)

@@ -15,7 +15,7 @@ import numpy as np
 from palpate.bem.integrals import BoundarySurface, FieldBlocks, Quadrature
 from palpate.bem.system.boundary import find_unknowns, place_collocation
 from palpate.bem.system.system import BoundarySystem, assemble_system
-from palpate.disk import folder_made, placed
+from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import InputError, InUseError, RecordError
 from palpate.files import stored_arrays
 from palpate.parts import content_digest
@@ -109,9 +109,9 @@ def _write(path: Path, system: BoundarySystem) -> None:
         arrays |= {f"{name}_values": kernel.values, f"{name}_rows": kernel.rows}
     arrays["sha256"] = np.array(_digest(path, arrays))
     with (
-        folder_made(path.parent),
+        created_folder(path.parent),
         suppress(InUseError),
-        placed([path]) as (staged,),
+        atomic_replacement([path]) as (staged,),
         staged.open("wb") as file,
     ):
         np.savez(file, **arrays)

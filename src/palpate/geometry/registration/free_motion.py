@@ -240,7 +240,7 @@ def _separated(
     rotates = strength > _MIN_NAMED
     translations = own[~rotates, 3:]
     translations = translations / np.linalg.norm(translations, axis=1)[:, None]
-    rotations = own[rotates] / strength[rotates, None]
+    rotations = own[rotates]
     if len(translations):
         along = np.linalg.qr(translations.T)[0]
         rotations[:, 3:] -= rotations[:, 3:] @ along @ along.T

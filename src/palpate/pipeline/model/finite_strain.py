@@ -36,7 +36,7 @@ from palpate.lab import (
 from palpate.pipeline.model.contacts import has_outward_traction, outward_load
 from palpate.pipeline.model.grading import halved_session
 from palpate.progress import Progress, silent
-from palpate.records import FIXED, PRESSURES, SPHERE, Probing, Session
+from palpate.records import FIXED, SPHERE, Probing, Session
 from palpate.shapes import Points
 
 # Element size away from the tools over the mean edge of the mesh; element size under a tool and the
@@ -106,7 +106,7 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
             solid,
             probing.contact.point,
             float(probing.contact.radius or 0.0),
-            PRESSURES[probing.contact.profile],
+            probing.contact.pressure,
         )
         load = share[:, None] * probing.force
         if has_outward_traction(probing.contact):
@@ -196,7 +196,8 @@ def _require_fixed(session: Session) -> None:
                 " served: leave --strain finite out"
             )
     for probing in session.probings:
-        if probing.loads or probing.contact.radius is None:
+        contact = probing.contact
+        if probing.loads or contact.radius is None or contact.pressure_map is not None:
             raise InputError(
                 f"finite strain: probing '{probing.name}' has a load that is no round patch under a"
                 " tool; leave --strain finite out"

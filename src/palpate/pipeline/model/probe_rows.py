@@ -68,7 +68,9 @@ def _observed(
     if average is None:
         return csr_array(kron(points, np.eye(3)))
     around = closest_points(model.session.mesh, average.points)
-    return average.of(points, interpolation_matrix(nodes, around.triangle, around.barycentric))
+    return average.averaging_matrix(
+        points, interpolation_matrix(nodes, around.triangle, around.barycentric)
+    )
 
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:

@@ -3,25 +3,32 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal, closest_points
-from palpate.records.contact import (
-    FIXED,
+from palpate.geometry import (
+    TriangleMesh,
+    area_vectors,
+    bounding_diagonal,
+    closest_points,
+    read_mesh,
+)
+from palpate.records.contacts import (
     FRICTIONS,
+    MESH,
     RIGID,
     SLIDES,
     TOOL_SHAPES,
     UNIFORM,
     Contact,
-    RigidMotion,
-    Support,
     Tool,
     contact_profiles,
+    mesh_tool,
 )
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.support import listed_triangles
 from palpate.records.probing import DisplacementField, Load
 from palpate.records.quantities import ANGLE_UNITS, LENGTH_UNITS
+from palpate.records.support import FIXED, RigidMotion, Support
 from palpate.records.text import TomlTable
 from palpate.shapes import Indices, Vector3
 
@@ -109,7 +116,7 @@ def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) 
     for number, load in enumerate(table.optional("load", table.tables) or (), start=1):
         named = TomlTable(table.file, f"{table.name} load {number}", load.values)
         named.check_keys(("contact", "force", "pressure"))
-        with named.blamed():
+        with named.error_context():
             contact = named.table("contact", f"{named.name} contact")
             loads.append(
                 Load(
@@ -168,7 +175,7 @@ def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMot
     motion = table.table("support_motion", f"{table.name} support_motion")
     motion.check_keys(("translation", "rotation"))
     rotation = motion.optional("rotation", motion.vector)
-    with motion.blamed():
+    with motion.error_context():
         return RigidMotion(
             metres_per_unit * motion.vector("translation"),
             np.zeros(3) if rotation is None else rotation,
@@ -198,13 +205,25 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
 
 
 def _tool(contact: TomlTable, metres: float) -> Tool:
-    contact.check_keys(("point", "point_std", "tool", "tool_radius", "tool_angle", "friction"))
-    friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS))
+    friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS)) or SLIDES
     shape = contact.choice("tool", TOOL_SHAPES)
+    if shape == MESH:
+        return _mesh_tool(contact, metres, friction)
+    contact.check_keys(("point", "point_std", "tool", "tool_radius", "tool_angle", "friction"))
     radius = contact.quantity("tool_radius", LENGTH_UNITS, metres)
     angle = contact.optional("tool_angle", lambda key: contact.quantity(key, ANGLE_UNITS))
-    with contact.blamed():
-        return Tool(shape, radius, SLIDES if friction is None else friction, angle)
+    with contact.error_context():
+        return Tool(shape, radius, friction, angle)
+
+
+def _mesh_tool(contact: TomlTable, metres: float, friction: str) -> Tool:
+    contact.check_keys(("point", "point_std", "tool", "tool_mesh", "tool_rotation", "friction"))
+    file = contact.existing_file("tool_mesh")
+    rotation = contact.optional("tool_rotation", contact.vector)
+    mesh = read_mesh(file)
+    turn = np.eye(3) if rotation is None else Rotation.from_rotvec(rotation).as_matrix()
+    with contact.error_context():
+        return mesh_tool(TriangleMesh(metres * mesh.vertices, mesh.triangles), turn, friction)
 
 
 def _middle(mesh: TriangleMesh, triangles: Indices) -> Vector3:

@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 from palpate.errors import InputError
-from palpate.probe import contact_circle, inward_force, surface_curvature
-from palpate.records import Probing, Session
+from palpate.geometry import closest_points, unit_normals
+from palpate.probe import contact_circle, convex_contact, inward_force, surface_curvature
+from palpate.records import MESH, Contact, Probing, Session
+from palpate.shapes import Vector3
 
 
 def has_tools(session: Session) -> bool:
@@ -32,23 +34,31 @@ def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio:
 
     def with_radius(probing: Probing) -> Probing:
         contact = probing.contact
-        if contact.tool is None:
-            return probing
         try:
-            circle = contact_circle(
-                contact.tool,
-                surface_curvature(session.mesh, contact.point, contact.tool.radius),
-                inward_force(session.mesh, contact.point, probing.force),
-                shear_modulus=shear_modulus,
-                poisson_ratio=poisson_ratio,
-            )
+            settled = _settled(session, contact, probing.force, shear_modulus, poisson_ratio)
         except InputError as error:
             raise InputError(f"probing '{probing.name}': {error}") from error
-        return replace(
-            probing, contact=replace(contact, radius=circle.radius, profile=circle.profile)
-        )
+        return replace(probing, contact=settled)
 
     return replace(session, probings=tuple(with_radius(probing) for probing in session.probings))
+
+
+def _settled(
+    session: Session, contact: Contact, force: Vector3, shear_modulus: float, poisson_ratio: float
+) -> Contact:
+    """A contact with the radius and the pressure that follow from its tool."""
+    tool, mesh = contact.tool, session.mesh
+    if tool is None:
+        return contact
+    curvature = surface_curvature(mesh, contact.point, tool.radius)
+    pressed = inward_force(mesh, contact.point, force)
+    constants = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
+    if tool.shape == MESH:
+        normal = unit_normals(mesh)[closest_points(mesh, contact.point[None]).triangle[0]]
+        found = convex_contact(tool, normal, curvature, pressed, **constants)
+        return replace(contact, radius=found.radius, pressure_map=found.pressure_map)
+    circle = contact_circle(tool, curvature, pressed, **constants)
+    return replace(contact, radius=circle.radius, profile=circle.profile)
 
 
 def largest_change(before: Session, after: Session) -> float:

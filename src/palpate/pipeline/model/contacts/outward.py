@@ -1,17 +1,16 @@
-"""The outward (radial) part of the traction under a frictionless sphere or cone.
+"""The outward (radial) part of the traction under a frictionless tool that is not flat.
 
 A frictionless sphere presses along its own normals, which are inclined outward by r / R at the
 distance r from the centre of the contact circle; those of a cone are equally inclined everywhere.
 The outward traction p r / R has no resultant, but it widens the dent: neglecting it makes nu 0.004
 too large on the virtual facility's half ball. It is minus the gradient of a potential Q(r), so it
 is the derivative of Q, applied as a traction along each of two tangents, with respect to a shift
-along that tangent.
+along that tangent. Under a mesh it is averaged over all directions.
 """
-
-from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
+from scipy.integrate import cumulative_trapezoid
 
 from palpate.bem import (
     BoundarySystem,
@@ -25,9 +24,11 @@ from palpate.bem import (
 from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
 from palpate.probe import ContactPatch
-from palpate.records import CONE, SLIDES, SPHERE, Contact, Tool
+from palpate.records import CONE, SLIDES, SPHERE, Contact, Pressure
 from palpate.shapes import Vector3
 
+# Distances at which a potential is tabulated.
+_SAMPLES = 64
 # Step of the central difference over the contact radius; the error is of second order in it.
 _SHIFT = 0.05
 
@@ -47,21 +48,21 @@ _POTENTIALS = {SPHERE: _under_sphere, CONE: _under_cone}
 
 
 def has_outward_traction(contact: Contact) -> bool:
-    """Whether a contact's traction has an outward part: under a sphere or a cone that slides."""
+    """Whether a contact's traction has an outward part: it slides, and its tool is not flat."""
     tool = contact.tool
-    return tool is not None and tool.shape in _POTENTIALS and tool.friction == SLIDES
+    if tool is None or tool.friction != SLIDES:
+        return False
+    return tool.shape in _POTENTIALS or contact.pressure_map is not None
 
 
-def outward_columns(
-    system: BoundarySystem, patch: ContactPatch, *, cells: LoadCells | None = None
-) -> RightHand:
+def outward_columns(system: BoundarySystem, patch: ContactPatch, *, cells: LoadCells) -> RightHand:
     """Contribution of the outward traction to a patch's columns, for one newton along each axis.
 
     Parameters
     ----------
     system : BoundarySystem
-    patch : ContactPatch            of a sphere or a cone
-    cells : LoadCells or None       see `load_points`
+    patch : ContactPatch            of a tool that `has_outward_traction`
+    cells : LoadCells               see `load_points`
 
     Returns
     -------
@@ -74,10 +75,11 @@ def outward_columns(
     Mechanics, 1985, section 4.2, there neglected as small); p cot(angle) of a cone, with Love's.
     """
     contact = patch.contact
-    if contact.tool is None or contact.radius is None:
+    potential = _potential(contact)
+    if potential is None:
         return RightHand(np.zeros((3, system.size, 3)))
     normal = unit_normals(system.surface.mesh)[patch.triangle]
-    potential, shifts = _POTENTIALS[contact.tool.shape], _shifts(contact, normal)
+    shifts = _shifts(contact, normal)
     loads = [_potential_load(patch, centre, potential) for centre, _ in shifts]
     forces = np.array([force for _, force in shifts])
     shapes = indentation_corrections(system.surface, loads)
@@ -99,39 +101,56 @@ def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nda
     (n, 3) float [N]                sums to zero
     """
     normal = -force / np.linalg.norm(force)
-    total = np.zeros_like(solid.nodes)
-    if contact.tool is None:
+    total, potential = np.zeros_like(solid.nodes), _potential(contact)
+    if potential is None:
         return total
-    potential = _POTENTIALS[contact.tool.shape]
     for centre, share in _shifts(contact, normal):
-        spread = pressure_load(solid, centre, float(contact.radius or 0.0), potential)
+        spread = pressure_load(solid, centre, contact.reach, potential)
         total += spread[:, None] * (share * np.linalg.norm(force))
     return total
 
 
+def _potential(contact: Contact) -> Pressure | None:
+    """Q of a contact at a distance in units of its reach, up to a factor; None if it has none."""
+    tool, pressures = contact.tool, contact.pressure_map
+    if not has_outward_traction(contact) or tool is None or contact.radius is None:
+        return None
+    if pressures is None:
+        return _POTENTIALS[tool.shape]
+    s = np.linspace(0.0, 1.0, _SAMPLES)
+    table = cumulative_trapezoid(pressures.mean_outward(s[::-1]), s, initial=0.0)[::-1]
+    if not table.any():
+        return None
+    return lambda at: np.interp(at, s, table)
+
+
 def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
     """Shifted centres of Q, and the total force of Q about each for one newton of pressure."""
-    if contact.tool is None or contact.radius is None:
-        return []
     tangents = np.linalg.svd(normal[None])[2][1:]
-    step = _SHIFT * contact.radius
-    size = _integral(contact.tool, contact.radius) / (2.0 * step)
+    step = _SHIFT * contact.reach
+    size = _integral(contact) / (2.0 * step)
     signed = [side * tangent for tangent in tangents for side in (1.0, -1.0)]
     return [(contact.point + step * shift, size * shift) for shift in signed]
 
 
-def _integral(tool: Tool, radius: float) -> float:
-    """Integral of Q over the contact circle, for one newton [m]."""
+def _integral(contact: Contact) -> float:
+    """Integral of Q over the contact, for one newton [m]: half that of the outward traction times
+    the distance from the centre."""
+    tool, radius, pressures = contact.tool, contact.radius or 0.0, contact.pressure_map
+    if pressures is not None:
+        s = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        outward, pressure = pressures.mean_outward(s), pressures.mean(s)
+        return float(0.5 * contact.reach * (outward @ s**2) / (pressure @ s))
+    if tool is None:
+        return 0.0
     if tool.angle is not None:
         return np.pi / 12.0 * radius / float(np.tan(tool.angle))
     return 0.2 * radius**2 / tool.radius
 
 
-def _potential_load(
-    patch: ContactPatch, centre: Vector3, potential: Callable[[np.ndarray], np.ndarray]
-) -> SurfaceLoad:
+def _potential_load(patch: ContactPatch, centre: Vector3, potential: Pressure) -> SurfaceLoad:
     """Q as a load about a given centre."""
-    radius = patch.contact.radius or 0.0
+    radius = patch.contact.reach
 
     def density(triangle: np.ndarray, barycentric: np.ndarray, position: np.ndarray) -> np.ndarray:
         return potential(np.linalg.norm(position - centre, axis=1) / radius)

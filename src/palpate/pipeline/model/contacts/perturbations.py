@@ -27,8 +27,8 @@ from palpate.shapes import Vector3
 
 # Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
-# Cells for loads of perturbed contacts: the rim is subdivided once more, not three times.
-PERTURBATION_CELLS = LoadCells(degree=3, coarsest=2, finest_rim=3, finest=3)
+# Cells for loads of perturbed contacts: with fewer points than those of contacts.
+PERTURBATION_CELLS = LoadCells(degree=3, rim_points=3, coarsest=1, finest=1)
 # Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
 # are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra
 # (benchmarks/coverage_of_bodies.py prints them).
@@ -137,9 +137,9 @@ def surface_load(patch: ContactPatch) -> SurfaceLoad:
     -------
     SurfaceLoad
     """
-    disc = None
-    if patch.contact.radius is not None:
-        disc = PressureDisc(patch.contact.point, patch.contact.radius, patch.pressure)
+    disc, contact = None, patch.contact
+    if contact.radius is not None:
+        disc = PressureDisc(contact.point, contact.reach, contact.pressure)
     return SurfaceLoad(patch.triangles, patch.density, disc)
 
 

@@ -1,0 +1,200 @@
+"""Contacts: the tool, where it presses, and the pressure under it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.arrays import fixed_array
+from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, convex_planes
+from palpate.records.contacts.pressure import (
+    PRESSURES,
+    RIGID,
+    UNIFORM,
+    VERTEX,
+    Pressure,
+    PressureMap,
+    contact_profiles,
+)
+from palpate.shapes import Indices, Matrix3, Points, PointScalars, Vector3
+
+# Shapes of tools, and friction between tool and surface.
+SPHERE, FLAT, CONE, CYLINDER, MESH = TOOL_SHAPES = ("sphere", "flat", "cone", "cylinder", "mesh")
+SLIDES, STICKS = FRICTIONS = ("slides", "sticks")
+# Initial contact radius of a search: this fraction of the tool's radius, but at most this fraction
+# of the object's size.
+_TOUCHED, _TOUCHED_OF_OBJECT = 0.5, 0.05
+# Least half opening angle of a cone [rad].
+_SHARPEST = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """A rigid tool; its contact patch follows from force and constants.
+
+    Parameters
+    ----------
+    shape : str                     `SPHERE`; `FLAT` or `CYLINDER`, synonyms for a flat circular
+                                    face; `CONE`, apex first; `MESH`, made by `mesh_tool`
+    radius : float [m]              of the sphere, of the flat face, or of the cone's base, > 0;
+                                    half the smallest side of a mesh's bounding box
+    friction : str                  the surface `SLIDES` freely under the tool, or `STICKS` to it
+    angle : float [rad] or None     only for a cone: between its axis and its side, from 0.5
+                                    (29 degrees) to below pi / 2
+    planes : (p, 4) float or None   only for a mesh: outward unit normals in the object's frame, and
+                                    their offsets from the tool's centre point [m]
+
+    Raises
+    ------
+    InputError                      unknown shape or friction; a radius that is not positive; an
+                                    angle that is missing, out of range, or given without a cone;
+                                    planes missing, or given without a mesh
+    """
+
+    shape: str
+    radius: float
+    friction: str = SLIDES
+    angle: float | None = None
+    planes: Float[np.ndarray, "p 4"] | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        for name, value, known in (
+            ("tool", self.shape, TOOL_SHAPES),
+            ("friction", self.friction, FRICTIONS),
+        ):
+            if value not in known:
+                raise InputError(f"{name} is '{value}'; must be one of {', '.join(known)}")
+        if not (np.isfinite(self.radius) and self.radius > 0.0):
+            raise InputError(f"tool_radius is {self.radius}; must be a positive length")
+        if (self.angle is None) == (self.shape == CONE):
+            raise InputError(
+                f"tool '{self.shape}' has {'no' if self.angle is None else 'a'} tool_angle; a cone"
+                " needs one, between its axis and its side, and no other tool has one"
+            )
+        if self.angle is not None and not _SHARPEST <= self.angle < 0.5 * np.pi:
+            raise InputError(
+                f"tool_angle is {np.degrees(self.angle):.3g} degrees; must be from"
+                f" {np.degrees(_SHARPEST):.0f} to below 90, between the cone's axis and its side: a"
+                " sharper cone cuts, and does not press"
+            )
+        if (self.planes is None) == (self.shape == MESH):
+            raise InputError("planes are those of a mesh's faces: give them by `mesh_tool`")
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the contact face is a flat disc."""
+        return self.shape in (FLAT, CYLINDER)
+
+    def contact(self, point: Vector3, size: float = np.inf) -> "Contact":
+        """Initial contact for the search of the contact radius: half the tool's radius, at most 5 %
+        of the object's `size` [m]; the whole face of a flat tool."""
+        if self.is_flat:
+            return Contact(point, self.radius, "flat", tool=self)
+        radius = min(_TOUCHED * self.radius, _TOUCHED_OF_OBJECT * size)
+        profile = "cone" if self.shape == CONE else "hertz"
+        return Contact(point, radius, profile, tool=self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """Circular patch over which the tool presses, or a set of triangles that is loaded as a whole.
+
+    Parameters
+    ----------
+    point : (3,) float [m]          centre of the patch, on the surface or close to it
+    radius : float [m] or None      contact radius, > 0; None only for the profile `VERTEX` and for
+                                    triangles
+    profile : str                   one of `contact_profiles`; with triangles `UNIFORM` or `RIGID`;
+                                    not used where there is a pressure map
+    triangles : (k,) int or None    loaded triangles, in place of a circular patch
+    tool : Tool or None             the tool, from which radius and profile are computed; those
+                                    given here are only initial values. None: they are known
+    pressure_map : PressureMap or None      pressure under a mesh, in place of the profile
+
+    Raises
+    ------
+    InputError                      an unknown profile; radius missing, not positive, or given for
+                                    `VERTEX` or triangles; no triangles
+    """
+
+    point: Vector3
+    radius: float | None
+    profile: str
+    triangles: Indices | None = None
+    tool: Tool | None = None
+    pressure_map: PressureMap | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
+        if self.triangles is not None:
+            triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
+            object.__setattr__(self, "triangles", np.unique(triangles))
+            if not triangles.size or self.radius is not None:
+                raise InputError("a load over triangles needs at least one, and has no radius")
+            if self.profile not in (UNIFORM, RIGID):
+                raise InputError(
+                    f"traction is '{self.profile}'; over triangles it must be {UNIFORM} or {RIGID}"
+                )
+            return
+        if self.profile == VERTEX:
+            if self.radius is not None:
+                raise InputError(
+                    f"radius is {self.radius} with profile 'vertex'; that profile has no radius:"
+                    f" leave it out, or choose one of {', '.join(PRESSURES)}"
+                )
+            return
+        if self.profile not in PRESSURES:
+            known = ", ".join(contact_profiles())
+            raise InputError(f"profile is '{self.profile}'; must be one of {known}")
+        if self.radius is None:
+            raise InputError(
+                f"radius is missing; profile '{self.profile}' needs one"
+                " (only profile 'vertex' has none)"
+            )
+        if not (np.isfinite(self.radius) and self.radius > 0.0):
+            raise InputError(f"radius is {self.radius}; must be a positive length")
+
+    @property
+    def reach(self) -> float:
+        """Farthest distance of the patch from its centre [m]: the radius, except under a mesh; 0
+        where there is no radius."""
+        radius = self.radius or 0.0
+        return radius if self.pressure_map is None else radius * self.pressure_map.reach
+
+    @property
+    def pressure(self) -> Pressure:
+        """Pressure at a distance over the reach, up to a factor, averaged over all directions; zero
+        from 1 on."""
+        return PRESSURES[self.profile] if self.pressure_map is None else self.pressure_map.mean
+
+    def pressure_at(self, offset: Points) -> PointScalars:
+        """Pressure at points of the surface, up to a factor; `offset`, (p, 3), is the distance from
+        the contact point in contact radii."""
+        if self.pressure_map is not None:
+            return self.pressure_map.at(offset)
+        return self.pressure(np.linalg.norm(offset, axis=1))
+
+
+def mesh_tool(mesh: TriangleMesh, rotation: Matrix3, friction: str = SLIDES) -> Tool:
+    """A rigid tool of the shape of a convex mesh.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, convex; the origin of its frame is the tool's centre
+                                    point, which a contact places on the surface
+    rotation : (3, 3) float [-]     from the mesh's frame to the object's
+    friction : str                  the surface `SLIDES` freely under the tool, or `STICKS` to it
+
+    Returns
+    -------
+    Tool
+
+    Raises
+    ------
+    InputError                      a mesh that is flat, open or not convex
+    """
+    planes = convex_planes(mesh)
+    turned = np.column_stack([planes[:, :3] @ rotation.T, planes[:, 3]])
+    radius = 0.5 * float(np.ptp(mesh.vertices, axis=0).min())
+    return Tool(MESH, radius, friction, planes=turned)
