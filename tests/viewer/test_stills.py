@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 from estimate_samples import sample_result
+from fault_injection import largest_file
 from PIL import Image
 
 from palpate.app.cli import main
-from palpate.errors import InputError
+from palpate.errors import InputError, RecordError
 from palpate.pipeline import FittedSurface
 from palpate.records import read_session
 from palpate.viewer import read_subject, stills, write_screenshot, write_turntable
@@ -79,6 +80,29 @@ def test_a_film_turns_the_object(subject, tmp_path, monkeypatch, name):
     # A cube looks much the same after a quarter of a turn, its points do not.
     assert min(np.abs(a - b).mean() for a, b in pairwise(views)) > 0.3
     assert sorted(path.name for path in tmp_path.glob("turn*")) == [name]
+
+
+# In the middle; and of an MP4 where only the very end is missing, with the table of its pictures.
+@pytest.mark.parametrize(
+    ("name", "missing", "said"),
+    [
+        ("turn.mp4", 0.5, "0 of the film's 4 pictures were written"),
+        ("turn.mp4", 0.01, "0 of the film's 4 pictures were written"),
+        ("turn.gif", 0.5, "File too large"),
+    ],
+)
+def test_a_film_on_a_full_disk_is_refused(subject, tmp_path, monkeypatch, name, missing, said):
+    monkeypatch.setattr(stills, "_VIEWS", 4)
+    whole, path = tmp_path / f"whole-{name}", tmp_path / name
+    write_turntable(subject, whole)
+    path.write_bytes(b"an older film")
+    with (
+        largest_file(int((1.0 - missing) * whole.stat().st_size)),
+        pytest.raises(RecordError, match=rf"{name}: cannot be written \({said}"),
+    ):
+        write_turntable(subject, path)
+    assert path.read_bytes() == b"an older film"
+    assert sorted(one.name for one in tmp_path.glob("*turn*")) == [name, whole.name]
 
 
 def test_other_kinds_of_files_and_probings_are_refused(subject, tmp_path):

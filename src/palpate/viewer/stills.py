@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from PIL import Image
 
-from palpate.disk import placed
-from palpate.errors import InputError, RecordError
+from palpate.disk import atomic_replacement, write_errors
+from palpate.errors import InputError
 from palpate.figures import (
     GREY,
     HELD,
@@ -107,7 +107,7 @@ def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) 
     shown = _shown(subject, probe)
     direction = direction_of(subject)
     pixels = _pixels(shown, direction, _reach(shown, [direction]))
-    with placed([path]) as (partial,):
+    with atomic_replacement([path]) as (partial,), write_errors(path):
         form = "PNG" if path.suffix.lower() == ".png" else "JPEG"
         Image.fromarray(pixels).save(partial, form)
 
@@ -137,7 +137,7 @@ def write_turntable(
     for number, direction in enumerate(directions):
         progress("turntable", number / _VIEWS)
         views.append(_pixels(shown, direction, reach))
-    with placed([path]) as (partial,):
+    with atomic_replacement([path]) as (partial,), write_errors(path):
         write: Callable[[Path, list[np.ndarray]], None]
         write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
         write(partial, views)
@@ -287,7 +287,7 @@ def _write_gif(path: Path, views: list[np.ndarray]) -> None:
 
 
 def _write_mp4(path: Path, views: list[np.ndarray]) -> None:
-    """Write an MP4 video."""
+    """Write an MP4 video, and count what can be read of it: OpenCV reports no full disk."""
     rows, columns = (2 * (n // 2) for n in views[0].shape[:2])
     # OpenCV chooses the container by the file name.
     film_path = path.with_name(path.name + ".mp4")
@@ -299,8 +299,20 @@ def _write_mp4(path: Path, views: list[np.ndarray]) -> None:
                 for view in views:
                     film.write(np.ascontiguousarray(view[:rows, :columns, ::-1]))
                 film.release()
+                found = _frame_count(film_path)
+                if found != len(views):
+                    raise OSError(f"{found} of the film's {len(views)} pictures were written")
                 film_path.replace(path)
                 return
-        raise RecordError(f"{path}: this OpenCV writes no film; choose a name that ends in .gif")
+        raise OSError("this OpenCV writes no film; a name that ends in .gif makes an animation")
     finally:
         film_path.unlink(missing_ok=True)
+
+
+def _frame_count(path: Path) -> int:
+    """Number of pictures that can be read from a film."""
+    film, count = cv2.VideoCapture(str(path)), 0
+    while film.grab():
+        count += 1
+    film.release()
+    return count

@@ -32,7 +32,6 @@ from palpate.pipeline.model.compliant_supports import (
     session_springs,
 )
 from palpate.pipeline.model.contacts import (
-    PERTURBATION_CELLS,
     ContactPerturbation,
     contact_perturbations,
     dip_columns,
@@ -239,7 +238,7 @@ def _right_hand(
     nominal = [parts[each.patch_index] for each in perturbations]
     for k, patch in enumerate(patches):
         if has_outward_traction(patch.contact):
-            parts[k] = parts[k] + outward_columns(system, patch, cells=PERTURBATION_CELLS)
+            parts[k] = parts[k] + outward_columns(system, patch)
     parts += perturbation_columns(system, perturbations, moved_dips, nominal)
     parts += dip_columns(perturbations, dipped)
     return joined(parts), body

@@ -20,7 +20,6 @@ from palpate.pipeline.model.contacts.outward import (
 )
 from palpate.pipeline.model.contacts.perturbations import (
     DIP_ERROR as DIP_ERROR,
-    PERTURBATION_CELLS as PERTURBATION_CELLS,
     ContactPerturbation as ContactPerturbation,
     contact_perturbations as contact_perturbations,
     dip_columns as dip_columns,

@@ -14,7 +14,6 @@ from scipy.integrate import cumulative_trapezoid
 
 from palpate.bem import (
     BoundarySystem,
-    LoadCells,
     PressureDisc,
     RightHand,
     SurfaceLoad,
@@ -23,6 +22,7 @@ from palpate.bem import (
 )
 from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
+from palpate.pipeline.model.contacts.perturbations import PERTURBATION_CELLS
 from palpate.probe import ContactPatch
 from palpate.records import CONE, SLIDES, SPHERE, Contact, Pressure
 from palpate.shapes import Vector3
@@ -55,14 +55,13 @@ def has_outward_traction(contact: Contact) -> bool:
     return tool.shape in _POTENTIALS or contact.pressure_map is not None
 
 
-def outward_columns(system: BoundarySystem, patch: ContactPatch, *, cells: LoadCells) -> RightHand:
+def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
     """Contribution of the outward traction to a patch's columns, for one newton along each axis.
 
     Parameters
     ----------
     system : BoundarySystem
     patch : ContactPatch            of a tool that `has_outward_traction`
-    cells : LoadCells               see `load_points`
 
     Returns
     -------
@@ -83,7 +82,7 @@ def outward_columns(system: BoundarySystem, patch: ContactPatch, *, cells: LoadC
     loads = [_potential_load(patch, centre, potential) for centre, _ in shifts]
     forces = np.array([force for _, force in shifts])
     shapes = indentation_corrections(system.surface, loads)
-    parts = load_right_hand(system, loads, shapes, forces=forces, cells=cells)
+    parts = load_right_hand(system, loads, shapes, forces=forces, cells=PERTURBATION_CELLS)
     return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
 
 

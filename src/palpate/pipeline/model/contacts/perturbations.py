@@ -27,7 +27,7 @@ from palpate.shapes import Vector3
 
 # Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
-# Cells for loads of perturbed contacts: with fewer points than those of contacts.
+# Cells for loads of perturbed contacts and outward tractions: fewer points than for contacts.
 PERTURBATION_CELLS = LoadCells(degree=3, rim_points=3, coarsest=1, finest=1)
 # Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
 # are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra
