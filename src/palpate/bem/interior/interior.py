@@ -23,7 +23,7 @@ _MIN_CLEARANCE = 0.05
 _QUADRATURE = Quadrature(tolerance=1e-8)
 # A coordinate outside every object [m].
 _FAR_AWAY = 1e6
-_LOAD_CELLS = LoadCells(degree=7, rim_points=4, coarsest=2, finest=9)
+_LOAD_CELLS = LoadCells(degree=7, rim_points=4, polar_points=8, coarsest=2, finest=9)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,8 +38,6 @@ Density = Callable[
 _N_FIELDS = DISPLACEMENT.count
 # Most quarterings of a triangle until a cell is no larger than a round patch's radius.
 _MAX_LEVELS = 10
-# Points on either half of a radius, and of the range of angles, about a collocation point.
-_POLAR_POINTS = 8
 # Sources whose fields are computed before they are summed: they fit into the L1 cache.
 _AT_ONCE = 16
 
@@ -75,6 +73,7 @@ class LoadCells:
     degree : int                  of the quadrature rule on each cell
     rim_points : int              of the rule on the part of a cell that lies in a round patch where
                                   its rim crosses it (`polar_points`)
+    polar_points : int            of that rule about collocation points on the patch
     coarsest : int                level of all cells
     finest : int                  level at which subdivision ends
     ratio : float                 least distance of the evaluation points from a cell, over its
@@ -83,13 +82,14 @@ class LoadCells:
 
     degree: int
     rim_points: int
+    polar_points: int
     coarsest: int
     finest: int
     ratio: float = 4.0
 
 
-# Unless others are asked for: cells of half the patch's radius.
-LOAD_CELLS = LoadCells(degree=5, rim_points=4, coarsest=1, finest=1)
+# Unless others are asked for.
+LOAD_CELLS = LoadCells(degree=5, rim_points=4, polar_points=8, coarsest=1, finest=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,7 +284,9 @@ def integrate_load(
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
     fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
     fields = fields.reshape(-1, DISPLACEMENT.count)[: blocks.n_rows].copy()
-    _recompute_rows_on_patch(surface, load, points, sources, collocation, order, fields)
+    _recompute_rows_on_patch(
+        surface, load, points, sources, collocation, order, fields, cells.polar_points
+    )
     return fields
 
 
@@ -304,6 +306,7 @@ def _recompute_rows_on_patch(
     collocation: Collocation,
     order: Int[np.ndarray, " r"],
     fields: Float[np.ndarray, "r 6"],
+    count: int,
 ) -> None:
     """Recompute the rows of collocation points on the patch in polar coordinates around them.
 
@@ -314,7 +317,7 @@ def _recompute_rows_on_patch(
     if not row.size:
         return
     place = _corner_places(surface, triangle, corners)
-    barycentric, polar_weight = polar_points(place, corners, load.disc, _POLAR_POINTS)
+    barycentric, polar_weight = polar_points(place, corners, load.disc, count)
     position, area, density = _load_at(surface, load, triangle, barycentric)
     weight = density * area * polar_weight / points.total
     around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)

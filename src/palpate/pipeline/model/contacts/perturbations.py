@@ -28,7 +28,7 @@ from palpate.shapes import Vector3
 # Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
 # Cells for loads of perturbed contacts and outward tractions: fewer points than for contacts.
-PERTURBATION_CELLS = LoadCells(degree=3, rim_points=3, coarsest=1, finest=1)
+PERTURBATION_CELLS = LoadCells(degree=3, rim_points=3, polar_points=6, coarsest=0, finest=0)
 # Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
 # are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra
 # (benchmarks/coverage_of_bodies.py prints them).
