@@ -163,3 +163,18 @@ def test_covariances_that_cannot_be_are_refused() -> None:
     broken[2, 0, 0] = -1e-10
     with pytest.raises(InputError, match="covariance of point 2 is not positive definite"):
         replace(probe, covariance=broken)
+
+
+def test_shifts_of_force_and_motions_move_the_prediction_by_as_much() -> None:
+    """The load that is shifted, against the derivative that the search takes."""
+    probe, shear, rng = _probe(force_noise=0.1), 2e4, np.random.default_rng(2)
+    response = rng.normal(size=(3 * len(probe.position), 6))
+    motion = replace(
+        observed_rows_of(probe),
+        force_std=np.array([0.1, 0.2, 0.0]),
+        motion=np.array([3e-4, -1e-3]),
+        motion_std=np.array([1e-4, 5e-4]),
+    )
+    shift = np.array([0.3, -1.2, 0.7, 2.0, -0.4])
+    moved = response @ (motion.load(shear, shift) - motion.load(shear, np.zeros(5)))
+    np.testing.assert_allclose(moved, motion.per_shift(response, shear) @ shift, rtol=1e-9)
