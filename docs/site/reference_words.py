@@ -47,7 +47,8 @@ WORDS = {
     " base of the cone",
     "tool_mesh": "closed convex surface in the `length_unit`; the origin of its frame is the tool's centre"
     " point, which `point` places on the object",
-    "tool_rotation": "rotation vector that turns the mesh's frame into the object's [rad]; by default none",
+    "tool_rotation": "rotation vector from the mesh's frame to the object's [rad]; by default the shortest one by"
+    " which the tool presses along its -z axis",
     "tool_angle": "of a cone, and only there: between its axis and its side",
     ("contact of a probe: a grip", "support"): "number of the support that is pulled, from 1",
     "contact": "where it presses: a table, below",
@@ -65,7 +66,7 @@ WORDS = {
     "profile": "how the pressure falls off", "friction": "the surface slides under it freely (default), or"
     " sticks to it",
     ("support_motion of a probe", "translation"): "shift of the support",
-    ("support_motion of a probe", "rotation"): "rotation vector about the origin [rad]",
+    ("support_motion of a probe", "rotation"): "rotation vector about the middle of the support [rad]",
 }  # fmt: skip
 # What the readers of `TomlTable` take.
 READS = {

@@ -7,7 +7,7 @@ from surfaces import box, sphere
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.probe import contact_circle, inward_force, surface_curvature
+from palpate.probe import contact_circle, local_surface
 from palpate.records import CONE, CYLINDER, FLAT, SLIDES, SPHERE, STICKS, Tool
 from palpate.records.contacts import cone_pressure
 
@@ -95,19 +95,18 @@ def test_the_faces_of_a_punch_and_of_a_cylinder_are_one() -> None:
     assert Tool(CYLINDER, 4e-3).contact(np.zeros(3)).profile == "flat"
 
 
-def test_curvature_is_that_of_the_surface() -> None:
+def test_normal_and_curvature_are_those_of_the_surface() -> None:
     ball = TriangleMesh(0.03 * sphere(3).vertices, sphere(3).triangles)
-    top = np.array([0.0, 0.0, 0.03])
+    top = local_surface(ball, np.array([0.0, 0.0, 0.03]), 3e-3)
     # Heights are taken along the normal of a facet, 5 degrees off: a few per cent.
-    assert surface_curvature(ball, top, 3e-3) == pytest.approx(1 / 0.03, rel=0.05)
+    assert top.curvature == pytest.approx(1 / 0.03, rel=0.05)
+    assert top.normal @ [0.0, 0.0, 1.0] > np.cos(np.radians(1.5))
     block = box((0.05, 0.05, 0.05), 5)
-    assert surface_curvature(block, np.array([0.025, 0.025, 0.05]), 5e-3) == pytest.approx(
-        0, abs=1e-9
-    )
     # Beside an edge the other face does not count.
-    assert surface_curvature(block, np.array([0.048, 0.025, 0.05]), 5e-3) == pytest.approx(
-        0, abs=1e-9
-    )
+    for x in (0.025, 0.048):
+        flat = local_surface(block, np.array([x, 0.025, 0.05]), 5e-3)
+        assert flat.curvature == pytest.approx(0.0, abs=1e-9)
+        np.testing.assert_allclose(flat.normal, [0.0, 0.0, 1.0], atol=1e-12)
 
 
 def test_what_cannot_be() -> None:
@@ -116,9 +115,6 @@ def test_what_cannot_be() -> None:
         contact_circle(ball, 0.0, -0.1, shear_modulus=SHEAR, poisson_ratio=NU)
     with pytest.raises(InputError, match="bury a sphere of 3 mm"):
         contact_circle(ball, 0.0, 50.0, shear_modulus=SHEAR, poisson_ratio=NU)
-    block = box((0.05, 0.05, 0.05), 5)
-    force = inward_force(block, np.array([0.02, 0.02, 0.05]), np.array([0.3, 0.0, -1.2]))
-    assert force == pytest.approx(1.2)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from surfaces import ball_mesh, hull_mesh
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.probe import ConvexContact, contact_circle, convex_contact
+from palpate.probe import ConvexContact, LocalSurface, contact_circle, convex_contact
 from palpate.records import SPHERE, STICKS, Tool, mesh_tool
 
 SHEAR, NU = 2e4, 0.3
@@ -32,9 +32,8 @@ def _contact(
 ) -> ConvexContact:
     turned = np.eye(3) if turn is None else turn.as_matrix()
     tool = mesh_tool(mesh, turned, friction)
-    return convex_contact(
-        tool, turned @ UP, curvature, force, shear_modulus=SHEAR, poisson_ratio=NU
-    )
+    local = LocalSurface(turned @ UP, curvature)
+    return convex_contact(tool, local, force, shear_modulus=SHEAR, poisson_ratio=NU)
 
 
 def _moments(found: ConvexContact) -> tuple[float, float]:
@@ -127,6 +126,25 @@ def test_the_outward_traction_of_a_ball_is_that_of_a_sphere() -> None:
     s = np.linspace(0.2, 0.8, 7) * found.radius / _reach(found)
     slope = pressures.mean_outward(s) / pressures.mean(s)
     np.testing.assert_allclose(slope, s * _reach(found) / 6e-3, rtol=0.05)
+
+
+def test_a_punch_that_leans_by_a_degree_is_not_buried() -> None:
+    """Its side wall faces the surface then, and is steep; the edge in front takes more of the force,
+    and the slope of the whole face is no outward traction."""
+    bar = _bar(np.array([3e-3, 3e-3, 0.02]))
+    lean = Rotation.from_rotvec([0.0, np.radians(1.0), 0.0])
+    tool = mesh_tool(bar, lean.as_matrix())
+    found = convex_contact(tool, LocalSurface(UP, 0.0), 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
+    weight = found.pressure_map.pressure / found.pressure_map.pressure.sum()
+    cells = np.arange(len(weight)) - 0.5 * (len(weight) - 1)
+    middle = (weight.sum(axis=1) @ cells * found.pressure_map.axes[0]) + (
+        weight.sum(axis=0) @ cells * found.pressure_map.axes[1]
+    )
+    # In cells of a fiftieth of the face.
+    assert middle[0] > 0.5
+    assert abs(middle[1]) < 0.1
+    outward = found.pressure_map.outward
+    assert abs(outward).max() < 0.01 * found.pressure_map.pressure.max()
 
 
 def test_what_cannot_touch_is_said() -> None:

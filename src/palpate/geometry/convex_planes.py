@@ -18,7 +18,7 @@ def convex_planes(mesh: TriangleMesh) -> Float[np.ndarray, "p 4"]:
 
     Parameters
     ----------
-    mesh : TriangleMesh             closed, convex, outward
+    mesh : TriangleMesh             closed, convex
 
     Returns
     -------
@@ -33,12 +33,11 @@ def convex_planes(mesh: TriangleMesh) -> Float[np.ndarray, "p 4"]:
         hull = ConvexHull(mesh.vertices / size)
     except (QhullError, ValueError, ZeroDivisionError) as error:
         raise InputError("the tool's mesh has no volume; give a closed convex surface") from error
-    volume, hull_volume = enclosed_volume(mesh), hull.volume * size**3
-    if abs(volume - hull_volume) > _CONVEXITY_TOLERANCE * hull_volume:
+    volume, hull_volume = abs(enclosed_volume(mesh)), hull.volume * size**3
+    if hull_volume - volume > _CONVEXITY_TOLERANCE * hull_volume:
         raise InputError(
             f"the tool's mesh holds {1e6 * volume:.4g} ml, its convex hull {1e6 * hull_volume:.4g}"
-            " ml; a tool must be convex and closed, with outward normals: give its hull, or several"
-            " convex tools"
+            " ml; a tool must be convex and closed: give its hull, or several convex tools"
         )
     planes = np.unique(np.round(hull.equations, _DECIMALS), axis=0)
     return np.column_stack([planes[:, :3], -size * planes[:, 3]])

@@ -24,9 +24,9 @@ from palpate.probe.compression_test import (
 )
 from palpate.probe.contact_circle import (
     ContactCircle as ContactCircle,
+    LocalSurface as LocalSurface,
     contact_circle as contact_circle,
-    inward_force as inward_force,
-    surface_curvature as surface_curvature,
+    local_surface as local_surface,
 )
 from palpate.probe.contact_patch import (
     ContactPatch as ContactPatch,

@@ -104,6 +104,10 @@ def compression_test(
     dimension_std : (float, float) [m]   1 sigma of diameter and of height, both >= 0
     source : str                     goes into messages and the result
 
+    Returns
+    -------
+    CompressionResult                the modulus [Pa] with its 95 % interval
+
     Raises
     ------
     InputError   sizes not positive; record too short, going back, or outside the range; no rise of

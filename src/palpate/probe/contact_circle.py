@@ -7,7 +7,6 @@ as a half space with the curvature of its surface; the shape of a spherical tool
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from scipy.optimize import brentq
 
 from palpate.errors import InputError
@@ -118,8 +117,22 @@ def buried(tool: Tool, force: float, shear_modulus: float) -> InputError:
     )
 
 
-def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> float:
-    """Mean curvature of the smooth surface around a point.
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalSurface:
+    """The smooth surface at a contact.
+
+    Attributes
+    ----------
+    normal : (3,) float [-]         outward unit normal
+    curvature : float [1/m]         mean curvature, > 0 where it is convex
+    """
+
+    normal: Vector3
+    curvature: float
+
+
+def local_surface(mesh: TriangleMesh, point: Vector3, radius: float) -> LocalSurface:
+    """Normal and mean curvature of the smooth surface around a point.
 
     Parameters
     ----------
@@ -129,8 +142,7 @@ def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> floa
 
     Returns
     -------
-    float [1/m]                     > 0 where it is convex; 0 where there are too few vertices for
-                                    the fit
+    LocalSurface                    that of the nearest triangle where too few vertices are near
     """
     nearest = closest_points(mesh, point[None])
     normals = unit_normals(mesh)
@@ -143,19 +155,14 @@ def surface_curvature(mesh: TriangleMesh, point: Vector3, radius: float) -> floa
     reach = max(_FIT_EDGES * edge, _FIT_RADII * radius)
     near = np.linalg.norm(offset, axis=1) < reach
     if near.sum() < _MIN_VERTICES:
-        return 0.0
-    frame = np.linalg.svd(normal[None])[2]
-    x, y = (offset[near] @ frame[1:].T).T / reach
-    height = offset[near] @ normal
+        return LocalSurface(normal, 0.0)
+    tangents = np.linalg.svd(normal[None])[2][1:]
+    x, y = (offset[near] @ tangents.T).T / reach
+    height = offset[near] @ normal / reach
     terms = [np.ones_like(x), x, y, x**2, x * y, y**2, (x**2 + y**2) ** 2]
     found = np.linalg.lstsq(np.stack(terms, axis=1), height, rcond=None)[0]
-    return -float(found[3] + found[5]) / reach**2
-
-
-def inward_force(mesh: TriangleMesh, point: Vector3, force: Float[np.ndarray, "3"]) -> float:
-    """Component of a force along the inward normal of the surface at a point [N]."""
-    triangle = closest_points(mesh, point[None]).triangle[0]
-    return -float(unit_normals(mesh)[triangle] @ force)
+    normal = normal - found[1:3] @ tangents
+    return LocalSurface(normal / np.linalg.norm(normal), -float(found[3] + found[5]) / reach)
 
 
 def _flat_force(tool: Tool, radius: float) -> float:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.fft import irfft2, rfft2
 
 from palpate.errors import InputError, NotConvergedError
-from palpate.probe.contact_circle import buried, check_inward, reduced_modulus
+from palpate.probe.contact_circle import LocalSurface, buried, check_inward, reduced_modulus
 from palpate.records import PressureMap, Tool
 from palpate.shapes import Vector3
 
@@ -32,8 +32,9 @@ _FARTHEST = 3.0
 _UPRIGHT = 1e-6
 # Faces of the tool whose heights are computed at once.
 _AT_ONCE = 256
-# Steepest slope of the tool's surface in contact; a sphere has it at 98 % of its radius.
-_STEEPEST = 5.0
+# A tool is buried where more than this share of the force acts on steeper slopes than this one,
+# which a sphere has at 98 % of its radius.
+_STEEP_SHARE, _STEEPEST = 0.1, 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +56,7 @@ class ConvexContact:
 
 def convex_contact(
     tool: Tool,
-    normal: Vector3,
-    curvature: float,
+    local: LocalSurface,
     force: float,
     *,
     shear_modulus: float,
@@ -67,8 +67,7 @@ def convex_contact(
     Parameters
     ----------
     tool : Tool                     a mesh
-    normal : (3,) float [-]         outward unit normal of the half space
-    curvature : float [1/m]         mean curvature of its surface, > 0 where it is convex
+    local : LocalSurface            of the half space
     force : float [N]               of the tool on the object along the inward normal, > 0
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu <= 0.5
@@ -89,14 +88,14 @@ def convex_contact(
     """
     check_inward(force)
     modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
-    axes, half = np.linalg.svd(normal[None])[2][1:], tool.radius
+    axes, half = np.linalg.svd(local.normal[None])[2][1:], tool.radius
     for _ in range(_MOST_ROUNDS):
         x, y = half * np.stack(np.meshgrid(_centres(), _centres(), indexing="ij"))
-        height, slopes, inside = _lower_surface(tool, axes, normal, x, y)
+        height, slopes, inside = _lower_surface(tool, axes, local.normal, x, y)
         if not inside.any():
             half *= _ZOOM[1]
             continue
-        gap = height + 0.5 * curvature * (x**2 + y**2)
+        gap = height + 0.5 * local.curvature * (x**2 + y**2)
         pressure, approach = _solved(gap, inside, half, force / modulus)
         touched = pressure > 0.0
         extent = np.maximum(abs(x), abs(y))[touched].max() / half + 1.0 / _CELLS
@@ -106,11 +105,13 @@ def convex_contact(
     else:
         raise NotConvergedError("the contact of the tool's mesh was not found on any square")
     _check_near_centre(x[touched], y[touched])
-    if np.hypot(*slopes)[touched].max() > _STEEPEST:
+    if pressure[np.hypot(*slopes) > _STEEPEST].sum() > _STEEP_SHARE * pressure.sum():
         raise buried(tool, force, shear_modulus)
     radius = float(np.sqrt(2.5 * np.average(x**2 + y**2, weights=pressure)))
-    reach = float(np.hypot(x, y)[touched].max()) + half / _CELLS
-    outward = pressure * (x * slopes[0] + y * slopes[1]) / np.hypot(x, y)
+    reach = float(np.hypot(x, y)[touched].max() + np.sqrt(2.0) * half / _CELLS)
+    # The mean slope is that of a tool that leans: its part along the surface is in the given force.
+    mean = [np.average(slope, weights=pressure) for slope in slopes]
+    outward = pressure * (x * (slopes[0] - mean[0]) + y * (slopes[1] - mean[1])) / np.hypot(x, y)
     pressure_map = PressureMap(axes, half / radius, reach / radius, pressure, outward)
     return ConvexContact(radius, pressure_map, approach)
 

@@ -79,12 +79,18 @@ def read_push(
     Raises
     ------
     RecordError                     a missing or invalid key
+    MeshError                       the mesh of a tool cannot be read
     """
     if loads and "contact" not in table.values and "force" not in table.values:
         return loads[0].contact, np.zeros(3)
     contact = table.table("contact", f"{table.name} contact")
     if "support" not in contact.values:
-        return _contact(contact, mesh, metres_per_unit), table.vector("force")
+        force = table.vector("force")
+        if "tool" in contact.values:
+            point = metres_per_unit * contact.vector("point")
+            tool = _tool(contact, metres_per_unit, force)
+            return tool.contact(point, bounding_diagonal(mesh)), force
+        return _contact(contact, mesh, metres_per_unit), force
     contact.check_keys(("support",))
     number = contact.number("support")
     if number not in range(1, len(supports) + 1):
@@ -111,6 +117,7 @@ def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) 
     Raises
     ------
     RecordError                     a missing, unknown or invalid key
+    MeshError                       the mesh of a tool cannot be read
     """
     loads = []
     for number, load in enumerate(table.optional("load", table.tables) or (), start=1):
@@ -183,7 +190,7 @@ def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMot
 
 
 def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
-    """Contact of a circular patch, a tool, or triangles."""
+    """Contact of a circular patch, or of triangles."""
     if "triangles" in contact.values:
         contact.check_keys(("triangles", "traction"))
         chosen = np.unique(listed_triangles(contact, len(mesh.triangles)))
@@ -193,9 +200,6 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
             contact.choice("traction", (UNIFORM,))
         return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
     # `point_std` is read along with the other errors, in `read_error_priors`.
-    if "tool" in contact.values:
-        point = metres * contact.vector("point")
-        return _tool(contact, metres).contact(point, bounding_diagonal(mesh))
     contact.check_keys(("point", "point_std", "radius", "profile"))
     return Contact(
         point=metres * contact.vector("point"),
@@ -204,11 +208,11 @@ def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
     )
 
 
-def _tool(contact: TomlTable, metres: float) -> Tool:
+def _tool(contact: TomlTable, metres: float, force: Vector3) -> Tool:
     friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS)) or SLIDES
     shape = contact.choice("tool", TOOL_SHAPES)
     if shape == MESH:
-        return _mesh_tool(contact, metres, friction)
+        return _mesh_tool(contact, metres, friction, force)
     contact.check_keys(("point", "point_std", "tool", "tool_radius", "tool_angle", "friction"))
     radius = contact.quantity("tool_radius", LENGTH_UNITS, metres)
     angle = contact.optional("tool_angle", lambda key: contact.quantity(key, ANGLE_UNITS))
@@ -216,14 +220,19 @@ def _tool(contact: TomlTable, metres: float) -> Tool:
         return Tool(shape, radius, friction, angle)
 
 
-def _mesh_tool(contact: TomlTable, metres: float, friction: str) -> Tool:
+def _mesh_tool(contact: TomlTable, metres: float, friction: str, force: Vector3) -> Tool:
     contact.check_keys(("point", "point_std", "tool", "tool_mesh", "tool_rotation", "friction"))
-    file = contact.existing_file("tool_mesh")
     rotation = contact.optional("tool_rotation", contact.vector)
-    mesh = read_mesh(file)
-    turn = np.eye(3) if rotation is None else Rotation.from_rotvec(rotation).as_matrix()
+    mesh = read_mesh(contact.existing_file("tool_mesh"), metres_per_unit=metres)
+    if rotation is not None:
+        turn = Rotation.from_rotvec(rotation)
+    elif force.any():
+        # The shortest one that lets the tool press along its own -z.
+        turn = Rotation.align_vectors(force[None], [[0.0, 0.0, -1.0]])[0]
+    else:
+        turn = Rotation.identity()
     with contact.error_context():
-        return mesh_tool(TriangleMesh(metres * mesh.vertices, mesh.triangles), turn, friction)
+        return mesh_tool(mesh, turn.as_matrix(), friction)
 
 
 def _middle(mesh: TriangleMesh, triangles: Indices) -> Vector3:

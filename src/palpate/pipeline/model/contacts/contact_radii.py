@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from palpate.errors import InputError
-from palpate.geometry import closest_points, unit_normals
-from palpate.probe import contact_circle, convex_contact, inward_force, surface_curvature
+from palpate.probe import contact_circle, convex_contact, local_surface
 from palpate.records import MESH, Contact, Probing, Session
 from palpate.shapes import Vector3
 
@@ -30,6 +29,7 @@ def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio:
     Raises
     ------
     InputError                      a tool that pulls, or that is buried
+    NotConvergedError               contact of a mesh-shaped tool is not found (`convex_contact`)
     """
 
     def with_radius(probing: Probing) -> Probing:
@@ -47,17 +47,16 @@ def _settled(
     session: Session, contact: Contact, force: Vector3, shear_modulus: float, poisson_ratio: float
 ) -> Contact:
     """A contact with the radius and the pressure that follow from its tool."""
-    tool, mesh = contact.tool, session.mesh
+    tool = contact.tool
     if tool is None:
         return contact
-    curvature = surface_curvature(mesh, contact.point, tool.radius)
-    pressed = inward_force(mesh, contact.point, force)
+    local = local_surface(session.mesh, contact.point, tool.radius)
+    pressed = -float(local.normal @ force)
     constants = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
     if tool.shape == MESH:
-        normal = unit_normals(mesh)[closest_points(mesh, contact.point[None]).triangle[0]]
-        found = convex_contact(tool, normal, curvature, pressed, **constants)
+        found = convex_contact(tool, local, pressed, **constants)
         return replace(contact, radius=found.radius, pressure_map=found.pressure_map)
-    circle = contact_circle(tool, curvature, pressed, **constants)
+    circle = contact_circle(tool, local.curvature, pressed, **constants)
     return replace(contact, radius=circle.radius, profile=circle.profile)
 
 

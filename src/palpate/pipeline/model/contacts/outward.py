@@ -20,6 +20,7 @@ from palpate.bem import (
     indentation_corrections,
     load_right_hand,
 )
+from palpate.errors import InputError
 from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
 from palpate.pipeline.model.contacts.perturbations import PERTURBATION_CELLS
@@ -49,10 +50,7 @@ _POTENTIALS = {SPHERE: _under_sphere, CONE: _under_cone}
 
 def has_outward_traction(contact: Contact) -> bool:
     """Whether a contact's traction has an outward part: it slides, and its tool is not flat."""
-    tool = contact.tool
-    if tool is None or tool.friction != SLIDES:
-        return False
-    return tool.shape in _POTENTIALS or contact.pressure_map is not None
+    return _potential(contact) is not None
 
 
 def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
@@ -68,6 +66,10 @@ def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
     RightHand                       three columns, in proportion to the normal component of the
                                     force
 
+    Raises
+    ------
+    InputError                      no outward traction, or none on the free surface
+
     Source
     ------
     The traction p r / R of a frictionless sphere of radius R, with Hertz's p (Johnson, Contact
@@ -76,7 +78,7 @@ def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
     contact = patch.contact
     potential = _potential(contact)
     if potential is None:
-        return RightHand(np.zeros((3, system.size, 3)))
+        raise InputError("the traction of the contact has no outward part")
     normal = unit_normals(system.surface.mesh)[patch.triangle]
     shifts = _shifts(contact, normal)
     loads = [_potential_load(patch, centre, potential) for centre, _ in shifts]
@@ -112,12 +114,13 @@ def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nda
 def _potential(contact: Contact) -> Pressure | None:
     """Q of a contact at a distance in units of its reach, up to a factor; None if it has none."""
     tool, pressures = contact.tool, contact.pressure_map
-    if not has_outward_traction(contact) or tool is None or contact.radius is None:
+    if tool is None or tool.friction != SLIDES or contact.radius is None:
         return None
     if pressures is None:
-        return _POTENTIALS[tool.shape]
+        return _POTENTIALS.get(tool.shape)
     s = np.linspace(0.0, 1.0, _SAMPLES)
-    table = cumulative_trapezoid(pressures.mean_outward(s[::-1]), s, initial=0.0)[::-1]
+    outward = np.clip(pressures.mean_outward(s[::-1]), 0.0, None)
+    table = cumulative_trapezoid(outward, s, initial=0.0)[::-1]
     if not table.any():
         return None
     return lambda at: np.interp(at, s, table)
@@ -138,7 +141,7 @@ def _integral(contact: Contact) -> float:
     tool, radius, pressures = contact.tool, contact.radius or 0.0, contact.pressure_map
     if pressures is not None:
         s = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-        outward, pressure = pressures.mean_outward(s), pressures.mean(s)
+        outward, pressure = np.clip(pressures.mean_outward(s), 0.0, None), pressures.mean(s)
         return float(0.5 * contact.reach * (outward @ s**2) / (pressure @ s))
     if tool is None:
         return 0.0
