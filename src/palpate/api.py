@@ -154,6 +154,8 @@ class Result:
         Raises
         ------
         InputError                      a bad unit, a contact off the surface or on the support
+        SingularSystemError             the support does not hold the object
+        NotConvergedError               the iteration for a large object does not converge
         """
         size = None if radius is None else quantity(radius, LENGTHS, "radius")
         return poke_session(
@@ -211,6 +213,8 @@ class Result:
         ------
         InputError                  an unknown format, or one that does not accept these constants;
                                     something else lies there, or the folder cannot be written
+        SingularSystemError         the support does not hold the object
+        NotConvergedError           the iteration for a large object does not converge
         """
         if to not in FORMATS:
             raise InputError(f"there is no simulator {to!r}; there are: {', '.join(FORMATS)}")
@@ -290,6 +294,8 @@ def fit(
     Raises
     ------
     InputError                      invalid input; same messages as `palpate fit`
+    SingularSystemError             the support does not hold the object
+    NotConvergedError               an iteration does not converge, as in `fit_session`
     """
     if isinstance(session, (str, os.PathLike)):
         session = read_session(session, probes=None if probe is None else list(probe))

@@ -12,6 +12,10 @@ def quoted(value: object) -> str:
     Parameters
     ----------
     value : anything                as given by the user; dates and times are shown in ISO format
+
+    Returns
+    -------
+    str                             at most 80 characters
     """
     try:
         if isinstance(value, date | time):

@@ -93,6 +93,7 @@ class ElasticMap:
 
         Raises
         ------
+        InputError                        a load covers no part of the free surface
         NotConvergedError                 the iteration for a compressed system does not converge
         """
         surface = self.system.surface
@@ -206,6 +207,10 @@ def load_right_hand(
     Returns
     -------
     RightHand                         three columns per load; one per load where forces are given
+
+    Raises
+    ------
+    InputError                        a load covers no part of the free surface
     """
     balance = -np.eye(3) / system.traction_length
     kernel, parts = system.traction_kernel, []

@@ -274,6 +274,10 @@ def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
     Returns
     -------
     tuple of Camera
+
+    Raises
+    ------
+    CalibrationError                as in `Camera`
     """
     return tuple(
         Camera(name, size, camera_matrix(intrinsics[:4]), intrinsics[4:], pose)

@@ -217,6 +217,10 @@ def length_sigma(calibration: Calibration) -> float:
     Returns
     -------
     float [-]
+
+    Raises
+    ------
+    CalibrationError                there is only one camera
     """
     corners, bundle = calibration.corners, calibration.adjusted.bundle
     pose = bundle.view[corners.view]

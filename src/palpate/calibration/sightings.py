@@ -199,7 +199,7 @@ def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "ro
 
     Parameters
     ----------
-    grey : (rows, columns) float
+    grey : (rows, columns) float [grey levels]
 
     Returns
     -------

@@ -70,7 +70,12 @@ class Engine:
 
     @property
     def threads(self) -> int:
-        """Number of pieces of work that can run at the same time."""
+        """Number of pieces of work that can run at the same time.
+
+        Raises
+        ------
+        InputError                  the scheduler is gone
+        """
         try:
             return sum(self.client.nthreads().values())
         except OSError as error:

@@ -145,6 +145,14 @@ class Store:
         Parameters
         ----------
         work : Work
+
+        Returns
+        -------
+        bool
+
+        Raises
+        ------
+        RecordError                 the checksums of the result cannot be read
         """
         folder = self.result(work)
         return folder.is_dir() and folder_changes(folder)[:2] == ("fit", {})
@@ -194,6 +202,14 @@ class Store:
         item : CampaignItem
         work : Work or None         None: the session could not be read
         outcome : Outcome or None   None: an earlier run completed it
+
+        Returns
+        -------
+        Row
+
+        Raises
+        ------
+        RecordError                 the estimate of the fit cannot be read
         """
         finished = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         head = Row(item.name, item.group, finished=finished)

@@ -97,7 +97,7 @@ class ObservedRows:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r p"]:
-        """Change in displacement per prior standard deviation of each nuisance parameter [m]."""
+        """Change in displacement per prior sigma of each nuisance parameter, (r, p) [m]."""
         return self._columns(self.nuisances, response, load, poisson_ratio)
 
     def considered_columns(
@@ -106,7 +106,7 @@ class ObservedRows:
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "r q"]:
-        """As `nuisance_columns`, for the errors that are considered, not fitted [m]."""
+        """As `nuisance_columns`, for the errors that are considered, not fitted, (r, q) [m]."""
         return self._columns(self.considered, response, load, poisson_ratio)
 
     def _columns(
@@ -127,7 +127,8 @@ class ObservedRows:
     def nuisance_curvature(
         self, load: Float[np.ndarray, " c"], poisson_ratio: float
     ) -> list[tuple[tuple[NuisanceParameter, ...], Float[np.ndarray, "r p p"]]]:
-        """Parameters in which displacement is not linear, with its second derivatives [m]."""
+        """Parameters in which displacement is not linear, with its second derivatives,
+        (r, p, p) [m]."""
         curvatures = []
         for nuisance in self.curved_nuisances:
             curvature = nuisance.curvature(self.rows, load, poisson_ratio)
@@ -156,12 +157,12 @@ class ObservedRows:
     def per_shift(
         self, response: Float[np.ndarray, "r c"], shear_modulus: float
     ) -> Float[np.ndarray, "r n"]:
-        """Displacement per standard deviation of each component of force and motions [m]."""
+        """Displacement per standard deviation of each force component and motion, (r, n) [m]."""
         forces = response[:, :3] * (self.force_std / shear_modulus)
         return np.concatenate([forces, response[:, 4:] * self.motion_std], axis=1)
 
     def prior(self, force_weight: float) -> Float[np.ndarray, " n"]:
-        """Prior weight of each shift of force and motions, in inverse prior variances."""
+        """Prior weight, (n,), of each shift of force and motions, in inverse prior variances."""
         return np.append(np.full(3, force_weight), np.ones(len(self.motion)))
 
     @property
@@ -170,11 +171,11 @@ class ObservedRows:
         return bool((self.group >= CLAIMED_GROUPS.start).all())
 
     def sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
-        """1 sigma of every row [m] at the noise level of each group."""
+        """1 sigma of every row, (r,) [m], at the noise level of each group, (8,)."""
         return self.unit * level[self.group]
 
     def component_sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
-        """1 sigma of the x, y and z components as measured, before whitening [m]."""
+        """1 sigma of the x, y and z components as measured, before whitening, (r,) [m]."""
         sigma = self.sigma(level)
         if self.inverse_whitening is None:
             return sigma
@@ -185,7 +186,7 @@ class ObservedRows:
         return np.append(np.sqrt(variance).ravel(), sigma[3 * k :])
 
     def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
-        """Values of points, repeated for each row of the point."""
+        """Values of points, (p,), repeated for each row of the point, (r,)."""
         return np.repeat(values, self.components.astype(np.int64))
 
     def correlated(
@@ -203,22 +204,27 @@ class ObservedRows:
         return np.asarray(columns + sharing * (self.neighbours @ columns))
 
     def squared_length(self, residual: Float[np.ndarray, " r"]) -> Float[np.ndarray, " p"]:
-        """Squared length of each point's residual vector, in the residuals' unit squared."""
+        """Squared length of each point's residual vector, (p,), in the residuals' unit squared."""
         return np.add.reduceat(residual**2, self.start)
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
-        """Response of the measured rows (`ResponseModel`)."""
+        """Response of the measured rows, (r, c), in the units of `ResponseModel`.
+
+        Raises
+        ------
+        InputError              it has another shape, or is not finite
+        """
         return self._measured_rows(self.response.value(poisson_ratio), poisson_ratio)
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
-        """Derivative of `value` with respect to Poisson's ratio."""
+        """Derivative of `value` with respect to Poisson's ratio; same shape, units, errors."""
         return self._measured_rows(self.response.slope(poisson_ratio), poisson_ratio)
 
     def settling(
         self, poisson_ratio: float, shear_modulus: float
     ) -> Float[np.ndarray, "r c"] | None:
-        """Derivative of the measured rows' response with respect to log G, at a shear modulus;
-        None: the response does not depend on G."""
+        """Derivative of the measured rows' response with respect to log G, (r, c), at a shear
+        modulus [Pa]; None: the response does not depend on G."""
         if self.settlement is None:
             return None
         derivative = self._measured_rows(self.settlement.derivative(poisson_ratio), poisson_ratio)

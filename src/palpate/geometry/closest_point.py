@@ -55,7 +55,7 @@ class SurfaceSearch:
     diagonal: float
 
     def closest(self, points: Points) -> SurfacePoints:
-        """Point of the surface nearest to each of n finite points; see `closest_points`."""
+        """Point of the surface nearest to each finite point, (n, 3) [m]; see `closest_points`."""
         triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
         for begin in range(0, len(points), _POINTS_PER_BLOCK):
             block = slice(begin, begin + _POINTS_PER_BLOCK)

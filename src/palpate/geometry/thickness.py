@@ -23,6 +23,10 @@ def wall_thickness(mesh: TriangleMesh) -> PointScalars:
     (m,) float [m]                  infinite where none of the 40 nearest triangles is opposite, so
                                     that walls are found up to about two edge lengths thick, and
                                     close to a knife edge, where both faces meet
+
+    Raises
+    ------
+    MeshError                       a triangle of zero area
     """
     centre, normal = mesh.vertices[mesh.triangles].mean(axis=1), unit_normals(mesh)
     gap, other = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))

@@ -183,7 +183,7 @@ class HalfEdges:
     count: Int[np.ndarray, " e"]
 
     def pairs(self) -> Int[np.ndarray, "p 2"]:
-        """The two half-edges of every edge that has exactly two, the lower one first."""
+        """The two half-edges of every edge that has exactly two, (p, 2), the lower one first."""
         order = np.argsort(self.edge, kind="stable")
         first = (np.cumsum(self.count) - self.count)[self.count == 2]
         return np.stack([order[first], order[first + 1]], axis=1)
@@ -194,12 +194,16 @@ class HalfEdges:
         Parameters
         ----------
         chosen : (m,) bool
+
+        Returns
+        -------
+        (k, 2) int
         """
         a, b = self.pairs().T
         return self.ends[self.edge[a[chosen[a // 3] != chosen[b // 3]]]]
 
     def opposite(self) -> Indices:
-        """The other half-edge of each one's edge; itself where the edge has not exactly two."""
+        """The other half-edge of each one's edge, (3 m,); itself if that has not exactly two."""
         a, b = self.pairs().T
         other = np.arange(len(self.tail))
         other[a], other[b] = b, a

@@ -62,6 +62,7 @@ def read_lab_config(path: Path | str) -> LabConfig:
     RecordError                     not readable, unknown or missing keys, values out of range; the
                                     text names file, table and key
     MeshError                       a mesh that is not a closed surface
+    InputError                      the optional package for the mesh's format is missing
     """
     root = read_toml(Path(path))
     known = (field.name for field in fields(LabConfig) if field.name not in ("probes", "specimen"))

@@ -118,7 +118,7 @@ def error_budget(
 
     Raises
     ------
-    InputError, RecordError         as in `make_sessions`
+    PalpateError                    as in `make_sessions`, `measure_motion` and `fit_session`
     """
     sources = _sources(config)
     folders = {

@@ -56,6 +56,7 @@ def estimated_constants(measured: PaperSession, method: Method) -> EstimatedCons
     Raises
     ------
     InputError                      a motion that could not be measured
+    SingularSystemError, NotConvergedError    as in `fit_session`
     """
     session = with_measured_displacement(measured.session, measured.found[method])
     return EstimatedConstants(session, fit_session(session))
@@ -73,6 +74,11 @@ def compressed_modulus(material: Material) -> float:
     Returns
     -------
     float [Pa]                      a few per cent too high, because one end sticks
+
+    Raises
+    ------
+    InputError, MeshError           as in `make_solid` and `make_body`
+    NotConvergedError               as in `press`
 
     Source
     ------

@@ -136,7 +136,7 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
 
     Raises
     ------
-    InputError, RecordError         as in `measured_session`
+    PalpateError                    as in `measured_session`
     """
     needed = list(dict.fromkeys(name for each in names for name in EXPERIMENTS[each].sessions))
     count = len(needed) + len(names)

@@ -134,7 +134,7 @@ def write_result(folder: Path, result: PaperResult) -> None:
 
     Raises
     ------
-    OSError                         a file cannot be written
+    OSError, RecordError            a picture, or a table, cannot be written
     """
     for name, picture in result.pictures.items():
         save_pixels(picture, folder / f"{name}.png")

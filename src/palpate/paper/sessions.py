@@ -129,7 +129,7 @@ def measured_session(
 
     Raises
     ------
-    InputError, RecordError         as in `make_session` and `measure_motion`
+    PalpateError                    as in `make_session` and `measure_motion`
     """
     making = part_of(progress, 0.0, _MAKING)
     make_session(config, folder, variant=variant, progress=making, parts=parts)

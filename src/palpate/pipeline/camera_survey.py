@@ -108,6 +108,7 @@ def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
     Raises
     ------
     RecordError, CalibrationError   a rig or picture that cannot be read
+    InputError                      an unknown unit of length in the rig
     """
     instants = _instants(session)
     if session.rig is None or not instants:
@@ -203,6 +204,7 @@ def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[st
     RecordError                     a rig or picture that cannot be read; identical pictures that
                                     cannot be of the same camera and instant
     CalibrationError                an inconsistent rig, a picture of the wrong size
+    InputError                      an unknown unit of length in the rig
     """
     if session.rig is None:
         return (), ()

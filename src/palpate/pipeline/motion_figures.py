@@ -135,7 +135,7 @@ def write_flow_document(
 
     Raises
     ------
-    OSError                         the file cannot be written
+    RecordError                     the file cannot be written; it is then unchanged
     """
     content = {
         "format": FLOW_FORMAT,

@@ -100,6 +100,7 @@ def poke_session(
     InputError                          constants out of range, a contact off the surface or on the
                                         support, a point outside or too close to the surface
     SingularSystemError                 the support does not hold the object
+    NotConvergedError                   the iteration for a large object does not converge
     """
     report = progress or silent
     # A point off the surface is refused before the integrals are computed.

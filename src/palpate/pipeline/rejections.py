@@ -58,6 +58,10 @@ def rejections(session: Session) -> tuple[Rejections, ...]:
     Returns
     -------
     tuple of Rejections             one for every probing with pictures; none without a rig
+
+    Raises
+    ------
+    RecordError, CalibrationError   the rig cannot be read, or contradicts itself
     """
     if session.rig is None:
         return ()

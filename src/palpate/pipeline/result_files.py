@@ -216,7 +216,7 @@ def write_flow_vtp(path: Path, flow: RangeFlow, camera: Camera) -> None:
 
     Raises
     ------
-    OSError                         the file cannot be written
+    RecordError                     the file cannot be written; it is then unchanged
     """
     valid = is_valid(flow)
     lateral, depth = camera_sigma(flow.covariance, camera)

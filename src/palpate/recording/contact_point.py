@@ -93,6 +93,7 @@ def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
     Raises
     ------
     InputError                      the matrices do not fit into memory
+    SingularSystemError             the support does not hold the object
     """
     check_memory(len(mesh.vertices), dense=True)
     system = assemble_system(make_surface(mesh, held))

@@ -157,9 +157,14 @@ def read_surface(survey: FolderSurvey, name: str) -> TriangleMesh:
     survey : FolderSurvey
     name : str                      of the file, relative to the folder
 
+    Returns
+    -------
+    TriangleMesh
+
     Raises
     ------
     MeshError                       the file cannot be read
+    InputError                      the optional package for its format is missing
     """
     try:
         return read_mesh(survey.folder / name, metres_per_unit=1.0)

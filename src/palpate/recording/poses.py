@@ -77,6 +77,7 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
     Raises
     ------
     RecordError                     no such table or columns; times that decrease
+    InputError                      the optional package for bags is missing
     """
     table = read_log_table(path, topic=topic, wanted=POSITIONS, cure=_CURE)
     unit = 1.0 if path.suffix.lower() in BAG_SUFFIXES else metres_per_unit

@@ -97,6 +97,7 @@ def find_presses(recording: Recording, *, progress: Progress = silent) -> Record
     ------
     RecordError                     no press, a video that cannot be decoded or shows no press, a
                                     camera whose clock drifts, no moment at rest
+    InputError                      as in `read_force_log`
     """
     log = read_force_log(recording.gauge)
     resampled = resample_force(log)

@@ -98,6 +98,7 @@ def read_recording(path: Path) -> Recording:
     ------
     RecordError                     any mistake in the file; the text names file, table and key
     MeshError, CalibrationError     an invalid mesh or rig
+    InputError                      the optional package for the mesh's format is missing
     """
     root = read_toml(path / "recording.toml" if path.is_dir() else path)
     root.check_keys(_ROOT_KEYS)

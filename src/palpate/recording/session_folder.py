@@ -69,6 +69,10 @@ def write_recorded(
     ------
     RecordError                     a force that pulls, a contact that cannot be found, an invalid
                                     session; a file that cannot be written
+    InputError                      the model that finds the contacts does not fit into memory
+    SingularSystemError             the support does not hold the object
+    CalibrationError                pictures of another size than the rig was calibrated with
+    OSError                         a file of the recording cannot be copied
     """
     for file in recording.files:
         shutil.copyfile(file, folder / file.name)

@@ -61,7 +61,7 @@ class CalibrationFile:
         return cls(path, None if binary else read_tree(path), length_unit)
 
     def files_in_folder(self) -> "list[CalibrationFile]":
-        """The YAML, JSON and XML files in this folder, sorted by name."""
+        """The YAML, JSON and XML files in this folder, by name; RecordError: one is unreadable."""
         files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in TREE_SUFFIXES)
         return [CalibrationFile(file, read_tree(file), self.length_unit) for file in files]
 

@@ -114,7 +114,7 @@ class RigCovariance:
 
     Raises
     ------
-    InputError                      inconsistent shapes
+    InputError                      inconsistent shapes, not finite
     CalibrationError                a covariance that is not symmetric, negative variances
     """
 

@@ -337,6 +337,10 @@ def unit_of_moduli(estimate: Estimate) -> str:
     Parameters
     ----------
     estimate : Estimate
+
+    Returns
+    -------
+    str                             "kPa" and the like
     """
     return modulus_unit(estimate.young_modulus.value)[1]
 

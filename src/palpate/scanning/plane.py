@@ -39,11 +39,11 @@ class Plane:
         object.__setattr__(self, "normal", fixed_array(normal / length, name="normal", shape=(3,)))
 
     def heights(self, points: Points) -> PointScalars:
-        """Signed distance of points from the plane, positive on the side of the normal [m]."""
+        """Signed distance of points, (n, 3) [m], from the plane, positive on the normal's side."""
         return (points - self.point) @ self.normal
 
     def projected(self, points: Points) -> Points:
-        """Orthogonal projection of points onto the plane [m]."""
+        """Orthogonal projection of points, (n, 3) [m], onto the plane."""
         return points - self.heights(points)[:, None] * self.normal
 
 

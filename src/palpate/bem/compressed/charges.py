@@ -64,6 +64,10 @@ def points_on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
     Parameters
     ----------
     count : int
+
+    Returns
+    -------
+    (count, 3) float [-]            unit vectors
     """
     step = np.arange(count) + 0.5
     polar, turn = np.arccos(1.0 - 2.0 * step / count), np.pi * (1.0 + np.sqrt(5.0)) * step

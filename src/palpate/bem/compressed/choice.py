@@ -31,6 +31,11 @@ def held_system(
     -------
     BoundarySystem                a `CompressedSystem` where the object has more than
                                   `LARGEST_DENSE` vertices and its supports hold all directions
+
+    Raises
+    ------
+    InputError                    the cache cannot be written; a support of an object solved
+                                  compressed holds some directions only
     """
     large = len(surface.mesh.vertices) > LARGEST_DENSE
     rolls = not np.allclose(surface.held_directions[surface.held], np.eye(3))

@@ -30,11 +30,11 @@ class ClusterTree:
 
     @property
     def leaves(self) -> Int[np.ndarray, " l"]:
-        """Clusters without children."""
+        """Clusters without children, (l,) int."""
         return np.flatnonzero(self.children[:, 0] < 0)
 
     def members(self, cluster: int | np.integer) -> Int[np.ndarray, " k"]:
-        """The items of a cluster."""
+        """The items of a cluster, (k,) int."""
         return self.order[self.start[cluster] : self.stop[cluster]]
 
 

@@ -222,8 +222,12 @@ def recentred(
 
     Parameters
     ----------
-    functions : (..., 4, c) float
+    functions : (..., 4, c) float     three components of F, then psi [that of F / m]
     shift : (..., 3) float [m]        from the old centre to the new one
+
+    Returns
+    -------
+    (..., 4, c) float                 in the units of `functions`
     """
     out = functions.copy()
     out[..., :3, :] += shift[..., :, None].astype(out.dtype) * functions[..., 3:, :]
@@ -240,6 +244,11 @@ def make_child_to_parent(
     tree : ClusterTree
     parents : (p,) int            clusters that have children
     sphere : ChargeSphere
+
+    Returns
+    -------
+    dict of int to (k, h) float32 [-]    parent -> matrix from the h charges of both its children to
+                                      its own k charges
     """
     child_to_parent: dict[int, np.ndarray] = {}
 

@@ -68,8 +68,12 @@ class LeafMoments:
         Parameters
         ----------
         weights : KernelWeights
-        displacement : (v, 3, c) float    of all vertices
-        traction : (h, 3, c) float        of all held sides
+        displacement : (v, 3, c) float [m]    of all vertices
+        traction : (h, 3, c) float        of all held sides, scaled as `weights` requires
+
+        Returns
+        -------
+        (k, 4, c) float                       at the k places; three components of F, then psi
         """
         u = displacement[self.nodes]
         count, columns = self.traction_kernel.shape[1], u.shape[2]

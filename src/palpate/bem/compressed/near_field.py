@@ -48,7 +48,7 @@ class NearBlock:
     def traction_matrix(
         self, weights: KernelWeights, dtype: DTypeLike = np.float64
     ) -> Float[np.ndarray, "m 3 3 n"]:
-        """Coefficients of the displacements, [.., i, j, ..]: equation i, component j."""
+        """Coefficients of displacements, (m, 3, 3, n): [.., i, j, ..] equation i, component j."""
         count, nodes = self.traction_kernel.shape[1:]
         out = np.empty((count, 3, 3, nodes), dtype=dtype)
         _fill_traction(weights.skew, weights.rest, self.traction_kernel, out)
@@ -57,7 +57,7 @@ class NearBlock:
     def displacement_matrix(
         self, weights: KernelWeights, dtype: DTypeLike = np.float64
     ) -> Float[np.ndarray, "m 3 3 s"]:
-        """Coefficients of the tractions, [.., i, j, ..]: equation i, component j."""
+        """Coefficients of tractions, (m, 3, 3, s): [.., i, j, ..] equation i, component j."""
         count, sides = self.displacement_kernel.shape[1:]
         out = np.empty((count, 3, 3, sides), dtype=dtype)
         trace, rest = 1.5 * weights.constant - 2.0 * weights.slope, 0.5 * weights.constant
@@ -84,7 +84,7 @@ class NearField:
         displacement: Float[np.ndarray, "v 3 c"],
         traction: Float[np.ndarray, "h 3 c"],
     ) -> Float[np.ndarray, "r 3 c"]:
-        """Near-field part of the equations; arguments as for `FarField.apply`."""
+        """Near-field part of the equations, (r, 3, c); arguments as for `FarField.apply`."""
         out = np.empty((self.n_points, 3, displacement.shape[2]), dtype=displacement.dtype)
         in_threads(self._multiply, len(self.blocks), weights, displacement, traction, out)
         return out

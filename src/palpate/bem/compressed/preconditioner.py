@@ -43,6 +43,10 @@ class ClusterInverse:
         Parameters
         ----------
         right : (k, c) float
+
+        Returns
+        -------
+        (k, c) float
         """
         block_solutions = self.solve_blocks(self.system.by_point(right))
         residual = right[-3:] - self.force(block_solutions)
@@ -50,7 +54,7 @@ class ClusterInverse:
         return np.concatenate([block_solutions - self.slack_solutions @ slack, slack])
 
     def solve_blocks(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "k c"]:
-        """Solve the equations of every cluster, without slack."""
+        """Solve the equations of every cluster, (r, 3, c), without slack; (k - 3, c)."""
         out = np.empty_like(rows)
 
         def solve(begin: int, end: int) -> None:
@@ -63,7 +67,7 @@ class ClusterInverse:
         return out.reshape(-1, rows.shape[2])
 
     def force(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "3 c"]:
-        """Left-hand side of the force balance, for unknowns without slack."""
+        """Left-hand side of the force balance, (3, c), for unknowns without slack, (k - 3, c)."""
         first = 3 * self.system.unknowns.free_vertices.size
         traction = unknowns[first:].reshape(-1, 3, unknowns.shape[1])
         return np.einsum("h,hic->ic", self.system.balance_weights, traction)
@@ -158,6 +162,10 @@ def paired_unknowns(system: CompressedSystem) -> Int[np.ndarray, " r"]:
     Parameters
     ----------
     system : CompressedSystem
+
+    Returns
+    -------
+    (r,) int
     """
     surface, unknowns, collocation = system.surface, system.unknowns, system.collocation
     free, side_vertex = unknowns.free_vertices, surface.sides.vertex[unknowns.held_sides]

@@ -53,8 +53,12 @@ class CompressedSystem(BoundarySystem):
 
         Parameters
         ----------
-        poisson_ratio : float
+        poisson_ratio : float [-]         -1 < nu <= 0.5
         unknowns : (k, c) float
+
+        Returns
+        -------
+        (k, c) float
         """
         found, traction = self._applied(scaled_weights(self, poisson_ratio), unknowns)
         found += SLACK * unknowns[-3:]
@@ -66,6 +70,10 @@ class CompressedSystem(BoundarySystem):
         Parameters
         ----------
         unknowns : (k, c) float
+
+        Returns
+        -------
+        (k, c) float
         """
         weights = KernelWeights(-2.0, 0.0, 0.0, -1.0 / self.traction_length)
         found, _ = self._applied(weights, unknowns)
@@ -94,11 +102,12 @@ class CompressedSystem(BoundarySystem):
         return a, b
 
     def by_component(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "n c"]:
-        """Equations at the collocation points in the order of right-hand sides."""
+        """Equations at the collocation points, (r, 3, c), in the order of right-hand sides,
+        (3 r, c)."""
         return rows[self.order].transpose(1, 0, 2).reshape(3 * len(rows), -1)
 
     def by_point(self, right: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "r 3 c"]:
-        """The inverse of `by_component`; the rows of the force balance are dropped."""
+        """The inverse of `by_component`, (r, 3, c); the rows of the force balance are dropped."""
         rows = np.empty((self.order.size, 3, right.shape[1]))
         rows[self.order] = right[:-3].reshape(3, -1, right.shape[1]).transpose(1, 0, 2)
         return rows
@@ -128,7 +137,11 @@ def scaled_weights(system: BoundarySystem, poisson_ratio: float) -> KernelWeight
     Parameters
     ----------
     system : BoundarySystem
-    poisson_ratio : float
+    poisson_ratio : float [-]
+
+    Returns
+    -------
+    KernelWeights
     """
     length = system.traction_length
     return KernelWeights(1 - 2 * poisson_ratio, 1.0, -1.0 / length, -poisson_ratio / length)

@@ -82,6 +82,7 @@ def interior_state(
     Raises
     ------
     InputError                        a point is outside the object, or too close to its surface
+    NotConvergedError                 as in `ElasticMap.respond`
 
     Source
     ------

@@ -101,7 +101,7 @@ def sum_surface(begin, end, points, nodes, values, rules, shear_modulus, nu, out
     nodes : (m, 6, 3) float [m]             six-node triangles
     values : (m, 6, 6) float                displacement [m], then traction [Pa], at these nodes
     rules : Rules
-    shear_modulus, nu : float
+    shear_modulus, nu : float               [Pa], [-]
     out : (n, 13) float                     added to (`add_force`, `subtract_displaced_surface`)
     clearance : (n,) float                  lowered to the distance from the surface over the
                                             radius of the nearest triangle, accurate to about 10 %
@@ -134,7 +134,16 @@ def sum_surface(begin, end, points, nodes, values, rules, shear_modulus, nu, out
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def sum_forces(begin, end, points, positions, forces, shear_modulus, nu, out):
-    """Add all forces for the points from begin to end; see `add_force`."""
+    """Add all forces for the points from begin to end; see `add_force`.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    positions : (q, 3) or wider float [m]   of the forces
+    forces : (q, 3) float [N]
+    shear_modulus, nu : float               [Pa], [-]
+    out : (n, 13) float                     added to
+    """
     for k in range(begin, end):
         for q in range(positions.shape[0]):
             add_force(points[k], positions[q], forces[q], shear_modulus, nu, out[k])

@@ -54,7 +54,7 @@ class IndentationCorrection:
     correction: Float[np.ndarray, "2 p 3 c"]
 
     def under(self, force: Float[np.ndarray, "3"]) -> "IndentationCorrection":
-        """The correction under one given force [N]."""
+        """The correction under one given force, (3,) [N]."""
         return IndentationCorrection(self.midside_nodes, (self.correction @ force)[..., None])
 
 

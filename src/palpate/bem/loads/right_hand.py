@@ -46,7 +46,7 @@ class RightHand:
         return constant + poisson_ratio * (slope + poisson_ratio * curvature)
 
     def under(self, force: Float[np.ndarray, " c"]) -> "RightHand":
-        """The linear combination of the columns with these coefficients: one column."""
+        """The linear combination of the columns with these coefficients, (c,): one column."""
         return RightHand((self.terms @ force)[:, :, None])
 
     def __add__(self, other: "RightHand") -> "RightHand":

@@ -270,7 +270,7 @@ def integrate_load(
     load : SurfaceLoad
     collocation : Collocation
     blocks : FieldBlocks          of that collocation, for the order of its rows
-    cells : LoadCells             see `load_points`
+    cells : LoadCells             see `load_points`, also for its errors
 
     Returns
     -------

@@ -71,11 +71,11 @@ class Elimination:
         return square
 
     def right(self, full: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "s c"]:
-        """Right-hand sides of the square system."""
+        """Right-hand sides of the square system, (s, c), from those of the full one, (r, c)."""
         return np.concatenate([self.rows @ full, np.zeros((len(self.constraints), full.shape[1]))])
 
     def unknowns(self, solution: Float[np.ndarray, "s c"]) -> Float[np.ndarray, "k c"]:
-        """All unknowns from a solution of the square system."""
+        """All unknowns, (k, c), from a solution of the square system, (s, c)."""
         return self.columns @ solution[: self.columns.shape[1]]
 
 

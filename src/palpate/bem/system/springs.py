@@ -52,7 +52,11 @@ class Springs:
 
         Parameters
         ----------
-        support_compliance : (s,) float    0: rigid
+        support_compliance : (s,) float [m/Pa]    >= 0; 0: rigid
+
+        Returns
+        -------
+        (e,) float [m/Pa]
         """
         return support_compliance @ self.compliance_derivatives(support_compliance)
 
@@ -63,7 +67,11 @@ class Springs:
 
         Parameters
         ----------
-        support_compliance : (s,) float    0: rigid
+        support_compliance : (s,) float [m/Pa]    >= 0; 0: rigid
+
+        Returns
+        -------
+        (s, e) float [-]
         """
         supported = self.support_fraction > 0.0
         fixed = (supported.sum(axis=1) > 1) & (supported & (support_compliance == 0.0)).any(axis=1)

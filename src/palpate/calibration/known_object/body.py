@@ -65,6 +65,10 @@ class Body:
         Returns
         -------
         (k + 7, k + 7) float, (k + 7,) float    normal matrix and right-hand side
+
+        Raises
+        ------
+        CalibrationError            the covariance is of other cameras
         """
         ties, mesh = self.surface.ties, self.surface.mesh
         offset, centre = self._offsets(rig)

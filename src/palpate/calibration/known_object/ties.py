@@ -55,6 +55,10 @@ def jacobians(
     -------
     (n, r, k) float [-]             of `residuals`
     (n, 3, k) float [m]             of `tie_points`
+
+    Raises
+    ------
+    CalibrationError                the covariance is of other cameras
     """
     point = tie_points(rig, ties)
     by_point = _white(
@@ -132,6 +136,12 @@ def variance_inflation(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, "
     Returns
     -------
     float [-]                       about 1 if the errors of neighbours are independent
+
+    Source
+    ------
+    Liang and Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73
+    (1986) 13: the covariance of scores that are summed over groups; here its mean ratio to that of
+    independent points.
     """
     independent = score.T @ score
     sums = np.stack([np.bincount(label, column) for column in score.T], axis=1)

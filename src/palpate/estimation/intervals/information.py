@@ -41,7 +41,8 @@ class Information:
     shear_modulus: float
 
     def of(self, probings: Sequence[int]) -> Float[np.ndarray, "2 2"]:
-        """Information of some probings together about (nu, log G), shared errors eliminated."""
+        """Information of some probings together about (nu, log G), (2, 2), shared errors
+        eliminated."""
         information = self.scores.information[list(probings)].sum(axis=0)
         information[2:, 2:] += np.eye(len(information) - 2)
         return information[:2, :2] - information[:2, 2:] @ np.linalg.solve(

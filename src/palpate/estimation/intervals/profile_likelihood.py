@@ -57,6 +57,10 @@ def profile_curve(
     centre : float [-]              Poisson's ratio at the minimum
     half_width : float [-]          of the near part
     enough : float                  height that both ends must exceed, unless they are bounds
+
+    Returns
+    -------
+    ProfileCurve
     """
     low, high = weights.poisson_range
     near = (max(low, centre - half_width), min(high, centre + half_width))

@@ -80,8 +80,8 @@ class Scores:
         )
 
     def covariance(self) -> Float[np.ndarray, "d d"]:
-        """Model-based covariance, A^-1 B A^-1 with A the information and B the noise; very large
-        but finite along a combination without information.
+        """Model-based covariance, (d, d): A^-1 B A^-1 with A the information and B the noise; very
+        large but finite along a combination without information.
 
         Source
         ------
@@ -119,7 +119,7 @@ class Scores:
         return np.asarray(self._inverse()[0][:, :2] @ direction)
 
     def step(self) -> Float[np.ndarray, " d"]:
-        """Step from the minimum to that without bounds on Poisson's ratio."""
+        """Step, (d,), from the minimum to that without bounds on Poisson's ratio."""
         # At a minimum all scores vanish, except that of a Poisson's ratio at the end of its range.
         gradient = np.append(self.score.sum(0)[:2], np.zeros(self.score.shape[1] - 2))
         return np.asarray(
@@ -264,7 +264,7 @@ def force_moments(misfit: Misfit, local: Sequence[LocalProbe]) -> list[tuple[flo
 
     Returns
     -------
-    list of (float, float)
+    list of (float, float) [-]      mean square, mean slope; one pair for each probing
     """
     moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
     return [moments[probe.rows.force_components] for probe in local]

@@ -49,6 +49,10 @@ def relative_weight(
     noise : NoiseModel
     squared : (p,) float [-]        squared length of each residual in sigmas, >= 0
     components : (p,) float         measured components of each point, 1 to 3
+
+    Returns
+    -------
+    (p,) float [-]
     """
     whole = noise.weight(np.zeros_like(squared), components)
     return noise.weight(squared, components) / whole

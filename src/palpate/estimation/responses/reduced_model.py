@@ -53,14 +53,14 @@ class SolutionModel(Protocol):
 
     @property
     def directions(self) -> tuple[Float[np.ndarray, "k c"], ...]:
-        """j basis vectors of k unknowns, for each right-hand side."""
+        """j basis vectors of k unknowns, for each right-hand side: j times (k, c)."""
         ...
 
     def coefficients(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
     ) -> tuple[Float[np.ndarray, "j c"], float]:
-        """Coefficients of the basis at one Poisson's ratio, for all or some right-hand sides, and
-        the largest relative residual."""
+        """Coefficients of the basis, (j, c), at one Poisson's ratio, for all or some right-hand
+        sides, and the largest relative residual."""
         ...
 
 
@@ -109,7 +109,7 @@ class ReducedModel:
     def weights(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
     ) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, " c"]]:
-        """As `coefficients`, transposed, with the relative residual of each right-hand side."""
+        """As `coefficients`, but (c, j); the relative residual of each right-hand side, (c,)."""
         distance = poisson_ratio - self.centre
         matrix = self.identity[columns] + distance * self.hessenberg[columns]
         right = np.zeros(matrix.shape[:2])

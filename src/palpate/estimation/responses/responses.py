@@ -200,7 +200,7 @@ class ProbeResponse:
         return self.rows.response(moved[:, :kept], force[:, :kept], particular, poisson_ratio)
 
     def change(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows p"]:
-        """Displacement times shear modulus for the columns of perturbed contacts [m Pa].
+        """Displacement times shear modulus for the p columns of perturbed contacts [m Pa].
 
         Parameters
         ----------
@@ -259,11 +259,11 @@ class SpringResponse:
     def compliance_derivative(
         self, poisson_ratio: float, support: int
     ) -> Float[np.ndarray, "n_rows c"]:
-        """Derivative of `value` with respect to the compliance (give) of one of the supports.
+        """Derivative of `value` with respect to the compliance [m/Pa] of one support, (n_rows, c).
 
         Parameters
         ----------
-        poisson_ratio : float
+        poisson_ratio : float [-]
         support : int                 index among the d supports
         """
         value, change = self.observed(poisson_ratio)[[0, 1 + support]]

@@ -45,6 +45,10 @@ def fitted_parameters(probes: Sequence[ObservedRows]) -> int:
     Parameters
     ----------
     probes : sequence of ObservedRows
+
+    Returns
+    -------
+    int
     """
     return 2 + sum(probe.fitted_components for probe in probes)
 

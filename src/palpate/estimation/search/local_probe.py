@@ -48,7 +48,7 @@ class ScaledRows:
     settling: Float[np.ndarray, "r c"] | None = None
 
     def response(self, offset: float, shear_modulus: float) -> Float[np.ndarray, "r c"]:
-        """Response at nu = reference + offset and a shear modulus, over the noise."""
+        """Response at nu = reference + offset and a shear modulus [Pa], over the noise, (r, c)."""
         response = self.base if offset == 0 else self.base + offset * self.slope
         if self.settling is None:
             return response
@@ -103,13 +103,13 @@ class LocalProbe:
         return self.table[:, -1]
 
     def prior(self, force_weight: float | None = None) -> Float[np.ndarray, " n"]:
-        """Prior weight of each shift; that of the force as given, by default its robust weight."""
+        """Prior weight of each shift, (n,); that of the force as given, else its robust weight."""
         weight = self.force_weight if force_weight is None else force_weight
         prior = self.rows.prior(weight)
         return np.append(prior, np.ones(len(self.shift) - len(prior)))
 
     def weighted_products(self) -> Float[np.ndarray, "t t"]:
-        """Weighted Gram matrix of the table, table' W table, with the robust weights W."""
+        """Weighted Gram matrix of the table, table' W table, (t, t) [-]; W: the robust weights."""
         return weighted_square(self.table.T, self.rows.per_row(self.weight))
 
 
@@ -131,6 +131,10 @@ def linearised_probe(
     shear_modulus : float [Pa]      > 0
     shift : (n,) float              see `LocalProbe.shift`
     errors : (m,) float             shared errors, in sigmas
+
+    Returns
+    -------
+    LocalProbe
     """
     probe = rows.probe
     response = rows.response(offset, shear_modulus)

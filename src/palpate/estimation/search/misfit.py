@@ -256,6 +256,10 @@ class Misfit:
         shear_modulus : float [Pa]      > 0
         shifts : one (n,) float for each probing    see `LocalProbe.shift`
         errors : (m,) float             shared errors, in sigmas
+
+        Returns
+        -------
+        tuple of LocalProbe             one for each probing
         """
         return tuple(
             linearised_probe(self.noise, row, offset, shear_modulus, shift, errors)

@@ -20,6 +20,10 @@ def whole_numbers(values: np.ndarray) -> Int[np.ndarray, "..."]:
     ----------
     values : array of numbers
 
+    Returns
+    -------
+    int array                       of the same shape
+
     Raises
     ------
     ValueError                      one is not an integer

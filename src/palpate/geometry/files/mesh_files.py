@@ -76,6 +76,10 @@ def read_mesh(
                                     ignored for a STEP file, which states its own
     most : int                      largest number of triangles
 
+    Returns
+    -------
+    TriangleMesh                    in metres; open or closed
+
     Raises
     ------
     MeshError                       no such file, unknown suffix, unreadable, no triangles or too

@@ -24,6 +24,11 @@ def parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
     ----------
     content : bytes                 the whole file
 
+    Returns
+    -------
+    vertices : (v, 3) float         in the unit of the file
+    triangles : (m, 3) int          indices from 0
+
     Raises
     ------
     ValueError                      a vertex or a face that cannot be read, or a face of a vertex

@@ -34,6 +34,11 @@ def read_step(path: Path) -> tuple[Vertices, Triangles]:
     ----------
     path : Path
 
+    Returns
+    -------
+    vertices : (v, 3) float [m]
+    triangles : (m, 3) int
+
     Raises
     ------
     InputError                      the optional package is missing

@@ -29,6 +29,11 @@ def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
     ----------
     content : bytes                 the whole file
 
+    Returns
+    -------
+    vertices : (v, 3) float         in the unit of the file
+    triangles : (m, 3) int          indices from 0
+
     Raises
     ------
     ValueError, TypeError, LookupError, SyntaxError, zlib.error, lzma.LZMAError     not a PolyData

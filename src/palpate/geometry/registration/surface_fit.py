@@ -39,7 +39,7 @@ class MeasuredPoints:
     covariance: Float[np.ndarray, "n 3 3"]
 
     def chosen(self, rows: Indices) -> "MeasuredPoints":
-        """Some of the points."""
+        """Some of the points, by their indices, (k,)."""
         return MeasuredPoints(self.point[rows], self.covariance[rows])
 
 
@@ -72,7 +72,7 @@ class Linearised:
     barycentric: Points
 
     def chosen(self, rows: Indices) -> "Linearised":
-        """Some of the points; the centre of rotation remains that of all."""
+        """Some of the points, by indices, (k,); the centre of rotation remains that of all."""
         names = ("offset", "normal", "row", "residual", "sigma", "triangle", "barycentric")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
@@ -87,7 +87,7 @@ class Fit:
 
 
 def placed(pose: Pose, points: Points) -> Points:
-    """Points moved by a pose."""
+    """Points, (n, 3) [m], moved by a pose, (4, 4)."""
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
@@ -101,6 +101,10 @@ def motion_pose(motion: Float[np.ndarray, "6"], centre: Vector3) -> Pose:
     ----------
     motion : (6,) float             rotation (rad) and translation (m)
     centre : (3,) float [m]         centre of the rotation
+
+    Returns
+    -------
+    (4, 4) float                    translation in metres
     """
     rate = np.zeros((4, 4))
     rate[:3, :3] = np.cross(motion[:3], np.eye(3)).T
@@ -196,7 +200,7 @@ class RobustResiduals:
     width: float
 
     def weight(self) -> PointScalars:
-        """Tukey's weight of every residual, 0 to 1."""
+        """Tukey's weight of every residual, (n,) [-], 0 to 1."""
         return np.maximum(1.0 - self.unit**2, 0.0) ** 2
 
 
@@ -259,7 +263,8 @@ def fit_pose(
 
 
 def null_space_basis(constraints: Float[np.ndarray, "k 6"]) -> Float[np.ndarray, "6 f"]:
-    """Orthonormal basis of the motions for which all held combinations are zero (null space)."""
+    """Orthonormal basis, (6, f), of the motions for which all k held combinations, (k, 6), are
+    zero (null space)."""
     _, values, vectors = np.linalg.svd(constraints)
     rank = int((values > 1e-9 * values.max()).sum()) if values.size else 0
     return vectors[rank:].T

@@ -133,6 +133,8 @@ def make_session(
     InputError                      a head that does not see the object, a probe that misses it, a
                                     texture without contrast, a body that cannot be filled
     RecordError                     the folder cannot be written
+    SingularSystemError             the held nodes of the specimen are collinear
+    NotConvergedError               as in `probe_body`
     """
     make_sessions([(config, folder)], variant=variant, progress=progress, parts=parts)
 
@@ -157,7 +159,7 @@ def make_sessions(
 
     Raises
     ------
-    InputError, RecordError         as in `make_session`
+    PalpateError                    as in `make_session`
     """
     say = progress or silent
     groups: dict[object, list[_Bench]] = {}

@@ -133,7 +133,7 @@ class SolvedPress:
     displacements: Float[np.ndarray, "s n 3"]
 
     def force_at(self, fraction: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-        """Force of the tool on the body at fractions of the full depth [N]."""
+        """Force of the tool on the body at fractions, (n,), of the full depth; (n, 3) [N]."""
         # Hertz: the force grows as depth to the power 1.5, so it is smooth in the depth's root.
         law = CubicSpline(np.sqrt(self.depth_fraction), self.force)
         touching = np.clip(fraction, 0.0, 1.0)
@@ -162,7 +162,7 @@ def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedP
 
     Raises
     ------
-    InputError, MeshError           as in `solid_under` and `press_to_force`
+    InputError, MeshError, NotConvergedError    as in `solid_under` and `press_to_force`
     """
     probe, specimen = config.probes[number], config.specimen
     solid = solid_under(specimen, tip, probe, config.material)

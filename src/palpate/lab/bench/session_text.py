@@ -119,7 +119,7 @@ def write_session(folder: Path, config: LabConfig, measured: Sequence[tuple[Tabl
 
     Raises
     ------
-    OSError                         the files cannot be written
+    RecordError                     a file cannot be written
     """
     material = config.material
     rows, truths = (list(tables) for tables in zip(*measured, strict=True))

@@ -96,6 +96,12 @@ def make_tutorial(
     variant : Variant               of Mitsuba
     size : TutorialSize
     progress : callable             called with the current step (text) and the fraction done, 0..1
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    InputError                      Mitsuba or scikit-fem is not installed
+    NotConvergedError               as in `solve_press`
     """
     config = _config(size)
     rig = make_head(config.head, config.specimen.mesh)

@@ -17,16 +17,17 @@ Moduli = Float[np.ndarray, "3 3 3 3 m q"]
 @runtime_checkable
 class Law(Protocol):
     """An isotropic hyperelastic law, in the deformation gradient F = I + du/dX (row: component of
-    the deformed position, column: reference direction) at q quadrature points of m elements."""
+    the deformed position, column: reference direction) at q quadrature points of m elements,
+    (3, 3, m, q)."""
 
     def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
-        """Strain energy per reference volume [Pa]; not finite unless det F > 0."""
+        """Strain energy per reference volume, (m, q) [Pa]; not finite unless det F > 0."""
 
     def stress(self, gradient: Gradient) -> Gradient:
-        """First Piola-Kirchhoff stress, the derivative of the energy with respect to F [Pa]."""
+        """First Piola-Kirchhoff stress, (3, 3, m, q) [Pa]: derivative of the energy in F."""
 
     def moduli(self, gradient: Gradient) -> Moduli:
-        """Derivative of the stress aA with respect to F_bB [Pa]; indices a, A, b, B."""
+        """Derivative of the stress aA in F_bB, (3, 3, 3, 3, m, q) [Pa]; indices a, A, b, B."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,10 @@ Unknowns = Float[np.ndarray, " unknowns"]
 
 @runtime_checkable
 class Potential(Protocol):
-    """Total potential energy: stored energy minus the work of the loads."""
+    """Total potential energy: stored energy minus the work of the loads.
+
+    Unknowns, forces and steps are (u,) arrays.
+    """
 
     def value(self, at: Unknowns) -> float:
         """Potential [J]; infinite for inadmissible unknowns."""

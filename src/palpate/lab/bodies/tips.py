@@ -257,7 +257,7 @@ class Punch(Tip):
         return self.radius
 
     def rim(self, apart: float) -> Float[np.ndarray, "k 3"]:
-        """Points around the face."""
+        """Points around the face, (k, 3) [m], at most `apart` [m] from one another."""
         count = int(np.ceil(2.0 * np.pi * self.radius / apart))
         angle = 2.0 * np.pi * np.arange(count) / count
         across = np.linalg.svd(self.direction[None])[2][1:]

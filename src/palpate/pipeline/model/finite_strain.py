@@ -145,6 +145,7 @@ def strain_corrections(
 
     Raises
     ------
+    SingularSystemError             the held nodes are collinear
     NotConvergedError               no equilibrium at finite strain
     """
     elastic = make_body(

@@ -59,6 +59,7 @@ def fit_at_finite_strain(
     Raises
     ------
     InputError                      supports or loads that are not supported at finite strain
+    SingularSystemError             as in `strain_corrections`
     NotConvergedError               no equilibrium, or the constants do not converge
     """
     task = _Task(observations, settings)

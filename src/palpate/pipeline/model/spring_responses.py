@@ -53,6 +53,7 @@ def spring_responses(
     Raises
     ------
     SingularSystemError             the support does not hold the object
+    NotConvergedError               the basis of the reduced model does not converge
     """
     system, each = model.system, compliances(model.session) / model.system.traction_length
     known_traction = _known_traction(model, springs)

@@ -53,6 +53,7 @@ def ungraded_observations(
     Raises
     ------
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
+    RecordError                           the cache cannot be written
     """
     plain = replace(session, errors=EXACT)
     progress("integrals", 0.0)

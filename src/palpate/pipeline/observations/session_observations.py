@@ -93,6 +93,13 @@ def session_observations_at(
     Returns
     -------
     function                              shear modulus [Pa] -> list of ProbeObservations
+
+    Raises
+    ------
+    InputError                            a response that is not finite; a compressed system without
+                                          reduced model
+    SingularSystemError                   the support does not hold the object
+    NotConvergedError                     the basis of the reduced model does not converge
     """
     rows = [
         probe_rows(model, k, _measured(probing).surface, average=_measured(probing).average)

@@ -122,6 +122,8 @@ def plan_measurement(
     InputError                      a session without a rig or without probings; constants out of
                                     range; cameras without sizes; no vertex that two cameras see, or
                                     that can be tracked
+    RecordError, CalibrationError   the rig cannot be read, or contradicts itself
+    SingularSystemError, NotConvergedError    as in `graded_observations`
     """
     _check(session, young_modulus, poisson_ratio)
     rig = read_rig(session.rig or session.path)

@@ -88,6 +88,7 @@ def plan_next(
     ------
     InputError                      a count below 1; no contact radius or displacement in the first
                                     probing; no place that a tool can reach
+    SingularSystemError, NotConvergedError    as in `fit_session`
 
     Source
     ------

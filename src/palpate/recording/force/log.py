@@ -137,6 +137,7 @@ def read_force_log(gauge: Gauge) -> ForceLog:
     ------
     RecordError                     no such file or columns, contradictory units, times that
                                     decrease, implausible forces
+    InputError                      the optional package for bags is missing
     """
     table = read_log_table(gauge.file, topic=gauge.topic, wanted=FORCES, cure=_CURE)
     time = _time_column(table, gauge.time)

@@ -53,7 +53,8 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | 
     Parameters
     ----------
     footage : Footage
-    presses : sequence of RampTimes     in order of time, accurate to within `MARGIN`
+    presses : sequence of RampTimes     in order of time, accurate to within `MARGIN`,
+                                    on the camera's clock
 
     Returns
     -------

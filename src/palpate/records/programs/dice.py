@@ -61,6 +61,7 @@ def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
     ------
     RecordError                     a 2-D result, displacements of an incremental correlation (from
                                     picture to picture), a truncated file, text in a cell, no rows
+    InputError                      h5py is not installed, for an HDF5 file
 
     Source
     ------
@@ -192,6 +193,7 @@ def read_dice_rig(file: CalibrationFile) -> Rig:
     ------
     CalibrationError                a missing value, an unsupported lens model or transformation, or
                                     as in `Camera` and `Rig`
+    InputError                      the given unit of length is unknown
     """
     metres, root = file.metres(default="mm"), file.content
     for name in (node.get("name", "") for node in root):

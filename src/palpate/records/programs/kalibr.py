@@ -28,6 +28,7 @@ def read_kalibr_rig(file: CalibrationFile) -> Rig:
     ------
     CalibrationError                a model other than pinhole with radtan or no distortion, a
                                     missing key, or as in `Camera`
+    InputError                      the given unit of length is unknown
 
     Source
     ------

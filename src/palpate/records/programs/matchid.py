@@ -108,6 +108,7 @@ def read_matchid_rig(file: CalibrationFile) -> Rig:
     Raises
     ------
     CalibrationError                a missing key, not a number, or as in `Camera`
+    InputError                      the given unit of length is unknown
 
     Source
     ------

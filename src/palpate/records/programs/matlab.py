@@ -66,6 +66,7 @@ def read_matlab_rig(file: CalibrationFile) -> Rig:
     RecordError                     not a readable MATLAB file
     CalibrationError                an object in place of the structure, which only MATLAB can read;
                                     no such structure, a missing part, or as in `Camera`
+    InputError                      the given unit of length is unknown
 
     Source
     ------

@@ -51,6 +51,7 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     Raises
     ------
     RecordError                     2-D results of step 2, several such structs, a truncated file
+    InputError                      h5py is not installed, for an HDF5 file
 
     Source
     ------
@@ -89,6 +90,7 @@ def read_multidic_tracks(path: Path, frame: int | None = None) -> PictureTracks:
     Raises
     ------
     RecordError                     no such struct, or several, a truncated file
+    InputError                      h5py is not installed, for an HDF5 file
 
     Source
     ------
@@ -241,6 +243,7 @@ def read_multidic_rig(file: CalibrationFile) -> Rig:
     RecordError                     not a readable file of this kind
     CalibrationError                parameters of no camera, or a camera that faces away from the
                                     object
+    InputError                      the given unit of length is unknown
     """
     metres = file.metres(default="mm")
     return file.rig([_camera(camera, metres) for camera in _transformations(file.path)])

@@ -58,6 +58,8 @@ def read_opencv_rig(file: CalibrationFile) -> Rig:
     Raises
     ------
     CalibrationError                a missing part, no unit of length, or as in `Camera` and `Rig`
+    InputError                      the given unit of length is unknown
+    RecordError                     a file of the folder cannot be read
     """
     if file.path.is_dir():
         cameras = [other for other in file.files_in_folder() if _holds_rig(other)]

@@ -82,6 +82,7 @@ def read_measured(
     RecordError                     unknown kind, or one without matches in pixels; a file that is
                                     missing, damaged, 2-D or without measured points; a `min_score`
                                     out of range, or for a file without correlations
+    InputError                      an optional package that reads the file is missing
     """
     program = import_kinds().get(kind)
     if program is None or program.read_points is None:

@@ -37,6 +37,7 @@ def read_camera_tables(file: CalibrationFile) -> Rig:
     ------
     CalibrationError                a fisheye lens, a missing part, no unit of length, or as in
                                     `Camera` and `Rig`
+    InputError                      the given unit of length is unknown
 
     Source
     ------

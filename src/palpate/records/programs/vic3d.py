@@ -98,6 +98,7 @@ def read_vic3d_rig(file: CalibrationFile) -> Rig:
     Raises
     ------
     CalibrationError                missing numbers, or as in `Camera` and `Rig`
+    InputError                      the given unit of length is unknown
 
     Source
     ------

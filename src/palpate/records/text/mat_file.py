@@ -34,6 +34,10 @@ def read_mat(path: Path, *, what: str, cure: str, **options: Any) -> dict[str, A
     what, cure : str                as in `read_errors`
     **options                       passed on to `loadmat`
 
+    Returns
+    -------
+    dict of str to array
+
     Raises
     ------
     RecordError                     missing, of another version, damaged

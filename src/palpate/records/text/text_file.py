@@ -17,6 +17,10 @@ def read_text(path: Path) -> str:
     ----------
     path : Path
 
+    Returns
+    -------
+    str
+
     Raises
     ------
     RecordError                     missing, not readable, too large, not UTF-8

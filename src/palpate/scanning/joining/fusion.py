@@ -53,6 +53,7 @@ def fused(points: Points, normals: Points, *, support: Plane | None = None) -> T
     Raises
     ------
     MeshError                       no surface closes around the points
+    InputError                      a package of the extra `surface` is not installed
 
     Source
     ------

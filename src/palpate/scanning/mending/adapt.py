@@ -44,6 +44,7 @@ def adapted(
     Raises
     ------
     MeshError                       Mmg fails
+    InputError                      a package of the extra `surface` is not installed
 
     Source
     ------

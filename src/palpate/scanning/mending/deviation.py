@@ -39,6 +39,10 @@ def distances(points: Points, mesh: TriangleMesh) -> PointScalars:
     Returns
     -------
     (n,) float [m]
+
+    Raises
+    ------
+    InputError                      a package of the extra `surface` is not installed
     """
     return nearest(points, mesh)[0]
 
@@ -54,6 +58,10 @@ def nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
     Returns
     -------
     (n,) float [m], (n, 3) float [m]    distances, closest points
+
+    Raises
+    ------
+    InputError                          a package of the extra `surface` is not installed
     """
     igl = late_import("igl", extra="surface", purpose="comparing surfaces")
     square, _, place = igl.point_mesh_squared_distance(
@@ -73,6 +81,10 @@ def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
     Returns
     -------
     Deviation
+
+    Raises
+    ------
+    InputError                      a package of the extra `surface` is not installed
     """
     gap = np.concatenate(
         [

@@ -117,6 +117,10 @@ def on_plane(mesh: TriangleMesh, chains: list[Chain], support: Plane) -> tuple[P
     vertices : (w, 3) float [m]     those of the mesh, then new ones; rims that already lie near the
                                     plane are moved into it instead
     triangles : (n, 3) int          new triangles of skirt and base
+
+    Raises
+    ------
+    InputError                      a package of the extra `surface` is not installed
     """
     vertices = mesh.vertices.copy()
     rim = np.concatenate(chains)
@@ -149,6 +153,10 @@ def patch(vertices: Vertices, chains: list[Chain], normal: Vector3 | None = None
     Returns
     -------
     (n, 3) int
+
+    Raises
+    ------
+    InputError                      a package of the extra `surface` is not installed
     """
     manifold = late_import("manifold3d", extra="surface", purpose="closing a hole")
     area = sum((_newell(vertices[chain]) for chain in chains), np.zeros(3))

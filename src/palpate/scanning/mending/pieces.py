@@ -144,6 +144,7 @@ def without_walls(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
     Raises
     ------
     MeshError                       the surface is one-sided
+    InputError                      a package of the extra `surface` is not installed
     """
     halves = half_edges(mesh.triangles)
     if halves.count.max() <= 2:

@@ -45,6 +45,7 @@ def united(parts: list[TriangleMesh]) -> tuple[TriangleMesh, list[Action]]:
     Raises
     ------
     MeshError                       the union is several separate objects
+    InputError                      a package of the extra `surface` is not installed
     """
     manifold = late_import("manifold3d", extra="surface", purpose=_PURPOSE)
     whole = manifold.Manifold.batch_boolean([_solid(part) for part in parts], manifold.OpType.Add)
@@ -73,6 +74,7 @@ def wrapped(mesh: TriangleMesh) -> TriangleMesh:
     Raises
     ------
     MeshError                       the surface bounds several objects
+    InputError                      a package of the extra `surface` is not installed
 
     Source
     ------

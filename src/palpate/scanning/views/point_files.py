@@ -36,6 +36,7 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
     ------
     RecordError                     the file is missing, not readable, of an unknown type, has no
                                     points, or an implausible size
+    InputError                      the optional package for E57 is missing
     """
     suffix = path.suffix.lower()
     if suffix not in POINT_SUFFIXES:

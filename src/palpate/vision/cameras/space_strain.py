@@ -175,6 +175,11 @@ def moved_rig(rig: Rig, names: Sequence[str], step: Float[np.ndarray, " p"]) -> 
     Returns
     -------
     Rig
+
+    Raises
+    ------
+    CalibrationError                `names` are of other cameras, or leave no single one without a
+                                    pose
     """
     change = dict(zip(names, step, strict=True))
     first = _first(rig.cameras, names).T_camera_object

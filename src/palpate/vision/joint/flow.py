@@ -110,6 +110,10 @@ class JointFlow:
         Returns
         -------
         JointState
+
+        Raises
+        ------
+        InputError, CalibrationError    as in `surface_map`
         """
         return self.start_on(rig, pictures, *refined_surface(surface))
 
@@ -131,6 +135,10 @@ class JointFlow:
         Returns
         -------
         JointState
+
+        Raises
+        ------
+        InputError, CalibrationError    as in `surface_map`
         """
         scene = make_scene(
             rig, pictures, vertices, triangles, subset=self.subset, step=self.step,
@@ -152,6 +160,10 @@ class JointFlow:
         -------
         state : JointState
         flow : RangeFlow                from the first instant
+
+        Raises
+        ------
+        InputError, CalibrationError    as in `surface_map`
         """
         scene, now = state.scene, tuple(pictures)
         start = _flow_start(state, now)

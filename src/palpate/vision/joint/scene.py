@@ -86,6 +86,10 @@ def make_scene(
     Returns
     -------
     Scene                           with no points if the reference camera sees none
+
+    Raises
+    ------
+    InputError, CalibrationError    as in `surface_map`
     """
     maps, views = _views(rig, pictures, vertices, triangles, smoothing)
     shown = views["interior"][rig.reference] > 0.0
@@ -128,6 +132,10 @@ def advanced_scene(
     Returns
     -------
     Scene                           of the same n points; those not valid are marked as unseen
+
+    Raises
+    ------
+    InputError, CalibrationError    as in `surface_map`
     """
     moved = scene.point + np.where(valid[:, None], motion[:, 0], 0.0)
     rows = np.flatnonzero(valid)

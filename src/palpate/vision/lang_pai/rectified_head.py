@@ -53,6 +53,7 @@ def make_head(rig: Rig, shape: tuple[int, int]) -> StereoHead:
     Raises
     ------
     CalibrationError                cameras that cannot be rectified
+    InputError                      `shape` contradicts a camera's size
     """
     order = (rig.reference, *_partners(rig))
     rectified = rectify([rig.cameras[i] for i in order], shape)
@@ -85,6 +86,10 @@ def make_instant(
     Returns
     -------
     Instant
+
+    Raises
+    ------
+    InputError                      as in `disparity_map`
     """
     flat = [remapped(head.rectified, k, pictures[i]) for k, i in enumerate(head.order)]
     disparity = disparity_map(flat, head.views, limits)

@@ -209,6 +209,8 @@ def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, re
 def window_kernel(grey, column, row, shift, along, half, window):
     """Fill `window` with zero mean and unit norm; returns `VALID`, `OUTSIDE` or `TEXTURE`.
 
+    `grey` is (rows, columns) [grey levels], `window` ((2 half + 1)^2,), row by row.
+
     Its centre is `shift` pixels from (column, row), along columns (`along` = 0) or rows (1). The
     inner product of two such windows (`dot_kernel`) is equation 6 of the source.
     """
@@ -252,7 +254,7 @@ def window_kernel(grey, column, row, shift, along, half, window):
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
 def dot_kernel(a, b):
-    """Inner product of two windows."""
+    """Inner product of two windows of `window_kernel`, of equal shape (n,): -1 to 1."""
     total = 0.0
     for k in range(len(a)):
         total += a[k] * b[k]

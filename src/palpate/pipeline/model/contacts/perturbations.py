@@ -155,8 +155,17 @@ def perturbation_columns(
     ----------
     system : BoundarySystem
     perturbations : sequence of ContactPerturbation     those of dips are skipped
-    shapes : sequence                       `indentation_corrections` of the others
+    shapes : sequence                       `indentation_corrections` of the others; may hold None
     nominal : sequence of RightHand         of every perturbation's nominal contact
+
+    Returns
+    -------
+    list of RightHand                       none, or one with a column for each perturbation that
+                                            is no dip
+
+    Raises
+    ------
+    InputError                              a perturbed contact covers no part of the free surface
     """
     moved = [each for each in zip(perturbations, nominal, strict=True) if each[0].patch is not None]
     if not moved:
@@ -177,6 +186,10 @@ def dip_columns(
     ----------
     perturbations : sequence of ContactPerturbation
     dipped : sequence of RightHand          contribution of each patch's dip to its three columns
+
+    Returns
+    -------
+    list of RightHand                       one column for each perturbation that is a dip
     """
     return [
         dipped[dip.patch_index].under(DIP_ERROR * dip.force)
