@@ -1,4 +1,4 @@
-"""A probing that the estimate has not seen, repeated in MuJoCo and in CalculiX."""
+"""A probing that the estimate has not seen, repeated in simulators: those that are installed."""
 
 import json
 import shutil
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import genesis_replay, newton_replay
 from benchmarks.figure import SIMULATION, Figure
 from benchmarks.machine import ROOT
 from benchmarks.options import Options
@@ -25,9 +26,9 @@ def measure(_: Options) -> list[Figure]:
     estimate = fit_session(read_session(place, probes=_USED)).estimate
     source = FitSource(read_session(place), estimate, ())
     figures = []
-    for name, run in (("calculix", _in_calculix), ("mujoco", _in_mujoco)):
+    for name, (form, run) in _SIMULATORS.items():
         with tempfile.TemporaryDirectory() as folder:
-            export_fit(Path(folder), source, name)
+            export_fit(Path(folder), source, form)
             reached, note = run(Path(folder))
         figures.append(
             Figure(
@@ -64,3 +65,12 @@ def _in_mujoco(folder: Path) -> tuple[float | None, str]:
     if done.returncode:
         return None, done.stderr.strip().splitlines()[-1]
     return 100 * float(done.stdout.split()[-1]), "a flex of linear tetrahedra, 2 % of the force"
+
+
+# What each reads, and what runs it.
+_SIMULATORS = {
+    "calculix": ("calculix", _in_calculix),
+    "mujoco": ("mujoco", _in_mujoco),
+    "newton": ("openusd", newton_replay.replay),
+    "genesis": ("genesis", genesis_replay.replay),
+}

@@ -1,42 +1,23 @@
 """What the documents tell a reader to type or paste is run as it stands.
 
 Commands of all pages are parsed, and tables read, by the tests of the house; here run the pages
-that need no data of the reader's own.
+that need no data of the reader's own, in test_guides.py those that do.
 """
 
 import json
-import re
 import shlex
 import shutil
-from pathlib import Path
 
-import pytest
+from docs.page_blocks import blocks, lines
 
 from palpate.app.cli import main
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def blocks(page, kind):
-    """Code blocks of a page."""
-    text = (ROOT / page).read_text(encoding="utf-8")
-    return re.findall(rf"```{kind}\n(.*?)```", text, flags=re.DOTALL)
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "90")
-    return tmp_path
 
 
 def commands(text):
     """The `palpate` lines of a shell block, without the program's name and comments."""
-    for line in text.splitlines():
-        line = line.partition(" #")[0].strip()
-        if line:
-            assert line.startswith("palpate ")
-            yield shlex.split(line)[1:]
+    for line in lines(text):
+        assert line.startswith("palpate ")
+        yield shlex.split(line)[1:]
 
 
 def test_the_first_session_gives_the_constants_that_it_says(here, capsys):

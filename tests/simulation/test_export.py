@@ -168,6 +168,22 @@ def test_surfaces_and_programs_are_written(source, exported):
     assert green.material.shear_modulus == source.estimate.shear_modulus.value
 
 
+def test_genesis_gets_support_and_push_on_the_vertices_of_its_surface(source, exported):
+    folder = exported["genesis"]
+    vertices = read_mesh(folder / "surface.obj").vertices
+    held = json.loads((folder / "held.json").read_text())["vertices"]
+    # Held at the bottom, all of it.
+    assert sorted(held) == list(np.flatnonzero(vertices[:, 2] < 1e-9))
+    push = json.loads((folder / "replay.json").read_text())
+    np.testing.assert_allclose(np.sum(push["nodal_forces"], axis=0), push["force"], atol=1e-12)
+    # Pressed from above, within the contact and a tetrahedron around it.
+    (contact,) = (one.contact for one in source.session.probings if one.name == push["probing"])
+    loaded = vertices[push["loaded_nodes"]]
+    assert np.linalg.norm(loaded - contact.point, axis=1).max() < 1.5 * RADIUS
+    point = push["point_shares"] @ vertices[push["point_nodes"]]
+    np.testing.assert_allclose(point, contact.point, atol=1e-8)
+
+
 def test_every_format_is_registered_with_one_writer():
     place = Path(registry.__file__).parent
     files = {path.stem for path in place.glob("*.py")} - {"__init__", "registry"}

@@ -17,7 +17,7 @@ _POISSON = (-0.999, 0.499)
 _RUN = (
     "febio4 -i model.feb: equilibrium under the push; displacement.csv has the displacement of"
     " every node. FEBio's isotropic elastic material (Saint Venant and Kirchhoff) gives way under"
-    " large compression: scale the forces down where the push is deep."
+    " large compression: scale the forces down where the push is deep. Not tried in FEBio itself."
 )
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <!-- SI units; made by Palpate, see README.txt -->

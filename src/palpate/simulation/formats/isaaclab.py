@@ -6,7 +6,10 @@ from palpate.simulation.formats.obj import write_obj_and_script
 from palpate.simulation.solid_model import EstimatedObject, Format
 
 _POISSON = (0.0, 0.495)
-_RUN = "import body.py in a task of Isaac Lab: PhysX fills the surface itself."
+_RUN = (
+    "import body.py in a task of Isaac Lab: PhysX fills the surface itself. Not tried in Isaac Lab"
+    " itself."
+)
 _TEXT = '''"""The object's material for Isaac Lab; made by Palpate, see README.txt."""
 
 from isaaclab_physx.sim.spawners.materials import PhysxDeformableBodyMaterialCfg

@@ -19,7 +19,11 @@ from palpate.simulation.solid_model import Format, SolidModel
 _POISSON = (0.0, 0.495)
 _RUN = (
     "any OpenUSD reader from 24.03 on opens model.usda; the prim variable `held` marks nodes that"
-    " do not move, which a simulator has to be told."
+    " do not move, which a simulator has to be told. In Newton `held` is a custom attribute of the"
+    " builder, and its VBD solver needs short steps: each begins where inertia alone would lead,"
+    " which throws the light nodes under the contact. With steps of 0.1 ms, ten iterations and 2 %"
+    " of the push, the half ball of Palpate's examples comes to rest 2.1 % from Palpate's model in"
+    " Newton 1.8. Its material (stable neo-Hookean) gives way under large compression."
 )
 _STAGE = """#usda 1.0
 (

@@ -18,7 +18,7 @@ from palpate.simulation.solid_model import Format, SolidModel
 _POISSON = (0.0, 0.495)
 _RUN = (
     "runSofa model.scn: the object comes to rest under the push; replay.json has the nodes around"
-    " its point and their shares."
+    " its point and their shares. Not tried in SOFA itself."
 )
 _PLUGINS = (
     "Constraint.Projective", "LinearSolver.Direct", "Mass", "MechanicalLoad", "ODESolver.Backward",
