@@ -129,8 +129,8 @@ def test_the_outward_traction_of_a_ball_is_that_of_a_sphere() -> None:
 
 
 def test_a_punch_that_leans_by_a_degree_is_not_buried() -> None:
-    """Its steep side wall faces the surface then; the edge in front takes more of the force, and the
-    slope of the whole face is no outward traction."""
+    """Its steep side wall faces the surface then; the front edge takes more of the force. The slope
+    of the whole face is no outward traction."""
     bar = _bar(np.array([3e-3, 3e-3, 0.02]))
     lean = Rotation.from_rotvec([0.0, np.radians(1.0), 0.0])
     tool = mesh_tool(bar, lean.as_matrix())
