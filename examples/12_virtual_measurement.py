@@ -19,7 +19,7 @@ from palpate.lab import (
 from palpate.lab.bodies.finite_elements import surface_values
 from palpate.lab.bodies.tips import TIPS
 from palpate.pipeline import fit_session
-from palpate.records import Contact, DisplacementField, Probing, Session
+from palpate.records import DisplacementField, Probing, Session, Tool
 
 YOUNG_MODULUS, POISSON_RATIO = 52e3, 0.21  # truth
 RADIUS, TIP_RADIUS, DEPTH = 0.04, 0.012, 0.0015  # m
@@ -47,7 +47,7 @@ def main() -> tuple[float, float]:
     moved += SIGMA * rng.standard_normal(moved.shape)
     std, place = np.full(points.shape, SIGMA), closest_points(mesh, points)
     field = DisplacementField(points, moved, std, None, place, "example")
-    contact = Contact(pole, pressed.radius, "hertz")
+    contact = Tool("sphere", TIP_RADIUS).contact(pole)
     force = sensor.read(pressed.force, rng=rng)
     sigma = np.full(3, sensor.std(pressed.force))
     probing = Probing("pole", contact, force, sigma, None, None, field, None)

@@ -87,6 +87,7 @@ _LONGEST_FIRST = (
     "tests/vision/joint",
     "tests/vision/matching",
     "tests/ground",
+    "tests/docs/test_guides.py",
     "tests/docs/test_blocks.py",
     "tests/paper",
     "tests/app/commands",
