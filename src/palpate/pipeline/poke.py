@@ -27,6 +27,7 @@ from palpate.pipeline.model import (
     held_directions,
     resolved_session,
     session_springs,
+    settled_contact,
     sliding_motion,
     surface_load,
 )
@@ -82,7 +83,8 @@ def poke_session(
     ----------
     session : Session
     force : (3,) float [N]              of the tool on the object, object frame
-    contact : Contact                   where it presses
+    contact : Contact                   where it presses; the radius under a tool follows from the
+                                        force and the constants
     shear_modulus : float [Pa]          > 0
     poisson_ratio : float [-]           -1 < nu <= 0.5
     interior : (n, 3) float [m]         points inside the object, at least 5 % of a triangle's
@@ -98,11 +100,15 @@ def poke_session(
     Raises
     ------
     InputError                          constants out of range, a contact off the surface or on the
-                                        support, a point outside or too close to the surface
+                                        support, a tool that pulls or is buried, a point outside or
+                                        too close to the surface
     SingularSystemError                 the support does not hold the object
     NotConvergedError                   the iteration for a large object does not converge
     """
     report = progress or silent
+    contact = settled_contact(
+        session, contact, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
+    )
     # A point off the surface is refused before the integrals are computed.
     find_contact_patch(
         session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
@@ -178,7 +184,7 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
     ----------
     session : Session                   with probings
     point : (3,) float [m]
-    radius : float or None [m]          None: that of the first probing
+    radius : float or None [m]          None: that of the first probing, or what its tool touches
 
     Returns
     -------
@@ -197,7 +203,9 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
             f" {size:.3g} m across; give the radius of the patch in metres, or with its unit"
         )
     if first.radius is not None:
-        return replace(first, point=point, radius=first.radius if radius is None else radius)
+        if radius is None:
+            return replace(first, point=point)
+        return replace(first, point=point, radius=radius, tool=None, pressure_map=None)
     if radius is None:
         raise InputError(
             f"{session.path}: its first probing presses on no round patch, so there is no radius;"

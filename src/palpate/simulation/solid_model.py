@@ -321,12 +321,12 @@ def _make_push(
     cache: Path | None,
 ) -> Push:
     """A probing with its displacement, computed by boundary elements."""
-    contact = probing.contact
-    patch = find_contact_patch(session.mesh, contact, session.held_triangles, name=probing.name)
     poked = poke_session(
-        session, probing.force, contact, shear_modulus=material.shear_modulus,
+        session, probing.force, probing.contact, shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio, cache=cache,
     )  # fmt: skip
+    contact = poked.contact
+    patch = find_contact_patch(session.mesh, contact, session.held_triangles, name=probing.name)
     held_out = probing.name not in {one.name for one in estimate.probes}
     return Push(
         probing.name, held_out, contact.point, contact.radius, probing.force, poked.displacement,

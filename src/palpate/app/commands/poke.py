@@ -64,7 +64,7 @@ def poke(
         Points inside the object, m, three numbers each: displacement and stress are shown there.
     radius
         Radius of the contact, m, or with its unit: 3mm. Default: that of the session's first
-        probing.
+        probing, or what its tool touches under the force.
     result
         Result folder of `palpate fit`, or its estimate.json.
     young_modulus
@@ -119,7 +119,7 @@ def poke(
     factor, unit = modulus_unit(shear)
     print_text(
         f"{given.name}: G = {shear / factor:.4g} {unit}, nu = {ratio:.4g}; a force of"
-        f" ({_numbers(force)}) N over a radius of {1e3 * (contact.radius or 0.0):.3g} mm;"
+        f" ({_numbers(force)}) N over a radius of {1e3 * (found.contact.radius or 0.0):.3g} mm;"
         f" the support answers with ({_numbers(found.reaction)}) N"
     )
     print_tables(_displacement_table(found, points))

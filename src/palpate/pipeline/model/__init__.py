@@ -16,6 +16,7 @@ from palpate.pipeline.model.compliant_supports import (
 from palpate.pipeline.model.contacts import (
     has_tools as has_tools,
     largest_change as largest_change,
+    settled_contact as settled_contact,
     surface_load as surface_load,
     with_contact_radii as with_contact_radii,
 )

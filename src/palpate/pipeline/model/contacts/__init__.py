@@ -11,6 +11,7 @@ Read first : `perturbations.py`, then `outward.py`.
 from palpate.pipeline.model.contacts.contact_radii import (
     has_tools as has_tools,
     largest_change as largest_change,
+    settled_contact as settled_contact,
     with_contact_radii as with_contact_radii,
 )
 from palpate.pipeline.model.contacts.outward import (

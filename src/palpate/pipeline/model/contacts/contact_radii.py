@@ -35,7 +35,13 @@ def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio:
     def with_radius(probing: Probing) -> Probing:
         contact = probing.contact
         try:
-            settled = _settled(session, contact, probing.force, shear_modulus, poisson_ratio)
+            settled = settled_contact(
+                session,
+                contact,
+                probing.force,
+                shear_modulus=shear_modulus,
+                poisson_ratio=poisson_ratio,
+            )
         except InputError as error:
             raise InputError(f"probing '{probing.name}': {error}") from error
         return replace(probing, contact=settled)
@@ -43,10 +49,34 @@ def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio:
     return replace(session, probings=tuple(with_radius(probing) for probing in session.probings))
 
 
-def _settled(
-    session: Session, contact: Contact, force: Vector3, shear_modulus: float, poisson_ratio: float
+def settled_contact(
+    session: Session,
+    contact: Contact,
+    force: Vector3,
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
 ) -> Contact:
-    """A contact with the radius and the pressure that follow from its tool."""
+    """A contact with the radius and the pressure that follow from its tool.
+
+    Parameters
+    ----------
+    session : Session               of the object
+    contact : Contact               one without a tool stays as it is
+    force : (3,) float [N]          of the tool on the object
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu <= 0.5
+
+    Returns
+    -------
+    Contact
+
+    Raises
+    ------
+    InputError                      a tool that pulls, is buried, or whose mesh touches far from
+                                    its origin
+    NotConvergedError               no equilibrium under a mesh
+    """
     tool = contact.tool
     if tool is None:
         return contact
