@@ -1,12 +1,13 @@
 """The push of an export to Genesis, repeated there."""
 
-import json
 import os
 import runpy
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+
+from benchmarks.held_out_push import deviation, read_push
 
 _SHARE, _STEPS = 0.02, 30
 
@@ -33,16 +34,15 @@ def replay(folder: Path) -> tuple[float | None, str]:
         made = runpy.run_path("scene.py")
     finally:
         os.chdir(before)
-    push = json.loads((folder / "replay.json").read_text())
-    found, count = _pushed(made["scene"], made["body"], push)
-    wanted = np.array(push["displacement"])
-    off = 100 * float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+    push = read_push(folder)
+    moved, count = _pushed(made["scene"], made["body"], push)
+    off = deviation(push, moved)
     return off, f"{count} corotational tetrahedra of its own, {100 * _SHARE:g} % of the force"
 
 
 def _pushed(scene, body, push: dict) -> tuple[np.ndarray, int]:
-    """Displacement [m] of the point at rest under a share of the force, over the share; and the
-    number of tetrahedra."""
+    """Displacement [m] of the point's nodes at rest under a share of the force, over the share; and
+    the number of tetrahedra."""
     solver = scene.sim.fem_solver
     state = body.get_state()
     rest = state.pos[0].cpu().numpy().astype(np.float64)
@@ -56,4 +56,4 @@ def _pushed(scene, body, push: dict) -> tuple[np.ndarray, int]:
         body.set_velocity(velocity + velocity.new_tensor(gained))
         scene.step()
     moved = body.get_state().pos[0].cpu().numpy().astype(np.float64) - rest
-    return np.array(push["point_shares"]) @ moved[push["point_nodes"]] / _SHARE, body.n_elements
+    return moved[push["point_nodes"]] / _SHARE, body.n_elements

@@ -1,10 +1,11 @@
 """The push of an export to OpenUSD, repeated in Newton."""
 
-import json
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+
+from benchmarks.held_out_push import deviation, read_push
 
 # A step of vertex block descent begins where inertia alone would lead, which throws the light nodes
 # under a contact. Ten iterations bring them back from a step of 0.1 ms; with 0.2 ms the half ball
@@ -36,10 +37,8 @@ def replay(folder: Path) -> tuple[float | None, str]:
     stage = usd.Stage.Open(str(folder / "model.usda"))
     mesh = newton.usd.get_tetmesh(stage.GetPrimAtPath("/Object/Body"), compat_namespaces=())
     model = _held_model(newton, wp, mesh)
-    push = json.loads((folder / "replay.json").read_text())
-    found = _pushed(newton, wp, model, push)
-    wanted = np.array(push["displacement"])
-    off = 100 * float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+    push = read_push(folder)
+    off = deviation(push, _pushed(newton, wp, model, push))
     return off, f"stable neo-Hookean linear tetrahedra, {100 * _SHARE:g} % of the force"
 
 
@@ -64,7 +63,7 @@ def _held_model(newton, wp, mesh):
 
 
 def _pushed(newton, wp, model, push: dict) -> np.ndarray:
-    """Displacement of the point at rest under a share of the force [m], over the share."""
+    """Displacement of the point's nodes at rest under a share of the force [m], over the share."""
     solver = newton.solvers.SolverVBD(model, iterations=_ITERATIONS)
     before, after, control = model.state(), model.state(), model.control()
     rest = before.particle_q.numpy().astype(np.float64)
@@ -77,4 +76,4 @@ def _pushed(newton, wp, model, push: dict) -> np.ndarray:
         solver.step(before, after, control, None, _STEP)
         before, after = after, before
     moved = before.particle_q.numpy().astype(np.float64) - rest
-    return np.array(push["point_shares"]) @ moved[push["point_nodes"]] / _SHARE
+    return moved[push["point_nodes"]] / _SHARE

@@ -1,6 +1,5 @@
 """A probing that the estimate has not seen, repeated in simulators: those that are installed."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -11,6 +10,7 @@ import numpy as np
 
 from benchmarks import genesis_replay, newton_replay
 from benchmarks.figure import SIMULATION, Figure
+from benchmarks.held_out_push import deviation, read_push
 from benchmarks.machine import ROOT
 from benchmarks.options import Options
 from palpate.pipeline import fit_session
@@ -50,11 +50,8 @@ def _in_calculix(folder: Path) -> tuple[float | None, str]:
     subprocess.run(["ccx", "model"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     rows = [line.split() for line in (folder / "model.dat").read_text().splitlines()]
     moved = {int(row[0]) - 1: np.array(row[1:], dtype=float) for row in rows if len(row) == 4}
-    push = json.loads((folder / "replay.json").read_text())
-    wanted = np.array(push["displacement"])
-    nodes = zip(push["point_nodes"], push["point_shares"], strict=True)
-    found = sum((share * moved[node] for node, share in nodes), np.zeros(3))
-    off = 100 * float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+    push = read_push(folder)
+    off = deviation(push, np.stack([moved[node] for node in push["point_nodes"]]))
     return off, "ten-node tetrahedra, linear equilibrium, the whole force"
 
 

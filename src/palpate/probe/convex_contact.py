@@ -184,7 +184,7 @@ def _solved(
     displace = _displacement_of(half)
     cell = (2.0 * half / _CELLS) ** 2
     total = force / (np.pi * cell)
-    pressure = np.where(inside, total / max(inside.sum(), 1), 0.0)
+    pressure = np.where(inside, total / inside.sum(), 0.0)
     direction, previous, conjugate = np.zeros_like(gap), 1.0, 0.0
     for _ in range(_MOST_ITERATIONS):
         touched = pressure > 0.0

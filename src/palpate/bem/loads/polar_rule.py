@@ -38,15 +38,16 @@ def polar_points(
     weight : (c, q) float [-]       sum to half the cell's share of its triangle
     """
     near, side = place[:, 1] - place[:, 0], place[:, 2] - place[:, 1]
-    start, end = np.zeros(len(place)), np.ones(len(place))
-    middle, radius, centre = 0.5 * end, np.inf, np.zeros_like(near)
+    angles = _whole(np.ones(len(place)))
     if disc is not None:
-        radius, centre = disc.radius, disc.centre - place[:, 0]
-        start, middle, end = _seen_interval(near, side, centre, radius)
-    t, weight_t = chord_points(start, middle, end, count)
-    ray = near[:, None] + t[..., None] * side[:, None]
-    enter, nearest, leave = _crossed_interval(ray, centre[:, None], radius)
-    s, weight_s = chord_points(enter, nearest, leave, count)
+        centre = disc.centre - place[:, 0]
+        angles = _seen_interval(near, side, centre, disc.radius)
+    t, weight_t = chord_points(*angles, count)
+    radii = _whole(np.ones(t.shape))
+    if disc is not None:
+        ray = near[:, None] + t[..., None] * side[:, None]
+        radii = _crossed_interval(ray, centre[:, None], disc.radius)
+    s, weight_s = chord_points(*radii, count)
     weight = s * weight_s * weight_t[..., None] * np.abs(np.linalg.det(corners))[:, None, None]
     t = np.broadcast_to(t[..., None], s.shape)
     shares = np.stack([1.0 - s, s * (1.0 - t), s * t], axis=-1)
@@ -54,14 +55,18 @@ def polar_points(
     return barycentric.reshape(-1, 4 * count**2, 3), weight.reshape(-1, 4 * count**2)
 
 
+def _whole(
+    ones: Float[np.ndarray, "*p"],
+) -> tuple[Float[np.ndarray, "*p"], Float[np.ndarray, "*p"], Float[np.ndarray, "*p"]]:
+    """Begin, middle and end of intervals from 0 to 1."""
+    return 0.0 * ones, 0.5 * ones, ones
+
+
 def _crossed_interval(
     ray: Float[np.ndarray, "p q 3"], centre: Float[np.ndarray, "p 1 3"], radius: float
 ) -> tuple[Float[np.ndarray, "p q"], Float[np.ndarray, "p q"], Float[np.ndarray, "p q"]]:
     """Where rays from the origin enter a ball, come nearest to its centre, and leave it, as
-    fractions of their length, 0 to 1; of an infinite one, at their middle."""
-    if radius == np.inf:
-        whole = np.ones(ray.shape[:2])
-        return 0.0 * whole, 0.5 * whole, whole
+    fractions of their length, 0 to 1."""
     square = (ray**2).sum(axis=-1)
     nearest = (ray * centre).sum(axis=-1) / square
     depth = radius**2 - ((nearest[..., None] * ray - centre) ** 2).sum(axis=-1)

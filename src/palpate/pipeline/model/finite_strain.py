@@ -108,10 +108,8 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
             float(probing.contact.radius or 0.0),
             probing.contact.pressure,
         )
-        load = share[:, None] * probing.force
-        if has_outward_traction(probing.contact):
-            load += outward_load(solid, probing.contact, probing.force)
-        loads.append(load)
+        outward = outward_load(solid, probing.contact, probing.force)
+        loads.append(share[:, None] * probing.force + outward)
         observed.append(surface_values(solid, _places(probing)))
     held = held_nodes(solid, session.held_triangles)
     return FiniteBody(solid, held, tuple(loads), tips, tuple(observed))

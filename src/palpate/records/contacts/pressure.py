@@ -157,8 +157,9 @@ class PressureMap:
         return self._averaged(self.pressure, s)
 
     def mean_outward(self, s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Outward traction averaged over all directions, at a distance `s` over the reach."""
-        return self._averaged(self.outward, s)
+        """Outward traction averaged over all directions, at a distance `s` over the reach; 0 where
+        it points inward."""
+        return np.clip(self._averaged(self.outward, s), 0.0, None)
 
     def _interpolated(self, grid: Float[np.ndarray, "g g"], offset: Points) -> PointScalars:
         place = 0.5 * (offset @ self.axes.T / self.half_side + 1.0) * len(grid) - 0.5

@@ -94,12 +94,12 @@ def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nda
     Parameters
     ----------
     solid : Solid
-    contact : Contact               of a sphere or a cone that slides, with its contact radius
+    contact : Contact
     force : (3,) float [N]          of the tool on the object
 
     Returns
     -------
-    (n, 3) float [N]                sums to zero
+    (n, 3) float [N]                sums to zero; all zero where there is no outward traction
     """
     normal = -force / np.linalg.norm(force)
     total, potential = np.zeros_like(solid.nodes), _potential(contact)
@@ -119,8 +119,7 @@ def _potential(contact: Contact) -> Pressure | None:
     if pressures is None:
         return _POTENTIALS.get(tool.shape)
     s = np.linspace(0.0, 1.0, _SAMPLES)
-    outward = np.clip(pressures.mean_outward(s[::-1]), 0.0, None)
-    table = cumulative_trapezoid(outward, s, initial=0.0)[::-1]
+    table = cumulative_trapezoid(pressures.mean_outward(s[::-1]), s, initial=0.0)[::-1]
     if not table.any():
         return None
     return lambda at: np.interp(at, s, table)
@@ -141,7 +140,7 @@ def _integral(contact: Contact) -> float:
     tool, radius, pressures = contact.tool, contact.radius or 0.0, contact.pressure_map
     if pressures is not None:
         s = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-        outward, pressure = np.clip(pressures.mean_outward(s), 0.0, None), pressures.mean(s)
+        outward, pressure = pressures.mean_outward(s), pressures.mean(s)
         return float(0.5 * contact.reach * (outward @ s**2) / (pressure @ s))
     if tool is None:
         return 0.0
