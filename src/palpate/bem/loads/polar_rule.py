@@ -11,6 +11,9 @@ from palpate.bem.loads.half_space import PressureDisc, chord_points
 
 # Smallest part of an interval that is integrated by itself.
 _LEAST_PART = 1e-2
+# Fraction of a ray below which its part within a patch is taken as empty: where a rim touches the
+# origin, points of such a part would coincide with it by rounding.
+_SHORTEST = 1e-10
 
 
 def polar_points(
@@ -66,12 +69,13 @@ def _crossed_interval(
     ray: Float[np.ndarray, "p q 3"], centre: Float[np.ndarray, "p 1 3"], radius: float
 ) -> tuple[Float[np.ndarray, "p q"], Float[np.ndarray, "p q"], Float[np.ndarray, "p q"]]:
     """Where rays from the origin enter a ball, come nearest to its centre, and leave it, as
-    fractions of their length, 0 to 1."""
+    fractions of their length, 0 to 1; equal where they miss it."""
     square = (ray**2).sum(axis=-1)
     nearest = (ray * centre).sum(axis=-1) / square
     depth = radius**2 - ((nearest[..., None] * ray - centre) ** 2).sum(axis=-1)
     half = np.sqrt(np.clip(depth, 0.0, None) / square)
     begin, end = np.clip(nearest - half, 0.0, 1.0), np.clip(nearest + half, 0.0, 1.0)
+    end = np.where(end - begin > _SHORTEST, end, begin)
     return begin, _divided(begin, nearest, end), end
 
 
@@ -99,11 +103,14 @@ def _seen_interval(
     second = 2.0 * (beyond * (near * side).sum(axis=1) - a * b)
     third = beyond * (side**2).sum(axis=1) - b**2
     root = np.sqrt(np.clip(second**2 - 4.0 * third * first, 0.0, None))
+    # The form without cancellation: the first term vanishes where the side is parallel to a tangent
+    # from the origin.
+    larger = -0.5 * (second + np.copysign(root, second))
     with np.errstate(divide="ignore", invalid="ignore"):
-        roots = np.sort((-second + np.stack([-root, root])) / (2.0 * third), axis=0)
+        roots = np.sort(np.nan_to_num(np.stack([larger / third, first / larger])), axis=0)
         across = np.cross(np.cross(near, side), centre)
         straight = -(near * across).sum(axis=1) / (side * across).sum(axis=1)
-    breaks = np.stack([0.0 * a, *np.clip(np.nan_to_num(roots), 0.0, 1.0), 0.0 * a + 1.0])
+    breaks = np.stack([0.0 * a, *np.clip(roots, 0.0, 1.0), 0.0 * a + 1.0])
     between = 0.5 * (breaks[1:] + breaks[:-1])
     hit = first + second * between + third * between**2 <= 0.0
     hit = (hit & (a + between * b > 0.0)) | (beyond <= 0.0)

@@ -389,7 +389,9 @@ def _sum_around(begin, end, points, around, triangle, start, sources, loaded, ou
     for i in range(begin, end):
         for part in range(start[i], start[i + 1]):
             for q in range(around.shape[1]):
-                add_point_fields(_N_FIELDS, points[i], around[part, q], 1.0, factor, out[i])
+                # Where a patch covers none of a part, its points may coincide with the point.
+                if around[part, q, 3] > 0.0:
+                    add_point_fields(_N_FIELDS, points[i], around[part, q], 1.0, factor, out[i])
         for q in range(sources.shape[0]):
             counts = True
             for part in range(start[i], start[i + 1]):
