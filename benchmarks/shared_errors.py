@@ -8,7 +8,7 @@ one way at a time. Run it with
 FOLDER keeps the true displacements, which take minutes a body. It prints, a body a line:
 
 - width: of the interval of E over the width that the same measurement has where nobody errs, with
-  every error as uncertain as it is by default, and with the force sensor alone exact;
+  every error as uncertain as it is by default, by what measured the forces (`BENCHES`);
 - contact: errors of E and nu where the first contact lies 1.5 mm beside the place that is told,
   with the default of 0.5 mm, and where it is taken as exact;
 - force: where every force is read 2 % too large, told 1 %, no depth given;
@@ -18,7 +18,8 @@ FOLDER keeps the true displacements, which take minutes a body. It prints, a bod
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,28 @@ from palpate.records import EXACT, ErrorPriors, Estimate, Session
 
 # Beside the place that is told [m], and the gain of a sensor.
 BESIDE, GAIN = 1.5e-3, 1.02
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What measured forces: standard deviations of its gain, and of each reading over the force."""
+
+    name: str
+    gain: float
+    reading: float
+
+
+# A force gauge is as good as the defaults say, a kitchen scale's check of a weight far better.
+GAUGE, OTHER = Sensor("gauge", 0.01, 0.01), Sensor("other gauge", 0.01, 0.01)
+WEIGHTS, EXACT_SENSOR = Sensor("weights", 5e-4, 1e-3), Sensor("exact", 0.0, 1e-6)
+# The sensors of the probings, in turns.
+BENCHES = {
+    "a gauge": (GAUGE,),
+    "two gauges": (GAUGE, OTHER),
+    "weights once": (WEIGHTS, GAUGE, GAUGE),
+    "weights": (WEIGHTS,),
+    "exact forces": (EXACT_SENSOR,),
+}
 
 
 class Laboratory:
@@ -48,15 +71,36 @@ class Laboratory:
         return fit_session(session, cache=self.cache).estimate
 
 
-def width(laboratory: Laboratory, seed: int) -> tuple[float, float]:
-    """Width of the interval of E over that without shared errors: all of them, and no force's."""
-    told = ErrorPriors()
-    sensor = {"force_gain": 0.0, "force_direction": 0.0, "force": 0.0}
-    ends = []
-    for errors in (EXACT, told, replace(told, **sensor)):
-        low, high = laboratory.fit(laboratory.session(errors, errors, seed)).young_modulus.ci95
-        ends.append(high - low)
-    return ends[1] / ends[0], ends[2] / ends[0]
+def widths(laboratory: Laboratory, seed: int) -> list[float]:
+    """Width of the interval of E over that without shared errors, for each of the `BENCHES`."""
+    known = _width(laboratory.fit(laboratory.session(EXACT, EXACT, seed)))
+    # Forces are drawn anew for every bench, all else is the same.
+    drawn = replace(ErrorPriors(), force_gain=0.0, force=0.0)
+    session = laboratory.session(drawn, ErrorPriors(), seed)
+    return [
+        _width(laboratory.fit(measured_by(session, sensors, seed))) / known
+        for sensors in BENCHES.values()
+    ]
+
+
+def _width(estimate: Estimate) -> float:
+    low, high = estimate.young_modulus.ci95
+    return high - low
+
+
+def measured_by(session: Session, sensors: Sequence[Sensor], seed: int) -> Session:
+    """A session of exact forces as some sensors, in turns, read them."""
+    rng = np.random.default_rng([seed, 8])
+    gains = {sensor: 1.0 + sensor.gain * rng.normal() for sensor in sensors}
+    probings = []
+    for probing, sensor in zip(session.probings, cycle(sensors), strict=False):
+        std = sensor.reading * float(np.linalg.norm(probing.force))
+        force = gains[sensor] * probing.force + std * rng.normal(size=3)
+        stds = np.full(3, std)
+        probings.append(replace(probing, force=force, force_std=stds, force_sensor=sensor.name))
+    told = {sensor.name: sensor.gain for sensor in sensors}
+    errors = replace(session.errors, force_gains=told)
+    return replace(session, probings=tuple(probings), errors=errors)
 
 
 def misplaced(session: Session, laboratory: Laboratory) -> Session:
@@ -96,12 +140,12 @@ def scattered(laboratory: Laboratory, seed: int) -> bool:
 def main() -> None:
     """Print the figures of each body, and what they come to together."""
     folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 5
-    widths: list[tuple[float, float]] = []
+    found: list[list[float]] = []
     holding: list[bool] = []
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder)
         laboratory = Laboratory(body, folder)
-        widths += _width_lines(laboratory, count)
+        found += _width_lines(laboratory, count)
         told = ErrorPriors()
         clean = laboratory.session(EXACT, told, 0)
         rows = {
@@ -115,18 +159,18 @@ def main() -> None:
             print(f"{name:10s} {what:22s}{errors_of(estimate, body.truth)}   holds {holds}")
         holding += [scattered(laboratory, seed) for seed in range(count)]
         print(f"{name:10s} scatter: {sum(holding[-count:])} of {count} hold", flush=True)
-    print(f"together: width {_medians(widths)}; scatter {sum(holding)} of {len(holding)} hold")
+    print(f"together: width {_medians(found)}; scatter {sum(holding)} of {len(holding)} hold")
 
 
-def _width_lines(laboratory: Laboratory, count: int) -> list[tuple[float, float]]:
-    found = [width(laboratory, seed) for seed in range(count)]
+def _width_lines(laboratory: Laboratory, count: int) -> list[list[float]]:
+    found = [widths(laboratory, seed) for seed in range(count)]
     print(f"{laboratory.body.name:10s} width {_medians(found)}", flush=True)
     return found
 
 
-def _medians(widths: Sequence[tuple[float, float]]) -> str:
-    every, forces_known = np.median(np.array(widths), axis=0)
-    return f"{every:.2f}, with an exact force sensor {forces_known:.2f}"
+def _medians(found: Sequence[Sequence[float]]) -> str:
+    medians = np.median(np.array(found), axis=0)
+    return ", ".join(f"{name} {ratio:.2f}" for name, ratio in zip(BENCHES, medians, strict=True))
 
 
 if __name__ == "__main__":

@@ -99,8 +99,9 @@ RIG = (
     Table("[[camera]]", FILES + "rig", "_camera", 0, (RECORDS + "rig.Camera",)),
 )
 POSE = (Table("the file itself", FILES + "import_pose", "read_import_pose"),)
-# Calls that only repeat a check for one selector, or stand for several tables above.
-REPEATED = {(FILES + "support", "read_support")}
+# Calls that only repeat a check for one selector, or stand for several tables above; and keys that
+# are names which the session itself gives.
+REPEATED = {(FILES + "support", "read_support"), (RECORDS + "error_priors", "_force_gains")}
 
 
 def checks(module: ModuleType) -> Iterator[tuple[str, ast.Call]]:

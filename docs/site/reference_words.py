@@ -39,6 +39,8 @@ WORDS = {
     ("pose of [errors]", "rotation"): "turn about each axis, 1 sigma",
     "load": "tables `[[probe.load]]`: known loads beside the push",
     "loads": "known loads beside the push",
+    "force_sensor": "name of what measured the force, where a session has several sensors or weights: each has"
+    " a gain of its own in `[errors]`",
     "tip_displacement_offset_std": "how well the arm saw where it first touched, 1 sigma",
     "point_std": "how well the point is known, along each tangent, 1 sigma; by default `contact_point` of"
     " `[errors]`",
@@ -92,7 +94,7 @@ FORMS = {
     "loaded": "list of file patterns", "rest": "file pattern", "images": "table; file pattern in a step",
     "support": "table", "K": "3 x 3 numbers", "R": "3 x 3 numbers", "t": "three numbers",
     "T": "4 x 4 numbers", "size": "two whole numbers", "distortion": "up to 8 numbers",
-    "force_gain": "share", "contact_radius": "share",
+    "force_gain": "share, or a table by `force_sensor`", "contact_radius": "share",
     "touched_radius": "share", "length_scale": "share", "acceleration": "three numbers", "cameras": "file",
     "contact": "table", "errors": "table", "triangles": "text file", "probe": "tables", "step": "tables", "object": "table", "gravity": "table",
     "rig": "table", "camera": "tables", "format": "text", "name": "text",

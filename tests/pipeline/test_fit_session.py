@@ -132,6 +132,22 @@ def test_gravity_and_the_tip_belong_to_the_model(session: Session, result: FitRe
     assert less.shear_modulus.value == pytest.approx(G, rel=1e-7)
 
 
+def test_every_force_sensor_has_errors_of_its_own(session: Session) -> None:
+    sensors = ("weights", "gauge", "gauge")
+    probings = [
+        replace(probing, force_sensor=sensor)
+        for probing, sensor in zip(session.probings, sensors, strict=True)
+    ]
+    errors = replace(session.errors, force_gains={"weights": 0.0})
+    found = fit_session(replace(session, probings=tuple(probings), errors=errors)).estimate
+    turns = [f"turn of the force sensor '{{}}' about {axis}" for axis in "xyz"]
+    shared = [error.name for error in found.errors if "force sensor" in error.name]
+    assert shared == ["gain of the force sensor 'gauge'", *(turn.format("gauge") for turn in turns)]
+    # What one probing alone has is its own.
+    own = [error.name for error in found.probes[0].errors if "force sensor" in error.name]
+    assert own == [turn.format("weights") for turn in turns]
+
+
 def test_both_methods_end_at_the_same_minimum(still: Session) -> None:
     noisy = replace(_measured(still, noise=NOISE), gravity=None, density=None, errors=EXACT)
     noisy = replace(noisy, probings=noisy.probings[:2])

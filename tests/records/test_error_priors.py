@@ -64,7 +64,9 @@ def test_what_cannot_be_is_refused(tmp_path, line, message):
 
 def test_exact_is_nothing_at_all():
     assert EXACT.contact_std("any") == 0.0 == len(EXACT.contact_points)
-    numbers = [name for name in ErrorPriors.__slots__ if name != "contact_points"]
+    assert EXACT.gain_std("any") == 0.0 == len(EXACT.force_gains)
+    mappings = ("contact_points", "force_gains")
+    numbers = [name for name in ErrorPriors.__slots__ if name not in mappings]
     assert all(getattr(EXACT, name) == 0.0 for name in numbers)
     with pytest.raises(InputError, match="contact point is 2; must be at least 0"):
         ErrorPriors(contact_point=2.0)
@@ -90,6 +92,40 @@ def test_a_contact_may_be_known_otherwise_than_the_others(tmp_path):
         _read(tmp_path, _PROBES % '"x"')
     with pytest.raises(RecordError, match=r"session.toml.*contact point of 'a' is -0.001"):
         _read(tmp_path, _PROBES % -1)
+
+
+_SENSORS = """
+[[probe]]
+name = "a"
+force_sensor = "gauge"
+[[probe]]
+name = "b"
+force_sensor = "weights"
+"""
+
+
+def test_every_force_sensor_may_have_a_gain_of_its_own(tmp_path):
+    found = _read(tmp_path, '[errors]\nforce_gain = { weights = "0.05 %" }\n' + _SENSORS)
+    assert found.gain_std("weights") == pytest.approx(5e-4, rel=1e-12)
+    # The gauge has the default.
+    assert found.gain_std("gauge") == ErrorPriors().force_gain
+    assert _read(tmp_path, "[errors]\nforce_gain = 0.02\n" + _SENSORS).gain_std("gauge") == 0.02
+
+
+@pytest.mark.parametrize(
+    ("gains", "probes", "message"),
+    [
+        ("{ weigths = 0.001 }", _SENSORS, "did you mean 'weights'? (allowed: gauge, weights)"),
+        ("{ gauge = 0.9 }", _SENSORS, "the force gain of 'gauge' is 0.9; must be at least 0"),
+        ('{ gauge = "1 N" }', _SENSORS, '[errors] force_gain gauge: is \'1 N\'; must be a number'),
+        ("{ gauge = 0.01 }", "", "no probing names its sensor; give every probing its force_sensor"),
+    ],
+)  # fmt: skip
+def test_gains_of_sensors_that_cannot_be(tmp_path, gains, probes, message):
+    with pytest.raises(RecordError) as caught:
+        _read(tmp_path, f"[errors]\nforce_gain = {gains}\n{probes}")
+    assert message in str(caught.value)
+    assert "session.toml" in str(caught.value)
 
 
 def test_a_calibrated_rig_replaces_the_default_of_lengths_only(tmp_path):

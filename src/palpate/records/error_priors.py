@@ -26,8 +26,8 @@ class ErrorPriors:
 
     Parameters
     ----------
-    force_gain : float [-]          gain of the force sensor, common to all probings
-    force_direction : float [rad]   rotation of the force sensor, about each axis
+    force_gain : float [-]          gain of a force sensor, common to all probings that it measured
+    force_direction : float [rad]   rotation of a force sensor, about each axis
     force : float [-]               force of a probing without `force_std`: each component, as a
                                     fraction of the force's length
     contact_point : float [m]       position of a contact, along each tangent, for each probing
@@ -43,6 +43,7 @@ class ErrorPriors:
                                     displacement over traction
     contact_points : mapping        name of a probing -> its own `contact_point` [m], where it
                                     differs
+    force_gains : mapping           name of a force sensor -> its own `force_gain`, where it differs
 
     Raises
     ------
@@ -60,6 +61,7 @@ class ErrorPriors:
     length_scale: float = 0.002
     support_compliance: float = 0.0
     contact_points: Mapping[str, float] = field(default_factory=dict)
+    force_gains: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         largest = {
@@ -70,15 +72,21 @@ class ErrorPriors:
             "support_compliance": _LARGEST_COMPLIANCE,
         }
         for prior in fields(self):
-            if prior.name != "contact_points":
+            if prior.name not in ("contact_points", "force_gains"):
                 limit = largest.get(prior.name, _LARGEST_FRACTION)
                 _check_range(prior.name.replace("_", " "), getattr(self, prior.name), limit)
         for name, std in self.contact_points.items():
             _check_range(f"the contact point of '{name}'", std, _LARGEST_LENGTH)
+        for name, std in self.force_gains.items():
+            _check_range(f"the force gain of '{name}'", std, _LARGEST_FRACTION)
 
     def contact_std(self, name: str) -> float:
         """Prior standard deviation of one probing's contact point, along each tangent [m]."""
         return self.contact_points.get(name, self.contact_point)
+
+    def gain_std(self, sensor: str) -> float:
+        """Prior standard deviation of the gain of one force sensor [-]."""
+        return self.force_gains.get(sensor, self.force_gain)
 
 
 def _check_range(name: str, value: float, limit: float) -> None:
@@ -121,11 +129,11 @@ def read_error_priors(
     table.check_keys(
         (*_FRACTION_KEYS, "force_direction", "contact_point", "pose", "support_compliance")
     )
-    found |= {
-        key: table.quantity(key, _FRACTION_UNITS, 1.0)
-        for key in _FRACTION_KEYS
-        if key in table.values
-    }
+    fractions = [key for key in _FRACTION_KEYS if key in table.values]
+    if isinstance(table.values.get("force_gain"), dict):
+        fractions.remove("force_gain")
+        found["force_gains"] = _force_gains(root, table)
+    found |= {key: table.quantity(key, _FRACTION_UNITS, 1.0) for key in fractions}
     if "force_direction" in table.values:
         found["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
     if "contact_point" in table.values:
@@ -135,6 +143,23 @@ def read_error_priors(
     found |= _pose(table, metres_per_unit)
     with table.error_context():
         return ErrorPriors(**found)
+
+
+def _force_gains(root: TomlTable, errors: TomlTable) -> dict[str, float]:
+    """Standard deviations of the gains of force sensors, by their names."""
+    table = errors.table("force_gain", "[errors] force_gain")
+    probes = root.optional("probe", root.tables) or ()
+    sensors = dict.fromkeys(
+        probe.label("force_sensor") for probe in probes if "force_sensor" in probe.values
+    )
+    if not sensors:
+        errors.fail(
+            "force_gain",
+            "is a table by sensor, but no probing names its sensor; give every probing its"
+            ' force_sensor, such as force_sensor = "gauge", or one number for all',
+        )
+    table.check_keys(tuple(sensors))
+    return {name: table.quantity(name, _FRACTION_UNITS, 1.0) for name in table.values}
 
 
 def _contact_points(root: TomlTable, metres_per_unit: float) -> dict[str, float]:

@@ -339,6 +339,8 @@ class Probing:
     support_displacement : DisplacementField or None    measured on the supports whose motion is
                                                         given
     support_motion : RigidMotion or None                that motion, given as a rigid motion instead
+    force_sensor : str              name of the sensor that read the force, or of the weights that
+                                    were the force; empty where a session has one sensor only
 
     Raises
     ------
@@ -358,6 +360,7 @@ class Probing:
     loads: tuple[Load, ...] = ()
     support_displacement: DisplacementField | None = None
     support_motion: RigidMotion | None = None
+    force_sensor: str = ""
 
     def __post_init__(self) -> None:
         for name in ("force", "force_std", "tip_displacement", "tip_displacement_std"):

@@ -172,6 +172,28 @@ def test_intervals_hold_a_gain_that_is_off() -> None:
     assert held / 30 > 0.83
 
 
+def test_a_weight_calibrates_the_gauge_of_the_other_probings() -> None:
+    """One probing's force is a weight's, exact; the gauge of the others reads 3 % too much."""
+    first, *others = _probes(count=3, noise=0.1 * NOISE)
+    gauge = ForceGain(0.02, "gauge")
+    weighed = [replace(first, nuisances=(ForceGain(1e-4, "weights"),))]
+    weighed += [replace(p, force=1.03 * p.force, nuisances=(gauge,)) for p in others]
+    found = fit(weighed).estimate
+    # What one probing alone has is its own.
+    assert [error.name for error in found.errors] == ["gain of the force sensor 'gauge'"]
+    own = [error.name for error in found.probes[0].errors]
+    assert own == ["gain of the force sensor 'weights'"]
+    # What takes a reading to the true force.
+    (gain,) = found.errors
+    assert gain.value == pytest.approx(-0.03, abs=4 * gain.std)
+    assert gain.std < 0.005
+    assert found.young_modulus.value == pytest.approx(5.2e4, abs=4 * found.young_modulus.std)
+    # With one sensor for all, the gain is not learnt.
+    shared = [replace(p, nuisances=(ForceGain(0.02),)) for p in weighed]
+    assert found.young_modulus.std < 0.3 * fit(shared).estimate.young_modulus.std
+    assert {entry.source for entry in found.budget} >= {"gain of the force sensor"}
+
+
 def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
     """1.8 mm beside what the session says, 0.5 mm told: the constants follow the true contact."""
     plain, mended = [], []

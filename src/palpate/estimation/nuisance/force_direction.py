@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from palpate.estimation.nuisance.force_gain import of_sensor
 from palpate.estimation.nuisance.nuisance import NuisanceParameter
 
 
@@ -17,16 +18,18 @@ class ForceDirection:
     std : float [rad]               rotation about each axis of the object's frame, > 0
     measured : (3,) bool            components that the sensor measured; the others are free
                                     unknowns, which a rotation of the sensor does not change
+    sensor : str                    its name; empty where a session has one only
     """
 
     std: float
     measured: tuple[bool, bool, bool] = (True, True, True)
+    sensor: str = ""
 
     @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """Three, shared by all probings."""
+        """Three, shared by all probings that this sensor measured."""
         source = "turn of the force sensor"
-        names = (f"{source} about {axis}" for axis in "xyz")
+        names = (f"{of_sensor(source, self.sensor)} about {axis}" for axis in "xyz")
         return tuple(NuisanceParameter(name, self.std, "rad", source) for name in names)
 
     def columns(

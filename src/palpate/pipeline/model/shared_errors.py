@@ -52,12 +52,13 @@ def shared_errors(
     tuple of Nuisance               those with a prior standard deviation above zero
     """
     priors, nuisances = model.session.errors, list[Nuisance]()
-    pushed = bool(model.session.probings[index].force.any())
-    if priors.force_gain > 0.0 and pushed:
-        nuisances.append(ForceGain(priors.force_gain))
+    probing = model.session.probings[index]
+    pushed, gain = bool(probing.force.any()), priors.gain_std(probing.force_sensor)
+    if gain > 0.0 and pushed:
+        nuisances.append(ForceGain(gain, probing.force_sensor))
     if priors.force_direction > 0.0 and pushed:
-        measured = _measured_components(model.session.probings[index], priors.force_direction)
-        nuisances.append(ForceDirection(priors.force_direction, measured))
+        measured = _measured_components(probing, priors.force_direction)
+        nuisances.append(ForceDirection(priors.force_direction, measured, probing.force_sensor))
     scale = max(priors.length_scale, scale_error)
     if scale > 0.0:
         nuisances.append(LengthScale(scale))

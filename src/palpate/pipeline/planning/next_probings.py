@@ -181,7 +181,10 @@ def _like(
     force_std = first.force_std
     if force_std is not None:
         force_std = np.full(3, np.linalg.norm(force_std) / np.sqrt(3.0))
-    return Probing(name, replace(contact, point=place), force, force_std, None, None, planned, None)
+    return Probing(
+        name, replace(contact, point=place), force, force_std, None, None, planned, None,
+        force_sensor=first.force_sensor,
+    )  # fmt: skip
 
 
 def _reachable(session: Session, radius: float) -> tuple[Points, Points]:

@@ -270,6 +270,7 @@ def _probing(
             loads=loads,
             support_displacement=support_field,
             support_motion=read_support_motion(table, metres_per_unit=metres),
+            force_sensor=table.optional("force_sensor", table.label) or "",
         )
         if observations:
             for each in (contact, *(load.contact for load in loads)):
