@@ -11,16 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial.chebyshev import chebinterpolate, chebval
 
 from palpate.bem.integrals import unit_gauss
 
 # Beyond this many radii the patch is treated as a point.
 _FAR = 8.0
-# Gauss points of the polar integrals: angles about points on the patch or close to it, angles about
-# points farther away, radii of either half of a chord; and of the integral of a profile itself.
-_ANGLES, _ANGLES_BESIDE, _RADII, _PROFILE_POINTS = 96, 24, 10, 64
-# Beyond this many radii the smaller number of angles is exact to rounding.
-_BESIDE = 1.2
+# Gauss points of the polar integrals: angles of chords, radii of either half of a chord; and of the
+# integral of a profile itself.
+_ANGLES, _RADII, _PROFILE_POINTS = 48, 10, 64
+# Degree of the interpolants, and the power of the distance from the rim in which they are
+# polynomials: at the rim potentials are not smooth.
+_DEGREE, _POWER = 32, 3
 
 
 Profile = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
@@ -43,14 +45,68 @@ class PressureDisc:
     profile: Profile
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DiscPotentials:
+    """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R as functions of the radius s
+    of the point from which R and its angle are measured; the integral of the pressure p is 1.
+
+    Attributes
+    ----------
+    inside, outside : (k, 3) float      Chebyshev coefficients over the cube roots of 1 - s and of
+                                        (s - 1) / 7
+    """
+
+    inside: Float[np.ndarray, "k 3"]
+    outside: Float[np.ndarray, "k 3"]
+
+    def at(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """The three integrals; beyond eight radii those of a point force.
+
+        Parameters
+        ----------
+        s : (n,) float [-]              distance from the centre over the radius, >= 0
+        """
+        values = np.repeat(1.0 / np.maximum(s, _FAR)[:, None], 3, axis=1)
+        on, beside = s <= 1.0, (s > 1.0) & (s <= _FAR)
+        values[on] = chebval(2.0 * (1.0 - s[on]) ** (1 / _POWER) - 1.0, self.inside).T
+        root = ((s[beside] - 1.0) / (_FAR - 1.0)) ** (1 / _POWER)
+        values[beside] = chebval(2.0 * root - 1.0, self.outside).T
+        return values
+
+
+def disc_potentials(profile: Profile) -> DiscPotentials:
+    """Potentials of a pressure profile, to about 1e-5 of the largest.
+
+    Parameters
+    ----------
+    profile : callable            as `PressureDisc.profile`
+
+    Returns
+    -------
+    DiscPotentials
+    """
+
+    def integrals(inward: float) -> Float[np.ndarray, "k 3"]:
+        def at(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+            return chord_integrals(profile, 1.0 + inward * (0.5 * (x + 1.0)) ** _POWER)
+
+        return np.asarray(chebinterpolate(at, _DEGREE))
+
+    return DiscPotentials(integrals(-1.0), integrals(_FAR - 1.0))
+
+
 def disc_displacement(
-    disc: PressureDisc, normal: Float[np.ndarray, "3"], position: Float[np.ndarray, "n 3"]
+    disc: PressureDisc,
+    potentials: DiscPotentials,
+    normal: Float[np.ndarray, "3"],
+    position: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "2 n 3 3"]:
     """Displacement of the surface of a half space times its shear modulus, per newton on the disc.
 
     Parameters
     ----------
     disc : PressureDisc
+    potentials : DiscPotentials       of its profile
     normal : (3,) float [-]           outward normal of the half space
     position : (n, 3) float [m]       points on or near its surface; their distance from the centre
                                       in space is taken as that along the surface
@@ -65,7 +121,7 @@ def disc_displacement(
     tangent = offset - (offset @ normal)[:, None] * normal
     length = np.linalg.norm(tangent, axis=1)
     direction = tangent / np.where(length > 0, length, 1.0)[:, None]
-    potential, pull, radial = (part / disc.radius for part in _radial(disc, distance / disc.radius))
+    potential, pull, radial = potentials.at(distance / disc.radius).T / disc.radius
     along = direction[:, :, None] * direction[:, None, :]
     plane = np.eye(3) - np.outer(normal, normal)
     across = plane - along
@@ -79,36 +135,41 @@ def disc_displacement(
     return np.stack([constant, slope])
 
 
-def _radial(disc: PressureDisc, s: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], ...]:
-    """Integrals over the unit disc of p / R, p cos / R and p cos^2 / R, with R and its angle
-    measured from a point at radius s; the integral of p is 1."""
-    values = np.repeat(1.0 / np.maximum(s, _FAR)[:, None], 3, axis=1)
-    over, beside = s <= _BESIDE, (s > _BESIDE) & (s <= _FAR)
-    values[over] = _polar_integrals(disc.profile, s[over], _ANGLES)
-    values[beside] = _polar_integrals(disc.profile, s[beside], _ANGLES_BESIDE)
-    return values[:, 0], values[:, 1], values[:, 2]
+def chord_integrals(profile: Profile, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """The integrals of `DiscPotentials` themselves, along the chords through each point.
 
+    Parameters
+    ----------
+    profile : callable            as `PressureDisc.profile`
+    s : (n,) float [-]            distance from the centre over the radius, >= 0
 
-def _polar_integrals(
-    profile: Profile, s: Float[np.ndarray, " n"], angles: int
-) -> Float[np.ndarray, "n 3"]:
-    x, w = unit_gauss(angles)
-    widest = np.where(s > 1, np.arcsin(np.minimum(1.0, 1.0 / np.maximum(s, 1.0))), np.pi)
+    Returns
+    -------
+    (n, 3) float
+    """
+    x, w = unit_gauss(_ANGLES)
+    widest = np.arcsin(1.0 / np.maximum(s, 1.0))[:, None]
     # This substitution makes the square root at the tangents smooth.
-    angle = widest[:, None] * np.sin(0.5 * np.pi * x)
-    weight = widest[:, None] * 0.5 * np.pi * np.cos(0.5 * np.pi * x) * w
+    angle = widest * np.sin(0.5 * np.pi * x)
+    weight = widest * 0.5 * np.pi * np.cos(0.5 * np.pi * x) * w
     half = np.sqrt(np.clip(1 - (s[:, None] * np.sin(angle)) ** 2, 0, None))
     middle = s[:, None] * np.cos(angle)
-    first, last = np.maximum(middle - half, 0), np.maximum(middle + half, 0)
-    reach, w_t = chord_points(first, np.clip(middle, first, last), last, _RADII)
-    square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
-    inside = np.sqrt(np.clip(square, 0, None))
-    pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
-    line = 2 * weight * (pressure * w_t).sum(axis=2)
+    nearest, none = middle - half, np.zeros_like(middle)
+    ahead = np.maximum(nearest, none), middle, middle + half
+    behind = np.minimum(nearest, none), np.minimum(nearest, none), none
+    lines = []
+    for first, centre, last in (ahead, behind):
+        reach, weights = chord_points(first, centre, last, _RADII)
+        square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
+        inside = np.sqrt(np.clip(square, 0, None))
+        pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
+        lines.append(2 * weight * (pressure * weights).sum(axis=2))
     r, w_r = rounded_gauss(_PROFILE_POINTS)
     total = 2 * np.pi * np.sum(w_r * r * profile(r))
     cosine = np.cos(angle)
-    return np.stack([(line * cosine**k).sum(axis=1) / total for k in range(3)], axis=1)
+    both, difference = lines[0] + lines[1], lines[0] - lines[1]
+    parts = both, difference * cosine, both * cosine**2
+    return np.stack([part.sum(axis=1) for part in parts], axis=1) / total
 
 
 def chord_points(

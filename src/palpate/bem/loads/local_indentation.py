@@ -15,7 +15,13 @@ from scipy.sparse import csr_array
 
 from palpate.arrays import lengths
 from palpate.bem.integrals import TRACTION, BoundarySurface, Quadrature, assemble, traction_parts
-from palpate.bem.loads.half_space import PressureDisc, disc_displacement
+from palpate.bem.loads.half_space import (
+    DiscPotentials,
+    PressureDisc,
+    Profile,
+    disc_displacement,
+    disc_potentials,
+)
 from palpate.bem.loads.right_hand import RightHand
 from palpate.bem.loads.surface_load import SurfaceLoad, loaded_triangles
 from palpate.bem.system import BoundarySystem
@@ -75,13 +81,18 @@ def indentation_corrections(
                                       of the support crosses the patch
     """
     edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
+    potentials: dict[Profile, DiscPotentials] = {}
     for load in loads:
         disc = load.disc if surface.corrects_indentation else None
         if disc is None or _crosses_edge(surface, load, disc):
             found.append(None)
         else:
+            if disc.profile not in potentials:
+                potentials[disc.profile] = disc_potentials(disc.profile)
             normal = _normal_at(surface, load.triangles, disc.centre)
-            found.append(_indentation_correction(surface, edge, disc, normal))
+            found.append(
+                _indentation_correction(surface, edge, disc, potentials[disc.profile], normal)
+            )
     return found
 
 
@@ -113,6 +124,7 @@ def _indentation_correction(
     surface: BoundarySurface,
     edge: Float[np.ndarray, "m 3"],
     disc: PressureDisc,
+    potentials: DiscPotentials,
     normal: Float[np.ndarray, "3"],
 ) -> IndentationCorrection:
     """Indentation of a half space of this outward normal minus its fit, at the midside nodes around
@@ -136,9 +148,9 @@ def _indentation_correction(
     position = midside[near][corrected][first]
     weights = csr_array(nodes.weights[midside_nodes])
     vertices = np.unique(weights.indices)
-    at_vertices = disc_displacement(disc, normal, mesh.vertices[vertices])
+    at_vertices = disc_displacement(disc, potentials, normal, mesh.vertices[vertices])
     fitted = np.einsum("pv,svij->spij", weights[:, vertices].toarray(), at_vertices)
-    indentation = disc_displacement(disc, normal, position)
+    indentation = disc_displacement(disc, potentials, normal, position)
     correction = edge_taper[midside_nodes, None, None] * (indentation - fitted)
     largest = np.abs(indentation).max(initial=0.0)
     significant = np.abs(correction).max(axis=(0, 2, 3)) > _NEGLIGIBLE * largest
