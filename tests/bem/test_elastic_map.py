@@ -6,7 +6,7 @@ from elastic_bodies import bump_load, held_part
 from surfaces import sphere
 
 from palpate.bem import factorise, make_elastic_map, solve, support_columns
-from palpate.bem.loads.surface_load import load_points
+from palpate.bem.loads import load_points
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, interpolation_matrix
 

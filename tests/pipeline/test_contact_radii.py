@@ -17,6 +17,7 @@ from palpate.pipeline import (
     resolved_session,
     session_observations,
 )
+from palpate.pipeline.fit_session import _consistent_modulus
 from palpate.probe import contact_circle
 from palpate.records import (
     EXACT,
@@ -94,6 +95,25 @@ def test_without_its_outward_part_a_sphere_makes_nu_too_large(measured: Session)
     plain = replace(probing.contact, tool=None)
     estimate = fit_session(replace(measured, probings=(replace(probing, contact=plain),))).estimate
     assert estimate.poisson_ratio.value > NU + 2e-3
+
+
+@pytest.mark.parametrize("slope", [0.7, 0.2, -0.6])
+def test_radii_and_moduli_converge_by_secants(slope: float) -> None:
+    """A modulus that a fit finds depends on that of the radii, both as logarithms: linear here."""
+    at_rest = 11.0
+    taken: list[float] = []
+    fitted = [7.0]
+    for _ in range(3):
+        taken.append(_consistent_modulus(taken, fitted))
+        fitted.append(at_rest + slope * (taken[-1] - at_rest))
+    # The first fit, with the initial radii, belongs to no modulus; two more fits give the slope.
+    assert taken[:2] == fitted[:2]
+    assert taken[2] == pytest.approx(at_rest, rel=1e-12)
+
+
+def test_secants_are_not_trusted_beyond_a_slope() -> None:
+    # Fitted moduli that change as fast as those of the radii have no fixed point near.
+    assert _consistent_modulus([7.0, 8.0], [7.0, 8.0, 9.1]) == pytest.approx(8.0 + 1.1 / 0.2)
 
 
 def test_a_buried_ball_is_refused(measured: Session) -> None:

@@ -52,7 +52,10 @@ _GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
 _OWN = 0.4
 # Contact radii vary only with the cube root of the modulus, so they converge with the constants.
 # The relative tolerance is a tenth of the prior standard deviation of such a radius.
-_MOST_RADIUS_ROUNDS, _RADIUS_TOLERANCE = 6, 0.005
+_MOST_RADIUS_ROUNDS, _RADIUS_TOLERANCE = 8, 0.005
+# Slopes of the fitted modulus over the one that radii were computed for, beyond which a secant step
+# is no longer trusted.
+_SECANT_SLOPES = (-1.0, 0.8)
 # At one half the formulae of the contact have a removable singularity.
 _LARGEST_RATIO = 0.4999
 # A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
@@ -201,7 +204,7 @@ def _with_consistent_radii(
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with contact radii that are consistent with the constants fitted to it, and its
     observations with the model of the mesh before grading."""
-    model = None
+    model, fitted, taken = None, list[float](), list[float]()
     for iteration in range(_MOST_RADIUS_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
         model, observations = ungraded_observations(
@@ -209,16 +212,39 @@ def _with_consistent_radii(
             progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
         )  # fmt: skip
         ratio, modulus = best_constants_of(observations, settings=settings)
+        fitted.append(float(np.log(modulus)))
+        taken.append(_consistent_modulus(taken, fitted))
         updated = with_contact_radii(
-            session, shear_modulus=modulus, poisson_ratio=min(ratio, _LARGEST_RATIO)
+            session,
+            shear_modulus=float(np.exp(taken[-1])),
+            poisson_ratio=min(ratio, _LARGEST_RATIO),
         )
-        if largest_change(session, updated) < _RADIUS_TOLERANCE:
+        change = largest_change(session, updated)
+        if change < _RADIUS_TOLERANCE:
             return session, observations
-        session = updated
+        previous, session = session, updated
+    # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
+    if change < previous.errors.touched_radius:
+        return previous, observations
     raise NotConvergedError(
         f"the circles that the tools touch still change after {_MOST_RADIUS_ROUNDS} fits: the force"
         " and the displacements do not belong together; check tool_radius and the unit of the force"
     )
+
+
+def _consistent_modulus(taken: Sequence[float], fitted: Sequence[float]) -> float:
+    """Logarithm of the modulus for which radii are to be computed next: the last one fitted, from
+    the third on a step of the secant method.
+
+    Parameters
+    ----------
+    taken : sequence of n float         those that radii have been computed for
+    fitted : sequence of n + 1 float    fitted with the initial radii, then with each of these
+    """
+    if len(taken) < 2 or taken[-1] == taken[-2]:
+        return fitted[-1]
+    slope = (fitted[-1] - fitted[-2]) / (taken[-1] - taken[-2])
+    return taken[-1] + (fitted[-1] - taken[-1]) / (1.0 - float(np.clip(slope, *_SECANT_SLOPES)))
 
 
 def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

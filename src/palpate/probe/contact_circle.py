@@ -99,7 +99,7 @@ def check_inward(force: float) -> None:
     if not force > 0.0:
         raise InputError(
             f"the tool pulls with {-force:.3g} N: its force must point into the object; check the"
-            " force's sign and frame"
+            " force's sign and frame, and that the contact's point is not on an edge of the object"
         )
 
 

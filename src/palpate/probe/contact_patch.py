@@ -101,7 +101,7 @@ def find_contact_patch(
                 f"farther than its radius of {1e3 * contact.reach:.3g} mm; check the frame and "
                 f"the units of {point_name}"
             )
-        triangles = _connected_triangles(mesh, contact.point, contact.reach, first)
+        triangles = _connected_triangles(mesh, nearest.position[0], contact.reach, first)
     held = np.intersect1d(triangles, held_triangles)
     if held.size:
         raise InputError(

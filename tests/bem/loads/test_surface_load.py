@@ -1,14 +1,18 @@
 """Loads integrated over their own patch, against closed forms on flat ground."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from elastic_bodies import cube_with_faces, held_part
 from scipy.special import ellipe, ellipk
+from surfaces import sphere
 
-from palpate.bem import PressureDisc, SurfaceLoad
+from palpate.bem import PressureDisc, SurfaceLoad, make_surface
+from palpate.bem.loads import LoadCells, integrate_load, load_points
 from palpate.bem.loads.half_space import chord_integrals
-from palpate.bem.loads.surface_load import integrate_load, load_points
 from palpate.errors import InputError
+from palpate.geometry import TriangleMesh, closest_points
 from palpate.probe import find_contact_patch
 from palpate.records import Contact
 
@@ -144,6 +148,55 @@ def test_far_away_a_patch_is_a_point(cube):
         rtol=0.02,  # second moment over distance squared
     )
     assert far.any()
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.001])
+def test_a_patch_acts_where_the_curved_surface_is(radius):
+    """A ball of 0.3 whose elements bulge by 0.003 over the flat triangles: a patch of any size, its
+    centre given on a triangle, beside it or on the ball, is the same load."""
+    unit = sphere(2)
+    mesh = TriangleMesh(0.3 * unit.vertices, unit.triangles)
+    held = mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.1
+    ball = SimpleNamespace(surface=make_surface(mesh, np.flatnonzero(held)))
+    towards = np.array([0.2, 0.1, 0.97]) / np.linalg.norm([0.2, 0.1, 0.97])
+    flat = closest_points(mesh, 0.3 * towards[None]).position[0]
+    points = [
+        load_points(ball.surface, load_of(ball, "hertz", centre, radius))
+        for centre in (flat, flat + 0.5 * radius * towards, flat - 0.5 * radius * towards)
+    ]
+    for found in points:
+        centre = found.weight @ found.position
+        # A cap of the ball: its centre is below the pole by less than its height.
+        height = radius**2 / 0.3
+        # Triangles lean by up to 8 degrees: so much of the distance is along them.
+        aside = 0.5 * radius * np.sin(np.radians(8)) / 0.3
+        assert np.linalg.norm(centre / np.linalg.norm(centre) - towards) < 0.003 + aside
+        assert 0.2995 - height < np.linalg.norm(centre) < 0.302
+        np.testing.assert_allclose(found.total, radius**2 * TOTAL["hertz"], rtol=0.02)
+
+
+def test_rows_that_do_not_resolve_a_patch_keep_the_points_of_the_load(cube):
+    """A pressure along the far edge of its patch alone, in one triangle: no ray from its corners
+    has points there."""
+    radius, centre = 0.03, np.array([0.59, 0.55, 1.0])
+    wide = load_of(cube, "uniform", centre, radius)
+
+    def density(triangle, barycentric, position):
+        return wide.density(triangle, barycentric, position) * (
+            np.abs(position[:, 0] - centre[0] - 0.0123) < 2e-4
+        )
+
+    strip = SurfaceLoad(wide.triangles, density, wide.disc)
+    cells = LoadCells(degree=9, rim_points=4, polar_points=4, coarsest=4, finest=4)
+    args = cube.surface, strip, cube.collocation, cube.traction_kernel
+    fields = integrate_load(*args, cells=cells)
+    assert np.isfinite(fields).all()
+    points = load_points(cube.surface, strip, cells=cells)
+    rows = cube.traction_kernel.rows.ravel()[: cube.traction_kernel.n_rows]
+    offset = cube.collocation.point[rows][:, None] - points.position
+    # All vertices are at least 0.09 away.
+    potential = (points.weight / np.linalg.norm(offset, axis=2)).sum(axis=1)
+    np.testing.assert_allclose(fields[:, :3].sum(axis=1), potential, rtol=0.15)
 
 
 def test_a_load_beside_its_triangles_is_refused(cube):

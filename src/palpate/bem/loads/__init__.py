@@ -4,7 +4,7 @@ Purpose    : integrate contact pressures, prescribed tractions, support displace
 Takes      : a `BoundarySystem` and a `SurfaceLoad`, a traction, a displacement or a force density.
 Gives      : `RightHand`, quadratic in Poisson's ratio; the local indentation around a contact.
 Depends on : `bem.compressed`, `bem.integrals`, `bem.system`, `geometry`.
-Read first : `right_hand.py`, `surface_load.py`.
+Read first : `right_hand.py`, `surface_load.py`, `load_integrals.py`.
 """
 
 from palpate.bem.loads.body_force import (
@@ -13,6 +13,7 @@ from palpate.bem.loads.body_force import (
     dilation_factor as dilation_factor,
 )
 from palpate.bem.loads.half_space import PressureDisc as PressureDisc
+from palpate.bem.loads.load_integrals import integrate_load as integrate_load
 from palpate.bem.loads.local_indentation import (
     IndentationCorrection as IndentationCorrection,
     correction_columns as correction_columns,
@@ -31,7 +32,5 @@ from palpate.bem.loads.surface_load import (
     LOAD_CELLS as LOAD_CELLS,
     LoadCells as LoadCells,
     SurfaceLoad as SurfaceLoad,
-    integrate_load as integrate_load,
     load_points as load_points,
-    loaded_triangles as loaded_triangles,
 )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numpy.polynomial.chebyshev import chebinterpolate, chebval
+from numpy.polynomial.chebyshev import chebfit, chebpts1, chebval
 
 from palpate.bem.integrals import unit_gauss
 
@@ -86,13 +86,11 @@ def disc_potentials(profile: Profile) -> DiscPotentials:
     DiscPotentials
     """
 
-    def integrals(inward: float) -> Float[np.ndarray, "k 3"]:
-        def at(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-            return chord_integrals(profile, 1.0 + inward * (0.5 * (x + 1.0)) ** _POWER)
-
-        return np.asarray(chebinterpolate(at, _DEGREE))
-
-    return DiscPotentials(integrals(-1.0), integrals(_FAR - 1.0))
+    x = chebpts1(_DEGREE + 1)
+    away = (0.5 * (x + 1.0)) ** _POWER
+    places = 1.0 - away, 1.0 + (_FAR - 1.0) * away
+    inside, outside = (chebfit(x, chord_integrals(profile, s), _DEGREE) for s in places)
+    return DiscPotentials(inside, outside)
 
 
 def disc_displacement(

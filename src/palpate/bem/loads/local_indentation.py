@@ -23,14 +23,12 @@ from palpate.bem.loads.half_space import (
     disc_potentials,
 )
 from palpate.bem.loads.right_hand import RightHand
-from palpate.bem.loads.surface_load import SurfaceLoad, loaded_triangles
+from palpate.bem.loads.surface_load import SurfaceLoad, find_foot
 from palpate.bem.system import BoundarySystem
 from palpate.geometry import (
     QuadraticNodes,
     TriangleMesh,
-    closest_points,
     cut_distance,
-    element_points,
 )
 
 # Midside nodes within this many edge lengths of the patch may be corrected.
@@ -83,35 +81,21 @@ def indentation_corrections(
     edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
     potentials: dict[Profile, DiscPotentials] = {}
     for load in loads:
-        disc = load.disc if surface.corrects_indentation else None
-        if disc is None or _crosses_edge(surface, load, disc):
+        disc = load.disc
+        if disc is None or not surface.corrects_indentation:
             found.append(None)
-        else:
-            if disc.profile not in potentials:
-                potentials[disc.profile] = disc_potentials(disc.profile)
-            normal = _normal_at(surface, load.triangles, disc.centre)
-            found.append(
-                _indentation_correction(surface, edge, disc, potentials[disc.profile], normal)
-            )
+            continue
+        foot = find_foot(surface, load, disc.centre)
+        # An edge of the object or the rim of its support may run through the patch.
+        if cut_distance(surface.mesh, surface.sides, load.triangles, foot.flat) < disc.radius:
+            found.append(None)
+            continue
+        if disc.profile not in potentials:
+            potentials[disc.profile] = disc_potentials(disc.profile)
+        placed = PressureDisc(foot.curved, disc.radius, disc.profile)
+        own = _indentation_correction(surface, edge, placed, potentials[disc.profile], foot.normal)
+        found.append(own)
     return found
-
-
-def _normal_at(
-    surface: BoundarySurface, triangles: Int[np.ndarray, " k"], point: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    """Outward unit normal of the curved elements at the position nearest to a point: unlike that of
-    the flat triangles, it varies continuously within an element."""
-    near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
-    nearest = closest_points(near, point[None])
-    element = surface.element_nodes[triangles[nearest.triangle]]
-    normal = element_points(element, nearest.barycentric)[0, 0, 3:]
-    return np.asarray(normal / np.linalg.norm(normal))
-
-
-def _crosses_edge(surface: BoundarySurface, load: SurfaceLoad, disc: PressureDisc) -> bool:
-    """Whether an edge of the object or the rim of its support runs through a load."""
-    loaded = loaded_triangles(surface, load)
-    return cut_distance(surface.mesh, surface.sides, loaded, disc.centre) < disc.radius
 
 
 def _edge_lengths(mesh: TriangleMesh) -> Float[np.ndarray, "m 3"]:
