@@ -6,7 +6,7 @@ Takes      : a `Rig`, grey pictures, a triangle surface.
 Gives      : `FlowMethod` with `JointFlow` and `LangPaiFlow`; `RangeFlow`, `VertexDisplacement`;
              `StereoPoints` and `RigCheck` from a rig's pictures at rest.
 Depends on : `geometry`, `records`.
-Read first : `range_flow.py`, then `joint/flow.py`, then `lang_pai/flow.py`.
+Read first : `range_flow/flow.py`, then `joint/flow.py`, then `lang_pai/flow.py`.
 """
 
 from palpate.vision.cameras import (

@@ -196,7 +196,22 @@ def placed_points(
     cells: LoadCells,
     near: Float[np.ndarray, "p 3"] | None = None,
 ) -> LoadPoints:
-    """As `load_points`, for a load from `placed_load`."""
+    """As `load_points`, for a load that is placed already.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    load : SurfaceLoad            from `placed_load`
+    cells, near                   as `load_points`
+
+    Returns
+    -------
+    LoadPoints
+
+    Raises
+    ------
+    InputError                    the density vanishes on all its triangles
+    """
     triangle, corners = _coarsest_cells(surface, load, cells.coarsest)
     tree = None if near is None else cKDTree(near)
     positions, weights, owners = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
@@ -257,7 +272,14 @@ def _cell_balls(
 def corner_places(
     surface: BoundarySurface, triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
 ) -> Float[np.ndarray, "c 3 3"]:
-    """Corners of cells on flat triangles [m]."""
+    """Corners of cells on flat triangles, (c, 3, 3) [m].
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    triangle : (c,) int
+    corners : (c, 3, 3) float [-]     barycentric coordinates
+    """
     return np.einsum("ckj,cja->cka", corners, surface.element_nodes[triangle, :3])
 
 
@@ -289,7 +311,21 @@ def traction_at(
     triangle: Int[np.ndarray, " c"],
     barycentric: Float[np.ndarray, "c q 3"],
 ) -> tuple[Float[np.ndarray, "c q 3"], Float[np.ndarray, "c q"], Float[np.ndarray, "c q"]]:
-    """Positions, areas per reference area and densities at given points of each triangle."""
+    """The traction at given points of each triangle.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    load : SurfaceLoad
+    triangle : (c,) int
+    barycentric : (c, q, 3) float [-]
+
+    Returns
+    -------
+    position : (c, q, 3) float [m]
+    area : (c, q) float [m^2]         per reference area
+    density : (c, q) float            >= 0, up to a factor
+    """
     points = element_points(surface.element_nodes[triangle], barycentric)
     position = points[:, :, :3]
     shape = barycentric.shape[:2]

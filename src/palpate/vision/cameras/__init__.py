@@ -5,7 +5,7 @@ Purpose    : projection with its Jacobian and inverse, triangulation, rectificat
 Takes      : `Camera` and `Rig`, points, pixels, a triangle surface.
 Gives      : pixels, rays, `Triangulation`, `SurfaceMap`, `Rectified`, apparent strains due to
              calibration errors.
-Depends on : `records`, `vision.images`.
+Depends on : `vision.images`, `vision.small_systems`, `records`.
 Read first : `lens.py`, then `projection.py`.
 """
 

@@ -23,7 +23,7 @@ from palpate.vision.images.normalisation import (
     moments as moments,
     point_spread_variance as point_spread_variance,
 )
-from palpate.vision.images.picture_size import picture_count as picture_count
+from palpate.vision.images.picture_file import picture_count as picture_count
 from palpate.vision.images.pictures import (
     Pictures as Pictures,
     read_grey as read_grey,

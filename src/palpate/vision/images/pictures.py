@@ -12,8 +12,7 @@ from jaxtyping import Float
 from palpate.errors import CalibrationError, RecordError
 from palpate.files import read_bytes
 from palpate.records import Camera, Rig
-from palpate.vision.images.decoder import decode_picture
-from palpate.vision.images.picture_size import claimed_size
+from palpate.vision.images.picture_file import claimed_size, decode_picture
 
 CAMERA_FIELD = "{camera}"
 # Luminance of ITU-R BT.601, in OpenCV's order blue, green, red.

@@ -4,7 +4,8 @@ Purpose    : track points of the surface from picture to picture to a hundredth 
              with its covariance.
 Takes      : a `Rig`, the pictures of its cameras at each instant, a triangle surface.
 Gives      : `JointFlow`, a `FlowMethod`; `JointState`, its state between instants.
-Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `geometry`, `records`.
+Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `vision.range_flow`,
+             `vision.small_systems`, `geometry`, `records`.
 Read first : `flow.py`, then `match.py`, then `refinement.py`.
 """
 

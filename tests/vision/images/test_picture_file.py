@@ -9,7 +9,7 @@ import pytest
 
 from palpate.errors import RecordError
 from palpate.records import Camera, Rig
-from palpate.vision.images.picture_size import claimed_size
+from palpate.vision.images.picture_file import claimed_size
 from palpate.vision.images.pictures import read_pictures
 
 GREY = np.arange(12 * 20, dtype=np.uint8).reshape(12, 20)
