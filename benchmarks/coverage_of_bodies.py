@@ -145,6 +145,8 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
         radius = RADIUS * (1.0 + errors.contact_radius * float(np.clip(rng.normal(), -2.5, 2.5)))
         sigma = noise * float(np.sqrt((moved**2).mean()))
         field = scale * turn.apply(moved[seen]) + sigma * rng.normal(size=(len(seen), 3))
+        # No camera sees what the tool covers.
+        field[np.linalg.norm(mesh.vertices[seen] - place.point, axis=1) < RADIUS] = np.nan
         std = np.full_like(field, sigma) if noise else None
         displacement = DisplacementField(told.position, field, std, None, told, "truth")
         probings.append(
