@@ -197,7 +197,7 @@ def _torus(edge: float) -> TriangleMesh:
 
 BODIES = {
     "slab": Shape(
-        box_mesh(80, 60, 16), 5.9e-3, ((0, 0, 1), (0.4, 0.3, 1), (-0.3, 0.3, 1)), poisson_ratio=0.45
+        box_mesh(80, 60, 16), 4.6e-3, ((0, 0, 1), (0.4, 0.3, 1), (-0.3, 0.3, 1)), poisson_ratio=0.45
     ),
     "block": Shape(box_mesh(60, 45, 45), 5.2e-3),
     "egg": Shape(_curve(_egg, 80e-3), 4.1e-3, poisson_ratio=0.4),

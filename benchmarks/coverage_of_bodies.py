@@ -47,7 +47,7 @@ MESHES, FINEST = ((1.4, 0.3), (1.0, 0.15)), (0.7, 0.1)
 # What a step leaves of the one before: second order of convergence; between first and fourth.
 USUAL, LEFT = 1 / 3, (0.7**4, 0.7)
 # The truth's own error that is small enough [-]: the model's is to be found within as much.
-ENOUGH = 0.003
+ENOUGH = 0.001
 
 
 @dataclass(frozen=True, slots=True, eq=False)
