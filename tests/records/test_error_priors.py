@@ -115,7 +115,7 @@ def test_every_force_sensor_may_have_a_gain_of_its_own(tmp_path):
 @pytest.mark.parametrize(
     ("gains", "probes", "message"),
     [
-        ("{ weigths = 0.001 }", _SENSORS, "did you mean 'weights'? (allowed: gauge, weights)"),
+        ("{ weight = 0.001 }", _SENSORS, "did you mean 'weights'? (allowed: gauge, weights)"),
         ("{ gauge = 0.9 }", _SENSORS, "the force gain of 'gauge' is 0.9; must be at least 0"),
         ('{ gauge = "1 N" }', _SENSORS, '[errors] force_gain gauge: is \'1 N\'; must be'),
         ("{ gauge = 0.01 }", "", "no probing names its sensor; give every probing its"),
