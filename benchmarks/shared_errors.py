@@ -8,7 +8,8 @@ one way at a time. Run it with
 FOLDER keeps the true displacements, which take minutes a body. It prints, a body a line:
 
 - width: of the interval of E over the width that the same measurement has where nobody errs, with
-  every error as uncertain as it is by default, by what measured the forces (`BENCHES`);
+  every error as uncertain as it is by default, by what measured the forces (`BENCHES`), and how
+  often it holds;
 - contact: errors of E and nu where the first contact lies 1.5 mm beside the place that is told,
   with the default of 0.5 mm, and where it is taken as exact;
 - force: where every force is read 2 % too large, told 1 %, no depth given;
@@ -71,16 +72,18 @@ class Laboratory:
         return fit_session(session, cache=self.cache).estimate
 
 
-def widths(laboratory: Laboratory, seed: int) -> list[float]:
-    """Width of the interval of E over that without shared errors, for each of the `BENCHES`."""
+def widths(laboratory: Laboratory, seed: int) -> list[tuple[float, bool]]:
+    """Width of the interval of E over that without shared errors, and whether it holds the truth,
+    for each of the `BENCHES`."""
     known = _width(laboratory.fit(laboratory.session(EXACT, EXACT, seed)))
     # Forces are drawn anew for every bench, all else is the same.
     drawn = replace(ErrorPriors(), force_gain=0.0, force=0.0)
     session = laboratory.session(drawn, ErrorPriors(), seed)
-    return [
-        _width(laboratory.fit(measured_by(session, sensors, seed))) / known
-        for sensors in BENCHES.values()
+    estimates = [
+        laboratory.fit(measured_by(session, sensors, seed)) for sensors in BENCHES.values()
     ]
+    truth = laboratory.body.truth
+    return [(_width(each) / known, bool(held(each, truth)[2])) for each in estimates]
 
 
 def _width(estimate: Estimate) -> float:
@@ -140,7 +143,7 @@ def scattered(laboratory: Laboratory, seed: int) -> bool:
 def main() -> None:
     """Print the figures of each body, and what they come to together."""
     folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 5
-    found: list[list[float]] = []
+    found: list[list[tuple[float, bool]]] = []
     holding: list[bool] = []
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder)
@@ -162,15 +165,19 @@ def main() -> None:
     print(f"together: width {_medians(found)}; scatter {sum(holding)} of {len(holding)} hold")
 
 
-def _width_lines(laboratory: Laboratory, count: int) -> list[list[float]]:
+def _width_lines(laboratory: Laboratory, count: int) -> list[list[tuple[float, bool]]]:
     found = [widths(laboratory, seed) for seed in range(count)]
     print(f"{laboratory.body.name:10s} width {_medians(found)}", flush=True)
     return found
 
 
-def _medians(found: Sequence[Sequence[float]]) -> str:
-    medians = np.median(np.array(found), axis=0)
-    return ", ".join(f"{name} {ratio:.2f}" for name, ratio in zip(BENCHES, medians, strict=True))
+def _medians(found: Sequence[Sequence[tuple[float, bool]]]) -> str:
+    table = np.array(found, dtype=float)
+    ratios, holding = np.median(table[:, :, 0], axis=0), table[:, :, 1].sum(axis=0)
+    return ", ".join(
+        f"{name} {ratio:.2f} ({holds:.0f} of {len(table)} hold)"
+        for name, ratio, holds in zip(BENCHES, ratios, holding, strict=True)
+    )
 
 
 if __name__ == "__main__":
