@@ -43,8 +43,10 @@ def _said(more: str) -> Callable[[Path], object]:
     return replaced("session.toml", _FORCE, f"{_FORCE}\n{more}")
 
 
-def _error(line: str) -> Callable[[Path], object]:
-    return replaced("session.toml", "[[probe]]", f"[errors]\n{line}\n[[probe]]")
+def _error(line: str, sensor: str = "") -> Callable[[Path], object]:
+    """Damage: a line of [errors]; with a sensor, the first probing names it."""
+    named = f"force_sensor = {sensor}\n" if sensor else ""
+    return replaced("session.toml", "[[probe]]", f"[errors]\n{line}\n[[probe]]\n{named}")
 
 
 # What is wrong, damage, pieces of the message.
@@ -82,6 +84,18 @@ _CHECKED = [
      ("contact point of [errors] is 0.1 m", "more than the body of 0.0693 m")),
     ("a pose known to a metre", _error('pose = { translation = "1 m" }'),
      ("pose translation of [errors] is 1 m", "more than the body of 0.0693 m")),
+    ("gains by sensor where no probing names one", _error("force_gain = { gauge = 0.01 }"),
+     ("[errors] force_gain", "no probing names its sensor", 'force_sensor = "gauge"')),
+    ("a gain of a sensor that no probing names", _error("force_gain = { scale = 0.01 }", '"gauge"'),
+     ("[errors] force_gain: unknown key 'scale'", "(allowed: gauge)")),
+    ("a gain of a sensor in newtons", _error('force_gain = { gauge = "1 N" }', '"gauge"'),
+     ("[errors] force_gain gauge: is '1 N'", '"1 %"')),
+    ("a gain of a sensor that is larger than any", _error("force_gain = { gauge = 0.9 }", '"gauge"'),
+     ("the force gain of 'gauge' is 0.9", "at most 0.5")),
+    ("a sensor that is a number", _error("force_gain = 0.01", "7"),
+     ("[[probe]] 'n01' force_sensor: is 7", "text in quotes")),
+    ("a sensor whose name has a line break", _error("force_gain = 0.01", '"a\\nb"'),
+     ("[[probe]] 'n01' force_sensor", "no line break")),
     *(
         (f"a probing called {name!r}", replaced("session.toml", '"n01"', name),
          ("[[probe]] number 1 name", says))

@@ -87,7 +87,7 @@ images = "tif_{camera}.tif"
 GIVING = SESSION.replace(
     "[support]",
     """[errors]
-force_gain = "0.3 %"
+force_gain = { gauge = "0.3 %" }
 force_direction = "1 deg"
 contact_point = "0.5 mm"
 contact_radius = 0.2
@@ -99,7 +99,7 @@ directions = [[0, 0, 1], [1, 0, 0]]
 stiffness = "5 kPa/mm"
 motion = "fixed"
 """,
-)
+).replace("[[probe]]", '[[probe]]\nforce_sensor = "gauge"', 1)
 SCAN = """\
 format = "palpate-scan/1"
 length_unit = "mm"
