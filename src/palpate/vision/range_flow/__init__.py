@@ -5,11 +5,12 @@ Takes      : a `SurfaceMap` of the reference camera; matches, from the methods.
 Gives      : `FlowMethod`; `RangeFlow` with an `Outcome` for every point, `VertexDisplacement`;
              points and triangles of the grid.
 Depends on : `vision.cameras`, `geometry`, `records`.
-Read first : `flow.py`, then `method.py`.
+Read first : `flow.py`, then `grid.py`.
 """
 
 from palpate.vision.range_flow.flow import (
     CAUSES as CAUSES,
+    FlowMethod as FlowMethod,
     Outcome as Outcome,
     RangeFlow as RangeFlow,
     VertexDisplacement as VertexDisplacement,
@@ -22,4 +23,3 @@ from palpate.vision.range_flow.grid import (
     grid_points as grid_points,
     grid_triangles as grid_triangles,
 )
-from palpate.vision.range_flow.method import FlowMethod as FlowMethod
