@@ -45,18 +45,13 @@ def main() -> None:
         places = [made + k for k in range(len(found.point))]
         rng = np.random.default_rng(0)
         chosen = found.information.bound(best(found.information, places))["poisson_ratio"]
-        random = [
+        drawn = [
             found.information.bound(rng.choice(places, COUNT, replace=False).tolist())
-            for _ in range(DRAWS)
+            for _ in range(DRAWS + TRIPLES)
         ]
-        usual = float(np.median([one["poisson_ratio"] for one in random]))
+        every = [bound["poisson_ratio"] for bound in drawn]
+        usual, least = float(np.median(every[:DRAWS])), min(every[DRAWS:])
         ratios.append(chosen / usual)
-        least = min(
-            found.information.bound(rng.choice(places, COUNT, replace=False).tolist())[
-                "poisson_ratio"
-            ]
-            for _ in range(TRIPLES)
-        )
         print(
             f"{name:10s} {len(places)} places: {ratios[-1]:.2f}, best of {TRIPLES} triples"
             f" {least / usual:.2f}",

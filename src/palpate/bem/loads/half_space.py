@@ -85,7 +85,6 @@ def disc_potentials(profile: Profile) -> DiscPotentials:
     -------
     DiscPotentials
     """
-
     x = chebpts1(_DEGREE + 1)
     away = (0.5 * (x + 1.0)) ** _POWER
     places = 1.0 - away, 1.0 + (_FAR - 1.0) * away

@@ -7,7 +7,7 @@ the right-hand side. No unknown is added, and like the system the term is linear
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,11 +25,7 @@ from palpate.bem.loads.half_space import (
 from palpate.bem.loads.right_hand import RightHand
 from palpate.bem.loads.surface_load import SurfaceLoad, find_foot
 from palpate.bem.system import BoundarySystem
-from palpate.geometry import (
-    QuadraticNodes,
-    TriangleMesh,
-    cut_distance,
-)
+from palpate.geometry import QuadraticNodes, TriangleMesh, cut_distance
 
 # Midside nodes within this many edge lengths of the patch may be corrected.
 _REACH_EDGES = 2.5
@@ -85,14 +81,14 @@ def indentation_corrections(
         if disc is None or not surface.corrects_indentation:
             found.append(None)
             continue
-        foot = find_foot(surface, load, disc.centre)
+        foot = find_foot(surface, load.triangles, disc.centre)
         # An edge of the object or the rim of its support may run through the patch.
         if cut_distance(surface.mesh, surface.sides, load.triangles, foot.flat) < disc.radius:
             found.append(None)
             continue
         if disc.profile not in potentials:
             potentials[disc.profile] = disc_potentials(disc.profile)
-        placed = PressureDisc(foot.curved, disc.radius, disc.profile)
+        placed = replace(disc, centre=foot.curved)
         own = _indentation_correction(surface, edge, placed, potentials[disc.profile], foot.normal)
         found.append(own)
     return found

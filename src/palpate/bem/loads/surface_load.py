@@ -5,7 +5,7 @@ patch itself: with small cells that end at its rim.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -64,22 +64,22 @@ class Foot:
     normal: Vector3
 
 
-def find_foot(surface: BoundarySurface, load: SurfaceLoad, centre: Vector3) -> Foot:
-    """The point of a load's triangles nearest to the centre of its patch, (3,) [m].
+def find_foot(surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre: Vector3) -> Foot:
+    """The point of some triangles nearest to the centre of a patch.
 
     Parameters
     ----------
     surface : BoundarySurface
-    load : SurfaceLoad
+    triangles : (k,) int          those of the load
     centre : (3,) float [m]
 
     Returns
     -------
     Foot
     """
-    near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[load.triangles])
+    near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
     nearest = closest_points(near, centre[None])
-    element = surface.element_nodes[load.triangles[nearest.triangle]]
+    element = surface.element_nodes[triangles[nearest.triangle]]
     point = element_points(element, nearest.barycentric)[0, 0]
     return Foot(nearest.position[0], point[:3], point[3:] / np.linalg.norm(point[3:]))
 
@@ -99,7 +99,7 @@ def placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     """
     if load.disc is None:
         return load
-    foot = find_foot(surface, load, load.disc.centre)
+    foot = find_foot(surface, load.triangles, load.disc.centre)
     shift = foot.curved - load.disc.centre
 
     def density(
@@ -109,8 +109,7 @@ def placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     ) -> Float[np.ndarray, " n"]:
         return load.density(triangle, barycentric, position - shift)
 
-    disc = PressureDisc(foot.flat, load.disc.radius, load.disc.profile)
-    return SurfaceLoad(load.triangles, density, disc)
+    return replace(load, density=density, disc=replace(load.disc, centre=foot.flat))
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,9 @@ import numpy as np
 from palpate.errors import RecordError
 
 PICTURE_KINDS = "PNG, JPEG, TIFF or BMP"
-PNG, JPEG, BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
+_PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
 # Classic TIFF and BigTIFF, in both byte orders.
-TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # JPEG markers that begin a frame: 0xC0 to 0xCF except DHT, JPG and DAC.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # TIFF tags: ImageWidth, ImageLength, NewSubfileType.
@@ -61,17 +61,17 @@ def claimed_size(content: bytes) -> tuple[int, int] | None:
     BITMAPINFOHEADER of Windows.
     """
     try:
-        if content.startswith(PNG):
+        if content.startswith(_PNG):
             return struct.unpack_from(">II", content, 16)
-        if content.startswith(BMP):
+        if content.startswith(_BMP):
             # The old 12-byte header has 16-bit sizes; a negative height means top-down rows.
             old = struct.unpack_from("<I", content, 14) == (12,)
             columns, rows = struct.unpack_from("<HH" if old else "<ii", content, 18)
             return abs(columns), abs(rows)
-        if content.startswith(TIFF):
+        if content.startswith(_TIFF):
             first = next(_tiff_directories(content), {})
             return (first[_WIDTH], first[_HEIGHT]) if {_WIDTH, _HEIGHT} <= set(first) else None
-        return _jpeg_size(content) if content.startswith(JPEG) else None
+        return _jpeg_size(content) if content.startswith(_JPEG) else None
     except struct.error:
         return None
 
@@ -87,7 +87,7 @@ def picture_count(content: bytes) -> int:
     -------
     int                             1 for all but TIFF; for a truncated TIFF, those before the end
     """
-    if not content.startswith(TIFF):
+    if not content.startswith(_TIFF):
         return 1
     count = 0
     with suppress(struct.error):
@@ -116,7 +116,7 @@ def decode_picture(content: bytes) -> np.ndarray:
     """
     if not content:
         raise RecordError("is empty; copy or record it again")
-    if not content.startswith((PNG, JPEG, BMP, *TIFF)):
+    if not content.startswith((_PNG, _JPEG, _BMP, *_TIFF)):
         raise RecordError(
             f"is none of {PICTURE_KINDS} (it starts with {content[:8]!r}); copy or record it again"
         )
@@ -128,7 +128,7 @@ def decode_picture(content: bytes) -> np.ndarray:
         pixels = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     damage = [_SOURCE.sub("", line.strip()) for line in messages if _DAMAGE.search(line)]
     # The end marker 0xFF 0xD9 cannot occur within coded data.
-    if content.startswith(JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
+    if content.startswith(_JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
         damage.insert(0, "it has no end-of-image marker")
     if damage or pixels is None:
         said = f" ({damage[0]})" if damage else ""
