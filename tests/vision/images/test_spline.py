@@ -10,6 +10,7 @@ from palpate.vision.images.spline import (
     interpolate,
     make_spline_picture,
     noise_fraction_kernel,
+    slope_gain,
     smoothing_gain,
 )
 
@@ -138,3 +139,14 @@ def test_smoothing_gain_is_the_root_of_the_sum_of_squares_of_the_low_pass(smooth
     left = make_spline_picture(bright, smoothing=smoothing).grey.astype(float)
     # OpenCV's kernel ends half a pixel earlier or later, where the Gaussian has fallen to 3e-4.
     assert smoothing_gain(smoothing) == pytest.approx(np.sqrt((left**2).sum()), rel=1e-3)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.7, 1.0, 2.5])
+def test_slope_gain_is_the_root_of_the_sum_of_squares_of_one_pixel_s_derivatives(smoothing):
+    bright = np.zeros((61, 61), dtype=np.float32)
+    bright[30, 30] = 1.0
+    picture = make_spline_picture(bright, smoothing=smoothing)
+    for slope in (picture.along_column, picture.along_row):
+        found = np.sqrt((slope.astype(float) ** 2).sum())
+        # As above; a derivative gives the ends of the Gaussian ten times the share.
+        assert slope_gain(smoothing) == pytest.approx(found, rel=3e-3)

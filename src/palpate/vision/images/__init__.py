@@ -35,6 +35,7 @@ from palpate.vision.images.spline import (
     make_spline_picture as make_spline_picture,
     noise_fraction_kernel as noise_fraction_kernel,
     sample_kernel as sample_kernel,
+    slope_gain as slope_gain,
     smoothing_gain as smoothing_gain,
     spline_pictures as spline_pictures,
 )

@@ -13,8 +13,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 from numba import njit
-from scipy.ndimage import spline_filter
+from scipy.ndimage import spline_filter, spline_filter1d
 
+# Filters that take a spline's coefficients to its value and its derivative at the pixel centres.
+_VALUE, _SLOPE = np.array([1.0, 4.0, 1.0]) / 6.0, np.array([-0.5, 0.0, 0.5])
 # Coefficients are mirrored this far beyond the picture [px], so that a window may touch its edge.
 PADDING = 4
 # q: fraction of the variance of white noise left by interpolation at t = 1/2, i.e. the sum over k
@@ -63,11 +65,9 @@ def make_spline_picture(
     if smoothing > 0.0:
         grey = cv2.GaussianBlur(grey, (0, 0), smoothing, borderType=cv2.BORDER_REFLECT_101)
     coefficients = spline_filter(grey, order=3, output=np.float32, mode="mirror")
-    blur = np.array([1.0, 4.0, 1.0]) / 6.0
-    slope = np.array([-0.5, 0.0, 0.5])
     # OpenCV's default border mirrors at the edge, as do the coefficients.
-    along_column = cv2.sepFilter2D(coefficients, -1, slope, blur)
-    along_row = cv2.sepFilter2D(coefficients, -1, blur, slope)
+    along_column = cv2.sepFilter2D(coefficients, -1, _SLOPE, _VALUE)
+    along_row = cv2.sepFilter2D(coefficients, -1, _VALUE, _SLOPE)
     padded = np.pad(coefficients, PADDING, mode="reflect")
     return SplinePicture(grey, along_column, along_row, padded)
 
@@ -100,11 +100,33 @@ def smoothing_gain(smoothing: float) -> float:
     -------
     float [-]                       above 0, at most 1
     """
+    return float((_low_pass(smoothing) ** 2).sum())
+
+
+def slope_gain(smoothing: float) -> float:
+    """Standard deviation of a derivative of the spline per standard deviation of white noise.
+
+    Parameters
+    ----------
+    smoothing : float [px]          as in `make_spline_picture`; 0: no low-pass
+
+    Returns
+    -------
+    float [1/px]                    of `SplinePicture.along_column` and of `along_row`, above 0
+    """
+    # The response to an impulse has decayed to 1e-9 over this many pixels.
+    response = np.pad(_low_pass(smoothing), 16)
+    slope = np.convolve(spline_filter1d(response, order=3, mode="mirror"), _SLOPE)
+    return float(np.sqrt((slope**2).sum() * smoothing_gain(smoothing)))
+
+
+def _low_pass(smoothing: float) -> Float[np.ndarray, " k"]:
+    """Weights of the low-pass along one axis, which add up to one."""
     if smoothing <= 0.0:
-        return 1.0
+        return np.ones(1)
     reach = int(np.ceil(4.0 * smoothing))
     weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / smoothing) ** 2)
-    return float((weight**2).sum() / weight.sum() ** 2)
+    return np.asarray(weight / weight.sum())
 
 
 def interpolate(

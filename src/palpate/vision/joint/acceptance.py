@@ -1,11 +1,12 @@
 """Acceptance or rejection of matched points, and the covariance of their displacements."""
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.vision.cameras import pixel_sizes, project_jacobian
-from palpate.vision.images import moments, smoothing_gain
+from palpate.vision.images import moments, slope_gain, smoothing_gain
 from palpate.vision.joint.match import (
     changed_cameras,
     mean_over,
@@ -24,6 +25,9 @@ _MAX_NOISE_PX = 0.1
 # Minimum contrast of a window in units of noise; with less, noise makes up a tenth or more of the
 # gradients.
 _MIN_CONTRAST = 3.0
+# Smallest share of a window's squared gradients that is taken to be texture; with less the window is
+# rejected anyway.
+_MIN_RELIABILITY = 0.1
 # A point is rejected if the cameras or its neighbours contradict it by more than this many standard
 # deviations.
 _MAX_DISAGREEMENT = 5.0
@@ -50,7 +54,9 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
     RangeFlow
     """
     used = used_cameras(match)
+    raw_noise = noise / (np.sqrt(2.0) * smoothing_gain(scene.smoothing))
     inflation = _variance_inflation(scene, match)
+    inflation *= _gradient_noise_inflation(scene, raw_noise[scene.rig.reference])
     match = match._replace(own_variance=match.own_variance * inflation[:, None])
     by_noise = match.covariance * (_CARRIED_NOISE * inflation)[:, None, None]
     bias_px = _matching_bias(match, used)
@@ -76,7 +82,7 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
         outcome=outcome.astype(np.int64),
         through_last=np.zeros(len(outcome), dtype=bool),
         drift=np.nan,
-        noise=noise / (np.sqrt(2.0) * smoothing_gain(scene.smoothing)),
+        noise=raw_noise,
         subset=scene.subset,
         step=scene.step,
         shape=scene.pictures[scene.rig.reference].grey.shape,
@@ -159,6 +165,23 @@ def _variance_inflation(scene: Scene, match: Match) -> Float[np.ndarray, " n"]:
     # The estimate from a single window is noisy: it rests on about 27 blocks.
     inflation = median_around(scene.point, match.variance_ratio, found, reach=neighbourhood(scene))
     return np.asarray(np.maximum(inflation, 1.0) / _fraction_in_blocks(scene))
+
+
+def _gradient_noise_inflation(scene: Scene, noise: float) -> Float[np.ndarray, " n"]:
+    """Inflation of the variance because the first picture's gradients carry noise, at least 1.
+
+    Noise adds to the squared gradients g^2 of the normal matrix, but the residuals depend on the
+    displacement through the true gradients only: for the share p = (g^2 - noise) / g^2 of these the
+    variance is 1 / p^2 times the one that the normal matrix says.
+
+    Source: Fuller, Measurement Error Models (1987), section 1.2, with p the reliability ratio.
+    """
+    picture = scene.pictures[scene.rig.reference]
+    square = picture.along_column**2 + picture.along_row**2
+    column, row = scene.pixel.astype(np.int64).T
+    mean = cv2.blur(square, (scene.subset, scene.subset))[row, column].astype(np.float64)
+    true = mean - 2.0 * (slope_gain(scene.smoothing) * noise) ** 2
+    return (mean / np.maximum(true, _MIN_RELIABILITY * mean)) ** 2
 
 
 def _fraction_in_blocks(scene: Scene) -> float:
