@@ -25,7 +25,7 @@ _MAX_NOISE_PX = 0.1
 # Minimum contrast of a window in units of noise; with less, noise makes up a tenth or more of the
 # gradients.
 _MIN_CONTRAST = 3.0
-# Smallest share of a window's squared gradients that is taken to be texture; with less the window is
+# Smallest share of a window's squared gradients that is taken to be texture; with less it is
 # rejected anyway.
 _MIN_RELIABILITY = 0.1
 # A point is rejected if the cameras or its neighbours contradict it by more than this many standard
