@@ -307,7 +307,8 @@ def _integrate_blocks(begin, end, n_fields, points, elements, rules, midside, ou
                 for i in range(LANES):
                     if ratio[i] < rules.ratios[-1]:
                         _add_near_lane(n_fields, points, b, i, elements, e, rules, accumulated)
-        out[b] = accumulated[:n_nodal]
+        for i in range(n_nodal):
+            out[b, i] = accumulated[i]
         for t in range(midside.start.size - 1):
             source = accumulated[n_nodal + t * width : n_nodal + (t + 1) * width]
             for p in range(midside.start[t], midside.start[t + 1]):
@@ -361,7 +362,7 @@ def _add_near_lane(n_fields, points, b, i, elements, e, rules, accumulated):
             shapes_at(b0, b1, b2, subtracted)
         for k in range(3):
             corners[:] = 0.0
-            corners[0] = points.barycentric[row]
+            corners[0, 0], corners[0, 1], corners[0, 2] = b0, b1, b2
             corners[1, k] = corners[2, (k + 1) % 3] = 1.0
             add_singular(n_fields, point, nodes, corners, rules.polar, subtracted, local)
     elif corner >= 0:

@@ -241,7 +241,8 @@ def next_part(point, nodes, ratios, stack, depth, part):
     """
     while True:
         depth -= 1
-        part[:] = stack[depth]
+        for k in range(part.size):
+            part[k] = stack[depth, k]
         ratio = _ratio(point, nodes, part)
         if ratio >= ratios[-1] or part[9] <= _SMALLEST_PART:
             break

@@ -11,7 +11,7 @@ contact dynamics method, ibid. 177 (1999) 235: sweeps, node by node, where that 
 import numba
 import numpy as np
 
-from palpate.simulation.kernels.linear import add_columns, component, dot, invert
+from palpate.simulation.kernels.linear import add_columns, assign, component, dot, invert, solve
 from palpate.simulation.kernels.state import (
     BY_DISPLACEMENT,
     BY_FORCE,
@@ -169,7 +169,9 @@ def unknowns(given, frames, friction, residual, force, status, slide):
     for i in range(k):
         n, has_friction = frames[i, 0], 0.0 < friction[i] < NO_SLIP
         if given[i] == BY_FORCE and status[i] == SLIDES:
-            node[m], along[m], row[m] = i, n, n
+            node[m] = i
+            for a in range(3):
+                along[m, a] = row[m, a] = n[a]
             m += 1
         elif given[i] == BY_DISPLACEMENT and status[i] == SLIDES and has_friction:
             node[m] = node[m + 1] = i
@@ -183,7 +185,9 @@ def unknowns(given, frames, friction, residual, force, status, slide):
             m += 2
         elif given[i] == BY_DISPLACEMENT and status[i] != STICKS:
             for a in range(1 if status[i] == SLIDES else 0, 3):
-                node[m], along[m], row[m] = i, frames[i, a], frames[i, a]
+                node[m] = i
+                for b in range(3):
+                    along[m, b] = row[m, b] = frames[i, a, b]
                 m += 1
     return node[:m], along[:m], row[:m], extra[:m]
 
@@ -232,19 +236,22 @@ def apply_response(response, given, free, prescribed, force, residual):
 
 @numba.njit(cache=True, error_model="numpy")
 def solve_once(response, given, frames, friction, free, residual, force, status, slide):
-    """Forces and residuals of all nodes in their states, in place; friction turns linearly."""
+    """Forces and residuals of all nodes in their states, in place; friction turns linearly.
+
+    Returns False where the equations are singular.
+    """
     node, along, row, extra = unknowns(given, frames, friction, residual, force, status, slide)
     prescribed = np.zeros((len(given), 3))
     for i in range(len(given)):
         if given[i] == BY_DISPLACEMENT:
             for a in range(3):
                 prescribed[i, a] = -free[i, a]
-    apply_response(response, given, free, prescribed, force, residual)
     m = node.size
-    matrix, right, part = np.empty((m, m)), np.empty(m), np.empty(len(response))
+    apply_response(response, given, free, prescribed, force, residual)
+    matrix, found, part = np.empty((m, m)), np.empty(m), np.empty(len(response))
     for g in range(m):
         j, seen = node[g], residual if given[node[g]] == BY_FORCE else force
-        right[g] = -dot(row[g], seen[j])
+        found[g] = -dot(row[g], seen[j])
         part[:] = 0.0
         first, second, third = response[3 * j], response[3 * j + 1], response[3 * j + 2]
         for i in range(part.size):
@@ -255,11 +262,13 @@ def solve_once(response, given, frames, friction, free, residual, force, status,
                 along[h, 0] * part[i] + along[h, 1] * part[i + 1] + along[h, 2] * part[i + 2]
             )
         matrix[g, g] += extra[g]
-    found = np.linalg.solve(matrix, right)
+    if not solve(matrix, found):
+        return False
     for g in range(m):
         for a in range(3):
             prescribed[node[g], a] += found[g] * along[g, a]
     apply_response(response, given, free, prescribed, force, residual)
+    return True
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -280,10 +289,13 @@ def solve_together(response, given, frames, friction, free, residual, force, sta
         slide_directions(frames, friction, after, found, own, slide)
         for i in range(friction.size):
             pull[i] = friction[i] * dot(found[i], frames[i, 0])
-        solve_once(response, given, frames, friction, free, after, found, own, slide)
+        if not solve_once(response, given, frames, friction, free, after, found, own, slide):
+            return False
         turn_friction(frames, friction, pull, found, own, slide)
         if not contradicted(frames, friction, after, found, own, slide, depth):
-            force[:], residual[:], status[:] = found, after, own
+            assign(found, force)
+            assign(after, residual)
+            assign(own, status)
             return True
         if friction.max() >= NO_SLIP:
             # A node torn loose stays loose, so that sweeps decide which one it is.

@@ -14,6 +14,15 @@ def dot(x, y):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def assign(values, out):
+    """Copy an array into one of its shape, both contiguous; `out[:] = values` takes seconds to
+    compile."""
+    source, target = values.reshape(-1), out.reshape(-1)
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def set_frame(normal, out):
     """Unit vectors by rows: the normal and two across it."""
     k = 0
@@ -51,6 +60,34 @@ def invert(matrix, out):
     for a in range(3):
         for d in range(3):
             out[a, d] /= determinant
+
+
+@numba.njit(cache=True, error_model="numpy")
+def solve(matrix, right):
+    """Solve a square system in place, by elimination with partial pivoting: the matrix is lost, the
+    solution is in `right`. Returns False where the matrix is singular."""
+    n = right.size
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[best, k]):
+                best = i
+        pivot_row, first = matrix[k], matrix[best]
+        if not abs(first[k]) > 0.0:
+            return False
+        for j in range(k, n):
+            pivot_row[j], first[j] = first[j], pivot_row[j]
+        right[k], right[best] = right[best], right[k]
+        for i in range(k + 1, n):
+            row, factor = matrix[i], matrix[i, k] / pivot_row[k]
+            for j in range(k + 1, n):
+                row[j] -= factor * pivot_row[j]
+            right[i] -= factor * right[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            right[k] -= matrix[k, j] * right[j]
+        right[k] /= matrix[k, k]
+    return True
 
 
 @numba.njit(cache=True, error_model="numpy")

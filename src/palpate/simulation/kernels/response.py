@@ -20,7 +20,7 @@ capacitance matrix. Tsatsomeros, Principal pivot transforms, Linear Algebra Appl
 import numba
 import numpy as np
 
-from palpate.simulation.kernels.linear import add_columns, gather, invert
+from palpate.simulation.kernels.linear import add_columns, assign, gather, invert
 from palpate.simulation.kernels.state import ABSENT, BY_DISPLACEMENT, BY_FORCE
 
 # Nodes that come in or leave until the response is built anew: a fraction of a millisecond then.
@@ -42,7 +42,7 @@ def updated_response(response, changes, compliance, tools, nodal):
         return response, changes
     before, nodes = np.flatnonzero(nodal.given), np.flatnonzero(wanted)
     if changes > REBUILT_AFTER:
-        nodal.given[:] = wanted
+        assign(wanted, nodal.given)
         return fresh_response(compliance, nodes, wanted), 0
     kept, out = response.copy(), np.zeros((3 * nodes.size, 3 * nodes.size))
     of = np.full(wanted.size, -1)
@@ -65,7 +65,7 @@ def updated_response(response, changes, compliance, tools, nodal):
             of[nodes[h]] = h
             if wanted[nodes[h]] == BY_DISPLACEMENT:
                 pivot(out, h)
-    nodal.given[:] = wanted
+    assign(wanted, nodal.given)
     return out, changes
 
 
@@ -89,7 +89,8 @@ def append(response, h, compliance, nodes, given, of):
         column[:] = 0.0
         for g in range(nodes.size):
             if of[nodes[g]] >= 0 and given[nodes[g]] == BY_DISPLACEMENT:
-                force[:] = by_force[3 * nodes[g] : 3 * nodes[g] + 3]
+                for b in range(3):
+                    force[b] = by_force[3 * nodes[g] + b]
                 add_columns(response, g, force, column)
         for b in range(3):
             column[3 * h + b] = by_force[3 * nodes[h] + b]
@@ -104,7 +105,8 @@ def append(response, h, compliance, nodes, given, of):
                     column[3 * g + b] += displacement
                 response[3 * h + a, 3 * g + b] = sign * column[3 * g + b]
                 response[3 * g + b, 3 * h + a] = column[3 * g + b]
-        response[3 * h + a, 3 * h : 3 * h + 3] = column[3 * h : 3 * h + 3]
+        for b in range(3):
+            response[3 * h + a, 3 * h + b] = column[3 * h + b]
     # Its own compliance, less what nodes of given displacement hold back.
     for a in range(3):
         for b in range(3):
@@ -121,10 +123,18 @@ def append(response, h, compliance, nodes, given, of):
 def pivot(response, j):
     """Exchange force and displacement of one node as given and found; its own inverse."""
     own, inverse, f = np.empty((3, 3)), np.empty((3, 3)), 3 * j
-    own[:] = response[f : f + 3, f : f + 3]
+    for a in range(3):
+        for b in range(3):
+            own[a, b] = response[f + a, f + b]
     invert(own, inverse)
-    rows = -inverse @ response[f : f + 3]
-    rows[:, f : f + 3] = 0.0
+    rows = np.zeros((3, len(response)))
+    for a in range(3):
+        for b in range(3):
+            factor, source = -inverse[a, b], response[f + b]
+            for i in range(source.size):
+                rows[a, i] += factor * source[i]
+        for b in range(3):
+            rows[a, f + b] = 0.0
     first, second, third = rows[0], rows[1], rows[2]
     for h in range(len(response)):
         row = response[h]
@@ -133,5 +143,7 @@ def pivot(response, j):
             row[i] += x * first[i] + y * second[i] + z * third[i]
         for b in range(3):
             row[f + b] = x * inverse[0, b] + y * inverse[1, b] + z * inverse[2, b]
-    response[f : f + 3] = rows
-    response[f : f + 3, f : f + 3] = inverse
+    for a in range(3):
+        assign(rows[a], response[f + a])
+        for b in range(3):
+            response[f + a, f + b] = inverse[a, b]

@@ -196,7 +196,8 @@ def _refine_kernel(cameras, pixels, seen, weight, i, point, inverse):
             if new_depth > 0.0 and (new_cost <= cost or length <= _TINY * depth):
                 break
             step *= 0.5
-        point[:] = trial
+        for a in range(3):
+            point[a] = trial[a]
         cost, square, depth = new_cost, new_square, new_depth
         step = next_step
         if length <= _CONVERGED * depth:
