@@ -10,7 +10,7 @@ import numba
 import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
 from jaxtyping import _import_hook
-from shape_checks import check_first_calls, start_counting_calls
+from shape_checks import check_first_calls, forget_calls
 
 # The import hook wraps every function; numba cannot compile a wrapper, so kernels go unwrapped.
 # They are arrays in, arrays out, and called by functions that are checked. Versions of jaxtyping
@@ -64,7 +64,7 @@ def pytest_handlecrashitem(report: Any) -> None:
 
 def pytest_runtest_setup() -> None:
     """Every test has the shapes of its calls checked anew."""
-    start_counting_calls()
+    forget_calls()
 
 
 # What takes longest starts first, so that processes that share the tests end together: first the

@@ -1,8 +1,8 @@
-"""Shapes and types are checked in the first calls of every function within every test.
+"""Shapes and types are checked in the first call of every function within every test.
 
 A check looks at every argument and at what comes back, which takes some 100 us; a fit calls small
 functions ten thousand times. What the hundredth call of a loop is given has the shapes that the
-first was given. Checkers are made when they are first needed: for most functions that a process
+first was given; checking four calls of each made the tests take a tenth longer. Checkers are made when they are first needed: for most functions that a process
 imports they never are, and functions within functions would have theirs made with every call.
 """
 
@@ -14,22 +14,19 @@ from typing import Any
 
 import jaxtyping
 
-# Calls of a function that are checked in each test.
-_CHECKED_CALLS = 4
-
 _checked_whole = jaxtyping.jaxtyped
-# Of each function, by the identity of its code, which functions within functions share.
-_calls: dict[int, int] = {}
+# Functions that were called, by the identity of their code, which functions within functions share.
+_called: set[int] = set()
 
 
 def check_first_calls() -> None:
-    """Have the import hook check the first calls only: to be called before it imports anything."""
+    """Have the import hook check first calls only: to be called before it imports anything."""
     jaxtyping.jaxtyped = _sparingly_checked
 
 
-def start_counting_calls() -> None:
-    """The next calls of every function are its first ones again."""
-    _calls.clear()
+def forget_calls() -> None:
+    """The next call of every function is its first one again."""
+    _called.clear()
 
 
 def _sparingly_checked(*, typechecker: Any) -> Callable[[Any], Any]:
@@ -51,10 +48,9 @@ def _checked_at_first(function: Callable[..., Any], typechecker: Any) -> Callabl
     @functools.wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
         nonlocal checked
-        count = _calls.get(code, 0)
-        if count >= _CHECKED_CALLS:
+        if code in _called:
             return function(*args, **kwargs)
-        _calls[code] = count + 1
+        _called.add(code)
         checked = checked or _checked_whole(function, typechecker=typechecker)
         return checked(*args, **kwargs)
 
