@@ -2,8 +2,9 @@
 
 A check looks at every argument and at what comes back, which takes some 100 us; a fit calls small
 functions ten thousand times. What the hundredth call of a loop is given has the shapes that the
-first was given; checking four calls of each made the tests take a tenth longer. Checkers are made when they are first needed: for most functions that a process
-imports they never are, and functions within functions would have theirs made with every call.
+first was given; checking four calls of each makes the tests take a tenth longer. Checkers are made
+when they are first needed: for most functions that a process imports they never are, and functions
+within functions would have theirs made with every call.
 """
 
 import dataclasses
