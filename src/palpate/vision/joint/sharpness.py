@@ -51,7 +51,9 @@ def equally_sharp(
 
     Returns
     -------
-    Scene                               its pictures blurred where the later one is less sharp
+    Scene                               its pictures blurred where the later one is less sharp; its
+                                        `smoothing` stays that of the picture that is not blurred,
+                                        which has nearly all of the noise
     tuple of c SplinePicture            smoothed like the scene's; blurred where the first one is
                                         less sharp
     """
@@ -71,11 +73,7 @@ def equally_sharp(
             break
         variance_difference += np.where(sure, found, 0.0)
         there, later = _blurred(scene, now, variance_difference, scene.smoothing)
-    if not variance_difference.any():
-        return there, later
-    # Only one of the two is smoothed more, so the effective smoothing has half of the extra.
-    usual = float(np.sqrt(scene.smoothing**2 + 0.5 * np.abs(variance_difference).mean()))
-    return replace(there, smoothing=usual), later
+    return there, later
 
 
 def _blurred(
