@@ -222,29 +222,33 @@ def _closest_in_block(search: SurfaceSearch, points: Points) -> tuple[PointIndic
     keep = gap <= near[row] * (1.0 + 1e-12)
     # Each pair of a point and a triangle once, by point and then by triangle.
     pair = np.unique(row[keep] * len(mesh.triangles) + search.owner[piece[keep]])
-    row, triangle = np.divmod(pair, len(mesh.triangles))
+    return _nearest_of_pairs(mesh, points, *np.divmod(pair, len(mesh.triangles)))
+
+
+def _closest_of_few(mesh: TriangleMesh, points: Points) -> tuple[PointIndices, Points]:
+    """The same for a few points, without a search structure."""
+    corner = mesh.vertices[mesh.triangles]
+    gap = lengths(corner.mean(axis=1) - points[:, None])
+    near = gap - _sphere_radius(corner) <= gap.min(axis=1, keepdims=True) * (1.0 + 1e-12)
+    return _nearest_of_pairs(mesh, points, *np.nonzero(near))
+
+
+def _nearest_of_pairs(
+    mesh: TriangleMesh,
+    points: Points,
+    row: Int[np.ndarray, " p"],
+    triangle: Int[np.ndarray, " p"],
+) -> tuple[PointIndices, Points]:
+    """The nearest of the triangles that each point is paired with, and barycentric coordinates of
+    its closest point. Pairs are in the order of points and triangles; every point has one."""
     corner = mesh.vertices[mesh.triangles[triangle]]
     barycentric = _closest_in_triangle(corner, points[row])
     distance = lengths(np.einsum("nv,nva->na", barycentric, corner) - points[row])
-    # The first of the nearest triangles of each point; every point has at least one.
+    # The first of the nearest triangles of each point.
     begin = np.searchsorted(row, np.arange(len(points)))
     nearest = np.flatnonzero(distance == np.minimum.reduceat(distance, begin)[row])
     best = nearest[np.searchsorted(nearest, begin)]
     return triangle[best], barycentric[best]
-
-
-def _closest_of_few(mesh: TriangleMesh, points: Points) -> tuple[PointIndices, Points]:
-    """The same for a few points, one by one."""
-    corner = mesh.vertices[mesh.triangles]
-    centre, radius = corner.mean(axis=1), _sphere_radius(corner)
-    triangle, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
-    for k, point in enumerate(points):
-        gap = lengths(centre - point)
-        near = np.flatnonzero(gap - radius <= gap.min() * (1.0 + 1e-12))
-        inside = _closest_in_triangle(corner[near], np.broadcast_to(point, (len(near), 3)))
-        best = int(lengths(np.einsum("ev,eva->ea", inside, corner[near]) - point).argmin())
-        triangle[k], barycentric[k] = near[best], inside[best]
-    return triangle, barycentric
 
 
 def _closest_in_triangle(
