@@ -1,6 +1,5 @@
 """Acceptance or rejection of matched points, and the covariance of their displacements."""
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
@@ -179,7 +178,7 @@ def _gradient_noise_inflation(scene: Scene, noise: float) -> Float[np.ndarray, "
     picture = scene.pictures[scene.rig.reference]
     square = picture.along_column**2 + picture.along_row**2
     column, row = scene.pixel.astype(np.int64).T
-    mean = cv2.blur(square, (scene.subset, scene.subset))[row, column].astype(np.float64)
+    mean = moments(square, scene.subset)[0][row, column].astype(np.float64)
     true = mean - 2.0 * (slope_gain(scene.smoothing) * noise) ** 2
     return (mean / np.maximum(true, _MIN_RELIABILITY * mean)) ** 2
 
