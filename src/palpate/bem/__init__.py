@@ -42,6 +42,8 @@ from palpate.bem.loads import (
     body_force_columns as body_force_columns,
     correction_columns as correction_columns,
     dilation_factor as dilation_factor,
+    disc_displacement as disc_displacement,
+    disc_potentials as disc_potentials,
     face_columns as face_columns,
     indentation_corrections as indentation_corrections,
     joined as joined,

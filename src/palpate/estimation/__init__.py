@@ -24,6 +24,7 @@ from palpate.estimation.intervals import (
     ProbeFit as ProbeFit,
     cramer_rao_bound as cramer_rao_bound,
     fisher_information as fisher_information,
+    predicted_surface as predicted_surface,
 )
 from palpate.estimation.nuisance import (
     ContactError as ContactError,

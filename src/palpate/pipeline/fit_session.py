@@ -18,10 +18,12 @@ from palpate.estimation import (
     ProbeObservations,
     best_constants_of,
     fit,
+    predicted_surface,
 )
 from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
 from palpate.pipeline.model import (
     ObjectModel,
+    displaced_contacts,
     fit_at_finite_strain,
     graded_session,
     has_tools,
@@ -44,6 +46,7 @@ from palpate.records import (
     SupportEstimate,
     require_probings,
 )
+from palpate.shapes import Vertices
 
 # Fractions of the work that are done when the graded mesh's model, its factorisation and the
 # estimation start.
@@ -52,7 +55,7 @@ _GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
 _OWN = 0.4
 # Contact radii vary only with the cube root of the modulus, so they converge with the constants.
 # The relative tolerance is a tenth of the prior standard deviation of such a radius.
-_MOST_RADIUS_ROUNDS, _RADIUS_TOLERANCE = 8, 0.005
+_MOST_CONTACT_ROUNDS, _CONTACT_TOLERANCE = 8, 0.005
 # Slopes of the fitted modulus over the one that radii were computed for, beyond which a secant step
 # is no longer trusted.
 _SECANT_SLOPES = (-1.0, 0.8)
@@ -60,6 +63,8 @@ _SECANT_SLOPES = (-1.0, 0.8)
 _LARGEST_RATIO = 0.4999
 # A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
 _LARGE_ROTATION = 5e-3
+# A contact that ends up this many radii beside the point that was touched first is mentioned.
+_MENTIONED = 0.05
 
 
 def fit_session(
@@ -148,7 +153,7 @@ def _notes(
     """Notes from the session, its support motions, its contacts and its pictures."""
     # A warning of bias does not apply where finite strain is corrected for.
     notes = [note for note in session.notes if not (finite_strain and BIASED in note)]
-    notes += _rotation_notes(probes) + _contact_radius_notes(resolved)
+    notes += _rotation_notes(probes) + _contact_notes(resolved)
     return notes + _rejection_notes(session)
 
 
@@ -179,11 +184,11 @@ def _on_ungraded_mesh(
     cache: Path | None,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
-    """A session with the contact radii of its tools, and its observations with the model of the
+    """A session with the contacts of its tools, and its observations with the model of the
     mesh before grading."""
     report = part_of(progress, 0.0, _OWN)
     if has_tools(session):
-        session, observations = _with_consistent_radii(session, settings, surface, cache, report)
+        session, observations = _with_consistent_contacts(session, settings, surface, cache, report)
     else:
         # The model is not kept, so that its memory is free before the next model is made.
         observations = ungraded_observations(
@@ -195,17 +200,17 @@ def _on_ungraded_mesh(
     )  # fmt: skip
 
 
-def _with_consistent_radii(
+def _with_consistent_contacts(
     session: Session,
     settings: FitSettings,
     surface: SurfaceSettings,
     cache: Path | None,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
-    """A session with contact radii that are consistent with the constants fitted to it, and its
-    observations with the model of the mesh before grading."""
+    """A session with contacts of its tools that are consistent with the constants fitted to it, and
+    its observations with the model of the mesh before grading."""
     model, fitted, taken = None, list[float](), list[float]()
-    for iteration in range(_MOST_RADIUS_ROUNDS):
+    for iteration in range(_MOST_CONTACT_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
         model, observations = ungraded_observations(
             session, settings=settings, surface=surface, cache=cache, like=model,
@@ -214,22 +219,32 @@ def _with_consistent_radii(
         ratio, modulus = best_constants_of(observations, settings=settings)
         fitted.append(float(np.log(modulus)))
         taken.append(_consistent_modulus(taken, fitted))
-        updated = with_contact_radii(
-            session,
-            shear_modulus=float(np.exp(taken[-1])),
-            poisson_ratio=min(ratio, _LARGEST_RATIO),
-        )
+        constants = {
+            "shear_modulus": float(np.exp(taken[-1])),
+            "poisson_ratio": min(ratio, _LARGEST_RATIO),
+        }
+        moved = [_displacement_of_vertices(probe, ratio, modulus) for probe in observations]
+        updated = displaced_contacts(session, model.system.surface, moved, **constants)
+        updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
-        if change < _RADIUS_TOLERANCE:
+        if change < _CONTACT_TOLERANCE:
             return session, observations
         previous, session = session, updated
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
     if change < previous.errors.touched_radius:
         return previous, observations
     raise NotConvergedError(
-        f"the circles that the tools touch still change after {_MOST_RADIUS_ROUNDS} fits: the force"
-        " and the displacements do not belong together; check tool_radius and the unit of the force"
+        f"the circles that the tools touch still change after {_MOST_CONTACT_ROUNDS} fits: the"
+        " force and the displacements do not belong together; check tool_radius and the unit of"
+        " the force"
     )
+
+
+def _displacement_of_vertices(probe: ProbeObservations, ratio: float, modulus: float) -> Vertices:
+    """Displacement of all vertices under the measured force, (v, 3) [m]."""
+    load = np.concatenate([np.append(probe.force, 1.0) / modulus, probe.motion])
+    moved = predicted_surface(probe, ratio, load)
+    return np.zeros((0, 3)) if moved is None else moved
 
 
 def _consistent_modulus(taken: Sequence[float], fitted: Sequence[float]) -> float:
@@ -263,14 +278,23 @@ def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
     return notes
 
 
-def _contact_radius_notes(session: Session) -> list[str]:
-    """A note on the contact radii computed for the tools."""
-    radii = [
-        f"{1e3 * radius:.3g} mm in {probing.name}"
-        for probing in session.probings
-        if probing.contact.tool is not None and (radius := probing.contact.radius) is not None
-    ]
-    return [f"Radius that the tool touches: {', '.join(radii)}."] if radii else []
+def _contact_notes(session: Session) -> list[str]:
+    """Notes on the contacts computed for the tools: their radii and their places."""
+    radii, places = [], []
+    for probing in session.probings:
+        contact = probing.contact
+        if contact.tool is not None and contact.radius is not None:
+            radii.append(f"{1e3 * contact.radius:.3g} mm in {probing.name}")
+            beside = float(np.linalg.norm(contact.point - contact.start))
+            if beside > _MENTIONED * contact.radius:
+                places.append(f"{1e3 * beside:.2g} mm in {probing.name}")
+    notes = [f"Radius that the tool touches: {', '.join(radii)}."] if radii else []
+    if places:
+        notes.append(
+            "The object moves sideways under the tool, which ends up pressing beside the point that"
+            f" it touched first: {', '.join(places)}."
+        )
+    return notes
 
 
 def _rejection_notes(session: Session) -> list[str]:

@@ -12,7 +12,11 @@ from palpate.bem.loads.body_force import (
     body_force_columns as body_force_columns,
     dilation_factor as dilation_factor,
 )
-from palpate.bem.loads.half_space import PressureDisc as PressureDisc
+from palpate.bem.loads.half_space import (
+    PressureDisc as PressureDisc,
+    disc_displacement as disc_displacement,
+    disc_potentials as disc_potentials,
+)
 from palpate.bem.loads.load_integrals import integrate_load as integrate_load
 from palpate.bem.loads.local_indentation import (
     IndentationCorrection as IndentationCorrection,

@@ -171,11 +171,12 @@ def strain_corrections(
 
 
 def _tip(probing: Probing) -> Tip | None:
-    """A sliding ball that moves along the force through the contact point; None: a fixed patch."""
+    """A sliding ball that moves along the force through the point that it touched first; None: a
+    fixed patch."""
     tool = probing.contact.tool
     if tool is None or tool.shape != SPHERE or not has_outward_traction(probing.contact):
         return None
-    return Sphere(tool.radius, probing.contact.point, probing.force)
+    return Sphere(tool.radius, probing.contact.start, probing.force)
 
 
 def _places(probing: Probing) -> Points:

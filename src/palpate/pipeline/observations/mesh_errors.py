@@ -10,6 +10,7 @@ from palpate.pipeline.model import (
     ObjectModel,
     edge_refined_session,
     graded_session,
+    has_tools,
     make_object_model,
 )
 from palpate.pipeline.observations.converged_observations import converged_observations
@@ -63,8 +64,9 @@ def ungraded_observations(
     )  # fmt: skip
     progress("reduced model", _SOLVED)
     return model, converged_observations(
-        plain, model, settings=settings, snapshot_residual=_UNGRADED_RESIDUAL
-    )
+        plain, model, settings=settings, with_surface=has_tools(session),
+        snapshot_residual=_UNGRADED_RESIDUAL,
+    )  # fmt: skip
 
 
 def with_considered_errors(

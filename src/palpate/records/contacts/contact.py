@@ -111,6 +111,8 @@ class Contact:
     tool : Tool or None             the tool, from which radius and profile are computed; those
                                     given here are only initial values. None: they are known
     pressure_map : PressureMap or None      pressure under a mesh, in place of the profile
+    first_point : (3,) float [m] or None    where the tool touched first; None: at `point`, on an
+                                    object that does not move sideways under it
 
     Raises
     ------
@@ -124,6 +126,7 @@ class Contact:
     triangles: Indices | None = None
     tool: Tool | None = None
     pressure_map: PressureMap | None = None
+    first_point: Vector3 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
@@ -154,6 +157,11 @@ class Contact:
             )
         if not (np.isfinite(self.radius) and self.radius > 0.0):
             raise InputError(f"radius is {self.radius}; must be a positive length")
+
+    @property
+    def start(self) -> Vector3:
+        """Where the tool touched first [m]."""
+        return self.point if self.first_point is None else self.first_point
 
     @property
     def reach(self) -> float:

@@ -1,9 +1,10 @@
-"""Contacts of tools: their radius, their outward traction, and their errors.
+"""Contacts of tools: their place, their radius, their outward traction, and their errors.
 
 Purpose    : loads of a tool's contact for given elastic constants, and the errors of the contact:
              its position, its radius, the mesh about it.
 Takes      : a `Session`, a `BoundarySystem`, `ContactPatch`.
-Gives      : sessions with the contact radii of their tools, columns of right-hand sides.
+Gives      : sessions with the places and radii of their tools' contacts, columns of right-hand
+             sides.
 Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `perturbations.py`, then `outward.py`.
 """
@@ -29,3 +30,4 @@ from palpate.pipeline.model.contacts.perturbations import (
     perturbation_columns as perturbation_columns,
     surface_load as surface_load,
 )
+from palpate.pipeline.model.contacts.sideways import displaced_contacts as displaced_contacts

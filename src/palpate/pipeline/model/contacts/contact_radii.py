@@ -2,10 +2,16 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from palpate.errors import InputError
 from palpate.probe import contact_circle, convex_contact, local_surface
 from palpate.records import MESH, Contact, Probing, Session
 from palpate.shapes import Vector3
+
+# A contact that moves by this many radii changes the displacement as much as a radius that changes
+# by all of itself.
+_POINT_SHARE = 4.0
 
 
 def has_tools(session: Session) -> bool:
@@ -91,9 +97,13 @@ def settled_contact(
 
 
 def largest_change(before: Session, after: Session) -> float:
-    """Largest relative change of a contact radius between two versions of a session [-]."""
+    """Largest change of a contact between two versions of a session: of its radius, over it, or of
+    its point, over `_POINT_SHARE` of the radius [-]."""
     changes = [0.0]
     for earlier, later in zip(before.probings, after.probings, strict=True):
-        if earlier.contact.radius is not None and later.contact.radius is not None:
-            changes.append(abs(earlier.contact.radius / later.contact.radius - 1.0))
+        old, new = earlier.contact, later.contact
+        if old.radius is not None and new.radius is not None:
+            changes.append(abs(old.radius / new.radius - 1.0))
+            shift = float(np.linalg.norm(new.point - old.point))
+            changes.append(shift / (_POINT_SHARE * new.radius))
     return max(changes)

@@ -1,0 +1,119 @@
+"""A ball pressed into bodies until it touches a circle of 0.6 of its radius, sliding or sticking.
+
+The truth is the facility's contact on quadratic tetrahedra: nodes do not enter the ball, whose
+shape is exact, and slide along it or stick where they touched it first. The session names the ball,
+which `slides` or `sticks`; the fit finds what it touches. Run it with
+
+    python -m benchmarks.ball_contacts [BODY ...]
+
+It prints, for bodies of `bodies.py`, the circles that were touched, and the errors of E and nu:
+of data without noise, all else exact; and with noise and priors as a laboratory has them by
+default. Three minutes a body.
+"""
+
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bodies import BODIES
+from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, contacts, element_size, make_truth
+from benchmarks.coverage_of_bodies import MESHES, NOISE, errors_of, held
+from palpate.geometry import TriangleMesh, closest_points
+from palpate.lab.bodies.contact import Press, press, press_to_force
+from palpate.lab.bodies.tips import Sphere
+from palpate.pipeline import fit_session
+from palpate.records import (
+    EXACT,
+    SLIDES,
+    SPHERE,
+    STICKS,
+    DisplacementField,
+    ErrorPriors,
+    Probing,
+    Session,
+    Tool,
+)
+
+# The touched circle has `RADIUS`.
+BALL = RADIUS / 0.6
+# Steps to the depth at which a ball sticks: where a node sticks depends on the path.
+_STEPS = 24
+# The force's standard deviation where everything is exact [N].
+_FORCE = 1e-3
+# Prior errors, and noise over the root mean square displacement.
+_KNOWN = {"all else exact": (EXACT, 0.0), "defaults": (ErrorPriors(), NOISE)}
+
+
+def presses(name: str, mesh: TriangleMesh) -> dict[str, list[Press]]:
+    """The presses of a body by friction, one a contact, with displacements of the vertices."""
+    shape = BODIES[name]
+    edge, rim = MESHES[-1]
+    truth = make_truth(shape, edge=edge * element_size(mesh, shape), rim=rim * shape.edge)
+    modulus = 2.0 * SHEAR_MODULUS / (1.0 - shape.poisson_ratio)
+    # Hertz' force for the circle on a plane.
+    force = 4.0 / 3.0 * modulus * RADIUS**3 / BALL
+    found: dict[str, list[Press]] = {SLIDES: [], STICKS: []}
+    for place in contacts(mesh, shape):
+        ball = Sphere(BALL, place.point - 2.0 * BALL * place.inward, place.inward)
+        on_plane = press_to_force(truth.body, ball, force)
+        sliding = press_to_force(truth.body, ball, force * (RADIUS / on_plane.radius) ** 3)
+        depths = sliding.depth * np.arange(1, _STEPS + 1) / _STEPS
+        sticking = press(truth.body, ball, depths, sticking=True)[-1]
+        for friction, one in ((SLIDES, sliding), (STICKS, sticking)):
+            moved = truth.at(one.displacement, mesh.vertices)
+            found[friction].append(replace(one, displacement=moved))
+    return found
+
+
+def session(
+    name: str, mesh: TriangleMesh, pressed: Iterable[Press], friction: str, noise: float
+) -> Session:
+    """What a laboratory measures of some presses; no camera sees what the ball covers."""
+    shape, rng = BODIES[name], np.random.default_rng(0)
+    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < shape.held).all(axis=1))
+    seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
+    points = closest_points(mesh, mesh.vertices[seen])
+    tool = Tool(SPHERE, BALL, friction)
+    probings = []
+    for k, (place, one) in enumerate(zip(contacts(mesh, shape), pressed, strict=True)):
+        sigma = noise * float(np.sqrt((one.displacement**2).mean()))
+        field = one.displacement[seen] + sigma * rng.normal(size=(len(seen), 3))
+        field[np.linalg.norm(mesh.vertices[seen] - place.point, axis=1) < BALL] = np.nan
+        std = np.full_like(field, sigma) if noise else None
+        displacement = DisplacementField(points.position, field, std, None, points, "truth")
+        contact = tool.contact(place.point, float(np.ptp(mesh.vertices)))
+        certain = np.full(3, _FORCE)
+        probings.append(
+            Probing(f"n{k}", contact, one.force, certain, None, None, displacement, None)
+        )
+    return Session(
+        name, Path(name), mesh, held, tuple(probings), None, None, None, (), errors=EXACT
+    )
+
+
+def main() -> None:
+    """Print the figures, body by body."""
+    for name in sys.argv[1:] or BODIES:
+        shape = BODIES[name]
+        mesh, ratio = shape.make(shape.edge), shape.poisson_ratio
+        truth = {
+            "poisson_ratio": ratio,
+            "shear_modulus": SHEAR_MODULUS,
+            "young_modulus": 2.0 * SHEAR_MODULUS * (1.0 + ratio),
+        }
+        found = presses(name, mesh)
+        for friction, told in ((SLIDES, SLIDES), (STICKS, STICKS), (STICKS, SLIDES)):
+            touched = ", ".join(f"{one.radius / BALL:.2f}" for one in found[friction])
+            print(f"{name:10s} {friction}, told {told}: circles of {touched} radii")
+            for known, (errors, noise) in _KNOWN.items():
+                measured = session(name, mesh, found[friction], told, noise)
+                estimate = fit_session(replace(measured, errors=errors)).estimate
+                holds = ", ".join("holds" if one else "misses" for one in held(estimate, truth))
+                print(f"  {known:16s}{errors_of(estimate, truth)}   {holds}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
