@@ -105,7 +105,10 @@ def fit_session(
     resolved = resolved_session(session, surface=surface)
     # First, so that its memory is free again before the graded model is made.
     report = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
-    resolved, ungraded = _on_ungraded_mesh(resolved, settings, surface, cache, report)
+    # The correction for finite strain presses a ball where it touched first, and lets it slide.
+    resolved, ungraded = _on_ungraded_mesh(
+        resolved, settings, surface, cache, not finite_strain, report
+    )
     compared = time.perf_counter()
     progress("integrals over the surface", _GRADED)
     graded = graded_session(resolved, surface=surface)
@@ -182,13 +185,16 @@ def _on_ungraded_mesh(
     settings: FitSettings,
     surface: SurfaceSettings,
     cache: Path | None,
+    displaced: bool,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
-    """A session with the contacts of its tools, and its observations with the model of the
-    mesh before grading."""
+    """A session with the contacts of its tools, `displaced` with the object or where they touched
+    first, and its observations with the model of the mesh before grading."""
     report = part_of(progress, 0.0, _OWN)
     if has_tools(session):
-        session, observations = _with_consistent_contacts(session, settings, surface, cache, report)
+        session, observations = _with_consistent_contacts(
+            session, settings, surface, cache, displaced, report
+        )
     else:
         # The model is not kept, so that its memory is free before the next model is made.
         observations = ungraded_observations(
@@ -205,6 +211,7 @@ def _with_consistent_contacts(
     settings: FitSettings,
     surface: SurfaceSettings,
     cache: Path | None,
+    displaced: bool,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with contacts of its tools that are consistent with the constants fitted to it, and
@@ -223,8 +230,10 @@ def _with_consistent_contacts(
             "shear_modulus": float(np.exp(taken[-1])),
             "poisson_ratio": min(ratio, _LARGEST_RATIO),
         }
-        moved = [_displacement_of_vertices(probe, ratio, modulus) for probe in observations]
-        updated = displaced_contacts(session, model.system.surface, moved, **constants)
+        updated = session
+        if displaced:
+            moved = [_displacement_of_vertices(probe, ratio, modulus) for probe in observations]
+            updated = displaced_contacts(session, model.system.surface, moved, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
         if change < _CONTACT_TOLERANCE:
@@ -234,7 +243,7 @@ def _with_consistent_contacts(
     if change < previous.errors.touched_radius:
         return previous, observations
     raise NotConvergedError(
-        f"the circles that the tools touch still change after {_MOST_CONTACT_ROUNDS} fits: the"
+        f"what the tools touch still changes after {_MOST_CONTACT_ROUNDS} fits: the"
         " force and the displacements do not belong together; check tool_radius and the unit of"
         " the force"
     )

@@ -18,8 +18,8 @@ from palpate.lab.bodies.tetrahedra import Solid
 from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, Vector3
 
-# A ball that touches a circle of 0.6 of its radius takes 80.
-_MAX_ROUNDS = 200
+# A ball that touches a circle of 0.6 of its radius takes 80 on a block, 190 on an egg.
+_MAX_ROUNDS = 600
 # Relative change of the forces below which normals and active nodes have converged.
 _TOLERANCE = 1e-10
 # The search for the depth of a force begins at this many times the depth in a half space.

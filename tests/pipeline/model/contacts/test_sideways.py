@@ -16,6 +16,7 @@ from palpate.bem import (
 )
 from palpate.geometry import TriangleMesh
 from palpate.pipeline.model.contacts import displaced_contacts, with_contact_radii
+from palpate.pipeline.model.contacts.sideways import STEP
 from palpate.records import (
     CONE,
     EXACT,
@@ -78,26 +79,28 @@ NEAR = 1e-5
 
 def test_a_ball_touches_where_the_surface_faces_it() -> None:
     contact = _displaced(Tool(SPHERE, BALL))
-    expected = BALL * _slope() - np.append(SIDEWAYS[:2], 0.0)
+    expected = STEP * (BALL * _slope() - np.append(SIDEWAYS[:2], 0.0))
     np.testing.assert_allclose(contact.point - PLACE, expected, rtol=0.0, atol=NEAR)
     np.testing.assert_array_equal(contact.start, PLACE)
 
 
 def test_a_surface_that_sticks_does_not_slip_but_rolls() -> None:
     contact = _displaced(Tool(SPHERE, BALL, STICKS))
-    np.testing.assert_allclose(contact.point - PLACE, BALL * _slope(), rtol=0.0, atol=NEAR)
+    np.testing.assert_allclose(contact.point - PLACE, STEP * BALL * _slope(), rtol=0.0, atol=NEAR)
 
 
 @pytest.mark.parametrize("tool", [Tool(FLAT, 3e-3), Tool(CONE, 3e-3, angle=1.2)])
 def test_faces_and_points_stay_where_they_are_in_space(tool: Tool) -> None:
     contact = _displaced(tool)
-    np.testing.assert_allclose((contact.point - PLACE)[:2], -SIDEWAYS[:2], rtol=0.0, atol=NEAR)
+    np.testing.assert_allclose(
+        (contact.point - PLACE)[:2], -STEP * SIDEWAYS[:2], rtol=0.0, atol=NEAR
+    )
 
 
 def test_an_arm_that_was_seen_to_move_sideways_is_followed() -> None:
     travel = np.array([3e-4, 1e-4, -2e-3])
     shift = _displaced(Tool(SPHERE, BALL), travel).point - _displaced(Tool(SPHERE, BALL)).point
-    np.testing.assert_allclose(shift[:2], travel[:2], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(shift[:2], STEP * travel[:2], rtol=0.0, atol=1e-9)
 
 
 def test_a_tool_is_followed_by_no_more_than_its_contact() -> None:
@@ -106,7 +109,7 @@ def test_a_tool_is_followed_by_no_more_than_its_contact() -> None:
     far = 0.01 * np.broadcast_to([1.0, 0.0, 0.0], mesh.vertices.shape)
     (probing,) = displaced_contacts(session, _surface(mesh), [far], **CONSTANTS).probings
     contact = probing.contact
-    assert np.linalg.norm(contact.point - PLACE) == pytest.approx(contact.radius, rel=1e-2)
+    assert np.linalg.norm(contact.point - PLACE) == pytest.approx(STEP * contact.radius, rel=1e-2)
 
 
 def test_a_curved_surface_turns_its_face_sooner() -> None:
@@ -120,7 +123,7 @@ def test_a_curved_surface_turns_its_face_sooner() -> None:
     moved = np.cross(TURN, mesh.vertices - top)
     session = replace(session, probings=(probing,))
     (found,) = displaced_contacts(session, _surface(mesh), [moved], **CONSTANTS).probings
-    expected = BALL * big / (BALL + big) * _slope()
+    expected = STEP * BALL * big / (BALL + big) * _slope()
     # The mesh's own curvature is known to 2 %.
     np.testing.assert_allclose((found.contact.point - top)[:2], expected[:2], rtol=0.0, atol=6e-6)
 
