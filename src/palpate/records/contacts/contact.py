@@ -102,7 +102,8 @@ class Contact:
 
     Parameters
     ----------
-    point : (3,) float [m]          centre of the patch, on the surface or close to it
+    point : (3,) float [m]          centre of the patch, on the surface or close to it; for a tool:
+                                    where it touches first
     radius : float [m] or None      contact radius, > 0; None only for the profile `VERTEX` and for
                                     triangles
     profile : str                   one of `contact_profiles`; with triangles `UNIFORM` or `RIGID`;
