@@ -1,9 +1,11 @@
 """The outward part of a sphere's pressure, against the traction itself on a fine patch."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from surfaces import box
 
 from palpate.bem import BoundarySystem, assemble_system, make_surface, traction_column
@@ -12,7 +14,7 @@ from palpate.pipeline.model.contacts import has_outward_traction, outward_column
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import CONE, FLAT, SLIDES, SPHERE, STICKS, Contact, Tool
 
-BALL, RADIUS, SIDE = 30e-3, 12e-3, 0.04
+BALL, RADIUS, SIDE = 0.3, 12e-3, 0.04
 PLACE = np.array([0.02, 0.02, SIDE])
 
 
@@ -57,16 +59,31 @@ def test_what_has_an_outward_part(system: BoundarySystem) -> None:
     assert not has_outward_traction(replace(patch.contact, tool=None))
 
 
+def _lever(ratio: float) -> float:
+    """Mean of r tan(lean) under a sphere of radius 1 on a circle of radius `ratio`, from Sneddon's
+    pressure."""
+
+    def total(value: Callable[[float], float]) -> float:
+        def ring(t: float) -> float:
+            inner = quad(lambda a: value(t * np.sin(a)) * t * np.sin(a), 0.0, 0.5 * np.pi)[0]
+            return float((np.arctanh(t) + t / (1.0 - t**2)) * inner)
+
+        return float(quad(ring, 0.0, ratio)[0])
+
+    return total(lambda r: r**2 / np.sqrt(1.0 - r**2)) / total(lambda r: 1.0)
+
+
 @pytest.mark.parametrize(
     ("tool", "profile", "expected"),
     [
         (Tool(SPHERE, BALL), "hertz", 0.4 * RADIUS**2 / BALL),
+        (Tool(SPHERE, RADIUS / 0.6), "hertz", _lever(0.6) * RADIUS / 0.6),
         (Tool(CONE, BALL, SLIDES, np.arctan(2.0)), "cone", np.pi / 6.0 * RADIUS / 2.0),
     ],
 )
 def test_in_finite_elements_it_stretches_as_much(tool: Tool, profile: str, expected: float) -> None:
     """Its virial, sum of force times place, over the force: the mean of r times the lean, which is
-    2 a^2 / (5 R) under a sphere and pi a cot(angle) / 6 under a cone."""
+    2 a^2 / (5 R) under a large sphere and pi a cot(angle) / 6 under a cone."""
     solid = make_solid(box((SIDE, SIDE, SIDE), 4), edge=9e-3, fine=[(PLACE, RADIUS, 4e-3)])
     contact = Contact(PLACE, RADIUS, profile, tool=tool)
     load = outward_load(solid, contact, np.array([0.0, 0.0, -2.0]))
