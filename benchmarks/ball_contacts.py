@@ -41,7 +41,7 @@ from palpate.records import (
 
 # The half ball has some 600 vertices, too.
 SHAPES = {"half_ball": Shape(lambda edge: half_ball(radius=0.04, edge=edge), 5.1e-3), **BODIES}
-USUAL = ("half_ball", "slab", "block", "egg")
+USUAL = ("half_ball", "slab", "block")
 # The touched circle has `RADIUS`.
 BALL = RADIUS / 0.6
 # Steps to the depth at which a ball sticks: where a node sticks depends on the path.
