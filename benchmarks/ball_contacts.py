@@ -20,8 +20,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.bodies import BODIES, Shape
-from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, contacts, element_size, make_truth
-from benchmarks.coverage_of_bodies import MESHES, NOISE, errors_of, held
+from benchmarks.body_truth import (
+    RADIUS,
+    SHEAR_MODULUS,
+    contacts,
+    element_size,
+    held_triangles,
+    make_truth,
+)
+from benchmarks.coverage_of_bodies import MESHES, NOISE, constants, errors_of, held
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.lab import half_ball
 from palpate.lab.bodies.contact import Press, press, press_to_force
@@ -78,7 +85,7 @@ def session(
 ) -> Session:
     """What a laboratory measures of some presses; no camera sees what the ball covers."""
     shape, rng = SHAPES[name], np.random.default_rng(0)
-    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < shape.held).all(axis=1))
+    held = np.flatnonzero(held_triangles(mesh, shape))
     seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
     points = closest_points(mesh, mesh.vertices[seen])
     tool = Tool(SPHERE, BALL, friction)
@@ -103,12 +110,7 @@ def main() -> None:
     """Print the figures, body by body."""
     for name in sys.argv[1:] or USUAL:
         shape = SHAPES[name]
-        mesh, ratio = shape.make(shape.edge), shape.poisson_ratio
-        truth = {
-            "poisson_ratio": ratio,
-            "shear_modulus": SHEAR_MODULUS,
-            "young_modulus": 2.0 * SHEAR_MODULUS * (1.0 + ratio),
-        }
+        mesh, truth = shape.make(shape.edge), constants(shape)
         found = presses(name, mesh)
         for friction, told in ((SLIDES, SLIDES), (STICKS, STICKS), (STICKS, SLIDES)):
             touched = ", ".join(f"{one.radius / BALL:.2f}" for one in found[friction])

@@ -83,13 +83,14 @@ def _lines(mesh: TriangleMesh, held: Bool[np.ndarray, " m"]) -> _Lines:
     return _Lines(ends, sharp, held[one] != held[other], sharp & inside)
 
 
-def _held_triangles(mesh: TriangleMesh, shape: Shape) -> Bool[np.ndarray, " m"]:
+def held_triangles(mesh: TriangleMesh, shape: Shape) -> Bool[np.ndarray, " m"]:
+    """Triangles of a body's surface that its support holds."""
     return (mesh.vertices[mesh.triangles][:, :, 2] < shape.held).all(axis=1)
 
 
 def contacts(mesh: TriangleMesh, shape: Shape) -> list[Contact]:
     """Vertices toward the shape's directions, away from edges, support and each other."""
-    normals, held = unit_normals(mesh), _held_triangles(mesh, shape)
+    normals, held = unit_normals(mesh), held_triangles(mesh, shape)
     lines = _lines(mesh, held)
     away = np.full(len(mesh.vertices), np.inf)
     marked = lines.points(lines.sharp | lines.rim)
@@ -174,7 +175,7 @@ def graded_solid(shape: Shape, *, edge: float, rim: float) -> tuple[Solid, Bool[
     """
     places = contacts(shape.make(shape.edge), shape)
     surface = shape.make(_SURFACE * shape.edge)
-    lines = _lines(surface, _held_triangles(surface, shape))
+    lines = _lines(surface, held_triangles(surface, shape))
     fine = [(place.point, 1.2 * RADIUS, _FINE * RADIUS) for place in places]
     fine += [(point, 0.0, rim) for point in lines.points(lines.rim | lines.hollow)]
     solid = make_solid(surface, edge=edge, fine=fine)

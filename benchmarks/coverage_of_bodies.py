@@ -21,7 +21,14 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import BODIES, Shape
-from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, contacts, element_size, make_truth
+from benchmarks.body_truth import (
+    RADIUS,
+    SHEAR_MODULUS,
+    contacts,
+    element_size,
+    held_triangles,
+    make_truth,
+)
 from benchmarks.drawn_bodies import DRAWN_BODIES
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session
@@ -75,9 +82,14 @@ class Measured:
     @property
     def truth(self) -> dict[str, float]:
         """The constants."""
-        ratio = self.shape.poisson_ratio
-        values = (ratio, SHEAR_MODULUS, 2 * SHEAR_MODULUS * (1 + ratio))
-        return dict(zip(NAMES, values, strict=True))
+        return constants(self.shape)
+
+
+def constants(shape: Shape) -> dict[str, float]:
+    """The constants of a body."""
+    ratio = shape.poisson_ratio
+    values = (ratio, SHEAR_MODULUS, 2 * SHEAR_MODULUS * (1 + ratio))
+    return dict(zip(NAMES, values, strict=True))
 
 
 def measured_body(name: str, folder: Path, stiffness: float | None = None) -> Measured:
@@ -124,7 +136,7 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
     """What a laboratory tells, wrong by draws from its priors."""
     # Other draws on every body.
     rng, mesh = np.random.default_rng([seed, list(EVERY).index(body.name)]), body.mesh
-    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < body.shape.held).all(axis=1))
+    held = np.flatnonzero(held_triangles(mesh, body.shape))
     seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
     gain = 1.0 + errors.force_gain * rng.normal()
     axes = Rotation.from_rotvec(errors.force_direction * rng.normal(size=3))

@@ -18,6 +18,7 @@ from palpate.pipeline import (
     session_observations,
 )
 from palpate.pipeline.fit_session import _consistent_modulus
+from palpate.pipeline.model import largest_change
 from palpate.probe import contact_circle
 from palpate.records import (
     EXACT,
@@ -122,3 +123,27 @@ def test_a_buried_ball_is_refused(measured: Session) -> None:
         PalpateError, match=r"probing 'n': a force of .* would bury a sphere of 1 mm"
     ):
         fit_session(_named(measured, Tool(SPHERE, 1e-3)))
+
+
+def test_the_fit_follows_a_contact_that_the_object_carries_along(measured: Session) -> None:
+    """Beside the middle the cube leans under the tool, which then presses farther out."""
+    (probing,) = measured.probings
+    contact = replace(Tool(SPHERE, BALL).contact(PLACE + np.array([0.01, 0.0, 0.0])), radius=2.5e-3)
+    session = replace(measured, probings=(replace(probing, contact=contact),))
+    (seen,) = session_observations(session, make_object_model(session))
+    moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / SHEAR).reshape(-1, 3)
+    field = replace(probing.displacement, displacement=moved)
+    session = replace(session, probings=(replace(probing, contact=contact, displacement=field),))
+    notes = fit_session(session).estimate.notes
+    (note,) = [note for note in notes if "moves sideways under the tool" in note]
+    assert "mm in n" in note
+
+
+def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None:
+    (probing,) = measured.probings
+    contact = probing.contact
+    moved = replace(contact, point=contact.point + 0.04 * contact.radius * np.eye(3)[0])
+    wider = replace(contact, radius=contact.radius / 0.99)
+    for other in (moved, wider):
+        changed = replace(measured, probings=(replace(probing, contact=other),))
+        assert largest_change(measured, changed) == pytest.approx(0.01, rel=1e-9)

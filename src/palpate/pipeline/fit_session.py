@@ -221,6 +221,7 @@ def _with_consistent_contacts(
         # The number of iterations is not known: each takes half of the remaining progress.
         model, observations = ungraded_observations(
             session, settings=settings, surface=surface, cache=cache, like=model,
+            with_surface=displaced,
             progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
         )  # fmt: skip
         ratio, modulus = best_constants_of(observations, settings=settings)
@@ -236,6 +237,8 @@ def _with_consistent_contacts(
             updated = displaced_contacts(session, model.system.surface, moved, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
+        # Responses of all vertices are large, and not needed any more.
+        observations = [replace(probe, vertices=None) for probe in observations]
         if change < _CONTACT_TOLERANCE:
             return session, observations
         previous, session = session, updated

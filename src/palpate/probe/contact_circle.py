@@ -7,6 +7,7 @@ as a half space with the curvature of its surface; the shape of a spherical tool
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import brentq
 
 from palpate.errors import InputError
@@ -129,6 +130,11 @@ class LocalSurface:
 
     normal: Vector3
     curvature: float
+
+    @property
+    def tangents(self) -> Float[np.ndarray, "2 3"]:
+        """Two unit tangents, at right angles."""
+        return np.linalg.svd(self.normal[None])[2][1:]
 
 
 def local_surface(mesh: TriangleMesh, point: Vector3, radius: float) -> LocalSurface:

@@ -88,7 +88,7 @@ def convex_contact(
     """
     check_inward(force)
     modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
-    axes, half = np.linalg.svd(local.normal[None])[2][1:], tool.radius
+    axes, half = local.tangents, tool.radius
     for _ in range(_MOST_ROUNDS):
         x, y = half * np.stack(np.meshgrid(_centres(), _centres(), indexing="ij"))
         height, slopes, inside = _lower_surface(tool, axes, local.normal, x, y)

@@ -10,7 +10,6 @@ from palpate.pipeline.model import (
     ObjectModel,
     edge_refined_session,
     graded_session,
-    has_tools,
     make_object_model,
 )
 from palpate.pipeline.observations.converged_observations import converged_observations
@@ -31,6 +30,7 @@ def ungraded_observations(
     surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     like: ObjectModel | None = None,
+    with_surface: bool = False,
     progress: Progress = silent,
 ) -> tuple[ObjectModel, list[ProbeObservations]]:
     """The model of the mesh as it is, without other errors, and the observations with it.
@@ -44,6 +44,7 @@ def ungraded_observations(
     surface : SurfaceSettings
     cache : Path or None                  folder in which the integrals are kept
     like : ObjectModel or None            as `make_object_model`
+    with_surface : bool                   True: with responses of all vertices
     progress : callable                   called with the current step (text) and the fraction done
 
     Returns
@@ -64,7 +65,7 @@ def ungraded_observations(
     )  # fmt: skip
     progress("reduced model", _SOLVED)
     return model, converged_observations(
-        plain, model, settings=settings, with_surface=has_tools(session),
+        plain, model, settings=settings, with_surface=with_surface,
         snapshot_residual=_UNGRADED_RESIDUAL,
     )  # fmt: skip
 

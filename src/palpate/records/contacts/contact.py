@@ -131,6 +131,9 @@ class Contact:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
+        if self.first_point is not None:
+            first = fixed_array(self.first_point, name="first_point", shape=(3,))
+            object.__setattr__(self, "first_point", first)
         if self.triangles is not None:
             triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
             object.__setattr__(self, "triangles", np.unique(triangles))

@@ -9,8 +9,8 @@ from palpate.probe import contact_circle, convex_contact, local_surface
 from palpate.records import MESH, Contact, Probing, Session
 from palpate.shapes import Vector3
 
-# A contact that moves by this many radii changes the displacement as much as a radius that changes
-# by all of itself.
+# A change of place counts this many times less than one of the radius, both over the radius: by
+# default it is known four times less well on a contact of 2.5 mm, twice on one of 5 mm.
 _POINT_SHARE = 4.0
 
 

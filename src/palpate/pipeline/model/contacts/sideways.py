@@ -63,11 +63,11 @@ def displaced_contacts(
         if tool is not None:
             start = contact.start
             local = local_surface(session.mesh, start, tool.radius)
-            around = _around(session.mesh, contact, local, surface, displacement)
+            places, whole = _around(session.mesh, contact, local, surface, displacement)
             shift = np.zeros(3)
-            if len(around[0]) >= _ENOUGH:
-                own = _under_tool(probing, local, around[0], shear_modulus, poisson_ratio)
-                shift = _shift(probing, tool, local, _plane(contact, local, *around, own))
+            if len(places) >= _ENOUGH:
+                own = _under_tool(probing, local, places, shear_modulus, poisson_ratio)
+                shift = _shift(probing, tool, local, _plane(contact, local, places, whole - own))
             place = contact.point + STEP * (start + shift - contact.point)
             point = closest_points(session.mesh, place[None]).position[0]
             probing = replace(probing, contact=replace(contact, point=point, first_point=start))
@@ -85,7 +85,7 @@ def _shift(
     takes and k its curvature, a ball of radius R touches at y where (y + u - s) / R + k y = g. For
     tools of other shapes R is taken as 0, and to one that sticks the surface does not move.
     """
-    tangents, shift = _tangents(local), np.zeros(2)
+    tangents, shift = local.tangents, np.zeros(2)
     if tool.friction == SLIDES:
         travel = np.zeros(3) if probing.tip_displacement is None else probing.tip_displacement
         shift = tangents @ (travel - plane[0])
@@ -97,18 +97,14 @@ def _shift(
 
 
 def _plane(
-    contact: Contact,
-    local: LocalSurface,
-    places: Points,
-    displacement: Points,
-    own: Points,
+    contact: Contact, local: LocalSurface, places: Points, displacement: Points
 ) -> Float[np.ndarray, "3 3"]:
     """Displacement [m] at a contact and its derivatives along two tangents, of the whole object:
-    without its `own` under the tool's pressure, which has neither at the centre."""
-    offset = (places - contact.point) @ _tangents(local).T
+    from a displacement without that under the tool's pressure, which has neither at the centre."""
+    offset = (places - contact.point) @ local.tangents.T
     # A curved surface lies lower away from the contact.
     terms = np.column_stack([np.ones(len(offset)), offset, (offset**2).sum(axis=1)])
-    return np.linalg.lstsq(terms, displacement - own, rcond=None)[0][:3]
+    return np.linalg.lstsq(terms, displacement, rcond=None)[0][:3]
 
 
 def _under_tool(
@@ -128,10 +124,6 @@ def _under_tool(
     return (constant + poisson_ratio * slope) @ pressing / shear_modulus
 
 
-def _tangents(local: LocalSurface) -> Float[np.ndarray, "2 3"]:
-    return np.linalg.svd(local.normal[None])[2][1:]
-
-
 def _around(
     mesh: TriangleMesh,
     contact: Contact,
@@ -142,7 +134,7 @@ def _around(
     """Points about a contact on the same face of the object, and their displacement [m]."""
     angle = 2.0 * np.pi * np.arange(_ON_CIRCLE) / _ON_CIRCLE
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    offset = np.concatenate([reach * circle @ _tangents(local) for reach in _CIRCLES])
+    offset = np.concatenate([reach * circle @ local.tangents for reach in _CIRCLES])
     near = closest_points(mesh, contact.point + contact.reach * offset)
     level = unit_normals(mesh)[near.triangle] @ local.normal > np.cos(CREASE_ANGLE)
     rows = np.flatnonzero(level)
