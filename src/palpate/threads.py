@@ -1,5 +1,6 @@
 """Loops over independent items, run in several threads at once."""
 
+import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -35,7 +36,16 @@ def in_threads(
         kernel(0, count, *arguments)
         return
     bounds = [count * i // ranges for i in range(ranges + 1)]
-    with ThreadPoolExecutor(min(threads, ranges)) as pool:
-        done = pool.map(lambda a, b: kernel(a, b, *arguments), bounds[:-1], bounds[1:])
-        for _ in done:
-            pass
+    remaining = iter(list(itertools.pairwise(bounds)))
+
+    def work() -> None:
+        for start, stop in remaining:
+            kernel(start, stop, *arguments)
+
+    # This thread works, too: starting another takes as long as a small kernel.
+    helpers = min(threads, ranges) - 1
+    with ThreadPoolExecutor(helpers) as pool:
+        helping = [pool.submit(work) for _ in range(helpers)]
+        work()
+    for helper in helping:
+        helper.result()

@@ -49,7 +49,6 @@ from palpate.estimation.observations import (
 from palpate.estimation.responses import (
     CENTRE as CENTRE,
     DENSE_RESIDUAL as DENSE_RESIDUAL,
-    SNAPSHOT_RESIDUAL as SNAPSHOT_RESIDUAL,
     PointRows as PointRows,
     ProbeMotions as ProbeMotions,
     ProbeResponse as ProbeResponse,

@@ -95,7 +95,7 @@ def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
 
 def test_the_residual_that_is_asked_for_decides_how_many_solutions_are_made(compressed, right):
     loose, tight = (
-        make_reduced_model(compressed, right, poisson_range=(0.1, 0.45), snapshot_residual=residual)
+        make_reduced_model(compressed, right, poisson_range=(0.1, 0.45), tolerance=residual)
         for residual in (1e-3, 1e-6)
     )
     assert len(loose.ratios) < len(tight.ratios)

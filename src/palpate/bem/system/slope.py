@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg.blas import dgemm
 
 from palpate.bem.integrals import DISPLACEMENT, TRACTION, FieldBlocks
 from palpate.bem.system.system import BoundarySystem
@@ -43,16 +44,22 @@ class SystemSlope:
         (n_rows, n_free), count = self.flux.shape, unknowns.shape[1]
         u = unknowns[: 3 * n_free].reshape(n_free, 3, count)
         q = unknowns[3 * n_free : -3].reshape(self.trace.shape[1], 3 * count)
-        product = self.flux @ u.reshape(n_free, 3 * count) + self.trace @ q
-        product = product.reshape(n_rows, 3, count)
+        total = _product(self.flux, u.reshape(n_free, 3 * count)) + _product(self.trace, q)
+        product = total.reshape(n_rows, 3, count)
         for axis, part in enumerate(self.skew):
             # A cross product with the axis involves the two other components only.
             after, last = (axis + 1) % 3, (axis + 2) % 3
             others = u[:, [after, last]].reshape(n_free, 2 * count)
-            others = (part @ others).reshape(n_rows, 2, count)
-            product[:, after] -= others[:, 1]
-            product[:, last] += others[:, 0]
+            turned = _product(part, others).reshape(n_rows, 2, count)
+            product[:, after] -= turned[:, 1]
+            product[:, last] += turned[:, 0]
         return np.concatenate([*product.transpose(1, 0, 2), np.zeros((3, count))])
+
+
+def _product(a: Float[np.ndarray, "r n"], b: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "r c"]:
+    """a @ b by the library that solves the system, in turns with these products: that of numpy has
+    threads of its own, and the idle ones of either take the processors from the other."""
+    return dgemm(1.0, b.T, a.T).T
 
 
 def system_slope(system: BoundarySystem) -> SystemSlope:

@@ -10,7 +10,6 @@ Read first : `responses.py`, then `reduced_model.py`.
 from palpate.estimation.responses.reduced_model import (
     CENTRE as CENTRE,
     DENSE_RESIDUAL as DENSE_RESIDUAL,
-    SNAPSHOT_RESIDUAL as SNAPSHOT_RESIDUAL,
     ReducedModel as ReducedModel,
     make_reduced_model as make_reduced_model,
     make_spring_model as make_spring_model,

@@ -7,7 +7,7 @@ import numpy as np
 
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
-    SNAPSHOT_RESIDUAL,
+    DENSE_RESIDUAL,
     Discretisation,
     FitSettings,
     ProbeObservations,
@@ -31,7 +31,7 @@ def converged_observations(
     settings: FitSettings = FitSettings(),
     coarser: Sequence[ProbeObservations] = (),
     with_surface: bool = False,
-    snapshot_residual: float = SNAPSHOT_RESIDUAL,
+    residual: float = DENSE_RESIDUAL,
 ) -> list[ProbeObservations]:
     """Observations with the model at the best-fit shear modulus, on which it depends where supports
     are compliant.
@@ -44,7 +44,7 @@ def converged_observations(
     coarser : sequence of k ProbeObservations, or empty    the same on a coarser mesh: adds the
                                           error of the mesh and the errors considered there
     with_surface : bool                   True: with responses of all vertices
-    snapshot_residual : float             as `make_reduced_model`
+    residual : float                      as `session_observations_at`
 
     Returns
     -------
@@ -56,9 +56,8 @@ def converged_observations(
                                           does not converge, as the springs alone explain the motion
     """
     make = session_observations_at(
-        session, model, settings=settings, with_surface=with_surface,
-        snapshot_residual=snapshot_residual,
-    )  # fmt: skip
+        session, model, settings=settings, with_surface=with_surface, residual=residual
+    )
     stiffnesses = [each.stiffness for each in session.supports if each.stiffness is not None]
     if not stiffnesses:
         return _with_mesh_errors(make(1.0), coarser)

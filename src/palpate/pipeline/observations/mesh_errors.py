@@ -16,8 +16,9 @@ from palpate.pipeline.observations.converged_observations import converged_obser
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, Session
 
-# Relative residual of a compressed model used only for the change to a finer mesh: that is at least
-# a thousandth of the displacement, so it is known to a hundredth.
+# Relative residual of a model used only for the change to a finer mesh: that is at least a
+# thousandth of the displacement, so it is known to a hundredth; on a plate of 5 mm a residual of
+# 1e-4 changes no constant by 1e-7.
 _UNGRADED_RESIDUAL = 1e-5
 # Fraction of the work that the integrals take.
 _SOLVED = 0.5
@@ -65,9 +66,8 @@ def ungraded_observations(
     )  # fmt: skip
     progress("reduced model", _SOLVED)
     return model, converged_observations(
-        plain, model, settings=settings, with_surface=with_surface,
-        snapshot_residual=_UNGRADED_RESIDUAL,
-    )  # fmt: skip
+        plain, model, settings=settings, with_surface=with_surface, residual=_UNGRADED_RESIDUAL
+    )
 
 
 def with_considered_errors(

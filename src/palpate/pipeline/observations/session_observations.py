@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 from palpate.errors import InputError
 from palpate.estimation import (
     DENSE_RESIDUAL,
-    SNAPSHOT_RESIDUAL,
     FitMethod,
     FitSettings,
     Nuisance,
@@ -78,7 +77,7 @@ def session_observations_at(
     *,
     settings: FitSettings = FitSettings(),
     with_surface: bool = False,
-    snapshot_residual: float = SNAPSHOT_RESIDUAL,
+    residual: float = DENSE_RESIDUAL,
 ) -> Callable[[float], list[ProbeObservations]]:
     """As `session_observations`, for any modulus, from one factorisation.
 
@@ -88,7 +87,7 @@ def session_observations_at(
     model : ObjectModel
     settings : FitSettings
     with_surface : bool                   True: with responses of all vertices
-    snapshot_residual : float             as `make_reduced_model`
+    residual : float                      largest one of the loads (`make_reduced_model`)
 
     Returns
     -------
@@ -116,12 +115,11 @@ def session_observations_at(
         responses = full_responses(model.system, model.right, rows)
     else:
         # The perturbed contacts come last.
-        tolerance = np.full(model.right.terms.shape[2], DENSE_RESIDUAL)
+        tolerance = np.full(model.right.terms.shape[2], residual)
         tolerance[len(tolerance) - len(model.perturbations) :] = _PERTURBATION_TOLERANCE
         reduced = make_reduced_model(
-            model.system, model.right, poisson_range=settings.poisson_range, tolerance=tolerance,
-            snapshot_residual=snapshot_residual,
-        )  # fmt: skip
+            model.system, model.right, poisson_range=settings.poisson_range, tolerance=tolerance
+        )
         responses = [reduced_response(reduced, row) for row in rows]
     return lambda modulus: _all_observations(session, model, responses, modulus)
 
