@@ -15,6 +15,7 @@ has them by default. Three to six minutes a body.
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +113,7 @@ def main() -> None:
         shape = SHAPES[name]
         mesh, truth = shape.make(shape.edge), constants(shape)
         found = presses(name, mesh)
-        for friction, told in ((SLIDES, SLIDES), (STICKS, STICKS), (STICKS, SLIDES)):
+        for friction, told in product((SLIDES, STICKS), repeat=2):
             touched = ", ".join(f"{one.radius / BALL:.2f}" for one in found[friction])
             print(f"{name:10s} {friction}, told {told}: circles of {touched} radii")
             for known, (errors, noise) in _KNOWN.items():

@@ -54,7 +54,7 @@ def measured() -> Session:
     """What a ball moves that touches a circle of Sneddon's radius."""
     circle = contact_circle(Tool(SPHERE, BALL), 0.0, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
     contact = replace(Tool(SPHERE, BALL).contact(PLACE), radius=circle.radius)
-    session = _session(replace(contact, profile=circle.profile))
+    session = _session(replace(contact, profile=circle.profile, outward=circle.outward))
     graded = graded_session(resolved_session(session))
     (seen,) = session_observations(graded, make_object_model(graded))
     (probing,) = session.probings
@@ -94,7 +94,7 @@ def test_a_ball_that_is_given_as_a_mesh_is_as_good(measured: Session) -> None:
 def test_without_its_outward_part_a_sphere_makes_nu_too_large(measured: Session) -> None:
     """The right circle as if it were nothing but one, against the same under a ball."""
     (probing,) = measured.probings
-    plain = replace(probing.contact, tool=None)
+    plain = replace(probing.contact, tool=None, outward=0.0)
     estimate = fit_session(replace(measured, probings=(replace(probing, contact=plain),))).estimate
     assert estimate.poisson_ratio.value > NU + 2e-3
 

@@ -1,10 +1,13 @@
 """Circles that tools touch: closed forms, limits, and surfaces of known curvature."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from surfaces import box, sphere
 
+from palpate.bem import PressureDisc, disc_displacement, disc_potentials
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.probe import contact_circle, local_surface
@@ -93,6 +96,81 @@ def test_the_faces_of_a_punch_and_of_a_cylinder_are_one() -> None:
     ]
     assert found[0] == found[1]
     assert Tool(CYLINDER, 4e-3).contact(np.zeros(3)).profile == "flat"
+
+
+def _outward(tool: Tool, force: float, nu: float = NU, curvature: float = 0.0) -> float:
+    return contact_circle(tool, curvature, force, shear_modulus=SHEAR, poisson_ratio=nu).outward
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.6])
+def test_a_sphere_that_slides_pulls_outward_along_its_normals(share: float) -> None:
+    """Against the mean of r tan(lean) under Sneddon's pressure; 2 a / (5 R) on a small circle."""
+
+    def total(value: Callable[[float], float]) -> float:
+        def ring(t: float) -> float:
+            inner = quad(lambda a: value(t * np.sin(a)) * t * np.sin(a), 0.0, 0.5 * np.pi)[0]
+            return float((np.arctanh(t) + t / (1.0 - t**2)) * inner)
+
+        return float(quad(ring, 0.0, share)[0])
+
+    ball = 4e-3
+    lever = total(lambda r: r**2 / np.sqrt(1.0 - r**2)) / total(lambda r: 1.0)
+    force = REDUCED * ball**2 * (0.5 * (share**2 + 1.0) * np.log((1 + share) / (1 - share)) - share)
+    assert _outward(Tool(SPHERE, ball), force) == pytest.approx(lever / share, rel=1e-4)
+    if share < 0.1:
+        assert lever / share == pytest.approx(0.4 * share, rel=1e-3)
+
+
+def test_so_does_a_cone_and_no_flat_face() -> None:
+    cone = Tool(CONE, 0.05, SLIDES, np.arctan(2.0))
+    assert _outward(cone, 1e-3) == pytest.approx(np.pi / 12.0)
+    assert _outward(Tool(FLAT, 4e-3), 0.5) == 0.0
+
+
+def _no_slip_outward(nu: float, across: int) -> float:
+    """Of a flat face that sticks to a half space, by uniform tractions on hexagonal cells: their
+    circles move down by one, and not sideways."""
+    i, j = np.meshgrid(*[np.arange(-2 * across, 2 * across + 1)] * 2)
+    side = 1.0 / across
+    x, y = side * (i + 0.5 * (j % 2)), side * np.sqrt(0.75) * j
+    inside = np.hypot(x, y) < 1.0
+    centre = np.stack([x[inside], y[inside], np.zeros(inside.sum())], axis=1)
+    radius, normal = side * np.sqrt(np.sqrt(0.75) / np.pi), np.array([0.0, 0.0, 1.0])
+
+    def profile(s: np.ndarray) -> np.ndarray:
+        return (s < 1.0).astype(float)
+
+    potentials = disc_potentials(profile)
+    matrix = np.empty((len(centre), 3, len(centre), 3))
+    for k, one in enumerate(centre):
+        disc = PressureDisc(one, radius, profile)
+        constant, slope = disc_displacement(disc, potentials, normal, centre)
+        matrix[:, :, k] = constant + nu * slope
+    matrix = matrix.reshape(3 * len(centre), -1)
+    force = np.linalg.solve(matrix, np.tile(-normal, len(centre))).reshape(-1, 3)
+    face = np.sqrt(len(centre)) * radius
+    return float((force * centre).sum() / -force[:, 2].sum() / face)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
+def test_a_flat_face_that_sticks_holds_the_surface_back(nu: float) -> None:
+    coarse, fine = (_no_slip_outward(nu, across) for across in (6, 10))
+    # The error is of first order in the cells, whose rim is ragged.
+    extrapolated = (10.0 * fine - 6.0 * coarse) / 4.0
+    assert _outward(Tool(FLAT, 4e-3, STICKS), 0.5, nu) == pytest.approx(extrapolated, rel=0.01)
+
+
+def test_every_newton_of_a_tool_that_sticks_is_that_of_a_flat_face() -> None:
+    flat = _outward(Tool(FLAT, 4e-3, STICKS), 0.5)
+    # The mean circle of forces that grow with its cube and its square.
+    assert _outward(Tool(SPHERE, 5e-3, STICKS), 1e-5) == pytest.approx(0.75 * flat, rel=1e-4)
+    cone = Tool(CONE, 0.05, STICKS, 1.0)
+    assert _outward(cone, 1e-3) == pytest.approx(2.0 / 3.0 * flat, rel=1e-9)
+    # A flat face that a ball does not touch whole.
+    touched = _outward(Tool(FLAT, 4e-3, STICKS), 1e-3, curvature=50.0)
+    assert touched == pytest.approx(0.75 * flat, rel=1e-9)
+    # Where nothing changes its volume, a surface does not move sideways under a tool.
+    assert _outward(Tool(SPHERE, 5e-3, STICKS), 1e-2, 0.5) == 0.0
 
 
 def test_normal_and_curvature_are_those_of_the_surface() -> None:

@@ -205,7 +205,7 @@ def tool_contact(session: Session, point: Vector3, radius: float | None) -> Cont
     if first.radius is not None:
         if radius is None:
             return replace(first, point=point)
-        return replace(first, point=point, radius=radius, tool=None, pressure_map=None)
+        return Contact(point, radius, first.profile)
     if radius is None:
         raise InputError(
             f"{session.path}: its first probing presses on no round patch, so there is no radius;"

@@ -2,17 +2,24 @@
 
 The circle can hardly be measured, while the tool is known. Around the contact the object is treated
 as a half space with the curvature of its surface; the shape of a spherical tool is exact.
+
+A tool that slides and is not flat pulls the surface outward, as it presses along its own normals,
+which under a sphere are inclined by r / R at the distance r from the centre of a small circle. A
+tool that sticks does so whatever its shape, except where nothing changes the volume: a surface that
+slid would move toward the centre of the contact, and is held. As the circle grows, every further
+newton is that of a flat face that sticks.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial.legendre import leggauss
 from scipy.optimize import brentq
 
 from palpate.errors import InputError
 from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_normals
-from palpate.records import CONE, STICKS, Tool
+from palpate.records import CONE, SPHERE, STICKS, Tool
 from palpate.shapes import Vector3
 
 # The curvature is fitted to vertices within so many mean edge lengths, or so many radii of the
@@ -22,6 +29,8 @@ _FIT_EDGES, _FIT_RADII = 2.5, 1.0
 _MIN_VERTICES = 7
 # Largest contact radius over the tool's radius; beyond it the tool is practically buried.
 _MAX_RADIUS_RATIO = 0.98
+# Gauss points and weights on [-1, 1]: exact to 1e-6 up to circles of 0.98 radii.
+_GAUSS = leggauss(24)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +41,12 @@ class ContactCircle:
     ----------
     radius : float [m]              of the circle
     profile : str                   of the pressure over it, a key of `records.PRESSURES`
+    outward : float [-]             as `records.Contact.outward`
     """
 
     radius: float
     profile: str
+    outward: float
 
 
 def contact_circle(
@@ -65,17 +76,27 @@ def contact_circle(
     Sneddon, Int. J. Eng. Sci. 3 (1965) 47, for any smooth profile. Without slip the contact is
     stiffer by a factor that is exact for a flat face (Mossakovskii 1954; Spence, Proc. R. Soc. A
     305 (1968) 55) and within 2 % for a sphere. The pressure under a cone is that of a cone as long
-    as more of the force is due to its slope than to the curvature of the surface.
+    as more of the force is due to its slope than to the curvature of the surface. Outward traction:
+    p r / R of a sphere that slides (Johnson, Contact Mechanics, 1985, section 4.2, there neglected
+    as small), p cot(angle) of a cone; without slip `no_slip_outward`.
     """
     check_inward(force)
     modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+
+    def circle(radius: float, profile: str) -> ContactCircle:
+        outward = _sliding_outward(tool, radius)
+        if tool.friction == STICKS:
+            grown = 1.0 if profile == "flat" else _mean_circle(tool, curvature, radius)
+            outward = grown * no_slip_outward(poisson_ratio)
+        return ContactCircle(radius, profile, outward)
+
     if tool.is_flat:
         hertz_radius = (
             (0.75 * force / (modulus * curvature)) ** (1 / 3) if curvature > 0.0 else np.inf
         )
         if hertz_radius < tool.radius:
-            return ContactCircle(hertz_radius, "hertz")
-        return ContactCircle(tool.radius, "flat")
+            return circle(hertz_radius, "hertz")
+        return circle(tool.radius, "flat")
 
     def excess(ratio: float) -> float:
         radius = ratio * tool.radius
@@ -87,7 +108,7 @@ def contact_circle(
     conical = tool.shape == CONE and _flat_force(tool, radius) > abs(
         _curvature_force(curvature, radius)
     )
-    return ContactCircle(radius, "cone" if conical else "hertz")
+    return circle(radius, "cone" if conical else "hertz")
 
 
 def check_inward(force: float) -> None:
@@ -173,7 +194,10 @@ def local_surface(mesh: TriangleMesh, point: Vector3, radius: float) -> LocalSur
 
 def _flat_force(tool: Tool, radius: float) -> float:
     """Force over the reduced modulus E / (1 - nu^2) for a contact radius on a flat surface [m^2]:
-    of a sphere, or of a cone (Sneddon 1965, equations 6.15 and 6.4)."""
+    of a sphere, or of a cone (Sneddon 1965, equations 6.15 and 6.4); 0 under a flat face, which the
+    whole of it touches."""
+    if tool.is_flat:
+        return 0.0
     if tool.angle is not None:
         return 0.5 * np.pi * radius**2 / float(np.tan(tool.angle))
     log = np.log((tool.radius + radius) / (tool.radius - radius))
@@ -191,3 +215,49 @@ def _no_slip_factor(poisson_ratio: float) -> float:
     if compressibility == 0.0:
         return 1.0  # the limit: ln(3 - 4 nu) = ln(1 + 2 (1 - 2 nu)) approaches 2 (1 - 2 nu)
     return float((1.0 - poisson_ratio) * np.log(3.0 - 4.0 * poisson_ratio) / compressibility)
+
+
+def no_slip_outward(poisson_ratio: float) -> float:
+    """Outward traction of a flat circular face that sticks, as `records.Contact.outward`:
+    ln(3 - 4 nu) / pi.
+
+    Source: in the dual integral equations of Spence, Proc. R. Soc. A 305 (1968) 55, pressure and
+    traction along the surface are transforms of the cosine and the sine of g ln((a + t) / (a - t)),
+    g = ln(3 - 4 nu) / (2 pi). Twice the first moment of the sine over the integral of the cosine
+    is 2 g.
+    """
+    return float(np.log(3.0 - 4.0 * poisson_ratio)) / np.pi
+
+
+def _mean_circle(tool: Tool, curvature: float, radius: float) -> float:
+    """Radius of the circle at which a newton was added, averaged over all newtons and over the last
+    radius: 3 / 4 under a small sphere, 2 / 3 under a cone."""
+
+    def force(circle: float) -> float:
+        return _flat_force(tool, circle) + _curvature_force(curvature, circle)
+
+    place, weight = 0.5 * radius * (_GAUSS[0] + 1.0), 0.5 * _GAUSS[1]
+    return 1.0 - float(weight @ [force(circle) for circle in place]) / force(radius)
+
+
+def _sliding_outward(tool: Tool, radius: float) -> float:
+    """Outward traction of a tool that slides, as `records.Contact.outward`."""
+    if tool.angle is not None:
+        return np.pi / 6.0 / float(np.tan(tool.angle))
+    if tool.shape != SPHERE:
+        return 0.0
+    ratio = radius / tool.radius
+    return _lever_of_sphere(ratio) / ratio
+
+
+def _lever_of_sphere(ratio: float) -> float:
+    """Integral of the outward traction of a sphere times the distance from the centre, for one
+    newton and a radius of one, by the ratio of the contact's radius to the sphere's.
+
+    Source: Sneddon, Int. J. Eng. Sci. 3 (1965) 47: the pressure p(r) is in proportion to the
+    integral of -h'(t) / sqrt(t^2 - r^2) over t from r to the contact's radius, with
+    -h' = artanh(t) + t / (1 - t^2); the outward traction is p r / sqrt(1 - r^2).
+    """
+    t, weight = 0.5 * ratio * (_GAUSS[0] + 1.0), _GAUSS[1]
+    density = weight * (np.arctanh(t) + t / (1.0 - t**2))
+    return float(0.5 * (density @ ((1.0 + t**2) * np.arctanh(t) - t)) / (density @ t))

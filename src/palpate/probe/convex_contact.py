@@ -13,8 +13,14 @@ from jaxtyping import Bool, Float, Int
 from scipy.fft import irfft2, rfft2
 
 from palpate.errors import InputError, NotConvergedError
-from palpate.probe.contact_circle import LocalSurface, buried, check_inward, reduced_modulus
-from palpate.records import PressureMap, Tool
+from palpate.probe.contact_circle import (
+    LocalSurface,
+    buried,
+    check_inward,
+    no_slip_outward,
+    reduced_modulus,
+)
+from palpate.records import STICKS, PressureMap, Tool
 from palpate.shapes import Vector3
 
 Grid = Float[np.ndarray, "n n"]
@@ -35,6 +41,9 @@ _AT_ONCE = 256
 # A tool is buried where more than this share of the force acts on steeper slopes than this one,
 # which a sphere has at 98 % of its radius.
 _STEEP_SHARE, _STEEPEST = 0.1, 5.0
+# Mean circle of `contact_circle` under a tool that sticks, over the radius: that of a sphere; under
+# a flat face and a cone it is 3 % larger and smaller.
+_MEAN_CIRCLE = 0.75
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +118,15 @@ def convex_contact(
         raise buried(tool, force, shear_modulus)
     radius = float(np.sqrt(2.5 * np.average(x**2 + y**2, weights=pressure)))
     reach = float(np.hypot(x, y)[touched].max() + np.sqrt(2.0) * half / _CELLS)
-    # The mean slope is that of a tool that leans: its part along the surface is in the given force.
-    mean = [np.average(slope, weights=pressure) for slope in slopes]
-    outward = pressure * (x * (slopes[0] - mean[0]) + y * (slopes[1] - mean[1])) / np.hypot(x, y)
+    if tool.friction == STICKS:
+        # Its integral is right; where it acts is not known, but that it vanishes at the centre.
+        size = _MEAN_CIRCLE * no_slip_outward(poisson_ratio) / (0.4 * radius)
+        outward = size * pressure * np.hypot(x, y)
+    else:
+        # The mean slope is that of a tool that leans: its part along the surface is in the force.
+        mean = [np.average(slope, weights=pressure) for slope in slopes]
+        lean = x * (slopes[0] - mean[0]) + y * (slopes[1] - mean[1])
+        outward = pressure * lean / np.hypot(x, y)
     pressure_map = PressureMap(axes, half / radius, reach / radius, pressure, outward)
     return ConvexContact(radius, pressure_map, approach)
 

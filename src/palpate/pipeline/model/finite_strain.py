@@ -33,10 +33,10 @@ from palpate.lab import (
     solve_load,
     surface_values,
 )
-from palpate.pipeline.model.contacts import has_outward_traction, outward_load
+from palpate.pipeline.model.contacts import outward_load
 from palpate.pipeline.model.grading import halved_session
 from palpate.progress import Progress, silent
-from palpate.records import FIXED, SPHERE, Probing, Session
+from palpate.records import FIXED, SLIDES, SPHERE, Probing, Session
 from palpate.shapes import Points
 
 # Element size away from the tools over the mean edge of the mesh; element size under a tool and the
@@ -174,7 +174,7 @@ def _tip(probing: Probing) -> Tip | None:
     """A sliding ball that moves along the force through the point that it touched first; None: a
     fixed patch."""
     tool = probing.contact.tool
-    if tool is None or tool.shape != SPHERE or not has_outward_traction(probing.contact):
+    if tool is None or tool.shape != SPHERE or tool.friction != SLIDES:
         return None
     return Sphere(tool.radius, probing.contact.start, probing.force)
 

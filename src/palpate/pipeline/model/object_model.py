@@ -276,4 +276,5 @@ def contact_key(contact: Contact) -> ContactKey:
     """Key that is equal for contacts with the same patch."""
     triangles = () if contact.triangles is None else tuple(contact.triangles.tolist())
     shape = None if contact.pressure_map is None else contact.pressure_map.pressure.tobytes()
-    return (*contact.point.tolist(), contact.radius, contact.profile, triangles, shape)
+    size = contact.radius, contact.profile, contact.outward
+    return (*contact.point.tolist(), *size, triangles, shape)

@@ -114,6 +114,9 @@ class Contact:
     pressure_map : PressureMap or None      pressure under a mesh, in place of the profile
     first_point : (3,) float [m] or None    where the tool touched first; None: at `point`, on an
                                     object that does not move sideways under it
+    outward : float [-]             integral of the traction away from the centre times the distance
+                                    from it, over radius and pressing force; 0 where there is none,
+                                    and under a mesh, whose map has it
 
     Raises
     ------
@@ -128,6 +131,7 @@ class Contact:
     tool: Tool | None = None
     pressure_map: PressureMap | None = None
     first_point: Vector3 | None = None
+    outward: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))

@@ -129,8 +129,8 @@ class PressureMap:
     half_side : float [-]           of the square, in contact radii
     reach : float [-]               farthest point of the contact from its centre, in contact radii
     pressure : (g, g) float         >= 0, of any scale
-    outward : (g, g) float          radial component, away from the contact point, of the traction
-                                    of a tool that slides; the same scale
+    outward : (g, g) float          radial component, away from the contact point, of the traction;
+                                    the same scale
     """
 
     axes: Float[np.ndarray, "2 3"]

@@ -93,17 +93,17 @@ def settled_contact(
         found = convex_contact(tool, local, pressed, **constants)
         return replace(contact, radius=found.radius, pressure_map=found.pressure_map)
     circle = contact_circle(tool, local.curvature, pressed, **constants)
-    return replace(contact, radius=circle.radius, profile=circle.profile)
+    return replace(contact, radius=circle.radius, profile=circle.profile, outward=circle.outward)
 
 
 def largest_change(before: Session, after: Session) -> float:
-    """Largest change of a contact between two versions of a session: of its radius, over it, or of
-    its point, over `_POINT_SHARE` of the radius [-]."""
+    """Largest change of a contact between two versions of a session: of its radius, over it, of its
+    point, over `_POINT_SHARE` of the radius, or of its outward traction [-]."""
     changes = [0.0]
     for earlier, later in zip(before.probings, after.probings, strict=True):
         old, new = earlier.contact, later.contact
         if old.radius is not None and new.radius is not None:
-            changes.append(abs(old.radius / new.radius - 1.0))
+            changes += [abs(old.radius / new.radius - 1.0), abs(old.outward - new.outward)]
             shift = float(np.linalg.norm(new.point - old.point))
             changes.append(shift / (_POINT_SHARE * new.radius))
     return max(changes)

@@ -1,18 +1,15 @@
-"""The outward (radial) part of the traction under a frictionless tool that is not flat.
+"""The outward (radial) part of the traction under a tool.
 
-A frictionless sphere presses along its own normals, which are inclined outward by r / R at the
-distance r from the centre of a small contact circle; those of a cone are equally inclined
-everywhere. The outward traction p r / R has no resultant, but it widens the dent: neglecting it
-makes nu 0.004 too large on the virtual facility's half ball. It is minus the gradient of a
-potential Q(r), so it is the derivative of Q, applied as a traction along each of two tangents, with
-respect to a shift along that tangent. Under a mesh it is averaged over all directions. Under a
-sphere that touches a large circle it has the size, if not quite the distribution, that its exact
-shape gives it: 17 % more on a circle of 0.6 radii.
+It has no resultant, but it widens the dent: neglecting it makes nu of a half ball 0.004 too large
+under a ball that slides, 0.012 under one that sticks. How large it is, `probe.contact_circle` says.
+It is minus the gradient of a potential Q(r), so it is the derivative of Q, applied as a traction
+along each of two tangents, with respect to a shift along that tangent. Under a mesh it is averaged
+over all directions. Where a tool sticks, and under a sphere that touches a large circle, its
+integral is right, if not quite its distribution.
 """
 
 import numpy as np
 from jaxtyping import Float
-from numpy.polynomial.legendre import leggauss
 from scipy.integrate import cumulative_trapezoid
 
 from palpate.bem import (
@@ -28,33 +25,37 @@ from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
 from palpate.pipeline.model.contacts.perturbations import PERTURBATION_CELLS
 from palpate.probe import ContactPatch
-from palpate.records import CONE, SLIDES, SPHERE, Contact, Pressure
+from palpate.records import Contact, Pressure
 from palpate.shapes import Vector3
 
 # Distances at which a potential is tabulated.
 _SAMPLES = 64
-# Gauss points and weights on [-1, 1]: exact to 1e-6 up to circles of 0.98 radii.
-_GAUSS = leggauss(24)
 # Step of the central difference over the contact radius; the error is of second order in it.
 _SHIFT = 0.05
 
 
-def _under_sphere(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Q at a distance s in contact radii, up to a factor."""
+def _of_hertz(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Q at a distance s in contact radii, up to a factor, for an outward traction p r."""
     return np.clip(1.0 - s**2, 0.0, None) ** 1.5
 
 
-def _under_cone(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The same where the pressure is arcosh(1 / s)."""
+def _of_cone(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The same for a traction p where p is arcosh(1 / s)."""
     s = np.clip(s, 1e-9, 1.0)
     return np.arccos(s) - s * np.arccosh(1.0 / s)
 
 
-_POTENTIALS = {SPHERE: _under_sphere, CONE: _under_cone}
+def _of_flat(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The same for a traction p r under a flat face."""
+    return np.sqrt(np.clip(1.0 - s**2, 0.0, None))
+
+
+# By the contact's profile.
+_POTENTIALS = {"hertz": _of_hertz, "cone": _of_cone, "flat": _of_flat}
 
 
 def has_outward_traction(contact: Contact) -> bool:
-    """Whether a contact's traction has an outward part: it slides, and its tool is not flat."""
+    """Whether a contact's traction has an outward part."""
     return _potential(contact) is not None
 
 
@@ -64,7 +65,7 @@ def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
     Parameters
     ----------
     system : BoundarySystem
-    patch : ContactPatch            of a tool that `has_outward_traction`
+    patch : ContactPatch            of a contact that `has_outward_traction`
 
     Returns
     -------
@@ -74,12 +75,6 @@ def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
     Raises
     ------
     InputError                      no outward traction, or none on the free surface
-
-    Source
-    ------
-    The traction p r / R of a frictionless sphere of radius R, with Hertz's p (Johnson, Contact
-    Mechanics, 1985, section 4.2, there neglected as small), times the exact one's lever over its
-    own (`_lever_of_sphere`); p cot(angle) of a cone, with Love's p.
     """
     contact = patch.contact
     potential = _potential(contact)
@@ -119,11 +114,9 @@ def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.nda
 
 def _potential(contact: Contact) -> Pressure | None:
     """Q of a contact at a distance in units of its reach, up to a factor; None if it has none."""
-    tool, pressures = contact.tool, contact.pressure_map
-    if tool is None or tool.friction != SLIDES or contact.radius is None:
-        return None
+    pressures = contact.pressure_map
     if pressures is None:
-        return _POTENTIALS.get(tool.shape)
+        return _POTENTIALS[contact.profile] if contact.outward else None
     s = np.linspace(0.0, 1.0, _SAMPLES)
     table = cumulative_trapezoid(pressures.mean_outward(s[::-1]), s, initial=0.0)[::-1]
     if not table.any():
@@ -143,29 +136,12 @@ def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
 def _integral(contact: Contact) -> float:
     """Integral of Q over the contact, for one newton [m]: half that of the outward traction times
     the distance from the centre."""
-    tool, radius, pressures = contact.tool, contact.radius or 0.0, contact.pressure_map
-    if pressures is not None:
-        s = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-        outward, pressure = pressures.mean_outward(s), pressures.mean(s)
-        return float(0.5 * contact.reach * (outward @ s**2) / (pressure @ s))
-    if tool is None:
-        return 0.0
-    if tool.angle is not None:
-        return np.pi / 12.0 * radius / float(np.tan(tool.angle))
-    return 0.5 * tool.radius * _lever_of_sphere(radius / tool.radius)
-
-
-def _lever_of_sphere(ratio: float) -> float:
-    """Integral of the outward traction of a sphere times the distance from the centre, for one
-    newton and a radius of one, by the ratio of the contact's radius to the sphere's.
-
-    Source: Sneddon, Int. J. Eng. Sci. 3 (1965) 47: the pressure p(r) is in proportion to the
-    integral of -h'(t) / sqrt(t^2 - r^2) over t from r to the contact's radius, with
-    -h' = artanh(t) + t / (1 - t^2); the outward traction is p r / sqrt(1 - r^2).
-    """
-    t, weight = 0.5 * ratio * (_GAUSS[0] + 1.0), _GAUSS[1]
-    density = weight * (np.arctanh(t) + t / (1.0 - t**2))
-    return float(0.5 * (density @ ((1.0 + t**2) * np.arctanh(t) - t)) / (density @ t))
+    pressures = contact.pressure_map
+    if pressures is None:
+        return 0.5 * contact.outward * contact.reach
+    s = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    outward, pressure = pressures.mean_outward(s), pressures.mean(s)
+    return float(0.5 * contact.reach * (outward @ s**2) / (pressure @ s))
 
 
 def _potential_load(patch: ContactPatch, centre: Vector3, potential: Pressure) -> SurfaceLoad:
