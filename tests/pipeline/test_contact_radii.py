@@ -22,7 +22,9 @@ from palpate.pipeline.model import largest_change
 from palpate.probe import contact_circle
 from palpate.records import (
     EXACT,
+    SLIDES,
     SPHERE,
+    STICKS,
     Contact,
     DisplacementField,
     Probing,
@@ -118,6 +120,20 @@ def test_secants_are_not_trusted_beyond_a_slope() -> None:
     assert _consistent_modulus([7.0, 8.0], [7.0, 8.0, 9.1]) == pytest.approx(8.0 + 1.1 / 0.2)
 
 
+def test_a_tool_of_another_friction_is_doubted(measured: Session) -> None:
+    """It slid. One that sticks touches a smaller circle and pulls outward by another amount."""
+    priors = replace(EXACT, touched_radius=0.01)
+
+    def notes(friction: str) -> list[str]:
+        session = replace(_named(measured, Tool(SPHERE, BALL, friction)), errors=priors)
+        return [note for note in fit_session(session).estimate.notes if "friction =" in note]
+
+    (note,) = notes(STICKS)
+    assert "touches in n is far" in note
+    assert note.endswith('try friction = "slides".')
+    assert not notes(SLIDES)
+
+
 def test_a_buried_ball_is_refused(measured: Session) -> None:
     with pytest.raises(
         PalpateError, match=r"probing 'n': a force of .* would bury a sphere of 1 mm"
@@ -144,6 +160,7 @@ def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None
     contact = probing.contact
     moved = replace(contact, point=contact.point + 0.04 * contact.radius * np.eye(3)[0])
     wider = replace(contact, radius=contact.radius / 0.99)
-    for other in (moved, wider):
+    pulled = replace(contact, outward=contact.outward + 0.01)
+    for other in (moved, wider, pulled):
         changed = replace(measured, probings=(replace(probing, contact=other),))
         assert largest_change(measured, changed) == pytest.approx(0.01, rel=1e-9)

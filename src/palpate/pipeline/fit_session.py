@@ -22,6 +22,7 @@ from palpate.estimation import (
 )
 from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
 from palpate.pipeline.model import (
+    RADIUS_ERROR,
     ObjectModel,
     displaced_contacts,
     fit_at_finite_strain,
@@ -41,6 +42,8 @@ from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BIASED,
+    SLIDES,
+    STICKS,
     ProbeEstimate,
     Session,
     SupportEstimate,
@@ -156,7 +159,7 @@ def _notes(
     """Notes from the session, its support motions, its contacts and its pictures."""
     # A warning of bias does not apply where finite strain is corrected for.
     notes = [note for note in session.notes if not (finite_strain and BIASED in note)]
-    notes += _rotation_notes(probes) + _contact_notes(resolved)
+    notes += _rotation_notes(probes) + _contact_notes(resolved, probes)
     return notes + _rejection_notes(session)
 
 
@@ -290,21 +293,30 @@ def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
     return notes
 
 
-def _contact_notes(session: Session) -> list[str]:
-    """Notes on the contacts computed for the tools: their radii and their places."""
-    radii, places = [], []
-    for probing in session.probings:
-        contact = probing.contact
-        if contact.tool is not None and contact.radius is not None:
-            radii.append(f"{1e3 * contact.radius:.3g} mm in {probing.name}")
-            beside = float(np.linalg.norm(contact.point - contact.start))
-            if beside > _MENTIONED * contact.radius:
-                places.append(f"{1e3 * beside:.2g} mm in {probing.name}")
+def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[str]:
+    """Notes on the contacts computed for the tools: radii, places, doubts about the friction."""
+    radii, places, doubted = [], [], dict[str, list[str]]()
+    for probing, probe in zip(session.probings, probes, strict=True):
+        contact, tool = probing.contact, probing.contact.tool
+        if tool is None or contact.radius is None:
+            continue
+        radii.append(f"{1e3 * contact.radius:.3g} mm in {probing.name}")
+        beside = float(np.linalg.norm(contact.point - contact.start))
+        if beside > _MENTIONED * contact.radius:
+            places.append(f"{1e3 * beside:.2g} mm in {probing.name}")
+        if any(error.is_surprising for error in probe.errors if RADIUS_ERROR in error.name):
+            doubted.setdefault(tool.friction, []).append(probing.name)
     notes = [f"Radius that the tool touches: {', '.join(radii)}."] if radii else []
     if places:
         notes.append(
             "The object moves sideways under the tool, which ends up pressing beside the point that"
             f" it touched first: {', '.join(places)}."
+        )
+    for friction, names in doubted.items():
+        other = SLIDES if friction == STICKS else STICKS
+        notes.append(
+            f"What the tool touches in {', '.join(names)} is far from what follows from its shape"
+            f' and friction = "{friction}": if the tool is right, try friction = "{other}".'
         )
     return notes
 

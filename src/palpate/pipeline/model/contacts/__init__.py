@@ -22,6 +22,7 @@ from palpate.pipeline.model.contacts.outward import (
 )
 from palpate.pipeline.model.contacts.perturbations import (
     DIP_ERROR as DIP_ERROR,
+    RADIUS_ERROR as RADIUS_ERROR,
     ContactPerturbation as ContactPerturbation,
     contact_perturbations as contact_perturbations,
     dip_columns as dip_columns,

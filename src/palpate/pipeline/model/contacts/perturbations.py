@@ -25,6 +25,8 @@ from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Contact, Probing, Session
 from palpate.shapes import Vector3
 
+# Begins the name of the error of a contact's radius.
+RADIUS_ERROR = "contact radius of"
 # Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
 # Cells for loads of perturbed contacts and outward tractions: fewer points than for contacts.
@@ -260,7 +262,7 @@ def _perturbed(
     radius_std = _radius_std(session, contact)
     if radius_std > 0.0 and contact.radius is not None:
         parameter = NuisanceParameter(
-            f"contact radius of {probing.name}", radius_std, of="contact radii"
+            f"{RADIUS_ERROR} {probing.name}", radius_std, of="contact radii"
         )
         wider = contact.radius * (1.0 + radius_std)
         yield {parameter: 1.0}, replace(contact, radius=wider)
