@@ -1,5 +1,5 @@
 """Array helpers: validated read-only copies for frozen dataclasses, replacing rows, vector lengths,
-medians that ignore missing values."""
+tangents of a normal, medians that ignore missing values."""
 
 from collections.abc import Sequence
 
@@ -41,6 +41,20 @@ def lengths(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
     """
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.sqrt(x * x + y * y + z * z)
+
+
+def tangents_of(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
+    """Two unit vectors at right angles to a normal and to each other.
+
+    Parameters
+    ----------
+    normal : (3,) float             not zero, in any unit
+
+    Returns
+    -------
+    (2, 3) float [-]
+    """
+    return np.asarray(np.linalg.svd(normal[None])[2][1:])
 
 
 def fixed_array(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.arrays import fixed_array, lengths, with_rows
+from palpate.arrays import fixed_array, lengths, tangents_of, with_rows
 from palpate.errors import InputError
 
 
@@ -49,3 +49,9 @@ def test_rows_are_replaced_in_a_copy():
 def test_lengths_are_those_of_each_vector():
     vectors = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, -2.0], [1.0, 2.0, 2.0]])
     assert lengths(vectors).tolist() == [5.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("normal", [[0.0, 0.0, -2.0], [1.0, 0.0, 0.0], [0.3, -0.4, 5e-3]])
+def test_tangents_and_normal_are_orthogonal(normal):
+    frame = np.vstack([tangents_of(np.array(normal)), np.array(normal) / np.linalg.norm(normal)])
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-14)

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
 from scipy.optimize import brentq
 
+from palpate.arrays import tangents_of
 from palpate.errors import InputError
 from palpate.geometry import CREASE_ANGLE, TriangleMesh, closest_points, unit_normals
 from palpate.records import CONE, SPHERE, STICKS, Tool
@@ -155,7 +156,7 @@ class LocalSurface:
     @property
     def tangents(self) -> Float[np.ndarray, "2 3"]:
         """Two unit tangents, at right angles."""
-        return np.linalg.svd(self.normal[None])[2][1:]
+        return tangents_of(self.normal)
 
 
 def local_surface(mesh: TriangleMesh, point: Vector3, radius: float) -> LocalSurface:
@@ -183,7 +184,7 @@ def local_surface(mesh: TriangleMesh, point: Vector3, radius: float) -> LocalSur
     near = np.linalg.norm(offset, axis=1) < reach
     if near.sum() < _MIN_VERTICES:
         return LocalSurface(normal, 0.0)
-    tangents = np.linalg.svd(normal[None])[2][1:]
+    tangents = tangents_of(normal)
     x, y = (offset[near] @ tangents.T).T / reach
     height = offset[near] @ normal / reach
     terms = [np.ones_like(x), x, y, x**2, x * y, y**2, (x**2 + y**2) ** 2]

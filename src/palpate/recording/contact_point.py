@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
+from palpate.arrays import tangents_of
 from palpate.bem import (
     BoundarySystem,
     FactorisedSystem,
@@ -194,7 +195,7 @@ def _ring(
 ) -> tuple[Points, Float[np.ndarray, "2 3"]]:
     """A surface point and six around it, and two unit tangents there."""
     place = closest_points(mesh, centre[None])
-    tangents = np.linalg.svd(unit_normals(mesh)[place.triangle[0]][None])[2][1:]
+    tangents = tangents_of(unit_normals(mesh)[place.triangle[0]])
     return closest_points(mesh, centre + size * _HEXAGON @ tangents).position, tangents
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import fixed_array
+from palpate.arrays import fixed_array, tangents_of
 from palpate.errors import InputError
 from palpate.records import FLAT, SPHERE
 from palpate.shapes import Points, PointScalars, Vector3
@@ -260,7 +260,7 @@ class Punch(Tip):
         """Points around the face, (k, 3) [m], at most `apart` [m] from one another."""
         count = int(np.ceil(2.0 * np.pi * self.radius / apart))
         angle = 2.0 * np.pi * np.arange(count) / count
-        across = np.linalg.svd(self.direction[None])[2][1:]
+        across = tangents_of(self.direction)
         return self.point + self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
 
     def outline(self) -> Float[np.ndarray, "k 2"]:

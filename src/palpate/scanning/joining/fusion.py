@@ -5,6 +5,7 @@ from jaxtyping import Float
 from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
+from palpate.arrays import tangents_of
 from palpate.errors import MeshError
 from palpate.geometry import TriangleMesh
 from palpate.optional_imports import late_import
@@ -166,7 +167,7 @@ def _with_base(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add the points of a tray below the support, with the outline of the base."""
     height = support.heights(points)
-    frame = np.linalg.svd(support.normal[None])[2][1:]
+    frame = tangents_of(support.normal)
     flat = (points - support.point) @ frame.T
     outline = _outline(height, flat, normals @ frame.T, normals @ support.normal)
     base, facing, size = _tray(outline, _DEPTH * float(height.max()))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.integrate import cumulative_trapezoid
 
+from palpate.arrays import tangents_of
 from palpate.bem import (
     BoundarySystem,
     PressureDisc,
@@ -126,7 +127,7 @@ def _potential(contact: Contact) -> Pressure | None:
 
 def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
     """Shifted centres of Q, and the total force of Q about each for one newton of pressure."""
-    tangents = np.linalg.svd(normal[None])[2][1:]
+    tangents = tangents_of(normal)
     step = _SHIFT * contact.reach
     size = _integral(contact) / (2.0 * step)
     signed = [side * tangent for tangent in tangents for side in (1.0, -1.0)]
