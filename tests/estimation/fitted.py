@@ -27,7 +27,7 @@ def misfit_of(probes: Sequence[ProbeObservations], noise: str = "gaussian") -> M
 
 def minimum_of(misfit: Misfit, poisson_range: tuple[float, float] = RANGE) -> Minimum:
     """Minimum from a start near the truth of `half_space_probes`."""
-    return scored_minimum(misfit, 0.28, 2.1e4, poisson_range=poisson_range)
+    return scored_minimum(misfit, misfit.start(0.28, 2.1e4), poisson_range=poisson_range)
 
 
 def weights_at(

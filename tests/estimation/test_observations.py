@@ -134,17 +134,18 @@ class _Along:
 
     parameters = ()
 
-    def columns(self, rows, response, load, poisson_ratio):
-        along_x = (rows % 3 == 0).astype(float)
-        return np.column_stack([along_x, response[: len(rows)] @ load])
+    def columns(self, at):
+        along_x = (at.rows % 3 == 0).astype(float)
+        return np.column_stack([along_x, at.displacement])
 
 
 def test_errors_of_points_speak_of_the_components_as_measured() -> None:
     probe = replace(_with_covariance(tip=True), nuisances=(_Along(),))
     rows, plain = observed_rows_of(probe), observed_rows_of(replace(probe, covariance=None))
     load = np.array([0.0, 0.0, -1.0, 0.0])
-    found = rows.nuisance_columns(rows.value(0.3), load, 0.3)
-    expected = plain.nuisance_columns(plain.value(0.3), load, 0.3)
+    found, expected = (
+        one.columns(probe.nuisances, one.loaded(one.value(0.3), load, 0.3)) for one in (rows, plain)
+    )
     n = len(rows.whitening)
     mixed = rows.whitening @ expected[: 3 * n].reshape(n, 3, 2)
     np.testing.assert_allclose(found[: 3 * n], mixed.reshape(-1, 2), rtol=1e-9, atol=1e-20)
@@ -169,11 +170,13 @@ def test_shifts_of_force_and_motions_move_the_prediction_by_as_much() -> None:
     """The load that is shifted, against the derivative that the search takes."""
     probe, shear, rng = _probe(force_noise=0.1), 2e4, np.random.default_rng(2)
     response = rng.normal(size=(3 * len(probe.position), 6))
-    motion = replace(
-        observed_rows_of(probe),
-        force_std=np.array([0.1, 0.2, 0.0]),
-        motion=np.array([3e-4, -1e-3]),
-        motion_std=np.array([1e-4, 5e-4]),
+    motion = observed_rows_of(
+        replace(
+            probe,
+            force_std=np.array([0.1, 0.2, 0.0]),
+            motion=np.array([3e-4, -1e-3]),
+            motion_std=np.array([1e-4, 5e-4]),
+        )
     )
     shift = np.array([0.3, -1.2, 0.7, 2.0, -0.4])
     moved = response @ (motion.load(shear, shift) - motion.load(shear, np.zeros(5)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from surfaces import box
 
-from palpate.estimation import FitMethod, FitSettings, SupportCompliance
+from palpate.estimation import FitMethod, FitSettings, LoadedResponse, SupportCompliance
 from palpate.estimation.noise import Gaussian
 from palpate.estimation.observed_rows import GROUP_COUNT, observed_rows_of
 from palpate.estimation.search import Misfit
@@ -133,11 +133,10 @@ def test_the_slope_of_the_misfit_knows_that_the_settlement_stays():
     given = session(STIFFNESS, directions=None)
     (seen,) = session_observations(given, make_object_model(given), shear_modulus=SHEAR)
     misfit = Misfit((observed_rows_of(seen),), np.ones(GROUP_COUNT), Gaussian())
-    shifts, errors = misfit.no_shifts(), np.zeros(0)
 
     def local(about, at):
-        rows = misfit.scaled(0.3, about, shifts)
-        return misfit.linearised(rows, 0.0, at, shifts, errors)[0]
+        rows = misfit.scaled(misfit.start(0.3, about))
+        return misfit.linearised(rows, misfit.start(0.3, at))[0]
 
     step = 1e-4
     higher, lower = (local(SHEAR, SHEAR * np.exp(x)).residual for x in (step, -step))
@@ -161,7 +160,7 @@ def test_a_small_compliance_moves_the_points_as_springs_do():
     (error,) = [one for one in seen.nuisances if isinstance(one, SupportCompliance)]
     load = np.append(seen.force, 1.0) / SHEAR
     rows = np.arange(3 * len(seen.position))
-    (column,) = error.columns(rows, seen.response.value(0.3), load, 0.3).T
+    (column,) = error.columns(LoadedResponse(rows, seen.response.value(0.3), load, 0.3)).T
 
     def moved(stiffness):
         there = session(stiffness, directions=None)

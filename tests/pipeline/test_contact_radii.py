@@ -155,6 +155,37 @@ def test_the_fit_follows_a_contact_that_the_object_carries_along(measured: Sessi
     assert "mm in n" in note
 
 
+def test_a_tool_slides_as_far_as_its_displacement_says(measured: Session) -> None:
+    """The arm's displacement is that of the surface along the normal, and any along it."""
+    known = _with_tip(measured, np.array([3e-4, -5e-4, 0.0]), SLIDES)
+    (probe,) = fit_session(known).estimate.probes
+    slips = {error.name: error.value for error in probe.errors if "slip of the tool" in error.name}
+    # A mesh of 8 mm, cut along diagonals, moves by 0.07 mm sideways under a press of 1.5 mm.
+    assert slips["slip of the tool in n toward +x"] == pytest.approx(3e-4, abs=1e-4)
+    assert slips["slip of the tool in n toward +y"] == pytest.approx(-5e-4, abs=1e-4)
+    # Where it sticks there is none, and such a displacement is a contradiction.
+    stuck = fit_session(_with_tip(measured, np.array([3e-4, -5e-4, 0.0]), STICKS)).estimate
+    assert not any("slip" in error.name for error in stuck.probes[0].errors)
+
+
+def _with_tip(measured: Session, slip: np.ndarray, friction: str) -> Session:
+    """The press with the displacement of its tool, which slid to where it presses."""
+    (probing,) = measured.probings
+    contact = replace(probing.contact, tool=Tool(SPHERE, BALL, friction))
+    asked = replace(probing, contact=contact, tip_displacement=np.zeros(3))
+    session = replace(measured, probings=(asked,))
+    (seen,) = session_observations(session, make_object_model(session))
+    moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / SHEAR).reshape(-1, 3)
+    told = replace(
+        asked,
+        contact=replace(contact, point=PLACE - slip),
+        # In the middle the surface moves along the normal only.
+        tip_displacement=np.array([0.0, 0.0, moved[-1, 2]]) + slip,
+        tip_displacement_std=np.full(3, 1e-5),
+    )
+    return replace(session, probings=(told,))
+
+
 def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None:
     (probing,) = measured.probings
     contact = probing.contact

@@ -12,7 +12,7 @@ from surfaces import sphere
 
 from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
-from palpate.estimation import FitResult, FitSettings
+from palpate.estimation import FitResult, FitSettings, LoadedResponse
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import (
     fit_session,
@@ -271,7 +271,9 @@ def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
     (usual, _) = session_observations(same, make_object_model(same))
     rows = np.arange(len(first.response.value(NU)))
     columns = [
-        one.nuisances[-1].columns(rows, one.response.value(NU), _unit_load(only), NU)[:, :2]
+        one.nuisances[-1].columns(
+            LoadedResponse(rows, one.response.value(NU), _unit_load(only), NU)
+        )[:, :2]
         for one in (first, usual)
     ]
     # Linear in the shift, but for terms of third order over 0.8 mm.
@@ -290,9 +292,8 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     (seen,) = session_observations(first, make_object_model(first))
     contact, load = first.probings[0].contact, _unit_load(first)
     response = seen.response.value(NU)
-    rows = np.arange(len(response))
-    found = seen.nuisances[-1].columns(rows, response, load, NU)
-    curvature = seen.nuisances[-1].curvature(rows, load, NU)
+    at = LoadedResponse(np.arange(len(response)), response, load, NU)
+    found, curvature = seen.nuisances[-1].columns(at), seen.nuisances[-1].curvature(at)
 
     def moved(other: Contact) -> np.ndarray:
         probing = replace(first.probings[0], contact=other)
@@ -333,7 +334,7 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
     (seen,) = session_observations(first, model)
     load, response = _unit_load(first), seen.response.value(NU)
     pose, _ = seen.nuisances
-    found = pose.columns(np.arange(len(response)), response, load, NU)
+    found = pose.columns(LoadedResponse(np.arange(len(response)), response, load, NU))
     centre = first.mesh.vertices.mean(axis=0)
     far = np.linalg.norm(seen.position - first.probings[0].contact.point, axis=1) > 0.015
 

@@ -11,7 +11,7 @@ import pytest
 from surfaces import box, sphere
 
 from palpate.bem import SurfaceSettings
-from palpate.estimation import ProbeObservations, fit
+from palpate.estimation import LoadedResponse, ProbeObservations, fit
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import (
     fit_session,
@@ -119,7 +119,7 @@ def test_sharp_edges_are_a_step_of_their_own(session: Session) -> None:
     between, edges = seen.considered
     assert between.parameters != edges.parameters
     rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / SHEAR
-    column = edges.columns(rows, plain[0].response.value(NU)[rows], load, NU)[:, 0]
+    column = edges.columns(LoadedResponse(rows, plain[0].response.value(NU)[rows], load, NU))[:, 0]
     given, finer = (one[0].response.value(NU)[rows] @ load for one in (plain, refined))
     np.testing.assert_allclose(column, finer - given, atol=1e-9 * np.abs(given).max())
     assert np.abs(column).max() > 1e-4 * np.abs(given).max()

@@ -33,12 +33,14 @@ from palpate.estimation.nuisance import (
     ForceDirection as ForceDirection,
     ForceGain as ForceGain,
     LengthScale as LengthScale,
+    LoadedResponse as LoadedResponse,
     ModelStep as ModelStep,
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     Pose as Pose,
     SpaceStretch as SpaceStretch,
     SupportCompliance as SupportCompliance,
+    ToolSlip as ToolSlip,
     contact_error as contact_error,
 )
 from palpate.estimation.observations import (

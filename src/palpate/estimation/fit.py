@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from palpate.errors import InputError
-from palpate.estimation.fitted_model import FittedModel, fitted_model
+from palpate.estimation.fitted_model import FittedModel
 from palpate.estimation.intervals import (
     IntervalSet,
     LikelihoodMap,
@@ -40,6 +40,7 @@ from palpate.estimation.search import (
     global_start,
     nelder_mead_minimum,
     scored_minimum,
+    total_loss,
     without_settlement,
 )
 from palpate.estimation.settings import FitMethod, FitSettings
@@ -115,7 +116,7 @@ def fit(
     if len(rows) > 1:
         singles = _single_constants(misfit, joint)
     progress("validation", 0.95)
-    fits = probe_fits(probes, misfit, joint)
+    fits = probe_fits(misfit, joint)
     contradictions = list(filter(None, map(contradiction, probes, fits)))
     std = np.sqrt(np.diag(joint.scores.covariance())[2:])
     errors = error_estimates(misfit.shared, minimum.errors, std)
@@ -141,9 +142,9 @@ def fit(
         settings=asdict(settings),
         notes=(*fit_notes(misfit, joint, identifiable, contradictions, all_errors), *conflicts),
         errors=errors,
-        budget=joint.budget(misfit, identifiable),
+        budget=joint.budget(identifiable),
     )
-    model = fitted_model(tuple(probes), misfit, minimum)
+    model = FittedModel(misfit, total_loss(minimum.probes, minimum.errors))
     return FitResult(estimate, likelihood_map(joint, reported), fits, intervals, model)
 
 
@@ -203,26 +204,18 @@ def _joint_minimum(
 ) -> tuple[Misfit, Minimum]:
     """Robust start, then the exact minimum, with noise levels consistent with its residuals."""
     noise, poisson_range = NOISE_MODELS[settings.noise], settings.poisson_range
-    start = global_start(rows, table, noise)
-    nu, modulus, level = start.poisson_ratio, start.shear_modulus, start.level
-    shifts, errors = Misfit(rows, level, noise).no_shifts(), None
-    for shift, started in zip(shifts, start.shifts, strict=True):
-        shift[: len(started)] = started
+    start, level = global_start(rows, table, noise)
+    state = start
     for _ in range(_LEVEL_ROUNDS):
         misfit = Misfit(rows, level, noise)
-        minimum = scored_minimum(
-            misfit, nu, modulus, poisson_range=poisson_range, shifts=shifts, errors=errors
-        )
-        nu, modulus, errors = minimum.poisson_ratio, minimum.shear_modulus, minimum.errors
-        shifts = [probe.shift for probe in minimum.probes]
+        minimum = scored_minimum(misfit, state, poisson_range=poisson_range)
+        state = minimum.state
         residuals = [probe.residual * probe.rows.sigma(level) for probe in minimum.probes]
         level = noise_levels(rows, residuals, parameters=fitted_parameters(rows))
         if np.all(np.abs(level / misfit.level - 1) < _LEVEL_TOLERANCE):
             break
     if settings.method == FitMethod.NELDER_MEAD:
-        minimum = nelder_mead_minimum(
-            misfit, start.poisson_ratio, start.shear_modulus, poisson_range=poisson_range
-        )
+        minimum = nelder_mead_minimum(misfit, start, poisson_range=poisson_range)
     return misfit, minimum
 
 
@@ -243,14 +236,13 @@ def _single_constants(
     """Constants from each probing alone, with noise and weights of the joint fit, and which of them
     it identifies."""
     # A force downweighted for disagreeing with the other probings is as good as claimed by itself.
-    claimed = np.stack([probe.force_std for probe in misfit.probes])
+    claimed = np.stack([probe.observations.force_std for probe in misfit.probes])
     as_claimed = replace(joint.weights, force_root=claimed)
     constants = []
     for k, probe in enumerate(misfit.probes):
         weights, single = as_claimed.subset(k), replace(misfit, probes=(probe,))
-        minimum = scored_minimum(
-            single, *best_constants(weights), poisson_range=weights.poisson_range
-        )
+        start = single.start(*best_constants(weights))
+        minimum = scored_minimum(single, start, poisson_range=weights.poisson_range)
         scores, _ = scores_of(single, minimum.probes, noise=joint.noise)
         alone = replace(joint, minimum=minimum, scores=scores, weights=weights)
         constants.append(_intervals(alone)[1:])

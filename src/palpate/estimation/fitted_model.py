@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from palpate.estimation.intervals import fitted_errors, predicted_points, predicted_surface
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.search import Minimum, Misfit, total_loss
+from palpate.estimation.search import Misfit, total_loss
 from palpate.shapes import Points, Vertices
 
 
@@ -46,14 +46,17 @@ class FittedModel:
 
     Attributes
     ----------
-    observations : tuple of ProbeObservations
-    misfit : Misfit                 of these
+    misfit : Misfit                 at the noise levels of its minimum
     lowest : float                  minimum of the misfit
     """
 
-    observations: tuple[ProbeObservations, ...]
     misfit: Misfit
     lowest: float
+
+    @property
+    def observations(self) -> tuple[ProbeObservations, ...]:
+        """Its probings."""
+        return tuple(probe.observations for probe in self.misfit.probes)
 
     def at(self, poisson_ratio: float, shear_modulus: float) -> ModelState:
         """Evaluate the model at other constants; takes a few milliseconds.
@@ -72,32 +75,14 @@ class FittedModel:
         NotConvergedError               the true force of a probing did not converge
         """
         errors, local = self.misfit.at_best_forces(poisson_ratio, shear_modulus, with_slope=False)
-        value = total_loss(local, errors)
+        constants = poisson_ratio, shear_modulus
         probings = []
-        for probe, linearised in zip(self.observations, local, strict=True):
+        for linearised in local:
+            probe = linearised.rows.observations
             _, sigmas = fitted_errors(self.misfit, linearised, errors)
-            constants = poisson_ratio, shear_modulus
-            predicted = predicted_points(probe, constants, linearised, linearised.shift, sigmas)
+            predicted = predicted_points(linearised, constants, linearised.shift, sigmas)
             load = linearised.rows.load(shear_modulus, linearised.shift)
             surface = predicted_surface(probe, poisson_ratio, load)
             residual = probe.displacement - predicted
             probings.append(PredictedProbing(probe.name, predicted, residual, surface))
-        return ModelState(value - self.lowest, tuple(probings))
-
-
-def fitted_model(
-    probes: tuple[ProbeObservations, ...], misfit: Misfit, minimum: Minimum
-) -> FittedModel:
-    """Make the model of a fit that can be evaluated at other constants.
-
-    Parameters
-    ----------
-    probes : tuple of ProbeObservations
-    misfit : Misfit                 of these, at the noise levels of its minimum
-    minimum : Minimum
-
-    Returns
-    -------
-    FittedModel
-    """
-    return FittedModel(probes, misfit, total_loss(minimum.probes, minimum.errors))
+        return ModelState(total_loss(local, errors) - self.lowest, tuple(probings))

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from palpate.estimation.intervals import Contradiction, Uncertainty, identifiable_combination
-from palpate.estimation.observed_rows import CLAIMED_GROUPS, GROUP_COUNT
+from palpate.estimation.observed_rows import FIRST_CLAIMED
 from palpate.estimation.search import LocalProbe, Misfit
 from palpate.records import IMPOSSIBLE, SURPRISING, ErrorEstimate, error_texts, length_unit
 
@@ -104,14 +104,13 @@ def _count_notes(misfit: Misfit) -> list[str]:
 def _noise_notes(misfit: Misfit) -> list[str]:
     present = np.unique(np.concatenate([probe.group for probe in misfit.probes]))
     notes = []
-    estimated = [int(g) for g in present if g < CLAIMED_GROUPS.start]
+    estimated = [int(g) for g in present if g < FIRST_CLAIMED]
     if estimated:
         parts = [f"{_length_text(misfit.level[g])} in {_GROUP_NAMES[g]}" for g in estimated]
         notes.append(f"Noise levels were estimated from the residuals: {', '.join(parts)}.")
-    raised = [int(g) for g in present if g >= CLAIMED_GROUPS.start and misfit.level[g] > 1]
+    raised = [int(g) for g in present if g >= FIRST_CLAIMED and misfit.level[g] > 1]
     if raised:
-        half = GROUP_COUNT // 2
-        parts = [f"{misfit.level[g]:.2f} in {_GROUP_NAMES[g - half]}" for g in raised]
+        parts = [f"{misfit.level[g]:.2f} in {_GROUP_NAMES[g - FIRST_CLAIMED]}" for g in raised]
         notes.append(
             "Residuals exceed the given standard deviations, which were multiplied by"
             f" {', '.join(parts)}."
@@ -136,7 +135,7 @@ def reversed_notes(misfit: Misfit, uncertainty: Uncertainty) -> list[str]:
     list of str                     empty where no component is contradicted
     """
     probes = uncertainty.minimum.probes
-    group = np.concatenate([probe.rows.group for probe in probes]) % (GROUP_COUNT // 2)
+    group = np.concatenate([probe.rows.group for probe in probes]) % FIRST_CLAIMED
     measured = np.concatenate([probe.rows.measured for probe in probes])
     residuals = np.concatenate(
         [probe.residual * probe.rows.sigma(misfit.level) for probe in probes]

@@ -7,13 +7,17 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 
 from palpate.errors import InputError
-from palpate.estimation.nuisance import CurvedNuisance, Nuisance, NuisanceParameter
-from palpate.estimation.observations import ProbeObservations, ResponseModel, Settlement
-from palpate.shapes import Vector3
+from palpate.estimation.nuisance import (
+    CurvedNuisance,
+    LoadedResponse,
+    Nuisance,
+    NuisanceParameter,
+)
+from palpate.estimation.observations import ProbeObservations
 
 # Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
 GROUP_COUNT = 8
-CLAIMED_GROUPS = slice(4, 8)
+FIRST_CLAIMED = 4
 TIP_GROUP = 3
 # Number of multiplications below which OpenBLAS uses a single thread.
 _UNTHREADED = 2**18
@@ -29,7 +33,7 @@ class ObservedRows:
 
     Parameters
     ----------
-    name : str
+    observations : ProbeObservations
     rows : (r,) int                         rows of the response that were measured
     measured : (r,) float [m]               whitened, as are the rows that its methods return
     unit : (r,) float [m]                   claimed 1 sigma, or 1 where the level is estimated
@@ -38,25 +42,18 @@ class ObservedRows:
     components : (p,) float                 measured components of each point, 1 to 3
     point : (p,) int                        index of the point in the probing; n = the tip
     position : (p, 3) float [m]             NaN for the tip
-    force, force_std : (3,) float [N]
-    motion, motion_std : (q,) float
-    response : ResponseModel
-    nuisances : tuple of Nuisance
-    settlement : Settlement or None
     whitening : (k, 3, 3) float [-] or None    matrices of the first k points, which have three rows
                                             each: covariance^(-1/2) times `unit`
     neighbours : (r, r) sparse or None      error correlation of the rows of neighbouring points,
                                             zero on the diagonal; None: errors are independent
-    reference : str or None                 identifies the reference pictures (at rest)
-    considered : tuple of Nuisance          errors that are considered, not fitted
 
     Attributes
     ----------
     inverse_whitening : (k, 3, 3) float [-] or None
-    curved_nuisances : tuple of CurvedNuisance      those of `nuisances` that are
+    curved_nuisances : tuple of CurvedNuisance      of the probing
     """
 
-    name: str
+    observations: ProbeObservations
     rows: Int[np.ndarray, " r"]
     measured: Float[np.ndarray, " r"]
     unit: Float[np.ndarray, " r"]
@@ -65,110 +62,96 @@ class ObservedRows:
     components: Float[np.ndarray, " p"]
     point: Int[np.ndarray, " p"]
     position: Float[np.ndarray, "p 3"]
-    force: Vector3
-    force_std: Vector3
-    motion: Float[np.ndarray, " q"]
-    motion_std: Float[np.ndarray, " q"]
-    response: ResponseModel
-    nuisances: tuple[Nuisance, ...] = ()
-    settlement: Settlement | None = None
-    whitening: Float[np.ndarray, "k 3 3"] | None = None
-    neighbours: csr_array | None = None
-    reference: str | None = None
-    considered: tuple[Nuisance, ...] = ()
+    whitening: Float[np.ndarray, "k 3 3"] | None
+    neighbours: csr_array | None
     inverse_whitening: Float[np.ndarray, "k 3 3"] | None = field(init=False)
     curved_nuisances: tuple[CurvedNuisance, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         # Once, as the misfit asks for them in its inner loop.
         inverse = None if self.whitening is None else np.linalg.inv(self.whitening)
-        curved = tuple(kind for kind in self.nuisances if isinstance(kind, CurvedNuisance))
+        nuisances = self.observations.nuisances
+        curved = tuple(kind for kind in nuisances if isinstance(kind, CurvedNuisance))
         object.__setattr__(self, "inverse_whitening", inverse)
         object.__setattr__(self, "curved_nuisances", curved)
 
     @property
+    def name(self) -> str:
+        """Name of the probing."""
+        return self.observations.name
+
+    @property
     def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """Nuisance parameters of the probing, in the order of `nuisance_columns`."""
-        return tuple(parameter for nuisance in self.nuisances for parameter in nuisance.parameters)
+        """Nuisance parameters of the probing, in the order of its nuisances."""
+        nuisances = self.observations.nuisances
+        return tuple(parameter for nuisance in nuisances for parameter in nuisance.parameters)
 
-    def nuisance_columns(
+    def loaded(
         self,
         response: Float[np.ndarray, "r c"],
         load: Float[np.ndarray, " c"],
         poisson_ratio: float,
+    ) -> LoadedResponse:
+        """Response of the measured rows, as `value` gives it, under a load: what `columns` and
+        `curvature` take."""
+        unwhitened = _pointwise(self.inverse_whitening, response)
+        return LoadedResponse(self.rows, unwhitened, load, poisson_ratio)
+
+    def columns(
+        self, nuisances: tuple[Nuisance, ...], at: LoadedResponse
     ) -> Float[np.ndarray, "r p"]:
-        """Change in displacement per prior sigma of each nuisance parameter, (r, p) [m]."""
-        return self._columns(self.nuisances, response, load, poisson_ratio)
-
-    def considered_columns(
-        self,
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r q"]:
-        """As `nuisance_columns`, for the errors that are considered, not fitted, (r, q) [m]."""
-        return self._columns(self.considered, response, load, poisson_ratio)
-
-    def _columns(
-        self,
-        nuisances: tuple[Nuisance, ...],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+        """Change in displacement per prior sigma of each parameter of some errors, (r, p) [m]."""
         if not nuisances:
             return np.zeros((len(self.measured), 0))
-        unwhitened = _pointwise(self.inverse_whitening, response)
-        columns = [
-            nuisance.columns(self.rows, unwhitened, load, poisson_ratio) for nuisance in nuisances
-        ]
-        return _pointwise(self.whitening, np.concatenate(columns, axis=1))
+        columns = np.concatenate([nuisance.columns(at) for nuisance in nuisances], axis=1)
+        return _pointwise(self.whitening, columns)
 
-    def nuisance_curvature(
-        self, load: Float[np.ndarray, " c"], poisson_ratio: float
+    def curvature(
+        self, at: LoadedResponse
     ) -> list[tuple[tuple[NuisanceParameter, ...], Float[np.ndarray, "r p p"]]]:
         """Parameters in which displacement is not linear, with its second derivatives,
         (r, p, p) [m]."""
         curvatures = []
         for nuisance in self.curved_nuisances:
-            curvature = nuisance.curvature(self.rows, load, poisson_ratio)
+            curvature = nuisance.curvature(at)
             whitened = _pointwise(self.whitening, curvature.reshape(len(curvature), -1))
             curvatures.append((nuisance.parameters, whitened.reshape(curvature.shape)))
         return curvatures
 
     @property
-    def force_components(self) -> int:
-        """Number of uncertain components of the force."""
-        return int(np.count_nonzero(self.force_std))
+    def load_shifts(self) -> int:
+        """Number of shifts of force and motions, 3 + q, which come before the probing's errors."""
+        return 3 + len(self.observations.motion)
 
     @property
-    def fitted_components(self) -> int:
-        """Number of components of force and motions that are fitted with the constants."""
-        return self.force_components + int(np.count_nonzero(self.motion_std))
+    def force_components(self) -> int:
+        """Number of uncertain components of the force."""
+        return int(np.count_nonzero(self.observations.force_std))
 
     def load(self, shear_modulus: float, shift: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
         """Vector that multiplies the response: force and 1 (known loads), both over the shear
         modulus, then motions. Force and motions are offset by `shift` standard deviations; entries
         of `shift` beyond them (nuisance parameters) do not enter."""
-        force = self.force + self.force_std * shift[:3]
-        motion = self.motion + self.motion_std * shift[3 : 3 + len(self.motion)]
+        seen = self.observations
+        force = seen.force + seen.force_std * shift[:3]
+        motion = seen.motion + seen.motion_std * shift[3 : self.load_shifts]
         return np.concatenate([np.append(force, 1.0) / shear_modulus, motion])
 
     def per_shift(
         self, response: Float[np.ndarray, "r c"], shear_modulus: float
     ) -> Float[np.ndarray, "r n"]:
         """Displacement per standard deviation of each force component and motion, (r, n) [m]."""
-        forces = response[:, :3] * (self.force_std / shear_modulus)
-        return np.concatenate([forces, response[:, 4:] * self.motion_std], axis=1)
+        forces = response[:, :3] * (self.observations.force_std / shear_modulus)
+        return np.concatenate([forces, response[:, 4:] * self.observations.motion_std], axis=1)
 
     def prior(self, force_weight: float) -> Float[np.ndarray, " n"]:
         """Prior weight, (n,), of each shift of force and motions, in inverse prior variances."""
-        return np.append(np.full(3, force_weight), np.ones(len(self.motion)))
+        return np.append(np.full(3, force_weight), np.ones(self.load_shifts - 3))
 
     @property
     def has_claims(self) -> bool:
         """Whether every measured row came with a standard deviation of its own."""
-        return bool((self.group >= CLAIMED_GROUPS.start).all())
+        return bool((self.group >= FIRST_CLAIMED).all())
 
     def sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
         """1 sigma of every row, (r,) [m], at the noise level of each group, (8,)."""
@@ -214,27 +197,28 @@ class ObservedRows:
         ------
         InputError              it has another shape, or is not finite
         """
-        return self._measured_rows(self.response.value(poisson_ratio), poisson_ratio)
+        return self._measured_rows(self.observations.response.value(poisson_ratio), poisson_ratio)
 
     def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
         """Derivative of `value` with respect to Poisson's ratio; same shape, units, errors."""
-        return self._measured_rows(self.response.slope(poisson_ratio), poisson_ratio)
+        return self._measured_rows(self.observations.response.slope(poisson_ratio), poisson_ratio)
 
     def settling(
         self, poisson_ratio: float, shear_modulus: float
     ) -> Float[np.ndarray, "r c"] | None:
         """Derivative of the measured rows' response with respect to log G, (r, c), at a shear
         modulus [Pa]; None: the response does not depend on G."""
-        if self.settlement is None:
+        settlement = self.observations.settlement
+        if settlement is None:
             return None
-        derivative = self._measured_rows(self.settlement.derivative(poisson_ratio), poisson_ratio)
-        return derivative * (shear_modulus / self.settlement.shear_modulus)
+        derivative = self._measured_rows(settlement.derivative(poisson_ratio), poisson_ratio)
+        return derivative * (shear_modulus / settlement.shear_modulus)
 
     def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
         # No copy where every row was measured: it would cost more than the fit itself.
         complete = len(self.rows) == len(response)
         chosen = response if complete else response[self.rows[self.rows < len(response)]]
-        shape = (len(self.measured), 4 + len(self.motion))
+        shape = (len(self.measured), 1 + self.load_shifts)
         if chosen.shape != shape or not np.isfinite(chosen.sum()):
             raise InputError(
                 f"probing {self.name!r}: the response at poisson_ratio {poisson_ratio:g} has shape"
@@ -288,7 +272,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
     position = np.vstack([probe.position, np.full((1, 3), np.nan)])[point]
     whitening = _whitening(probe)
     return ObservedRows(
-        name=probe.name,
+        observations=probe,
         rows=rows,
         measured=_pointwise(whitening, displacement[rows, None])[:, 0],
         unit=unit[rows],
@@ -297,17 +281,8 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
         components=count.astype(np.float64),
         point=point.astype(np.int64),
         position=position,
-        force=probe.force,
-        force_std=probe.force_std,
-        motion=probe.motion,
-        motion_std=probe.motion_std,
-        response=probe.response,
-        nuisances=probe.nuisances,
-        settlement=probe.settlement,
         whitening=whitening,
         neighbours=_neighbours(probe, point, start, count),
-        reference=probe.reference,
-        considered=probe.considered,
     )
 
 
@@ -351,12 +326,12 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
     if probe.covariance is not None:
         square = np.trace(probe.covariance, axis1=1, axis2=2) / 3.0
         unit = np.tile(np.sqrt(square)[:, None], 3)
-    group = np.tile(np.arange(3), n) + (CLAIMED_GROUPS.start if claimed else 0)
+    group = np.tile(np.arange(3), n) + (FIRST_CLAIMED if claimed else 0)
     displacement, unit = probe.displacement.ravel(), unit.ravel()
     if probe.tip_displacement is not None:
         claimed = probe.tip_displacement_std is not None
         tip_unit = probe.tip_displacement_std if claimed else np.ones(3)
-        tip_group = TIP_GROUP + (CLAIMED_GROUPS.start if claimed else 0)
+        tip_group = TIP_GROUP + (FIRST_CLAIMED if claimed else 0)
         displacement = np.concatenate([displacement, probe.tip_displacement])
         unit = np.concatenate([unit, tip_unit])
         group = np.concatenate([group, np.full(3, tip_group)])

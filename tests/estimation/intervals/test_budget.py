@@ -11,12 +11,14 @@ from estimation.half_space import half_space_probes
 from palpate.estimation import (
     ForceGain,
     LengthScale,
+    LoadedResponse,
     Nuisance,
     NuisanceParameter,
     ProbeObservations,
     fisher_information,
 )
-from palpate.estimation.intervals.budget import FORCES, POINTS, SCATTER
+from palpate.estimation.intervals.budget import POINTS, SCATTER
+from palpate.estimation.intervals.sandwich import FORCES
 from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 # A hundredth of the noise: what is not linear is a thousandth of that.
@@ -37,10 +39,8 @@ class _Offset:
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         return (NuisanceParameter(self.name, self.size, "m", self.of),)
 
-    def columns(
-        self, rows: np.ndarray, response: np.ndarray, load: np.ndarray, poisson_ratio: float
-    ) -> np.ndarray:
-        return np.where(rows[:, None] % 3 == 2, self.size, 0.0)
+    def columns(self, at: LoadedResponse) -> np.ndarray:
+        return np.where(at.rows[:, None] % 3 == 2, self.size, 0.0)
 
 
 def _probes(
@@ -61,7 +61,7 @@ def _probes(
 
 
 def _budget(probes: list[ProbeObservations]) -> dict[str, BudgetEntry]:
-    found = uncertainty_at(probes).budget(misfit_of(probes), ALL)
+    found = uncertainty_at(probes).budget(ALL)
     return {one.source: one for one in found}
 
 
@@ -94,7 +94,7 @@ def test_the_squares_add_up_to_the_variance(reference: str | None) -> None:
     for name in CONSTANT_NAMES:
         squares = sum(getattr(one, name) ** 2 for one in found.values())
         assert np.sqrt(squares) == pytest.approx(joint.error(name), rel=1e-9)
-    whole = [one.young_modulus for one in joint.budget(misfit_of(probes), ALL)]
+    whole = [one.young_modulus for one in joint.budget(ALL)]
     assert whole == sorted(whole, reverse=True)
 
 
@@ -139,10 +139,7 @@ def test_forces_count_as_their_robust_scores_do() -> None:
         replace(one, std=np.full_like(one.displacement, 1e-9), nuisances=())
         for one in _probes(force_noise=0.02)
     ]
-    found = {
-        one.source: one
-        for one in uncertainty_at(probes, "student-t").budget(misfit_of(probes, "student-t"), ALL)
-    }
+    found = {one.source: one for one in uncertainty_at(probes, "student-t").budget(ALL)}
     joint = uncertainty_at(probes, "student-t")
     squares = sum(one.young_modulus**2 for one in found.values())
     assert np.sqrt(squares) == pytest.approx(joint.error("young_modulus"), rel=1e-6)
@@ -165,12 +162,12 @@ def test_probings_that_disagree_are_a_source() -> None:
 
 def test_what_is_not_determined_has_no_budget() -> None:
     probes = _probes()
-    misfit, joint = misfit_of(probes), uncertainty_at(probes)
-    (first, *_) = joint.budget(misfit, NONE | {"poisson_ratio": True})
+    joint = uncertainty_at(probes)
+    (first, *_) = joint.budget(NONE | {"poisson_ratio": True})
     assert first.poisson_ratio > 0.0
     assert np.isnan([first.shear_modulus, first.young_modulus]).all()
     # Moduli are given for all of Poisson's ratio where that is open.
-    assert joint.budget(misfit, ALL | {"poisson_ratio": False}) == ()
+    assert joint.budget(ALL | {"poisson_ratio": False}) == ()
 
 
 def test_what_is_planned_has_the_same_parts() -> None:

@@ -15,7 +15,7 @@ from palpate.estimation.intervals.scatter import NO_SCATTER, Scatter, Variance
 from palpate.estimation.intervals.score_noise import ScoreNoise
 from palpate.estimation.noise.noise_model import gaussian_moments
 from palpate.estimation.noise.student_t import StudentT
-from palpate.estimation.nuisance import NuisanceParameter
+from palpate.estimation.nuisance import LoadedResponse, NuisanceParameter
 from palpate.records import PointCorrelation
 
 CLAIMED = ScoreNoise(1.0, 1.0, np.inf, 0.0, NO_SCATTER)
@@ -30,6 +30,14 @@ def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:
 def _random_matrices(rng: np.random.Generator, count: int) -> np.ndarray:
     root = rng.normal(size=(count, 2, 4))
     return root @ root.swapaxes(1, 2)
+
+
+def _scores(
+    score: np.ndarray, information: np.ndarray, noise: np.ndarray, curvature: np.ndarray
+) -> Scores:
+    """Scores of probings that have nothing in common."""
+    count, d = score.shape
+    return Scores(score, information, noise, curvature, np.zeros((count, count, d, d)))
 
 
 def test_directions_are_derivatives() -> None:
@@ -51,7 +59,7 @@ def test_directions_are_derivatives() -> None:
 def test_covariance_is_the_sandwich() -> None:
     rng = np.random.default_rng(3)
     bread, meat, bare = (_random_matrices(rng, 4) for _ in range(3))
-    scores = Scores(np.zeros((4, 2)), bread, meat, bare)
+    scores = _scores(np.zeros((4, 2)), bread, meat, bare)
     inverse = np.linalg.inv(bread.sum(0))
     # The ridge is 1e-11 of the diagonal.
     np.testing.assert_allclose(scores.covariance(), inverse @ meat.sum(0) @ inverse, rtol=1e-8)
@@ -63,7 +71,7 @@ def test_covariance_is_the_sandwich() -> None:
 def test_nothing_known_has_no_finite_variance() -> None:
     """One combination without information: a huge variance, not an error."""
     flat = np.array([[[1.0, 1.0], [1.0, 1.0]]])
-    covariance = Scores(np.zeros((1, 2)), flat, flat, flat).covariance()
+    covariance = _scores(np.zeros((1, 2)), flat, flat, flat).covariance()
     assert covariance[0, 0] > 1e8
     total = np.ones(2) @ covariance @ np.ones(2)
     # The combination that is known is known to 1: the ridge is 1e-11, its inverse rounds at 1e-5.
@@ -74,7 +82,7 @@ def test_scatter_of_equal_probings() -> None:
     """Mean square of the deviations from the mean over what the claim explains."""
     deviation = np.array([-1.0, 0.5, 2.0, -1.5])
     information = np.repeat(np.diag([4.0, 1.0])[None], 4, axis=0)
-    scores = Scores(
+    scores = _scores(
         np.column_stack([7.0 + 4.0 * deviation, np.zeros(4)]), information, information, information
     )
     found = scores.scatter(np.array([1.0, 0.0]))
@@ -93,16 +101,16 @@ def test_scatter_has_mean_one_where_claims_are_right() -> None:
     direction, ratios = np.array([1.0, 0.4]), []
     for _ in range(3000):
         drawn = (root @ rng.normal(size=(5, 2, 1)))[..., 0]
-        ratios.append(Scores(drawn, information, noise, noise).scatter(direction).ratio)
+        ratios.append(_scores(drawn, information, noise, noise).scatter(direction).ratio)
     # Chi-square with about three degrees over three, 3000 draws: 1.5 % of Monte Carlo error.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
 
 def test_no_scatter_of_one_probing_or_without_noise() -> None:
     one = np.ones((1, 2, 2))
-    assert Scores(np.ones((1, 2)), one, one, one).scatter(np.ones(2)) == Scatter(1.0, 0.0)
+    assert _scores(np.ones((1, 2)), one, one, one).scatter(np.ones(2)) == Scatter(1.0, 0.0)
     two = np.repeat(np.eye(2)[None], 2, axis=0)
-    silent = Scores(np.ones((2, 2)), two, 0 * two, two)
+    silent = _scores(np.ones((2, 2)), two, 0 * two, two)
     assert silent.scatter(np.array([1.0, 0.0])) == Scatter(1.0, 0.0)
 
 
@@ -123,7 +131,7 @@ def test_intervals_hold_where_the_claim_is_half_of_the_truth(count: int) -> None
     for _ in range(1500):
         value = 2.0 * rng.normal(size=count)
         score = np.column_stack([value - value.mean(), np.zeros(count)])
-        scores = Scores(score, information, information, information)
+        scores = _scores(score, information, information, information)
         direction = np.array([1.0, 0.0])
         found = scores.variance(direction, scores.scatter(direction))
         held += abs(value.mean()) < found.quantile * np.sqrt(found.total)
@@ -147,7 +155,7 @@ def test_a_shared_error_is_not_averaged_away() -> None:
     unit = np.outer(sees, sees) + np.diag([1.0, 0.0, 0.0])
     for count in (2, 50):
         matrices = np.repeat(unit[None], count, axis=0)
-        scores = Scores(np.zeros((count, 3)), matrices, matrices, matrices[:, :2, :2])
+        scores = _scores(np.zeros((count, 3)), matrices, matrices, matrices[:, :2, :2])
         found = scores.variance(np.array([0.0, 1.0]), Scatter(1.0, 0.0))
         assert found.independent == pytest.approx(1 / count, rel=1e-6)
         assert found.shared == pytest.approx(1.0, rel=1e-6)
@@ -260,10 +268,8 @@ class _Unknown:
     def parameters(self) -> tuple[NuisanceParameter, ...]:
         return (NuisanceParameter(self.name, 1.0),)
 
-    def columns(
-        self, rows: np.ndarray, response: np.ndarray, load: np.ndarray, poisson_ratio: float
-    ) -> np.ndarray:
-        return self.step[rows, None]
+    def columns(self, at: LoadedResponse) -> np.ndarray:
+        return self.step[at.rows, None]
 
 
 @pytest.mark.parametrize("shared", [True, False])
@@ -424,8 +430,8 @@ def test_claims_hold_until_residuals_exceed_them() -> None:
 def test_cramer_rao_is_the_inverse_information(force_noise: float) -> None:
     probes = _probes(force_noise=force_noise)
     misfit = misfit_of(probes)
-    shifts = misfit.no_shifts()
-    local = misfit.linearised(misfit.scaled(0.3, 2e4, shifts), 0.0, 2e4, shifts, np.zeros(0))
+    state = misfit.start(0.3, 2e4)
+    local = misfit.linearised(misfit.scaled(state), state)
     covariance = np.linalg.inv(sum(dense_information(one) for one in local))
     bound = cramer_rao_bound(probes, poisson_ratio=0.3, shear_modulus=2e4)
     young = 5.2e4 * np.array([1 / 1.3, 1.0])

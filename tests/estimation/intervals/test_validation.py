@@ -56,7 +56,7 @@ def test_predictions_are_those_of_the_constants() -> None:
     field[6] += 2e-3
     probes[0] = replace(probes[0], displacement=field)
     uncertainty = uncertainty_at(probes, "student-t")
-    fits = probe_fits(probes, misfit_of(probes, "student-t"), uncertainty)
+    fits = probe_fits(misfit_of(probes, "student-t"), uncertainty)
     minimum = uncertainty.minimum
     for probe, one, fit in zip(probes, minimum.probes, fits, strict=True):
         force = probe.force + probe.force_std * one.shift

@@ -16,10 +16,12 @@ from palpate.estimation import (
     ForceDirection,
     ForceGain,
     LengthScale,
+    LoadedResponse,
     Nuisance,
     NuisanceParameter,
     Pose,
     ProbeObservations,
+    ToolSlip,
     contact_error,
     cramer_rao_bound,
     fit,
@@ -38,9 +40,13 @@ def _load(probe: ProbeObservations) -> np.ndarray:
     return np.append(probe.force, 1.0) / SHEAR
 
 
-def _columns(nuisance: Nuisance, probe: ProbeObservations) -> np.ndarray:
+def _loaded(probe: ProbeObservations) -> LoadedResponse:
     response = probe.response.value(NU)
-    return nuisance.columns(np.arange(len(response)), response, _load(probe), NU)
+    return LoadedResponse(np.arange(len(response)), response, _load(probe), NU)
+
+
+def _columns(nuisance: Nuisance, probe: ProbeObservations) -> np.ndarray:
+    return nuisance.columns(_loaded(probe))
 
 
 def _predicted(probe: ProbeObservations, force: np.ndarray) -> np.ndarray:
@@ -117,12 +123,12 @@ def test_a_pose_takes_the_field_of_the_vertices() -> None:
 def test_a_contact_elsewhere_is_told_to_third_order() -> None:
     """Half as far, an eighth of the error: slope and curvature are both right."""
     probe, place = _probes(tip=True)[0], np.array([1.4, -0.8])
-    rows, load = np.arange(3 * len(probe.position)), _load(probe)
+    rows = np.arange(3 * len(probe.position))
     missed = []
     for std in (2e-4, 1e-4):
         error = _contact_error(probe, std)
         found = _columns(error, probe)[rows] @ place
-        bend = 0.5 * (error.curvature(rows, load, NU) @ place) @ place
+        bend = 0.5 * (error.curvature(_loaded(probe))[rows] @ place) @ place
         moved = _MovedContact(probe, std)
         wanted = (moved.at(place, NU) - moved.at(np.zeros(2), NU))[rows] / SHEAR
         assert np.abs(bend).max() > 0.01 * np.abs(wanted).max()
@@ -134,9 +140,7 @@ def test_a_contact_elsewhere_is_told_to_third_order() -> None:
 def test_a_measured_tool_moves_with_its_contact() -> None:
     """It stands where the contact is: its square is not that of a point that stays."""
     probe = _probes(tip=True)[0]
-    count = len(probe.position)
-    rows, load = np.arange(3 * count + 3), _load(probe)
-    bend = _contact_error(probe).curvature(rows, load, NU)
+    bend = _contact_error(probe).curvature(_loaded(probe))
     assert not bend[-3:].any()
     assert bend[:-3].any()
 
@@ -306,3 +310,15 @@ def test_the_discretisation_error_is_a_share_of_the_step_from_the_coarser_mesh()
     (column,) = _columns(Discretisation(std, coarser), probe).T
     step = 0.03 * fine.value(NU) @ _load(probe)
     np.testing.assert_allclose(column, std * step, rtol=1e-9)
+
+
+def test_a_tool_that_slips_moves_the_tip_alone() -> None:
+    tangents = np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    first, second = (NuisanceParameter(name, std, "m") for name, std in (("a", 2e-3), ("b", 5e-3)))
+    slip = ToolSlip((first, second), tangents, count=2)
+    # Two points and the tip, of which z was not measured.
+    rows = np.array([0, 1, 2, 4, 6, 7])
+    columns = slip.columns(LoadedResponse(rows, np.ones((6, 4)), np.ones(4), NU))
+    expected = np.zeros((6, 2))
+    expected[4:] = [[1.2e-3, 0.0], [1.6e-3, 0.0]]
+    np.testing.assert_allclose(columns, expected, atol=1e-18)

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_t
 from palpate.errors import NotConvergedError
 from palpate.estimation import ProbeObservations
 from palpate.estimation.nuisance import LengthScale, NuisanceParameter
-from palpate.estimation.search import LocalProbe, misfit as misfit_module
+from palpate.estimation.search import LocalProbe, SearchState, misfit as misfit_module
 
 NU, SHEAR = 0.27, 2.2e4
 
@@ -69,15 +69,12 @@ def test_uncertain_forces_take_their_best_values(uncertain: list[float]) -> None
 def test_slopes_of_the_prediction_are_derivatives() -> None:
     misfit = misfit_of(_probes(count=1, force_noise=0.05, tip=True))
     shift, step = np.array([0.5, -1.0, 2.0]), 1e-6
-    none = np.zeros(0)
-    rows = misfit.scaled(NU, SHEAR, [shift])
-    here = misfit.linearised(rows, 0.0, SHEAR, [shift], none)[0]
+    start = SearchState(NU, SHEAR, np.zeros(0), (shift,))
+    here = misfit.linearised(misfit.scaled(start), start)[0]
 
     def residual(change: np.ndarray) -> np.ndarray:
-        rows = misfit.scaled(NU + change[0], SHEAR, [shift])
-        modulus = SHEAR * float(np.exp(change[1]))
-        moved = misfit.linearised(rows, 0.0, modulus, [shift + change[2:]], none)
-        return moved[0].residual
+        rows = misfit.scaled(replace(start, poisson_ratio=NU + float(change[0])))
+        return misfit.linearised(rows, start.moved(change))[0].residual
 
     for column, turn in enumerate(np.eye(5)):
         slope = -(residual(step * turn) - residual(-step * turn)) / (2 * step)
@@ -93,11 +90,11 @@ class _Bent:
     parameters = (NuisanceParameter("bend of one probing", 1.0),)
     share, square = 0.3, 0.2
 
-    def columns(self, rows, response, load, poisson_ratio):
-        return (self.share * poisson_ratio * (response @ load))[:, None]
+    def columns(self, at):
+        return (self.share * at.poisson_ratio * at.displacement)[:, None]
 
-    def curvature(self, rows, load, poisson_ratio):
-        return np.full((len(rows), 1, 1), self.square * load[2] * poisson_ratio**2)
+    def curvature(self, at):
+        return np.full((len(at.rows), 1, 1), self.square * at.load[2] * at.poisson_ratio**2)
 
 
 def test_errors_that_are_off_take_part_in_the_slopes() -> None:
@@ -110,9 +107,8 @@ def test_errors_that_are_off_take_part_in_the_slopes() -> None:
     shift, errors, step = np.array([0.5, -1.0, 2.0, 1.4]), np.array([0.8, -0.3, 1.1]), 1e-6
 
     def at(change: np.ndarray) -> LocalProbe:
-        shifts = [shift + np.append(change, 0.0), np.zeros(3)]
-        rows = misfit.scaled(NU, SHEAR, shifts, errors)
-        return misfit.linearised(rows, 0.0, SHEAR, shifts, errors)[0]
+        state = SearchState(NU, SHEAR, errors, (shift + np.append(change, 0.0), np.zeros(3)))
+        return misfit.linearised(misfit.scaled(state), state)[0]
 
     found = at(np.zeros(3)).design[:, 5:8]
     for column, turn in zip(found.T, np.eye(3), strict=True):
@@ -124,9 +120,9 @@ def test_errors_that_are_off_take_part_in_the_slopes() -> None:
 def test_an_offset_is_another_poisson_ratio() -> None:
     """The half space's response is linear in nu, so linearised there it is exact."""
     misfit = misfit_of(_probes(count=2, force_noise=0.05))
-    shifts = [np.array([0.1, 0.2, 0.3]), np.zeros(3)]
+    state = SearchState(0.3, SHEAR, np.zeros(0), (np.array([0.1, 0.2, 0.3]), np.zeros(3)))
     moved, direct = (
-        misfit.linearised(misfit.scaled(nu, SHEAR, shifts), 0.3 - nu, SHEAR, shifts, np.zeros(0))
+        misfit.linearised(misfit.scaled(replace(state, poisson_ratio=nu)), state)
         for nu in (0.1, 0.3)
     )
     for one, other in zip(moved, direct, strict=True):

@@ -1,5 +1,7 @@
 """The exact minimum against a general minimiser, at bounds and from afar."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from estimation.fitted import RANGE, minimum_of, misfit_of
@@ -7,6 +9,7 @@ from estimation.half_space import half_space_probes
 from scipy.optimize import minimize
 
 from palpate.estimation.search import nelder_mead as nelder_mead_module, scoring
+from palpate.estimation.search.local_probe import SearchState
 from palpate.estimation.search.misfit import Misfit
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum
 from palpate.estimation.search.scoring import (
@@ -57,7 +60,10 @@ def test_it_is_the_minimum_that_a_general_minimiser_finds(noise: str) -> None:
 @pytest.mark.parametrize("start", [(0.02, 6e4), (0.49, 5e3), (0.3, 2e4)])
 def test_the_start_does_not_matter(start: tuple[float, float]) -> None:
     misfit = _misfit()
-    found, near = scored_minimum(misfit, *start, poisson_range=RANGE), minimum_of(misfit)
+    found, near = (
+        scored_minimum(misfit, misfit.start(*start), poisson_range=RANGE),
+        minimum_of(misfit),
+    )
     # Steps stop at 1e-7 of a standard error, here 0.01.
     assert found.poisson_ratio == pytest.approx(near.poisson_ratio, abs=1e-8)
     assert found.shear_modulus == pytest.approx(near.shear_modulus, rel=1e-8)
@@ -80,14 +86,15 @@ def test_at_a_bound_the_modulus_is_the_best_there(
 def test_too_few_steps_are_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("palpate.estimation.search.scoring._MAX_LINEARISATIONS", 1)
     monkeypatch.setattr("palpate.estimation.search.scoring._MAX_STEPS", 1)
-    assert not scored_minimum(_misfit(), 0.05, 5e4, poisson_range=RANGE).converged
+    misfit = _misfit()
+    assert not scored_minimum(misfit, misfit.start(0.05, 5e4), poisson_range=RANGE).converged
 
 
 def test_a_simplex_is_linearised_where_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stopped early it says so, and its residuals are those of its own constants."""
     misfit = _misfit(force_noise=0.0)
     simplex, exact = (
-        nelder_mead_minimum(misfit, 0.25, 2.2e4, poisson_range=RANGE),
+        nelder_mead_minimum(misfit, misfit.start(0.25, 2.2e4), poisson_range=RANGE),
         minimum_of(misfit),
     )
     assert simplex.converged
@@ -96,7 +103,7 @@ def test_a_simplex_is_linearised_where_it_ends(monkeypatch: pytest.MonkeyPatch) 
     assert simplex.shear_modulus == pytest.approx(exact.shear_modulus, rel=1e-6)
     misfit = _misfit()
     monkeypatch.setattr(nelder_mead_module, "_MAX_EVALUATIONS", 9)
-    found = nelder_mead_minimum(misfit, 0.1, 3e4, poisson_range=RANGE)
+    found = nelder_mead_minimum(misfit, misfit.start(0.1, 3e4), poisson_range=RANGE)
     assert not found.converged
     _, here = misfit.at_best_forces(found.poisson_ratio, found.shear_modulus)
     for one, other in zip(found.probes, here, strict=True):
@@ -121,7 +128,7 @@ def test_the_first_simplex_is_inside_the_range(start: float) -> None:
             return super().__call__(poisson_ratio, shear_modulus)
 
     watched = Watched(misfit.probes, misfit.level, misfit.noise)
-    nelder_mead_minimum(watched, start, 2e4, poisson_range=RANGE)
+    nelder_mead_minimum(watched, misfit.start(start, 2e4), poisson_range=RANGE)
     first = np.array(asked[:3])
     # Three corners that span both directions by a twentieth.
     np.testing.assert_allclose(np.ptp(first[:, 0]), 0.05, rtol=1e-9)
@@ -138,18 +145,19 @@ def test_changes_that_swing_back_end_in_a_few_steps(
     """Each linearisation lands beyond the minimum by a share of where it started."""
 
     def overshot(
-        misfit: Misfit, rows: list, start: Minimum, shifts: list, poisson_range: tuple
+        misfit: Misfit, rows: list, start: SearchState, poisson_range: tuple
     ) -> tuple[Minimum, float]:
         nu = 0.3 + swing * (start.poisson_ratio - 0.3)
         modulus = 2e4 * (start.shear_modulus / 2e4) ** swing
-        own = [swing * one for one in shifts]
-        probes = misfit.linearised(rows, 0.0, modulus, own, start.errors)
-        return Minimum(nu, modulus, tuple(probes), start.errors, False), 1e-3
+        own = tuple(swing * one for one in start.shifts)
+        state = replace(start, shear_modulus=modulus, shifts=own)
+        return Minimum(nu, modulus, misfit.linearised(rows, state), start.errors, False), 1e-3
 
     monkeypatch.setattr(scoring, "_linear_minimum", overshot)
     misfit = _misfit()
-    shifts = [one + 2.0 for one in misfit.no_shifts()]
-    found = scored_minimum(misfit, 0.31, 2.1e4, poisson_range=RANGE, shifts=shifts)
+    start = misfit.start(0.31, 2.1e4)
+    start = replace(start, shifts=tuple(one + 2.0 for one in start.shifts))
+    found = scored_minimum(misfit, start, poisson_range=RANGE)
     assert found.converged
     # It ends where a change is below a hundred thousandth.
     assert abs(found.poisson_ratio - 0.3) < 1e-5

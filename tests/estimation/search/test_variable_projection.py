@@ -41,10 +41,10 @@ def _dense(problem: tuple, nu: float, modulus: float, chosen: range = range(3)) 
         probe = misfit.probes[k]
         response = probe.value(nu) / modulus
         root = np.sqrt(probe.per_row(weights[k])) / probe.unit
-        left = probe.measured - response[:, :3] @ probe.force - response[:, 3]
+        left = probe.measured - response[:, :3] @ probe.observations.force - response[:, 3]
         matrix = np.vstack(
             [
-                root[:, None] * response[:, :3] * probe.force_std,
+                root[:, None] * response[:, :3] * probe.observations.force_std,
                 np.sqrt(force_weights[k]) * np.eye(3),
             ]
         )

@@ -35,13 +35,12 @@ def identifiable_constants(intervals: IntervalSet, weights: FixedWeights) -> dic
     low, high = intervals.poisson_ratio.ci95
     span = weights.poisson_range[1] - weights.poisson_range[0]
     identifiable = {"poisson_ratio": high - low < _MAX_SHARE_OF_RANGE * span}
-    for name in ("shear_modulus", "young_modulus"):
+    nu, modulus = _valley_line(weights, (low, high))
+    for name, line in (("shear_modulus", modulus), ("young_modulus", modulus * (1 + nu))):
         bounded = bool(np.isfinite(getattr(intervals, name).ci95[1]))
-        change = _valley(intervals, weights)[name]
-        along = identifiable["poisson_ratio"] or change < _MAX_VALLEY_FACTOR
-        identifiable[name] = bounded and along
-    if not (identifiable["shear_modulus"] or np.isfinite(intervals.shear_modulus.ci95[1])):
-        identifiable["poisson_ratio"] = False
+        along = np.exp(np.ptp(np.log(line))) < _MAX_VALLEY_FACTOR
+        identifiable[name] = bounded and bool(identifiable["poisson_ratio"] or along)
+    identifiable["poisson_ratio"] &= bool(np.isfinite(intervals.shear_modulus.ci95[1]))
     return identifiable
 
 
@@ -61,15 +60,10 @@ def with_undetermined_ratio(intervals: IntervalSet, weights: FixedWeights) -> In
     IntervalSet
     """
     nu, modulus = _valley_line(weights)
-    ratio, shear, young = (
-        intervals.poisson_ratio,
-        intervals.shear_modulus,
-        intervals.young_modulus,
-    )
     return IntervalSet(
-        replace(ratio, ci95=weights.poisson_range),
-        _extended(shear, modulus),
-        _extended(young, 2 * modulus * (1 + nu)),
+        replace(intervals.poisson_ratio, ci95=weights.poisson_range),
+        _extended(intervals.shear_modulus, modulus),
+        _extended(intervals.young_modulus, 2 * modulus * (1 + nu)),
     )
 
 
@@ -98,11 +92,8 @@ def with_prior_ranges(
     -------
     IntervalSet
     """
-    ratio, shear, young = (
-        intervals.poisson_ratio,
-        _modulus_in_range(intervals.shear_modulus),
-        _modulus_in_range(intervals.young_modulus),
-    )
+    ratio, shear = intervals.poisson_ratio, _modulus_in_range(intervals.shear_modulus)
+    young = _modulus_in_range(intervals.young_modulus)
     if not identifiable["poisson_ratio"]:
         middle = float(np.mean(weights.poisson_range))
         uniform = float(np.ptp(weights.poisson_range) / np.sqrt(12.0))
@@ -112,7 +103,7 @@ def with_prior_ranges(
             modulus = 1.0 / float(compliance[0])
             shear = _with_value(shear, modulus)
             young = _with_value(young, 2 * modulus * (1 + middle))
-    return replace(intervals, poisson_ratio=ratio, shear_modulus=shear, young_modulus=young)
+    return IntervalSet(ratio, shear, young)
 
 
 def _with_value(constant: Constant, value: float) -> Constant:
@@ -148,13 +139,6 @@ def identifiable_combination(weights: FixedWeights) -> str:
     change = {name: float(np.ptp(np.log(values))) for name, values in combinations.items()}
     best = min(change, key=lambda name: change[name])
     return f"{best} (it changes by {100 * change[best]:.1f} % over all of nu)"
-
-
-def _valley(intervals: IntervalSet, weights: FixedWeights) -> dict[str, float]:
-    """Factor by which each modulus changes along the valley inside the interval of nu."""
-    nu, modulus = _valley_line(weights, intervals.poisson_ratio.ci95)
-    lines = {"shear_modulus": modulus, "young_modulus": modulus * (1 + nu)}
-    return {name: float(np.exp(np.ptp(np.log(line)))) for name, line in lines.items()}
 
 
 def _valley_line(

@@ -105,17 +105,14 @@ def fisher_information(
             )
     rows = tuple(observed_rows_of(probe) for probe in probes)
     misfit = Misfit(rows, np.ones(GROUP_COUNT), Gaussian())
-    shifts, errors = misfit.no_shifts(), np.zeros(len(misfit.shared))
-    scaled = misfit.scaled(poisson_ratio, shear_modulus, shifts)
-    local = misfit.linearised(scaled, 0.0, shear_modulus, shifts, errors)
+    state = misfit.start(poisson_ratio, shear_modulus)
+    local = misfit.linearised(misfit.scaled(state), state)
     claimed = ScoreNoise(1.0, 1.0, np.inf, neighbours_sharing(local, 1.0), NO_SCATTER)
     scores, _ = scores_of(misfit, local, noise=claimed)
     information = Information(scores, (), poisson_ratio, shear_modulus)
     bound = information.bound(range(len(probes)))
     factors = {name: 1.0 for name in CONSTANT_NAMES if np.isfinite(bound[name])}
-    budget = uncertainty_budget(
-        misfit, local, scores, claimed, poisson_ratio=poisson_ratio, factors=factors
-    )
+    budget = uncertainty_budget(scores, poisson_ratio=poisson_ratio, factors=factors)
     return replace(information, budget=budget)
 
 

@@ -127,19 +127,18 @@ def crossings(
                                 of the minimum, twice, if the curve is nowhere below
     """
     root, level = np.sqrt(height), np.sqrt(allowed)
-    inside = np.flatnonzero(root <= level)
-    if not len(inside):
+    inside = np.flatnonzero(root <= level).tolist()
+    if not inside:
         best = float(place[int(np.argmin(height))])
         return best, best
-    first, last = int(inside[0]), int(inside[-1])
-    low, high = float(place[first]), float(place[last])
-    if first > 0:
-        fraction = (level - root[first]) / (root[first - 1] - root[first])
-        low -= float(fraction * (place[first] - place[first - 1]))
-    if last < len(place) - 1:
-        fraction = (level - root[last]) / (root[last + 1] - root[last])
-        high += float(fraction * (place[last + 1] - place[last]))
-    return low, high
+
+    def edge(last: int, outside: int) -> float:
+        if not 0 <= outside < len(place):
+            return float(place[last])
+        fraction = (level - root[last]) / (root[outside] - root[last])
+        return float(place[last] + fraction * (place[outside] - place[last]))
+
+    return edge(inside[0], inside[0] - 1), edge(inside[-1], inside[-1] + 1)
 
 
 def _edges(curve: ProfileCurve, allowed: float) -> tuple[np.ndarray, np.ndarray]:

@@ -17,15 +17,19 @@ from palpate.estimation.intervals.scatter import Scatter, Variance
 from palpate.estimation.intervals.score_noise import (
     ScoreNoise,
     common_noise,
-    considered_errors,
+    considered_score_changes,
     noise_of,
 )
 from palpate.estimation.intervals.spatial_correlation import block_scatter
 from palpate.estimation.noise import gaussian_moments
+from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.search import LocalProbe, Misfit, diagonal_root
 
 DIRECTIONS = ("poisson_ratio", "shear_modulus", "young_modulus")
+FORCES, MOTIONS = "measured forces", "motions of supports"
 _RIDGE = 1e-11
+# Source of an uncertain quantity, and the change of the scores, (d,), per standard deviation of it.
+ScoreChange = tuple[str, np.ndarray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,28 +44,26 @@ class Scores:
     noise : (k, d, d)           model-based covariance of the part of the score that is independent
                                 between probings
     curvature : (k, 2, 2)       second derivative of half the misfit at fixed weights and errors
-    common_covariance : (k, k, d, d) or None    covariance between the scores of all pairs of
-                                probings, from noise that they share and from considered errors;
-                                None: zero
+    common_covariance : (k, k, d, d)    covariance between the scores of all pairs of probings, from
+                                noise that they share and from considered errors
+    own_changes, considered_changes : tuple of ScoreChange    one for each shift of each probing,
+                                and one for each considered error
+    shared : tuple of NuisanceParameter     the m shared errors
     """
 
     score: Float[np.ndarray, "k d"]
     information: Float[np.ndarray, "k d d"]
     noise: Float[np.ndarray, "k d d"]
     curvature: Float[np.ndarray, "k 2 2"]
-    common_covariance: Float[np.ndarray, "k k d d"] | None = None
-
-    @property
-    def _common(self) -> Float[np.ndarray, "k k d d"]:
-        count, d = self.score.shape
-        if self.common_covariance is None:
-            return np.zeros((count, count, d, d))
-        return self.common_covariance
+    common_covariance: Float[np.ndarray, "k k d d"]
+    own_changes: tuple[ScoreChange, ...] = ()
+    considered_changes: tuple[ScoreChange, ...] = ()
+    shared: tuple[NuisanceParameter, ...] = ()
 
     @property
     def _shared(self) -> Float[np.ndarray, "d d"]:
         """Covariance of the sum of the scores from shared errors and common noise."""
-        return np.asarray(self._prior + self._common.sum(axis=(0, 1)))
+        return np.asarray(self._prior + self.common_covariance.sum(axis=(0, 1)))
 
     @property
     def _prior(self) -> Float[np.ndarray, "d d"]:
@@ -70,13 +72,13 @@ class Scores:
 
     def subset(self, probings: Sequence[int]) -> "Scores":
         """Scores of some of the probings, by their indices."""
-        chosen, common = list(probings), self.common_covariance
+        chosen = list(probings)
         return Scores(
             self.score[chosen],
             self.information[chosen],
             self.noise[chosen],
             self.curvature[chosen],
-            None if common is None else common[np.ix_(chosen, chosen)],
+            self.common_covariance[np.ix_(chosen, chosen)],
         )
 
     def covariance(self) -> Float[np.ndarray, "d d"]:
@@ -126,7 +128,7 @@ class Scores:
             np.linalg.lstsq(self.information.sum(0) + self._prior, gradient, rcond=1e-11)[0]
         )
 
-    def variance(self, direction: Float[np.ndarray, " 2"], scatter: "Scatter") -> Variance:
+    def variance(self, direction: Float[np.ndarray, " 2"], scatter: Scatter) -> Variance:
         """Variance of one combination of (nu, log G).
 
         Parameters
@@ -144,7 +146,7 @@ class Scores:
         shared = float(influence @ self._shared @ influence)
         return Variance(scatter.factor * claimed, shared, scatter.total_degrees)
 
-    def scatter(self, direction: Float[np.ndarray, " 2"]) -> "Scatter":
+    def scatter(self, direction: Float[np.ndarray, " 2"]) -> Scatter:
         """Disagreement of the probings about one combination of (nu, log G).
 
         The covariance of their contributions to it, each less its expected share of the sum, gives
@@ -161,7 +163,7 @@ class Scores:
         inverse, _ = self._inverse()
         influence = self.influence(direction)
         share = np.einsum("i,kij,jl->kl", influence, self.information, inverse)
-        common = self._common @ influence
+        common = self.common_covariance @ influence
         crossed = np.einsum("ki,lij,j->kl", share, self.noise, influence)
         crossed += share @ common.sum(axis=0).T
         own = np.diag(np.einsum("i,kij,j->k", influence, self.noise, influence))
@@ -209,11 +211,16 @@ def scores_of(
     -------
     (Scores, ScoreNoise)
     """
-    forces = force_moments(misfit, local)
+    # Of each probing's force, for Gaussian errors of the claimed size.
+    moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
+    forces = [moments[probe.rows.force_components] for probe in local]
     is_estimated = noise is None
     if noise is None:
         noise = noise_of(misfit, local)
-    projections = shift_projections(local, noise, forces)
+    projections = [
+        _projection(probe, noise.slope, slope)
+        for probe, (_, slope) in zip(local, forces, strict=True)
+    ]
     if is_estimated:
         constants = [projection[:, :2] for projection in projections]
         blocks = block_scatter(local, constants, score_variance=noise.power, sharing=noise.sharing)
@@ -222,11 +229,34 @@ def scores_of(
         _scores(probe, projection, noise, *force)
         for probe, projection, force in zip(local, projections, forces, strict=True)
     ]
-    scores = Scores(*(np.stack(column) for column in zip(*parts, strict=True)))
+    score, information, own_noise, curvature = map(np.stack, zip(*parts, strict=True))
     common = common_noise(local, projections, noise)
-    own = scores.noise - np.einsum("kkij->kij", common)
-    common = common + considered_errors(local, projections, noise)
-    return replace(scores, noise=own, common_covariance=common), noise
+    own_noise -= np.einsum("kkij->kij", common)
+    considered = considered_score_changes(local, projections, noise)
+    for changes in considered.values():
+        common = common + np.einsum("ki,mj->kmij", changes, changes)
+    own_changes: list[ScoreChange] = []
+    for probe, projection, (power, _) in zip(local, projections, forces, strict=True):
+        changes = np.sqrt(probe.prior(power))[:, None] * projection[probe.common :]
+        own_changes += zip(_sources(misfit, probe), changes, strict=True)
+    considered_changes = ((error.source, change.sum(0)) for error, change in considered.items())
+    scores = Scores(
+        score,
+        information,
+        own_noise,
+        curvature,
+        common,
+        tuple(own_changes),
+        tuple(considered_changes),
+        misfit.shared,
+    )
+    return scores, noise
+
+
+def _sources(misfit: Misfit, probe: LocalProbe) -> list[str]:
+    """Source in the budget of each shift of a probing."""
+    motions = [MOTIONS] * (probe.rows.load_shifts - 3)
+    return [FORCES] * 3 + motions + [error.source for error in misfit.own(probe.rows)]
 
 
 def _scores(
@@ -247,49 +277,10 @@ def _scores(
     covariance += (shifts.T * probe.prior(force_power)) @ shifts
     weighted = probe.weighted_products()
     # Only force and motions are eliminated: in the misfit's profile all errors are held fixed.
-    own = slice(d, d + 3 + len(probe.rows.motion))
+    own = slice(d, d + probe.rows.load_shifts)
     inner = weighted[own, own] + np.diag(probe.prior()[: own.stop - d])
     curvature = weighted[:2, :2] - weighted[:2, own] @ np.linalg.solve(inner, weighted[own, :2])
     return weighted[:d, -1], information, covariance, curvature
-
-
-def force_moments(misfit: Misfit, local: Sequence[LocalProbe]) -> list[tuple[float, float]]:
-    """Mean square and mean slope of the score of each probing's force, for its number of uncertain
-    components and Gaussian errors of the claimed size.
-
-    Parameters
-    ----------
-    misfit : Misfit
-    local : sequence of LocalProbe
-
-    Returns
-    -------
-    list of (float, float) [-]      mean square, mean slope; one pair for each probing
-    """
-    moments = {count: gaussian_moments(misfit.noise, max(count, 1)) for count in range(4)}
-    return [moments[probe.rows.force_components] for probe in local]
-
-
-def shift_projections(
-    local: Sequence[LocalProbe], noise: ScoreNoise, forces: Sequence[tuple[float, float]]
-) -> list[Float[np.ndarray, "_ d"]]:
-    """Matrices that project the shifts of each probing out of its design matrix.
-
-    Parameters
-    ----------
-    local : sequence of LocalProbe      at a minimum
-    noise : ScoreNoise
-    forces : one (float, float) for each    `force_moments`
-
-    Returns
-    -------
-    list of (d + n, d) float            rows of the d common parameters (the identity), then of the
-                                        n shifts
-    """
-    return [
-        _projection(probe, noise.slope, slope)
-        for probe, (_, slope) in zip(local, forces, strict=True)
-    ]
 
 
 def _projection(probe: LocalProbe, slope: float, force_slope: float) -> np.ndarray:

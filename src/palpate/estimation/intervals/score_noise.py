@@ -97,7 +97,8 @@ def common_noise(
     Parameters
     ----------
     local : sequence of k LocalProbe    at a minimum
-    projections : (d + n, d) for each   `shift_projections`
+    projections : (d + n, d) for each   projects the n shifts out of the design of the d common
+                                        parameters
     noise : ScoreNoise
 
     Returns
@@ -125,11 +126,11 @@ def common_noise(
     return _REFERENCE_SHARE * noise.power * noise.excess * covariance
 
 
-def considered_errors(
+def considered_score_changes(
     local: Sequence[LocalProbe], projections: Sequence[np.ndarray], noise: ScoreNoise
-) -> Float[np.ndarray, "k k d d"]:
-    """Covariance between the scores of all pairs of probings from considered errors: these are not
-    fitted, so that they contribute with their whole prior variance.
+) -> dict[NuisanceParameter, Float[np.ndarray, "k d"]]:
+    """Change of each probing's score per prior standard deviation of each considered error: these
+    are not fitted, so that they contribute with their whole prior variance.
 
     Parameters
     ----------
@@ -137,37 +138,18 @@ def considered_errors(
 
     Returns
     -------
-    (k, k, d, d) float                  zero without such errors
+    parameter -> (k, d) float           zero for probings that do not have it
 
     Source
     ------
     Schmidt, Application of state-space methods to navigation problems, Advances in Control Systems
     3 (1966): consider parameters
     """
-    count, d = len(local), local[0].common
-    covariance = np.zeros((count, count, d, d))
-    for changes in considered_score_changes(local, projections, noise).values():
-        covariance += np.einsum("ki,mj->kmij", changes, changes)
-    return covariance
-
-
-def considered_score_changes(
-    local: Sequence[LocalProbe], projections: Sequence[np.ndarray], noise: ScoreNoise
-) -> dict[NuisanceParameter, Float[np.ndarray, "k d"]]:
-    """Change of each probing's score per prior standard deviation of each considered error.
-
-    Parameters
-    ----------
-    local, projections, noise           as `considered_errors`
-
-    Returns
-    -------
-    parameter -> (k, d) float           zero for probings that do not have it
-    """
     by_parameter: dict[NuisanceParameter, np.ndarray] = {}
     for k, (probe, projection) in enumerate(zip(local, projections, strict=True)):
         changes = noise.slope * (probe.considered.T @ probe.design @ projection)
-        own = (parameter for nuisance in probe.rows.considered for parameter in nuisance.parameters)
+        errors = probe.rows.observations.considered
+        own = (parameter for nuisance in errors for parameter in nuisance.parameters)
         for parameter, change in zip(own, changes, strict=True):
             by_parameter.setdefault(parameter, np.zeros((len(local), probe.common)))[k] = change
     return by_parameter
@@ -175,11 +157,11 @@ def considered_score_changes(
 
 def _reference_points(probe: LocalProbe) -> dict[tuple[str, bytes], int]:
     """First row of each point with all components and a reference, by reference and position."""
-    rows = probe.rows
-    if rows.reference is None:
+    rows, reference = probe.rows, probe.rows.observations.reference
+    if reference is None:
         return {}
     return {
-        (rows.reference, place.tobytes()): int(start)
+        (reference, place.tobytes()): int(start)
         for place, start, count in zip(rows.position, rows.start, rows.components, strict=True)
         if count == 3 and np.isfinite(place[0])
     }

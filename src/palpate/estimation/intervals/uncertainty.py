@@ -78,16 +78,15 @@ class Uncertainty:
         """Standard error of nu, log G or log E."""
         return float(np.sqrt(self.variance(name).total))
 
-    def budget(self, misfit: Misfit, identifiable: Mapping[str, bool]) -> tuple[BudgetEntry, ...]:
+    def budget(self, identifiable: Mapping[str, bool]) -> tuple[BudgetEntry, ...]:
         """Contribution of each source to the standard errors of the identifiable constants
         (`uncertainty_budget`)."""
         factors = {
             name: scatter.factor for name, scatter in self.scatters.items() if identifiable[name]
         }
         return uncertainty_budget(
-            misfit, self.minimum.probes, self.scores, self.noise,
-            poisson_ratio=self.minimum.poisson_ratio, factors=factors,
-        )  # fmt: skip
+            self.scores, poisson_ratio=self.minimum.poisson_ratio, factors=factors
+        )
 
     def is_beyond_range(self) -> bool:
         """Whether the misfit's unbounded minimum lies clearly beyond the range of nu."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from palpate.estimation.intervals.uncertainty import IntervalSet, Uncertainty
 from palpate.estimation.noise import relative_weight
-from palpate.estimation.nuisance import Nuisance, NuisanceParameter
+from palpate.estimation.nuisance import LoadedResponse, Nuisance, NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.search import LocalProbe, Misfit, best_constants
 from palpate.records import ErrorEstimate, ProbeEstimate
@@ -78,30 +78,28 @@ def left_out_constants(uncertainty: Uncertainty) -> Float[np.ndarray, "k 2"]:
     return np.array([best_constants(weights.subset(np.delete(every, k))) for k in every])
 
 
-def probe_fits(
-    probes: Sequence[ProbeObservations], misfit: Misfit, uncertainty: Uncertainty
-) -> tuple[ProbeFit, ...]:
+def probe_fits(misfit: Misfit, uncertainty: Uncertainty) -> tuple[ProbeFit, ...]:
     """Predictions, residuals and weights of every probing.
 
     Parameters
     ----------
-    probes : sequence of ProbeObservations
-    misfit : Misfit                 of these probings
-    uncertainty : Uncertainty       of these probings, in this order
+    misfit : Misfit
+    uncertainty : Uncertainty       of its probings
 
     Returns
     -------
     tuple of ProbeFit               `left_out_predicted` is None where there is one probing only
     """
     minimum = uncertainty.minimum
-    left_out = left_out_constants(uncertainty) if len(probes) > 1 else None
+    left_out = left_out_constants(uncertainty) if len(minimum.probes) > 1 else None
     fits = []
-    for k, (probe, local) in enumerate(zip(probes, minimum.probes, strict=True)):
+    for k, local in enumerate(minimum.probes):
+        probe = local.rows.observations
         n = len(probe.position)
-        own = 3 + len(probe.motion)
+        own = local.rows.load_shifts
         constants = minimum.poisson_ratio, minimum.shear_modulus
         shared, sigmas = fitted_errors(misfit, local, minimum.errors)
-        predicted = predicted_points(probe, constants, local, local.shift, sigmas)
+        predicted = predicted_points(local, constants, local.shift, sigmas)
         factor = np.zeros(n + 1)
         factor[local.rows.point] = relative_weight(
             misfit.noise, local.squared, local.rows.components
@@ -112,10 +110,10 @@ def probe_fits(
             # Other probings cannot predict the motions of its supports: these stay as fitted.
             shift = np.where(np.arange(len(local.shift)) < 3, 0.0, local.shift)
             nu, modulus = left_out[k].tolist()
-            left = predicted_points(probe, (nu, modulus), local, shift, shared)
+            left = predicted_points(local, (nu, modulus), shift, shared)
         load = local.rows.load(minimum.shear_modulus, local.shift)
         std = _shift_std(local, uncertainty)
-        motion_std = local.rows.motion_std * std[3:own]
+        motion_std = probe.motion_std * std[3:own]
         errors = error_estimates(misfit.own(local.rows), local.shift[own:], std[own:])
         fits.append(
             ProbeFit(
@@ -158,8 +156,8 @@ def fitted_errors(
     """
     shared = dict(zip((error.name for error in misfit.shared), errors.tolist(), strict=True))
     own = [error.name for error in misfit.own(local.rows)]
-    first = 3 + len(local.rows.motion)
-    return shared, shared | dict(zip(own, local.shift[first:].tolist(), strict=True))
+    shifts = local.shift[local.rows.load_shifts :].tolist()
+    return shared, shared | dict(zip(own, shifts, strict=True))
 
 
 def predicted_surface(
@@ -226,9 +224,8 @@ def _shift_std(probe: LocalProbe, uncertainty: Uncertainty) -> Float[np.ndarray,
 
 
 def predicted_points(
-    probe: ProbeObservations,
-    constants: tuple[float, float],
     local: LocalProbe,
+    constants: tuple[float, float],
     shift: Float[np.ndarray, " s"],
     errors: Mapping[str, float],
 ) -> Points:
@@ -236,9 +233,8 @@ def predicted_points(
 
     Parameters
     ----------
-    probe : ProbeObservations
+    local : LocalProbe
     constants : (float [-], float [Pa])     Poisson's ratio and shear modulus
-    local : LocalProbe                      of this probing
     shift : (s,) float                      `LocalProbe.shift`
     errors : name -> float                  in sigmas; one that is missing is zero
 
@@ -246,19 +242,20 @@ def predicted_points(
     -------
     (n, 3) float [m]
     """
-    rows, (nu, modulus) = np.arange(3 * len(probe.position)), constants
+    probe, (nu, modulus) = local.rows.observations, constants
+    rows = np.arange(3 * len(probe.position))
     response = probe.response_at(nu, modulus)[: len(rows)]
-    load = local.rows.load(modulus, shift)
-    moved = response @ load
+    at = LoadedResponse(rows, response, local.rows.load(modulus, shift), nu)
+    moved = at.displacement
 
     def sigmas_of(nuisance: Nuisance) -> Float[np.ndarray, " p"]:
         return np.array([errors.get(error.name, 0.0) for error in nuisance.parameters])
 
     for nuisance in probe.nuisances:
-        moved = moved + nuisance.columns(rows, response, load, nu) @ sigmas_of(nuisance)
+        moved = moved + nuisance.columns(at) @ sigmas_of(nuisance)
     for curved in local.rows.curved_nuisances:
         sigmas = sigmas_of(curved)
-        moved = moved + 0.5 * (curved.curvature(rows, load, nu) @ sigmas) @ sigmas
+        moved = moved + 0.5 * (curved.curvature(at) @ sigmas) @ sigmas
     return np.asarray(moved).reshape(-1, 3)
 
 

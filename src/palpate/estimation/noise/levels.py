@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.observed_rows import CLAIMED_GROUPS, GROUP_COUNT, TIP_GROUP, ObservedRows
+from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, TIP_GROUP, ObservedRows
 
 _MAD_TO_SIGMA = 1.482602218505602
 # Relative standard error of a sigma from the median absolute deviation of n Gaussian values.
@@ -70,6 +70,5 @@ def _settle_tip(level: np.ndarray, count: np.ndarray) -> None:
 def _settle_claims(level: np.ndarray, count: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Keep claimed levels unless residuals exceed them by more than chance allows."""
     limit = 1 + _OUTLIER_LIFT + _SIGNIFICANT * _MAD_ERROR / np.sqrt(np.maximum(count, 1.0))
-    claimed = np.zeros(GROUP_COUNT, dtype=bool)
-    claimed[CLAIMED_GROUPS] = True
+    claimed = np.arange(GROUP_COUNT) >= FIRST_CLAIMED
     return np.where(claimed & (level < limit), np.maximum(floor, 1.0), level)

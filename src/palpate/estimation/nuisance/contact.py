@@ -1,13 +1,14 @@
-"""Contact error: the tool pressed off the stated point, or on a smaller or larger patch."""
+"""Contact errors: the tool pressed off the stated point, or on a smaller or larger patch; it slid
+along the surface."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,27 +38,41 @@ class ContactError:
     second: Float[np.ndarray, "m p p"]
     count: int
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """First derivatives from the perturbed contacts (`Nuisance.columns`)."""
-        return self.change(poisson_ratio)[rows] @ (load[3] * self.first)
+        return self.change(at.poisson_ratio)[at.rows] @ (at.load[3] * self.first)
 
-    def curvature(
-        self,
-        rows: Int[np.ndarray, " r"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p p"]:
+    def curvature(self, at: LoadedResponse) -> Float[np.ndarray, "r p p"]:
         """Second derivatives from the perturbed contacts (`CurvedNuisance.curvature`); zero in the
         rows of the tip."""
-        curvature = np.tensordot(self.change(poisson_ratio)[rows], load[3] * self.second, axes=1)
-        curvature[rows >= 3 * self.count] = 0.0
+        change = self.change(at.poisson_ratio)[at.rows]
+        curvature = np.tensordot(change, at.load[3] * self.second, axes=1)
+        curvature[at.rows >= 3 * self.count] = 0.0
         return curvature
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolSlip:
+    """Sliding of the tool of one probing along the surface (`Nuisance`): the tool's displacement,
+    which the arm measures, is that of the surface along the normal only.
+
+    Parameters
+    ----------
+    parameters : tuple of 2 NuisanceParameter       one along each tangent
+    tangents : (2, 3) float [-]                     unit tangents of the surface under the tool
+    count : int                                     as `ContactError`
+    """
+
+    parameters: tuple[NuisanceParameter, NuisanceParameter]
+    tangents: Float[np.ndarray, "2 3"]
+    count: int
+
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
+        """Displacement of the tip along the tangents, zero elsewhere (`Nuisance.columns`)."""
+        component = at.rows - 3 * self.count
+        columns = np.zeros((len(at.rows), 2))
+        columns[component >= 0] = self.tangents.T[component[component >= 0]]
+        return columns * [parameter.std for parameter in self.parameters]
 
 
 def contact_error(

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,13 +31,7 @@ class Discretisation:
         name = "mesh (in steps from the given to the graded one)"
         return (NuisanceParameter(name, self.std, of="mesh"),)
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """`std` times the change from the coarser mesh to the finer one (`Nuisance.columns`)."""
-        step = (response - self.coarser(poisson_ratio, 1.0 / load[3])[rows]) @ load
-        return self.std * step[:, None]
+        step = at.response - self.coarser(at.poisson_ratio, at.shear_modulus)[at.rows]
+        return self.std * (step @ at.load)[:, None]

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from palpate.estimation.nuisance.force_gain import of_sensor
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +32,7 @@ class ForceDirection:
         names = (f"{of_sensor(source, self.sensor)} about {axis}" for axis in "xyz")
         return tuple(NuisanceParameter(name, self.std, "rad", source) for name in names)
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """Displacement due to a small rotation of the force (`Nuisance.columns`)."""
-        change = self.std * np.cross(np.eye(3), load[:3]) * np.array(self.measured)
-        return response[:, :3] @ change.T
+        change = self.std * np.cross(np.eye(3), at.load[:3]) * np.array(self.measured)
+        return at.response[:, :3] @ change.T

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from palpate.errors import quoted
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 # Source in the uncertainty budget, whichever the sensor.
 _SOURCE = "gain of the force sensor"
@@ -30,15 +30,9 @@ class ForceGain:
         """One, shared by all probings that this sensor measured."""
         return (NuisanceParameter(of_sensor(_SOURCE, self.sensor), self.std, of=_SOURCE),)
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """Displacement due to the force, times `std` (`Nuisance.columns`)."""
-        return self.std * (response[:, :3] @ load[:3])[:, None]
+        return self.std * (at.response[:, :3] @ at.load[:3])[:, None]
 
 
 def of_sensor(source: str, sensor: str) -> str:

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,13 +25,7 @@ class LengthScale:
         names = (f"scale of measured displacements along {axis}" for axis in "xyz")
         return tuple(NuisanceParameter(name, self.std, of="scale of lengths") for name in names)
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """Displacement times `std`, in the column of its axis (`Nuisance.columns`)."""
-        along = rows[:, None] % 3 == np.arange(3)
-        return np.where(along, self.std * (response @ load)[:, None], 0.0)
+        along = at.rows[:, None] % 3 == np.arange(3)
+        return np.where(along, self.std * at.displacement[:, None], 0.0)

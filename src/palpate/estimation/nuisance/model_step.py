@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,14 +29,8 @@ class ModelStep:
         """One, shared by all probings."""
         return (NuisanceParameter(self.name, 1.0, of="mesh"),)
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """Displacement under `alternative` minus that under `model` (`Nuisance.columns`)."""
-        constants = poisson_ratio, 1.0 / load[3]
-        step = self.alternative(*constants)[rows] - self.model(*constants)[rows]
-        return (step @ load)[:, None]
+        constants = at.poisson_ratio, at.shear_modulus
+        step = self.alternative(*constants)[at.rows] - self.model(*constants)[at.rows]
+        return (step @ at.load)[:, None]

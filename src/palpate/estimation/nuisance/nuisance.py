@@ -38,6 +38,35 @@ class NuisanceParameter:
         return self.of or self.name
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedResponse:
+    """Response of one probing under its load: what the effect of an error depends on.
+
+    Parameters
+    ----------
+    rows : (r,) int                 measured rows of the probing (`ResponseModel`)
+    response : (r, c) float         of these rows
+    load : (c,) float               vector that multiplies the response: force [N] and 1, both over
+                                    the shear modulus [Pa], then motions
+    poisson_ratio : float [-]       at which the response was taken
+    """
+
+    rows: Int[np.ndarray, " r"]
+    response: Float[np.ndarray, "r c"]
+    load: Float[np.ndarray, " c"]
+    poisson_ratio: float
+
+    @property
+    def displacement(self) -> Float[np.ndarray, " r"]:
+        """Displacement of the rows, (r,) [m]."""
+        return self.response @ self.load
+
+    @property
+    def shear_modulus(self) -> float:
+        """Shear modulus [Pa] in the load."""
+        return float(1.0 / self.load[3])
+
+
 @runtime_checkable
 class Nuisance(Protocol):
     """A kind of error and its effect on one probing."""
@@ -47,26 +76,12 @@ class Nuisance(Protocol):
         """The p parameters of this kind in this probing."""
         ...
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
-        """Change in displacement per prior standard deviation of each parameter.
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
+        """Change in displacement per prior standard deviation of each parameter, (r, p) [m].
 
         Parameters
         ----------
-        rows : (r,) int             measured rows of the probing (`ResponseModel`)
-        response : (r, c) float     of these rows
-        load : (c,) float           vector that multiplies the response: force [N] and 1, both over
-                                    the shear modulus [Pa], then motions
-        poisson_ratio : float [-]   at which the response was taken
-
-        Returns
-        -------
-        (r, p) float [m]
+        at : LoadedResponse         of the probing
         """
         ...
 
@@ -75,20 +90,12 @@ class Nuisance(Protocol):
 class CurvedNuisance(Nuisance, Protocol):
     """A kind of error so large that second order matters; it belongs to one probing."""
 
-    def curvature(
-        self,
-        rows: Int[np.ndarray, " r"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p p"]:
-        """Second derivative of the displacements, per prior standard deviation of each parameter.
+    def curvature(self, at: LoadedResponse) -> Float[np.ndarray, "r p p"]:
+        """Second derivative of the displacements, per prior standard deviation of each parameter,
+        (r, p, p) [m].
 
         Parameters
         ----------
-        rows, load, poisson_ratio   as `Nuisance.columns`
-
-        Returns
-        -------
-        (r, p, p) float [m]
+        at : LoadedResponse         of the probing
         """
         ...

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.sparse import csr_array
 
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 _POSE = "pose of the object"
 
@@ -45,17 +45,11 @@ class Pose:
         )
         return tuple(each for each in (*translations, *rotations) if each.std > 0.0)
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """Change in displacement as the points move within the field (`Nuisance.columns`)."""
         # Rows of a measured contact point follow those of the vertices.
-        field = (self.vertices(poisson_ratio) @ load)[: self.change[0].shape[1]]
+        field = (self.vertices(at.poisson_ratio) @ at.load)[: self.change[0].shape[1]]
         moved = np.stack([change @ field for change in self.change], axis=1)
         # The contact point moves with the tool, not with the mesh.
         tip = np.zeros((3, len(self.change)))
-        return np.concatenate([moved, tip])[rows]
+        return np.concatenate([moved, tip])[at.rows]

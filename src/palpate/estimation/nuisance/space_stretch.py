@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,17 +33,11 @@ class SpaceStretch:
             for k, size in enumerate(sizes, start=1)
         )
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """Strains times displacement, with components that were not measured taken as zero
         (`Nuisance.columns`)."""
         displacement = np.zeros(3 * self.points + 3)
-        displacement[rows] = response @ load
+        displacement[at.rows] = at.displacement
         columns = np.einsum("pij,nj->nip", self.strains, displacement.reshape(-1, 3))
         columns[self.points :] = 0.0
-        return columns.reshape(len(displacement), -1)[rows]
+        return columns.reshape(len(displacement), -1)[at.rows]

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from palpate.estimation.nuisance.nuisance import NuisanceParameter
+from palpate.estimation.nuisance.nuisance import LoadedResponse, NuisanceParameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,14 +39,10 @@ class SupportCompliance:
             for number in self.supports
         )
 
-    def columns(
-        self,
-        rows: Int[np.ndarray, " r"],
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r p"]:
+    def columns(self, at: LoadedResponse) -> Float[np.ndarray, "r p"]:
         """Displacement due to springs under each support (`Nuisance.columns`)."""
-        modulus = 1.0 / load[3]
-        moved = [self.derivative(poisson_ratio, k)[rows] @ load for k in range(len(self.supports))]
-        return self.std * modulus * np.stack(moved, axis=1)
+        moved = [
+            self.derivative(at.poisson_ratio, k)[at.rows] @ at.load
+            for k in range(len(self.supports))
+        ]
+        return self.std * at.shear_modulus * np.stack(moved, axis=1)

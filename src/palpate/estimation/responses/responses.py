@@ -23,7 +23,7 @@ from palpate.bem import (
     solve,
 )
 from palpate.errors import InputError
-from palpate.estimation.responses.reduced_model import ReducedModel, SolutionModel
+from palpate.estimation.responses.reduced_model import SolutionModel
 
 _SLOPE_STEP = 1e-4
 _TINY = float(np.finfo(float).tiny)
@@ -230,31 +230,17 @@ class ProbeResponse:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpringResponse:
+class SpringResponse(ProbeResponse):
     """Response of one probing of an object on compliant supports (`ResponseModel`).
 
     Attributes
     ----------
-    rows : ProbeRows
-    observed : callable               Poisson's ratio -> (1 + d, rows, c): `ProbeRows.observed` of
-                                      the solution there, and its derivatives with respect to the
-                                      compliance (give) of each of d supports
+    blocks : callable                 Poisson's ratio -> (1 + d, rows, c): `observed` there, and its
+                                      derivatives with respect to the compliance (give) of each of d
+                                      supports
     """
 
-    rows: ProbeRows
-    observed: Callable[[float], Float[np.ndarray, "n rows c"]]
-
-    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
-        """As `ProbeResponse.value`."""
-        return self._plain().value(poisson_ratio)
-
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
-        """As `ProbeResponse.slope`."""
-        return self._plain().slope(poisson_ratio)
-
-    def change(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows p"]:
-        """As `ProbeResponse.change`."""
-        return self._plain().change(poisson_ratio)
+    blocks: Callable[[float], Float[np.ndarray, "n rows c"]]
 
     def compliance_derivative(
         self, poisson_ratio: float, support: int
@@ -266,21 +252,15 @@ class SpringResponse:
         poisson_ratio : float [-]
         support : int                 index among the d supports
         """
-        value, change = self.observed(poisson_ratio)[[0, 1 + support]]
+        value, change = self.blocks(poisson_ratio)[[0, 1 + support]]
         # Nonlinear only for a support that is pulled: its force replaces its translations.
         size = max(float(np.linalg.norm(change)), _TINY)
         step = _SLOPE_STEP * float(np.linalg.norm(value)) / size
-        higher, lower = (
-            self._from(value + sign * step * change).value(poisson_ratio) for sign in (1.0, -1.0)
-        )
-        return (higher - lower) / (2 * step)
 
-    def _from(self, observed: Float[np.ndarray, "rows c"]) -> ProbeResponse:
-        """The response of a solution from its observations (`ProbeRows.observed`)."""
-        return ProbeResponse(self.rows, lambda _: observed)
+        def moved(give: float) -> Float[np.ndarray, "n_rows c"]:
+            return ProbeResponse(self.rows, lambda _: value + give * change).value(poisson_ratio)
 
-    def _plain(self) -> ProbeResponse:
-        return ProbeResponse(self.rows, lambda poisson_ratio: self.observed(poisson_ratio)[0])
+        return (moved(step) - moved(-step)) / (2 * step)
 
 
 def full_responses(
@@ -309,14 +289,11 @@ def full_responses(
             " --method out, or simplify the surface"
         )
 
-    @lru_cache(maxsize=1)
     def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
         return solve(factorise(system, poisson_ratio), right.at(poisson_ratio))
 
-    def observed_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "rows c"]]:
-        return lambda poisson_ratio: probe.observed(solution(poisson_ratio)[:, probe.columns])
-
-    return [ProbeResponse(probe, observed_by(probe)) for probe in rows]
+    springs = full_spring_responses(solution, rows, blocks=1)
+    return [ProbeResponse(response.rows, response.observed) for response in springs]
 
 
 def full_spring_responses(
@@ -337,14 +314,14 @@ def full_spring_responses(
     """
     latest = lru_cache(maxsize=1)(solution)
 
-    def observed_by(probe: ProbeRows) -> Callable[[float], Float[np.ndarray, "n rows c"]]:
+    def response_of(probe: ProbeRows) -> SpringResponse:
         def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
             parts = np.split(latest(poisson_ratio)[:, probe.columns], blocks)
             return np.stack([probe.observed(part) for part in parts])
 
-        return observed
+        return SpringResponse(probe, lambda poisson_ratio: observed(poisson_ratio)[0], observed)
 
-    return [SpringResponse(probe, observed_by(probe)) for probe in rows]
+    return list(map(response_of, rows))
 
 
 def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
@@ -359,22 +336,15 @@ def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
     -------
     ProbeResponse
     """
-    projected = _projected(rows, [direction[:, rows.columns] for direction in model.directions])
-
-    @lru_cache(maxsize=1)
-    def observed(poisson_ratio: float) -> Float[np.ndarray, "rows c"]:
-        weights, _ = model.coefficients(poisson_ratio, rows.columns)
-        return (projected @ weights.T[:, :, None])[:, :, 0].T
-
-    return ProbeResponse(rows, observed)
+    return ProbeResponse(rows, reduced_spring_response(model, rows, blocks=1).observed)
 
 
-def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -> SpringResponse:
+def reduced_spring_response(model: SolutionModel, rows: ProbeRows, blocks: int) -> SpringResponse:
     """As `reduced_response`, for an object on springs.
 
     Parameters
     ----------
-    model : ReducedModel              of `make_spring_model`
+    model : SolutionModel             of `make_spring_model`
     rows : ProbeRows
     blocks : int                      1 + d: solutions and their derivatives
 
@@ -383,18 +353,13 @@ def reduced_spring_response(model: ReducedModel, rows: ProbeRows, blocks: int) -
     SpringResponse
     """
     parts = [np.split(direction[:, rows.columns], blocks) for direction in model.directions]
-    projected = np.stack([_projected(rows, part) for part in zip(*parts, strict=True)])
+    # Observations of each basis vector.
+    terms = [[rows.observed(direction) for direction in part] for part in zip(*parts, strict=True)]
+    projected = np.stack(terms).transpose(0, 3, 2, 1).copy()
 
+    @lru_cache(maxsize=1)
     def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
         weights, _ = model.coefficients(poisson_ratio, rows.columns)
         return (projected @ weights.T[:, :, None])[..., 0].transpose(0, 2, 1)
 
-    return SpringResponse(rows, observed)
-
-
-def _projected(
-    rows: ProbeRows, directions: Sequence[Float[np.ndarray, "k c"]]
-) -> Float[np.ndarray, "c rows j"]:
-    """Observations (`ProbeRows.observed`) of each basis vector."""
-    terms = [rows.observed(direction) for direction in directions]
-    return np.stack(terms, axis=2).transpose(1, 0, 2).copy()
+    return SpringResponse(rows, lambda poisson_ratio: observed(poisson_ratio)[0], observed)

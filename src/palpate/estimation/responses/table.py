@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import BarycentricInterpolator
 
 from palpate.estimation.observed_rows import ObservedRows
 
@@ -96,8 +97,4 @@ def interpolation_weights(
     """
     count = len(node)
     factor = np.sin(np.pi * (np.arange(count) + 0.5) / count) * (-1.0) ** np.arange(count)
-    distance = target[:, None] - node
-    exact = distance == 0
-    weight = factor / np.where(exact, 1.0, distance)
-    weight = np.where(exact.any(axis=1, keepdims=True), exact.astype(float), weight)
-    return weight / weight.sum(axis=1, keepdims=True)
+    return np.asarray(BarycentricInterpolator(node, np.eye(count), wi=factor)(target))

@@ -2,7 +2,7 @@
 
 Purpose    : a robust start over the whole range, then the exact minimum; a simplex as a check.
 Takes      : `ObservedRows`, a `ResponseTable`, a `NoiseModel`.
-Gives      : `Misfit`, `Minimum` with the probings linearised there, `FixedWeights`.
+Gives      : `Misfit`, `SearchState`, `Minimum` with the probings linearised there, `FixedWeights`.
 Depends on : `estimation.noise`, `estimation.nuisance`, `estimation.responses`; the observations of
              its room.
 Read first : `local_probe.py`, `misfit.py`, `variable_projection.py`, then `global_search.py`.
@@ -12,7 +12,10 @@ from palpate.estimation.search.global_search import (
     fitted_parameters as fitted_parameters,
     global_start as global_start,
 )
-from palpate.estimation.search.local_probe import LocalProbe as LocalProbe
+from palpate.estimation.search.local_probe import (
+    LocalProbe as LocalProbe,
+    SearchState as SearchState,
+)
 from palpate.estimation.search.misfit import Misfit as Misfit, total_loss as total_loss
 from palpate.estimation.search.nelder_mead import nelder_mead_minimum as nelder_mead_minimum
 from palpate.estimation.search.scoring import (

@@ -6,7 +6,6 @@ explains most of the field. Only then follow the noise model and the global sear
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -14,29 +13,12 @@ from jaxtyping import Float
 from palpate.estimation.noise import NoiseModel, noise_levels
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.responses import ResponseTable
+from palpate.estimation.search.local_probe import SearchState
+from palpate.estimation.search.misfit import Misfit
 from palpate.estimation.search.variable_projection import best_constants, fixed_weights
 
 _CONVEX_ROUNDS = 6
 _ROUNDS = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GlobalStart:
-    """Where the exact minimisation starts.
-
-    Parameters
-    ----------
-    poisson_ratio : float [-]
-    shear_modulus : float [Pa]
-    level : (8,) float                  noise level of each group
-    shifts : tuple of (n,) float        of the force and motions of each probing, in
-                                        sigmas
-    """
-
-    poisson_ratio: float
-    shear_modulus: float
-    level: Float[np.ndarray, " 8"]
-    shifts: tuple[Float[np.ndarray, " _"], ...]
 
 
 def fitted_parameters(probes: Sequence[ObservedRows]) -> int:
@@ -50,12 +32,13 @@ def fitted_parameters(probes: Sequence[ObservedRows]) -> int:
     -------
     int
     """
-    return 2 + sum(probe.fitted_components for probe in probes)
+    motions = sum(int(np.count_nonzero(one.observations.motion_std)) for one in probes)
+    return 2 + motions + sum(probe.force_components for probe in probes)
 
 
 def global_start(
     probes: Sequence[ObservedRows], table: ResponseTable, noise: NoiseModel
-) -> GlobalStart:
+) -> tuple[SearchState, Float[np.ndarray, " 8"]]:
     """Robust global minimum on the tabulated responses, to the accuracy of the table.
 
     Parameters
@@ -66,10 +49,11 @@ def global_start(
 
     Returns
     -------
-    GlobalStart
+    SearchState                         where the exact minimisation starts: without errors
+    (8,) float                          noise level of each group
     """
     residuals = _convex_residuals(probes, table)
-    shifts = [np.zeros(3 + len(probe.motion)) for probe in probes]
+    shifts = [np.zeros(probe.load_shifts) for probe in probes]
     for _ in range(_ROUNDS):
         level = noise_levels(probes, residuals, parameters=fitted_parameters(probes))
         weights = [
@@ -87,7 +71,10 @@ def global_start(
             residuals[k], shifts[k] = _at_best_force(
                 probe, response.T, modulus, row_weight, float(force_weights[k])
             )
-    return GlobalStart(nu, modulus, level, tuple(shifts))
+    start = Misfit(tuple(probes), level, noise).start(nu, modulus)
+    for shift, found in zip(start.shifts, shifts, strict=True):
+        shift[: len(found)] = found
+    return start, level
 
 
 def _convex_residuals(probes: Sequence[ObservedRows], table: ResponseTable) -> list[np.ndarray]:
@@ -97,16 +84,18 @@ def _convex_residuals(probes: Sequence[ObservedRows], table: ResponseTable) -> l
     residuals = [probe.measured for probe in probes]
     for _ in range(_CONVEX_ROUNDS):
         for k, probe in enumerate(probes):
-            free = np.append([True, True, True, np.any(middle[k][3])], probe.motion_std > 0)
+            free = np.append(
+                [True, True, True, np.any(middle[k][3])], probe.observations.motion_std > 0
+            )
             columns = middle[k][free]
-            measured = probe.measured - probe.motion @ middle[k][4:]
+            measured = probe.measured - probe.observations.motion @ middle[k][4:]
             stacked = np.vstack([columns, measured])
             products = (stacked * weights[k]) @ stacked.T
             size = np.sqrt(np.maximum(np.diag(products)[:-1], np.finfo(float).tiny))
             unit = products[:-1, :-1] / np.outer(size, size) + 1e-12 * np.eye(len(size))
             fitted = np.linalg.solve(unit, products[:-1, -1] / size) / size
             residuals[k] = measured - fitted @ columns
-        motions = sum(int(np.count_nonzero(probe.motion_std)) for probe in probes)
+        motions = sum(int(np.count_nonzero(probe.observations.motion_std)) for probe in probes)
         level = noise_levels(probes, residuals, parameters=3 * len(probes) + motions)
         for k, probe in enumerate(probes):
             sigma = probe.sigma(level)

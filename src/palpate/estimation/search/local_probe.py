@@ -10,6 +10,41 @@ from palpate.estimation.observed_rows import ObservedRows, weighted_square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SearchState:
+    """Values of all that is estimated together.
+
+    Parameters
+    ----------
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]      > 0
+    errors : (m,) float             shared errors, in prior standard deviations
+    shifts : tuple of (n,) float    `LocalProbe.shift` of each probing
+    """
+
+    poisson_ratio: float
+    shear_modulus: float
+    errors: Float[np.ndarray, " m"]
+    shifts: tuple[Float[np.ndarray, " _"], ...]
+
+    @property
+    def vector(self) -> Float[np.ndarray, " p"]:
+        """All of them as one vector, the modulus as its logarithm."""
+        constants = [self.poisson_ratio, np.log(self.shear_modulus)]
+        return np.concatenate([constants, self.errors, *self.shifts])
+
+    def moved(self, change: Float[np.ndarray, " p"]) -> "SearchState":
+        """The state after a change of `vector`."""
+        ends = np.cumsum([2, len(self.errors), *map(len, self.shifts)])
+        _, errors, *moves, _ = np.split(change, ends)
+        return SearchState(
+            self.poisson_ratio + float(change[0]),
+            self.shear_modulus * float(np.exp(change[1])),
+            self.errors + errors,
+            tuple(shift + move for shift, move in zip(self.shifts, moves, strict=True)),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ScaledRows:
     """Response and measurement of one probing in units of the noise.
 
@@ -28,6 +63,7 @@ class ScaledRows:
     drift : (r, 3) float            derivative of the displacement explained by the errors at the
                                     reference, per standard deviation of each force component
     force : (3,) float              shift of the force at the reference, in sigmas
+    poisson_ratio : float [-]       the reference
     shear_modulus : float [Pa]      at which `effects` were taken; they scale as 1 / G
     considered : (r, q) float       change per prior standard deviation of each error that is
                                     considered, not fitted; no columns if not requested
@@ -43,12 +79,14 @@ class ScaledRows:
     curvature: Float[np.ndarray, "r o o"] | None
     drift: Float[np.ndarray, "r 3"]
     force: Float[np.ndarray, "3"]
+    poisson_ratio: float
     shear_modulus: float
     considered: Float[np.ndarray, "r q"]
     settling: Float[np.ndarray, "r c"] | None = None
 
-    def response(self, offset: float, shear_modulus: float) -> Float[np.ndarray, "r c"]:
-        """Response at nu = reference + offset and a shear modulus [Pa], over the noise, (r, c)."""
+    def response(self, poisson_ratio: float, shear_modulus: float) -> Float[np.ndarray, "r c"]:
+        """Response at a Poisson's ratio and a shear modulus [Pa], over the noise, (r, c)."""
+        offset = poisson_ratio - self.poisson_ratio
         response = self.base if offset == 0 else self.base + offset * self.slope
         if self.settling is None:
             return response
@@ -114,34 +152,28 @@ class LocalProbe:
 
 
 def linearised_probe(
-    noise: NoiseModel,
-    rows: ScaledRows,
-    offset: float,
-    shear_modulus: float,
-    shift: Float[np.ndarray, " n"],
-    errors: Float[np.ndarray, " m"],
+    noise: NoiseModel, rows: ScaledRows, at: SearchState, shift: Float[np.ndarray, " n"]
 ) -> LocalProbe:
-    """Linearise one probing at nu = reference + offset, a shear modulus, a true force and errors.
+    """Linearise one probing at some constants and shared errors, and at its own shifts.
 
     Parameters
     ----------
     noise : NoiseModel
     rows : ScaledRows
-    offset : float [-]              in Poisson's ratio
-    shear_modulus : float [Pa]      > 0
-    shift : (n,) float              see `LocalProbe.shift`
-    errors : (m,) float             shared errors, in sigmas
+    at : SearchState
+    shift : (n,) float              its shifts of this probing
 
     Returns
     -------
     LocalProbe
     """
     probe = rows.probe
-    response = rows.response(offset, shear_modulus)
+    shear_modulus, errors = at.shear_modulus, at.errors
+    response = rows.response(at.poisson_ratio, shear_modulus)
     load = probe.load(shear_modulus, shift)
     moved = response[:, :4] @ load[:4]
     shared, first = len(errors), 2 + len(errors)
-    motions = 3 + len(probe.motion)
+    motions = probe.load_shifts
     scale = rows.shear_modulus / shear_modulus
     effects, drift = scale * rows.effects, scale * rows.drift
     explained = effects @ np.append(errors, shift[motions:])

@@ -9,16 +9,21 @@ every probing.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import NotConvergedError
 from palpate.estimation.noise import NoiseModel
-from palpate.estimation.nuisance import NuisanceParameter
+from palpate.estimation.nuisance import LoadedResponse, NuisanceParameter
 from palpate.estimation.observed_rows import ObservedRows
-from palpate.estimation.search.local_probe import LocalProbe, ScaledRows, linearised_probe
+from palpate.estimation.search.local_probe import (
+    LocalProbe,
+    ScaledRows,
+    SearchState,
+    linearised_probe,
+)
 
 _MAX_FORCE_STEPS = 200
 _FORCE_TOLERANCE = 1e-12
@@ -51,9 +56,11 @@ class Misfit:
         shared = {parameter.name for parameter in self.shared}
         return tuple(own for own in probe.parameters if own.name not in shared)
 
-    def no_shifts(self) -> list[Float[np.ndarray, " _"]]:
-        """Zero shifts of every probing: forces and motions as measured, no errors."""
-        return [np.zeros(3 + len(probe.motion) + len(self.own(probe))) for probe in self.probes]
+    def start(self, poisson_ratio: float, shear_modulus: float) -> SearchState:
+        """State at given constants with forces and motions as measured, and no errors."""
+        counts = (probe.load_shifts + len(self.own(probe)) for probe in self.probes)
+        errors = np.zeros(len(self.shared))
+        return SearchState(poisson_ratio, shear_modulus, errors, tuple(map(np.zeros, counts)))
 
     def __call__(self, poisson_ratio: float, shear_modulus: float) -> float:
         """Misfit at given constants, at its minimum over true forces, motions and errors.
@@ -95,76 +102,61 @@ class Misfit:
         ------
         NotConvergedError                   the true force of a probing did not converge
         """
-        shifts, errors = self.no_shifts(), np.zeros(len(self.shared))
-        rows = self.scaled(poisson_ratio, shear_modulus, shifts, with_slope=with_slope)
-        local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
+        state = self.start(poisson_ratio, shear_modulus)
+        rows = self.scaled(state, with_slope=with_slope)
+        local = self.linearised(rows, state)
         for _ in range(_MAX_FORCE_STEPS):
-            normal, gradient, solutions = common_equations(local, errors)
+            normal, gradient, solutions = common_equations(local, state.errors)
             step = np.linalg.solve(normal[2:, 2:], gradient[2:])
             moves = [solution[:, -1] - solution[:, 2:-1] @ step for solution in solutions]
-            errors = errors + step
-            shifts = [probe.shift + move for probe, move in zip(local, moves, strict=True)]
-            local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
-            largest = np.abs(np.concatenate([step, *moves])).max()
-            if largest < _FORCE_TOLERANCE * (1 + np.abs(np.concatenate([errors, *shifts])).max()):
+            change = np.concatenate([np.zeros(2), step, *moves])
+            state = state.moved(change)
+            local = self.linearised(rows, state)
+            if np.abs(change).max() < _FORCE_TOLERANCE * (1 + np.abs(state.vector[2:]).max()):
                 if with_slope:
                     # What non-zero errors explain depends on the force, too: linearise again.
-                    rows = self.scaled(poisson_ratio, shear_modulus, shifts, errors)
-                    local = self.linearised(rows, 0.0, shear_modulus, shifts, errors)
-                return errors, local
+                    local = self.linearised(self.scaled(state), state)
+                return state.errors, local
         worst = max(local, key=lambda probe: float(np.abs(probe.shift).max()))
         raise NotConvergedError(
             f"probing {worst.rows.name!r}: the true force did not settle in {_MAX_FORCE_STEPS}"
             " steps; check force_std against the force"
         )
 
-    def scaled(
-        self,
-        poisson_ratio: float,
-        shear_modulus: float,
-        shifts: Sequence[Float[np.ndarray, " _"]],
-        errors: Float[np.ndarray, " m"] | None = None,
-        *,
-        with_slope: bool = True,
-    ) -> list[ScaledRows]:
-        """Rows of every probing in units of the noise, for linearisation about given constants.
+    def scaled(self, about: SearchState, *, with_slope: bool = True) -> list[ScaledRows]:
+        """Rows of every probing in units of the noise, for linearisation about a state.
 
         Parameters
         ----------
-        poisson_ratio : float [-]
-        shear_modulus : float [Pa]                  > 0
-        shifts : one (n,) float for each probing    see `LocalProbe.shift`
-        errors : (m,) float or None                 shared errors, in sigmas; None: all zero
-        with_slope : bool                           False: slope and drift are zero, and considered
-                                                    errors are left out
+        about : SearchState
+        with_slope : bool               False: slope and drift are zero, and considered errors are
+                                        left out
 
         Returns
         -------
         list of ScaledRows              one for each probing
         """
-        errors = np.zeros(len(self.shared)) if errors is None else errors
+        poisson_ratio, shear_modulus = about.poisson_ratio, about.shear_modulus
         scaled = []
-        for probe, shift in zip(self.probes, shifts, strict=True):
+        for probe, shift in zip(self.probes, about.shifts, strict=True):
             sigma = probe.sigma(self.level)[:, None]
             # First, as it evaluates at other ratios: a response caches its latest solution only.
             slope = probe.slope(poisson_ratio) if with_slope else 0.0
             response = probe.value(poisson_ratio)
             settling = probe.settling(poisson_ratio, shear_modulus)
-            if settling is not None and probe.settlement is not None:
-                relative_change = 1.0 - probe.settlement.shear_modulus / shear_modulus
+            settlement = probe.observations.settlement
+            if settling is not None and settlement is not None:
+                relative_change = 1.0 - settlement.shear_modulus / shear_modulus
                 response = response + relative_change * settling
                 settling = settling / sigma
-            load = probe.load(shear_modulus, shift)
-            effects = self._effects(probe, response, load, poisson_ratio)
-            curvature = self._curvature(probe, load, poisson_ratio)
+            at = probe.loaded(response, probe.load(shear_modulus, shift), poisson_ratio)
+            effects, curvature = self._effects(probe, at), self._curvature(probe, at)
             drift = np.zeros((len(sigma), 3))
-            considered = np.zeros((len(sigma), 0))
-            all_errors = np.append(errors, shift[3 + len(probe.motion) :])
-            if with_slope:
-                considered = probe.considered_columns(response, load, poisson_ratio)
+            all_errors = np.append(about.errors, shift[probe.load_shifts :])
+            considered = probe.columns(probe.observations.considered if with_slope else (), at)
             if with_slope and all_errors.any():
                 start = _explained(effects, curvature, all_errors)
-                drift = self._drift(probe, response, load, poisson_ratio, all_errors, start)
+                drift = self._drift(probe, at, all_errors, start)
             scaled.append(
                 ScaledRows(
                     probe=probe,
@@ -175,6 +167,7 @@ class Misfit:
                     curvature=None if curvature is None else curvature / sigma[:, :, None],
                     drift=drift / sigma,
                     force=np.array(shift[:3]),
+                    poisson_ratio=poisson_ratio,
                     shear_modulus=shear_modulus,
                     considered=considered / sigma,
                     settling=settling,
@@ -182,30 +175,20 @@ class Misfit:
             )
         return scaled
 
-    def _effects(
-        self,
-        probe: ObservedRows,
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> Float[np.ndarray, "r e"]:
+    def _effects(self, probe: ObservedRows, at: LoadedResponse) -> Float[np.ndarray, "r e"]:
         """Change in displacement per prior standard deviation of each error [m]: the shared errors,
         then the probing's own."""
-        names = [parameter.name for parameter in self.shared]
-        columns = probe.nuisance_columns(response, load, poisson_ratio)
-        effects = np.zeros((len(columns), len(names) + len(self.own(probe))))
-        next_own = len(names)
-        for column, parameter in zip(columns.T, probe.parameters, strict=True):
-            index = names.index(parameter.name) if parameter.name in names else next_own
-            next_own += index == next_own
-            effects[:, index] = column
+        names = [parameter.name for parameter in (*self.shared, *self.own(probe))]
+        columns = probe.columns(probe.observations.nuisances, at)
+        effects = np.zeros((len(columns), len(names)))
+        effects[:, [names.index(parameter.name) for parameter in probe.parameters]] = columns
         return effects
 
     def _curvature(
-        self, probe: ObservedRows, load: Float[np.ndarray, " c"], poisson_ratio: float
+        self, probe: ObservedRows, at: LoadedResponse
     ) -> Float[np.ndarray, "r o o"] | None:
         """Second derivatives in the probing's own errors [m]; None: effects are linear."""
-        curved = probe.nuisance_curvature(load, poisson_ratio)
+        curved = probe.curvature(at)
         if not curved:
             return None
         names = [parameter.name for parameter in self.own(probe)]
@@ -218,52 +201,37 @@ class Misfit:
     def _drift(
         self,
         probe: ObservedRows,
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
+        at: LoadedResponse,
         errors: Float[np.ndarray, " e"],
         start: Float[np.ndarray, " r"],
     ) -> Float[np.ndarray, "r 3"]:
         """Derivative of the displacement explained by the errors, `start`, per standard deviation
         of each force component [m]."""
-        columns = []
-        for i, std in enumerate(probe.force_std):
-            changed_load = load.copy()
+        drift = np.zeros((len(start), 3))
+        for i in np.flatnonzero(probe.observations.force_std):
+            load = at.load.copy()
             # load[3] is 1 / G.
-            changed_load[i] += std * load[3]
-            explained = start
-            if std > 0.0:
-                effects = self._effects(probe, response, changed_load, poisson_ratio)
-                curvature = self._curvature(probe, changed_load, poisson_ratio)
-                explained = _explained(effects, curvature, errors)
-            columns.append(explained - start)
-        return np.stack(columns, axis=1)
+            load[i] += probe.observations.force_std[i] * load[3]
+            changed = replace(at, load=load)
+            effects, curvature = self._effects(probe, changed), self._curvature(probe, changed)
+            drift[:, i] = _explained(effects, curvature, errors) - start
+        return drift
 
-    def linearised(
-        self,
-        rows: Sequence[ScaledRows],
-        offset: float,
-        shear_modulus: float,
-        shifts: Sequence[Float[np.ndarray, " _"]],
-        errors: Float[np.ndarray, " m"],
-    ) -> tuple[LocalProbe, ...]:
-        """Every probing at nu = reference + offset, a shear modulus, true forces and motions.
+    def linearised(self, rows: Sequence[ScaledRows], at: SearchState) -> tuple[LocalProbe, ...]:
+        """Every probing linearised at a state.
 
         Parameters
         ----------
         rows : sequence of ScaledRows   response and slope at the reference
-        offset : float [-]              in Poisson's ratio
-        shear_modulus : float [Pa]      > 0
-        shifts : one (n,) float for each probing    see `LocalProbe.shift`
-        errors : (m,) float             shared errors, in sigmas
+        at : SearchState
 
         Returns
         -------
         tuple of LocalProbe             one for each probing
         """
         return tuple(
-            linearised_probe(self.noise, row, offset, shear_modulus, shift, errors)
-            for row, shift in zip(rows, shifts, strict=True)
+            linearised_probe(self.noise, row, at, shift)
+            for row, shift in zip(rows, at.shifts, strict=True)
         )
 
 

@@ -10,6 +10,7 @@ Paper, section 3.2, which uses Matlab's fmins.
 import numpy as np
 from scipy.optimize import minimize
 
+from palpate.estimation.search.local_probe import SearchState
 from palpate.estimation.search.misfit import Misfit
 from palpate.estimation.search.scoring import Minimum
 
@@ -20,19 +21,14 @@ _MAX_LOG_FACTOR = 25.0
 
 
 def nelder_mead_minimum(
-    misfit: Misfit,
-    poisson_ratio: float,
-    shear_modulus: float,
-    *,
-    poisson_range: tuple[float, float],
+    misfit: Misfit, start: SearchState, *, poisson_range: tuple[float, float]
 ) -> Minimum:
     """Minimum of the misfit by a simplex over (nu, log G).
 
     Parameters
     ----------
     misfit : Misfit
-    poisson_ratio : float [-]       start
-    shear_modulus : float [Pa]      start, > 0
+    start : SearchState             its constants are the start
     poisson_range : (float, float)  Poisson's ratio stays inside
 
     Returns
@@ -45,12 +41,13 @@ def nelder_mead_minimum(
     NotConvergedError               the true force of a probing did not converge
     """
     low, high = poisson_range
-    start = np.array([np.clip(poisson_ratio, low, high), 0.0])
-    inward = _FIRST_STEP if start[0] + _FIRST_STEP <= high else -_FIRST_STEP
-    simplex = start + np.array([[0.0, 0.0], [inward, 0.0], [0.0, _FIRST_STEP]])
+    shear_modulus = start.shear_modulus
+    first = np.array([np.clip(start.poisson_ratio, low, high), 0.0])
+    inward = _FIRST_STEP if first[0] + _FIRST_STEP <= high else -_FIRST_STEP
+    simplex = first + np.array([[0.0, 0.0], [inward, 0.0], [0.0, _FIRST_STEP]])
     result = minimize(
         lambda x: misfit(float(x[0]), shear_modulus * float(np.exp(x[1]))),
-        start,
+        first,
         method="Nelder-Mead",
         bounds=[poisson_range, (-_MAX_LOG_FACTOR, _MAX_LOG_FACTOR)],
         options={

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation.noise import NoiseModel, score_moments
-from palpate.estimation.search.local_probe import LocalProbe, ScaledRows
+from palpate.estimation.search.local_probe import LocalProbe, ScaledRows, SearchState
 from palpate.estimation.search.misfit import Misfit, common_equations, total_loss
 
 _MAX_LINEARISATIONS = 20
@@ -48,47 +48,44 @@ class Minimum:
     errors: Float[np.ndarray, " m"]
     converged: bool
 
+    @property
+    def state(self) -> SearchState:
+        """Values of all that was estimated."""
+        shifts = tuple(probe.shift for probe in self.probes)
+        return SearchState(self.poisson_ratio, self.shear_modulus, self.errors, shifts)
+
 
 def scored_minimum(
-    misfit: Misfit,
-    poisson_ratio: float,
-    shear_modulus: float,
-    *,
-    poisson_range: tuple[float, float],
-    shifts: Sequence[Float[np.ndarray, " _"]] | None = None,
-    errors: Float[np.ndarray, " m"] | None = None,
+    misfit: Misfit, start: SearchState, *, poisson_range: tuple[float, float]
 ) -> Minimum:
     """Minimum of the misfit near a starting point.
 
     Parameters
     ----------
     misfit : Misfit
-    poisson_ratio : float [-]       start
-    shear_modulus : float [Pa]      start, > 0
+    start : SearchState
     poisson_range : (float, float)  Poisson's ratio stays inside
-    shifts : one (n,) float for each probing, or None   start of `LocalProbe.shift`; None: zero
-    errors : (m,) float or None     start of the shared errors, in sigmas; None: zero
 
     Returns
     -------
     Minimum                         `converged` is false if the iteration did not converge
     """
-    nu, modulus = float(np.clip(poisson_ratio, *poisson_range)), shear_modulus
-    shifts = list(misfit.no_shifts() if shifts is None else shifts)
-    errors = np.zeros(len(misfit.shared)) if errors is None else errors
-    start, previous, relaxation = Minimum(nu, modulus, (), errors, False), np.zeros(0), 1.0
+    state, previous, relaxation = _within(start, poisson_range), np.zeros(0), 1.0
     for _ in range(_MAX_LINEARISATIONS):
-        rows = misfit.scaled(start.poisson_ratio, start.shear_modulus, shifts, start.errors)
-        minimum, error = _linear_minimum(misfit, rows, start, shifts, poisson_range)
-        reached = _parameter_vector(minimum, [probe.shift for probe in minimum.probes])
-        change = reached - _parameter_vector(start, shifts)
+        minimum, error = _linear_minimum(misfit, misfit.scaled(state), state, poisson_range)
+        change = minimum.state.vector - state.vector
         # Responses and effects are linearised over a move; the error left is of second order in it.
         moved = float(np.abs(change[:2]).max())
         if moved < _LINEARISATION_TOLERANCE or moved**2 < _STEP_OVER_ERROR * error:
             return replace(minimum, converged=True)
         relaxation, previous = aitken_relaxation(change, previous, relaxation), change
-        start, shifts = _moved(start, shifts, relaxation * change)
+        state = state.moved(relaxation * change)
     return minimum
+
+
+def _within(state: SearchState, poisson_range: tuple[float, float]) -> SearchState:
+    """The state with Poisson's ratio inside its range."""
+    return replace(state, poisson_ratio=float(np.clip(state.poisson_ratio, *poisson_range)))
 
 
 def aitken_relaxation(
@@ -116,78 +113,51 @@ def aitken_relaxation(
     return float(np.clip(relaxation / max(1.0 - ratio, relaxation), _SMALLEST_RELAXATION, 1.0))
 
 
-def _parameter_vector(minimum: Minimum, shifts: Sequence[np.ndarray]) -> Float[np.ndarray, " n"]:
-    """All estimated parameters as one vector: nu, log G, shared errors, shifts of each probing."""
-    return np.concatenate(
-        [[minimum.poisson_ratio, np.log(minimum.shear_modulus)], minimum.errors, *shifts]
-    )
-
-
-def _moved(
-    start: Minimum, shifts: Sequence[np.ndarray], change: Float[np.ndarray, " n"]
-) -> tuple[Minimum, list[np.ndarray]]:
-    """A start and its shifts after a change of all parameters."""
-    ends = np.cumsum([2, len(start.errors), *map(len, shifts)])
-    _, errors, *moves, _ = np.split(change, ends)
-    moved = Minimum(
-        start.poisson_ratio + change[0],
-        start.shear_modulus * float(np.exp(change[1])),
-        (),
-        start.errors + errors,
-        False,
-    )
-    return moved, [shift + move for shift, move in zip(shifts, moves, strict=True)]
-
-
 def _linear_minimum(
     misfit: Misfit,
     rows: Sequence[ScaledRows],
-    start: Minimum,
-    shifts: Sequence[np.ndarray],
+    state: SearchState,
     poisson_range: tuple[float, float],
 ) -> tuple[Minimum, float]:
     """Minimum, and a standard error as in `_step`, after scoring steps with the response linear in
     Poisson's ratio about the start."""
-    reference = start.poisson_ratio
-    local = misfit.linearised(rows, 0.0, start.shear_modulus, shifts, start.errors)
-    best, loss = replace(start, probes=local), total_loss(local, start.errors)
+    local = misfit.linearised(rows, state)
+    loss = total_loss(local, state.errors)
     for _ in range(_MAX_STEPS):
-        step, moves, error = _step(misfit.noise, best, poisson_range)
+        step, error = _step(misfit.noise, local, state, poisson_range)
         for factor in 0.5 ** np.arange(_MAX_HALVINGS):
-            nu = float(np.clip(best.poisson_ratio + factor * step[0], *poisson_range))
-            modulus = best.shear_modulus * float(np.exp(factor * step[1]))
-            errors = best.errors + factor * step[2:]
-            new_shifts = [
-                probe.shift + factor * move for probe, move in zip(best.probes, moves, strict=True)
-            ]
-            trial = misfit.linearised(rows, nu - reference, modulus, new_shifts, errors)
-            new_loss = total_loss(trial, errors)
+            trial = _within(state.moved(factor * step), poisson_range)
+            trial_local = misfit.linearised(rows, trial)
+            new_loss = total_loss(trial_local, trial.errors)
             if new_loss <= loss + 1e-12 * (1 + abs(loss)):
                 break
         else:
             # No step in this direction lowers the misfit: only rounding error is left.
             break
-        moved = max(abs(nu - best.poisson_ratio), abs(factor * step[1]))
-        best, loss = Minimum(nu, modulus, trial, errors, False), new_loss
+        moved = max(abs(trial.poisson_ratio - state.poisson_ratio), abs(factor * step[1]))
+        state, local, loss = trial, trial_local, new_loss
         if moved < max(_STEP_TOLERANCE, 0.1 * _STEP_OVER_ERROR * error):
             break
-    return best, error
+    return Minimum(state.poisson_ratio, state.shear_modulus, local, state.errors, False), error
 
 
 def _step(
-    noise: NoiseModel, minimum: Minimum, poisson_range: tuple[float, float]
-) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Scoring step of (nu, log G) and shared errors, steps of the shifts, and the smaller of the
-    conditional standard errors of nu and log G."""
+    noise: NoiseModel,
+    local: Sequence[LocalProbe],
+    state: SearchState,
+    poisson_range: tuple[float, float],
+) -> tuple[Float[np.ndarray, " p"], float]:
+    """Scoring step of `SearchState.vector`, and the smaller of the conditional standard errors of
+    nu and log G."""
     factors = []
-    for probe in minimum.probes:
+    for probe in local:
         _, slope = score_moments(noise, probe.squared, probe.rows.components)
         # Scoring, not plain reweighting: the mean slope of the score replaces the mean weight.
         factors.append(max(slope / float(probe.weight.mean()), _SMALLEST_SLOPE))
-    normal, gradient, solutions = common_equations(minimum.probes, minimum.errors, factors)
-    step = _bounded(normal, gradient, minimum.poisson_ratio, poisson_range)
+    normal, gradient, solutions = common_equations(local, state.errors, factors)
+    step = _bounded(normal, gradient, state.poisson_ratio, poisson_range)
     moves = [solution[:, -1] - solution[:, :-1] @ step for solution in solutions]
-    return step, moves, float(1 / diagonal_root(normal[:2, :2]).max())
+    return np.concatenate([step, *moves]), float(1 / diagonal_root(normal[:2, :2]).max())
 
 
 def _bounded(

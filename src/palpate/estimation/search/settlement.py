@@ -30,22 +30,23 @@ def without_settlement(
     -------
     (tuple of ObservedRows, ResponseTable)      unchanged where no support is a spring
     """
-    if all(row.settlement is None for row in rows):
+    if all(row.observations.settlement is None for row in rows):
         return tuple(rows), table
     responses = []
     for row, response, local in zip(rows, table.response, minimum.probes, strict=True):
         load = row.load(minimum.shear_modulus, local.shift)[:4]
-        separated = []
-        for nu, columns in zip(table.poisson_ratio, response, strict=True):
+        separated = np.concatenate([response, np.zeros_like(response[:, :1])], axis=1)
+        for nu, columns in zip(table.poisson_ratio, separated, strict=True):
             settling = row.settling(float(nu), minimum.shear_modulus)
-            elastic, settled = columns.copy(), np.zeros(columns.shape[1])
             if settling is not None:
-                elastic[:4] -= settling[:, :4].T
-                settled = settling[:, :4] @ load
-            separated.append(np.vstack([elastic, settled]))
-        responses.append(np.stack(separated))
-    with_settlement = tuple(
-        replace(row, motion=np.append(row.motion, 1.0), motion_std=np.append(row.motion_std, 0.0))
-        for row in rows
-    )
-    return with_settlement, replace(table, response=tuple(responses))
+                columns[:4] -= settling[:, :4].T
+                columns[-1] = settling[:, :4] @ load
+        responses.append(separated)
+    return tuple(map(_with_motion, rows)), replace(table, response=tuple(responses))
+
+
+def _with_motion(row: ObservedRows) -> ObservedRows:
+    """The same with one more known motion."""
+    seen = row.observations
+    motion, motion_std = np.append(seen.motion, 1.0), np.append(seen.motion_std, 0.0)
+    return replace(row, observations=replace(seen, motion=motion, motion_std=motion_std))

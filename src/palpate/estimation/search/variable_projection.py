@@ -192,7 +192,8 @@ def fixed_weights(
             )
         ]
     )
-    columns = 4 + len(probes[0].motion)
+    observed = [probe.observations for probe in probes]
+    columns = 4 + len(observed[0].motion)
     shape = (len(products), count, columns)
     return FixedWeights(
         table.poisson_range,
@@ -200,10 +201,10 @@ def fixed_weights(
         products[:, :-1, :-1].reshape(*shape, count, columns),
         products[:, :-1, -1].reshape(shape),
         products[:, -1, -1],
-        np.stack([probe.force for probe in probes]),
-        np.stack([probe.force_std for probe in probes]) / np.sqrt(force_weights)[:, None],
-        np.stack([probe.motion for probe in probes]),
-        np.stack([probe.motion_std for probe in probes]),
+        np.stack([one.force for one in observed]),
+        np.stack([one.force_std for one in observed]) / np.sqrt(force_weights)[:, None],
+        np.stack([one.motion for one in observed]),
+        np.stack([one.motion_std for one in observed]),
     )
 
 

@@ -11,16 +11,19 @@ from palpate.estimation import (
     ForceGain,
     LengthScale,
     Nuisance,
+    NuisanceParameter,
     Pose,
     ProbeResponse,
     SpringResponse,
+    ToolSlip,
     contact_error,
 )
 from palpate.geometry import SurfacePoints, interpolation_matrix
+from palpate.pipeline.model.contacts import named_tangents
 from palpate.pipeline.model.moving_supports import rigid_modes
 from palpate.pipeline.model.object_model import ObjectModel
 from palpate.pipeline.model.spring_responses import compliance_error
-from palpate.records import Probing
+from palpate.records import SLIDES, Probing
 
 # A component's std over the effect of the sensor's rotation, above which that adds at most 0.5 %.
 _LARGE_STD = 10.0
@@ -67,6 +70,7 @@ def shared_errors(
             Pose(priors.pose_translation, priors.pose_rotation, tuple(change), vertices)
         )
     nuisances += _contact_errors(model, index, response)
+    nuisances += _tool_slip(model, index, response)
     if isinstance(response, SpringResponse):
         nuisances += filter(None, [compliance_error(model, response)])
     return tuple(nuisances)
@@ -83,6 +87,27 @@ def _contact_errors(
     steps = np.array([[each.get(parameter, 0.0) for parameter in parameters] for each in own])
     count = response.rows.surface.shape[0] // 3
     return [contact_error(parameters, steps, response.change, count)]
+
+
+def _tool_slip(
+    model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
+) -> list[Nuisance]:
+    """Slip of a tool whose displacement was measured, where it slides: by as much as it touches."""
+    probing = model.session.probings[index]
+    tool, patch = probing.contact.tool, model.patch_of[index]
+    if probing.tip_displacement is None or tool is None or tool.friction != SLIDES or patch < 0:
+        return []
+    tangents, names = named_tangents(model.session.mesh, list(model.patches.values())[patch])
+    first, second = (
+        NuisanceParameter(
+            f"slip of the tool in {probing.name} toward {name}",
+            probing.contact.reach,
+            "m",
+            "slips of tools",
+        )
+        for name in names
+    )
+    return [ToolSlip((first, second), tangents, response.rows.surface.shape[0] // 3)]
 
 
 def _measured_components(probing: Probing, rotation: float) -> tuple[bool, bool, bool]:

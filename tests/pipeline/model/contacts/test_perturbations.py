@@ -8,7 +8,7 @@ import pytest
 from surfaces import sphere
 
 from palpate.bem import RightHand, correction_columns, indentation_corrections
-from palpate.estimation import ContactError
+from palpate.estimation import ContactError, LoadedResponse
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
 from palpate.pipeline.model.contacts import DIP_ERROR, dipped_columns, perturbations, surface_load
@@ -68,7 +68,7 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
     rows = np.arange(seen.displacement.size)
     load = np.append(seen.force, 1.0) / MODULUS
     with_dips = seen.response.value(NU)[rows]
-    column = error.columns(rows, with_dips, load, NU)[:, -1]
+    column = error.columns(LoadedResponse(rows, with_dips, load, NU))[:, -1]
     monkeypatch.setattr(
         "palpate.pipeline.model.object_model.indentation_corrections",
         lambda _, loads: [None] * len(loads),
@@ -88,7 +88,7 @@ def test_points_near_the_contact_are_less_sure() -> None:
     (error,) = [one for one in seen.nuisances if NAME in [p.name for p in one.parameters]]
     rows = np.arange(seen.displacement.size)
     load = np.append(seen.force, 1.0) / MODULUS
-    column = error.columns(rows, seen.response.value(NU)[rows], load, NU)[:, -1]
+    column = error.columns(LoadedResponse(rows, seen.response.value(NU)[rows], load, NU))[:, -1]
     size = np.linalg.norm(column.reshape(-1, 3), axis=1) / np.sqrt(3.0)
     expected = np.sqrt(1e-7**2 + size[:, None] ** 2)
     np.testing.assert_allclose(seen.std, np.tile(expected, 3), rtol=1e-6)
@@ -112,8 +112,8 @@ def _left(deviations: float) -> float:
     error = next(one for one in seen.nuisances if isinstance(one, ContactError))
     rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / MODULUS
     nominal = seen.response.value(NU)[rows]
-    (slope, *_) = error.columns(rows, nominal, load, NU).T
-    curvature = error.curvature(rows, load, NU)[:, 0, 0]
+    at = LoadedResponse(rows, nominal, load, NU)
+    (slope, *_), curvature = error.columns(at).T, error.curvature(at)[:, 0, 0]
     # The first tangent of a contact on top is x.
     there = closest_points(
         told.mesh, probing.contact.point + np.array([[0.0, 0.0, 0.0], [deviations * std, 0.0, 0.0]])

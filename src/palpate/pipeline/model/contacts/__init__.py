@@ -28,6 +28,7 @@ from palpate.pipeline.model.contacts.perturbations import (
     dip_columns as dip_columns,
     dip_perturbations as dip_perturbations,
     dipped_columns as dipped_columns,
+    named_tangents as named_tangents,
     perturbation_columns as perturbation_columns,
     surface_load as surface_load,
 )

@@ -20,7 +20,7 @@ from palpate.bem import (
 )
 from palpate.errors import InputError
 from palpate.estimation import NuisanceParameter
-from palpate.geometry import closest_points
+from palpate.geometry import TriangleMesh, closest_points
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Contact, Probing, Session
 from palpate.shapes import Vector3
@@ -246,7 +246,7 @@ def _perturbed(
     contact, priors = probing.contact, session.errors
     point_std = priors.contact_std(probing.name)
     if point_std > 0.0:
-        tangents, names = _tangents(session, patch)
+        tangents, names = named_tangents(session.mesh, patch)
         moved = contact.point + point_std * _PLACES @ tangents
         # Along the surface, at the same distance from it as the stated point.
         places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
@@ -274,9 +274,22 @@ def _radius_std(session: Session, contact: Contact) -> float:
     return priors.contact_radius if contact.tool is None else priors.touched_radius
 
 
-def _tangents(session: Session, patch: ContactPatch) -> tuple[Float[np.ndarray, "2 3"], list[str]]:
-    """Two tangents of the surface under a patch, aligned with axes if possible, and their names."""
-    corner = session.mesh.vertices[session.mesh.triangles[patch.triangles]]
+def named_tangents(
+    mesh: TriangleMesh, patch: ContactPatch
+) -> tuple[Float[np.ndarray, "2 3"], list[str]]:
+    """Two tangents of the surface under a patch, aligned with axes if possible, and their names.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    patch : ContactPatch
+
+    Returns
+    -------
+    (2, 3) float [-]                        at right angles to each other
+    list of 2 str                           "+x", "-y", or the vector
+    """
+    corner = mesh.vertices[mesh.triangles[patch.triangles]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
     normal /= np.linalg.norm(normal)
     first = np.eye(3)[int(np.abs(normal).argmin())]
