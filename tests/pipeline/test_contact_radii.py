@@ -17,7 +17,7 @@ from palpate.pipeline import (
     resolved_session,
     session_observations,
 )
-from palpate.pipeline.fit_session import _consistent_modulus
+from palpate.pipeline.fit_session import _consistent_modulus, _contact_notes
 from palpate.pipeline.model import largest_change
 from palpate.probe import contact_circle
 from palpate.records import (
@@ -25,8 +25,11 @@ from palpate.records import (
     SLIDES,
     SPHERE,
     STICKS,
+    Constant,
     Contact,
     DisplacementField,
+    ErrorEstimate,
+    ProbeEstimate,
     Probing,
     Session,
     Tool,
@@ -120,18 +123,33 @@ def test_secants_are_not_trusted_beyond_a_slope() -> None:
     assert _consistent_modulus([7.0, 8.0], [7.0, 8.0, 9.1]) == pytest.approx(8.0 + 1.1 / 0.2)
 
 
-def test_a_tool_of_another_friction_is_doubted(measured: Session) -> None:
-    """It slid. One that sticks touches a smaller circle and pulls outward by another amount."""
-    priors = replace(EXACT, touched_radius=0.01)
+def test_outward_traction_is_as_well_known_as_the_circle(measured: Session) -> None:
+    """One standard deviation of it is 5 %, where `touched_radius` is."""
+    (probing,) = measured.probings
+    known = replace(measured, errors=replace(EXACT, touched_radius=0.05))
+    model = make_object_model(known)
+    (pulled,) = (each for each in model.perturbations if each.outward)
+    assert not pulled.is_dip
+    # Its column is the prior's share of the whole traction, which a contact without it lacks.
+    bare = replace(probing, contact=replace(probing.contact, outward=0.0))
+    without = make_object_model(replace(known, probings=(bare,)))
+    change = (model.right.terms[:, :, :3] - without.right.terms[:, :, :3]) @ (0.05 * probing.force)
+    columns = [each for each in model.perturbations if each.patch is not None or each.outward]
+    last = 3 + len(columns) - 1
+    np.testing.assert_allclose(model.right.terms[:, :, last], change, rtol=1e-9, atol=1e-12)
+    assert [parameter.name for parameter in pulled.steps] == ["outward traction in n"]
 
-    def notes(friction: str) -> list[str]:
-        session = replace(_named(measured, Tool(SPHERE, BALL, friction)), errors=priors)
-        return [note for note in fit_session(session).estimate.notes if "friction =" in note]
 
-    (note,) = notes(STICKS)
-    assert "touches in n is far" in note
-    assert note.endswith('try friction = "slides".')
-    assert not notes(SLIDES)
+@pytest.mark.parametrize("sigmas", [2.0, -4.0])
+@pytest.mark.parametrize("name", ["contact radius of n", "outward traction in n"])
+def test_a_tool_of_another_friction_is_doubted(measured: Session, name: str, sigmas: float) -> None:
+    error = ErrorEstimate(name, "", 0.05 * sigmas, 0.01, 0.05)
+    probe = ProbeEstimate(
+        "n", *[Constant(1.0, 0.1, (0.8, 1.2))] * 3, 1, 0, 0, 0.0, None, errors=(error,)
+    )
+    doubts = [note for note in _contact_notes(measured, [probe]) if "friction =" in note]
+    assert len(doubts) == (abs(sigmas) > 3.0)
+    assert all('"slides": if the tool is right, try friction = "sticks"' in each for each in doubts)
 
 
 def test_a_buried_ball_is_refused(measured: Session) -> None:

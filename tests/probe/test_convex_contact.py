@@ -162,7 +162,7 @@ def test_a_punch_that_leans_by_a_degree_is_not_buried() -> None:
 
 def test_what_cannot_touch_is_said() -> None:
     with pytest.raises(InputError, match="would bury a mesh of 6 mm"):
-        _contact(ball_mesh(np.full(3, 6e-3)), 40.0)
+        _contact(ball_mesh(np.full(3, 6e-3)), 60.0)
     with pytest.raises(InputError, match=r"the tool pulls with 0\.1 N"):
         _contact(ball_mesh(np.full(3, 6e-3)), -0.1)
     beside = ball_mesh(np.full(3, 6e-3))

@@ -22,6 +22,7 @@ from palpate.estimation import (
 )
 from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
 from palpate.pipeline.model import (
+    OUTWARD_ERROR,
     RADIUS_ERROR,
     ObjectModel,
     displaced_contacts,
@@ -304,7 +305,8 @@ def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[st
         beside = float(np.linalg.norm(contact.point - contact.start))
         if beside > _MENTIONED * contact.radius:
             places.append(f"{1e3 * beside:.2g} mm in {probing.name}")
-        if any(error.is_surprising for error in probe.errors if RADIUS_ERROR in error.name):
+        own = [each for each in probe.errors if each.name.startswith((RADIUS_ERROR, OUTWARD_ERROR))]
+        if any(error.is_surprising for error in own):
             doubted.setdefault(tool.friction, []).append(probing.name)
     notes = [f"Radius that the tool touches: {', '.join(radii)}."] if radii else []
     if places:

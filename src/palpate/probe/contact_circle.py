@@ -32,6 +32,10 @@ _MIN_VERTICES = 7
 _MAX_RADIUS_RATIO = 0.98
 # Gauss points and weights on [-1, 1]: exact to 1e-6 up to circles of 0.98 radii.
 _GAUSS = leggauss(24)
+# Relative increase of the force on a circle per outward traction (`stiffening`), under Hertz's and
+# under a cone's pressure: Sneddon's integral for a tool as much steeper as the surface rises.
+HERTZ_STIFFENING = 15.0 / (8.0 * np.pi)
+_CONE_STIFFENING = 6.0 * (2.0 * 0.9159655941772190 - 1.0) / np.pi**2  # with Catalan's constant
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +103,14 @@ def contact_circle(
             return circle(hertz_radius, "hertz")
         return circle(tool.radius, "flat")
 
+    share = _CONE_STIFFENING if tool.shape == CONE else HERTZ_STIFFENING
+
     def excess(ratio: float) -> float:
         radius = ratio * tool.radius
-        return modulus * (_flat_force(tool, radius) + _curvature_force(curvature, radius)) - force
+        own = _flat_force(tool, radius) + _curvature_force(curvature, radius)
+        if tool.friction != STICKS:
+            own *= stiffening(share * _sliding_outward(tool, radius), poisson_ratio)
+        return modulus * own - force
 
     if excess(_MAX_RADIUS_RATIO) < 0.0:
         raise buried(tool, force, shear_modulus)
@@ -216,6 +225,22 @@ def _no_slip_factor(poisson_ratio: float) -> float:
     if compressibility == 0.0:
         return 1.0  # the limit: ln(3 - 4 nu) = ln(1 + 2 (1 - 2 nu)) approaches 2 (1 - 2 nu)
     return float((1.0 - poisson_ratio) * np.log(3.0 - 4.0 * poisson_ratio) / compressibility)
+
+
+def stiffening(outward: float, poisson_ratio: float) -> float:
+    """Force of a tool that slides, over that without its outward traction, on the same circle.
+
+    An outward traction q(r) = -dQ / dr raises the surface of a half space by (1 - 2 nu) / (2 G) Q:
+    its Hankel transform of first order is the variable times that of Q, and that of the
+    displacement lacks this factor. So the tool is met by a surface that is higher in the middle.
+
+    Parameters
+    ----------
+    outward : float [-]             as `records.Contact.outward`, times `HERTZ_STIFFENING` where the
+                                    pressure is Hertz's
+    poisson_ratio : float [-]
+    """
+    return 1.0 + outward * (1.0 - 2.0 * poisson_ratio) / (1.0 - poisson_ratio)
 
 
 def no_slip_outward(poisson_ratio: float) -> float:

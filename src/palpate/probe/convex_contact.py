@@ -14,11 +14,13 @@ from scipy.fft import irfft2, rfft2
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.probe.contact_circle import (
+    HERTZ_STIFFENING,
     LocalSurface,
     buried,
     check_inward,
     no_slip_outward,
     reduced_modulus,
+    stiffening,
 )
 from palpate.records import STICKS, PressureMap, Tool
 from palpate.shapes import Vector3
@@ -30,6 +32,8 @@ _CELLS = 64
 # The contact's extent over the square's: the square is changed until it is within this range, by
 # at most these factors at once.
 _FILLED, _ZOOM, _MOST_ROUNDS = (0.6, 0.9), (0.1, 2.0), 40
+# Change of the force due to the outward traction at which it has converged.
+_CONVERGED = 1e-3
 # Relative change of the pressure at which the iteration ends, and most iterations.
 _TOLERANCE, _MOST_ITERATIONS = 1e-6, 2000
 # Farthest the middle of the contact may lie from the tool's centre point, over its half extent.
@@ -97,7 +101,7 @@ def convex_contact(
     """
     check_inward(force)
     modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
-    axes, half = local.tangents, tool.radius
+    axes, half, stiffer = local.tangents, tool.radius, 1.0
     for _ in range(_MOST_ROUNDS):
         x, y = half * np.stack(np.meshgrid(_centres(), _centres(), indexing="ij"))
         height, slopes, inside = _lower_surface(tool, axes, local.normal, x, y)
@@ -105,30 +109,47 @@ def convex_contact(
             half *= _ZOOM[1]
             continue
         gap = height + 0.5 * local.curvature * (x**2 + y**2)
-        pressure, approach = _solved(gap, inside, half, force / modulus)
-        touched = pressure > 0.0
+        pressure, approach = _solved(gap, inside, half, force / (modulus * stiffer))
+        touched, distance = pressure > 0.0, np.hypot(x, y)
         extent = np.maximum(abs(x), abs(y))[touched].max() / half + 1.0 / _CELLS
-        if _FILLED[0] <= extent <= _FILLED[1]:
+        if not _FILLED[0] <= extent <= _FILLED[1]:
+            half *= float(np.clip(extent / np.mean(_FILLED), *_ZOOM))
+            continue
+        radius = float(np.sqrt(2.5 * np.average(distance**2, weights=pressure)))
+        outward = _outward(tool, (x, y), slopes, pressure, radius, poisson_ratio)
+        previous = stiffer
+        if tool.friction != STICKS:
+            moment = float((outward * distance).sum() / (pressure.sum() * radius))
+            stiffer = stiffening(HERTZ_STIFFENING * moment, poisson_ratio)
+        if abs(stiffer - previous) < _CONVERGED:
             break
-        half *= float(np.clip(extent / np.mean(_FILLED), *_ZOOM))
     else:
         raise NotConvergedError("the contact of the tool's mesh was not found on any square")
     _check_near_centre(x[touched], y[touched])
     if pressure[np.hypot(*slopes) > _STEEPEST].sum() > _STEEP_SHARE * pressure.sum():
         raise buried(tool, force, shear_modulus)
-    radius = float(np.sqrt(2.5 * np.average(x**2 + y**2, weights=pressure)))
-    reach = float(np.hypot(x, y)[touched].max() + np.sqrt(2.0) * half / _CELLS)
+    reach = float(distance[touched].max() + np.sqrt(2.0) * half / _CELLS)
+    pressure_map = PressureMap(axes, half / radius, reach / radius, pressure, outward)
+    return ConvexContact(radius, pressure_map, approach)
+
+
+def _outward(
+    tool: Tool,
+    place: tuple[Grid, Grid],
+    slopes: Float[np.ndarray, "2 n n"],
+    pressure: Grid,
+    radius: float,
+    poisson_ratio: float,
+) -> Grid:
+    """Traction away from the centre (`PressureMap.outward`)."""
+    distance = np.hypot(*place)
     if tool.friction == STICKS:
         # Its integral is right; where it acts is not known, but that it vanishes at the centre.
         size = _MEAN_CIRCLE * no_slip_outward(poisson_ratio) / (0.4 * radius)
-        outward = size * pressure * np.hypot(x, y)
-    else:
-        # The mean slope is that of a tool that leans: its part along the surface is in the force.
-        mean = [np.average(slope, weights=pressure) for slope in slopes]
-        lean = x * (slopes[0] - mean[0]) + y * (slopes[1] - mean[1])
-        outward = pressure * lean / np.hypot(x, y)
-    pressure_map = PressureMap(axes, half / radius, reach / radius, pressure, outward)
-    return ConvexContact(radius, pressure_map, approach)
+        return np.asarray(size * pressure * distance)
+    # The mean slope is that of a tool that leans: its part along the surface is in the force.
+    along, across = (slope - np.average(slope, weights=pressure) for slope in slopes)
+    return np.asarray(pressure * (place[0] * along + place[1] * across) / distance)
 
 
 def _centres() -> Float[np.ndarray, " n"]:

@@ -14,6 +14,7 @@ from palpate.pipeline.model.compliant_supports import (
     session_springs as session_springs,
 )
 from palpate.pipeline.model.contacts import (
+    OUTWARD_ERROR as OUTWARD_ERROR,
     RADIUS_ERROR as RADIUS_ERROR,
     displaced_contacts as displaced_contacts,
     has_tools as has_tools,

@@ -39,6 +39,7 @@ from palpate.pipeline.model.contacts import (
     dipped_columns,
     has_outward_traction,
     outward_columns,
+    outward_perturbations,
     perturbation_columns,
     surface_load,
 )
@@ -189,6 +190,7 @@ def make_object_model(
     if perturbed:
         perturbations = (
             *contact_perturbations(session, numbers),
+            *outward_perturbations(session, numbers),
             *dip_perturbations(session, numbers, dips),
         )
     moved = [contact.patch for contact in perturbations if contact.patch is not None]
@@ -236,10 +238,19 @@ def _right_hand(
         parts.append(body.right)
     parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
     nominal = [parts[each.patch_index] for each in perturbations]
-    for k, patch in enumerate(patches):
-        if has_outward_traction(patch.contact):
-            parts[k] = parts[k] + outward_columns(system, patch)
+    outward = {
+        k: outward_columns(system, patch)
+        for k, patch in enumerate(patches)
+        if has_outward_traction(patch.contact)
+    }
+    for k, columns in outward.items():
+        parts[k] = parts[k] + columns
     parts += perturbation_columns(system, perturbations, moved_dips, nominal)
+    parts += [
+        outward[each.patch_index].under(each.outward * each.force)
+        for each in perturbations
+        if each.outward
+    ]
     parts += dip_columns(perturbations, dipped)
     return joined(parts), body
 

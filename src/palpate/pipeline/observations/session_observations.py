@@ -218,7 +218,7 @@ def _contact_mesh_error(
     """
     probing = model.session.probings[index]
     field = _measured(probing)
-    has_dip = any(each.probing == index and each.patch is None for each in model.perturbations)
+    has_dip = any(each.probing == index and each.is_dip for each in model.perturbations)
     if field.std is None or not has_dip or isinstance(response, SpringResponse):
         return np.zeros((len(field.points), 1))
     size = field.displacement.size

@@ -16,9 +16,11 @@ from palpate.pipeline.model.contacts.contact_radii import (
     with_contact_radii as with_contact_radii,
 )
 from palpate.pipeline.model.contacts.outward import (
+    OUTWARD_ERROR as OUTWARD_ERROR,
     has_outward_traction as has_outward_traction,
     outward_columns as outward_columns,
     outward_load as outward_load,
+    outward_perturbations as outward_perturbations,
 )
 from palpate.pipeline.model.contacts.perturbations import (
     DIP_ERROR as DIP_ERROR,

@@ -9,7 +9,7 @@ integral is right, if not quite its distribution.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.integrate import cumulative_trapezoid
 
 from palpate.arrays import tangents_of
@@ -22,13 +22,19 @@ from palpate.bem import (
     load_right_hand,
 )
 from palpate.errors import InputError
+from palpate.estimation import NuisanceParameter
 from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
-from palpate.pipeline.model.contacts.perturbations import PERTURBATION_CELLS
+from palpate.pipeline.model.contacts.perturbations import (
+    PERTURBATION_CELLS,
+    ContactPerturbation,
+)
 from palpate.probe import ContactPatch
-from palpate.records import Contact, Pressure
+from palpate.records import Contact, Pressure, Session
 from palpate.shapes import Vector3
 
+# Begins the name of the error of the outward traction under a tool.
+OUTWARD_ERROR = "outward traction in"
 # Distances at which a potential is tabulated.
 _SAMPLES = 64
 # Step of the central difference over the contact radius; the error is of second order in it.
@@ -88,6 +94,35 @@ def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
     shapes = indentation_corrections(system.surface, loads)
     parts = load_right_hand(system, loads, shapes, forces=forces, cells=PERTURBATION_CELLS)
     return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
+
+
+def outward_perturbations(
+    session: Session, patch_index: Int[np.ndarray, " k"]
+) -> tuple[ContactPerturbation, ...]:
+    """Perturbed outward tractions: as well known as the circle under a tool.
+
+    Parameters
+    ----------
+    session : Session
+    patch_index : (k,) int          index of each probing's patch in the model
+
+    Returns
+    -------
+    tuple of ContactPerturbation    one for each probing whose contact `has_outward_traction`
+    """
+    std = session.errors.touched_radius
+    return tuple(
+        ContactPerturbation(
+            k,
+            int(patch_index[k]),
+            {NuisanceParameter(f"{OUTWARD_ERROR} {probing.name}", std, of="contact radii"): 1.0},
+            None,
+            probing.force,
+            outward=std,
+        )
+        for k, probing in enumerate(session.probings)
+        if std > 0.0 and patch_index[k] >= 0 and has_outward_traction(probing.contact)
+    )
 
 
 def outward_load(solid: Solid, contact: Contact, force: Vector3) -> Float[np.ndarray, "n 3"]:

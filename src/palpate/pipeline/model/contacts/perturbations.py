@@ -43,7 +43,7 @@ _PLACES = np.sqrt(3.0) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPerturbation:
-    """A perturbed contact of a probing, or a perturbed dip about it.
+    """A perturbed contact of a probing, or a perturbed dip or outward traction about it.
 
     Attributes
     ----------
@@ -51,8 +51,9 @@ class ContactPerturbation:
     patch_index : int               index of its patch in the model
     steps : parameter -> float      size of the perturbation, in standard deviations
     patch : ContactPatch or None    the perturbed contact; None: the nominal contact, with the half
-                                    space's dip changed by `DIP_ERROR`
+                                    space's dip changed by `DIP_ERROR`, or the outward traction
     force : (3,) float [N]          of the probing
+    outward : float [-]             relative change of the outward traction
     """
 
     probing: int
@@ -60,6 +61,12 @@ class ContactPerturbation:
     steps: Mapping[NuisanceParameter, float]
     patch: ContactPatch | None
     force: Vector3
+    outward: float = 0.0
+
+    @property
+    def is_dip(self) -> bool:
+        """Whether it is a perturbed dip."""
+        return self.patch is None and self.outward == 0.0
 
 
 def contact_perturbations(
@@ -156,14 +163,14 @@ def perturbation_columns(
     Parameters
     ----------
     system : BoundarySystem
-    perturbations : sequence of ContactPerturbation     those of dips are skipped
+    perturbations : sequence of ContactPerturbation     those without a patch are skipped
     shapes : sequence                       `indentation_corrections` of the others; may hold None
     nominal : sequence of RightHand         of every perturbation's nominal contact
 
     Returns
     -------
     list of RightHand                       none, or one with a column for each perturbation that
-                                            is no dip
+                                            has a patch
 
     Raises
     ------
@@ -194,9 +201,7 @@ def dip_columns(
     list of RightHand                       one column for each perturbation that is a dip
     """
     return [
-        dipped[dip.patch_index].under(DIP_ERROR * dip.force)
-        for dip in perturbations
-        if dip.patch is None
+        dipped[dip.patch_index].under(DIP_ERROR * dip.force) for dip in perturbations if dip.is_dip
     ]
 
 
