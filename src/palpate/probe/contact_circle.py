@@ -108,9 +108,8 @@ def contact_circle(
     def excess(ratio: float) -> float:
         radius = ratio * tool.radius
         own = _flat_force(tool, radius) + _curvature_force(curvature, radius)
-        if tool.friction != STICKS:
-            own *= stiffening(share * _sliding_outward(tool, radius), poisson_ratio)
-        return modulus * own - force
+        stiffer = stiffening(share * _sliding_outward(tool, radius), poisson_ratio)
+        return modulus * stiffer * own - force
 
     if excess(_MAX_RADIUS_RATIO) < 0.0:
         raise buried(tool, force, shear_modulus)
@@ -267,11 +266,11 @@ def _mean_circle(tool: Tool, curvature: float, radius: float) -> float:
 
 
 def _sliding_outward(tool: Tool, radius: float) -> float:
-    """Outward traction of a tool that slides, as `records.Contact.outward`."""
+    """Outward traction, as `records.Contact.outward`, of a tool that slides; 0 if it sticks."""
+    if tool.friction == STICKS or tool.shape not in (SPHERE, CONE):
+        return 0.0
     if tool.angle is not None:
         return np.pi / 6.0 / float(np.tan(tool.angle))
-    if tool.shape != SPHERE:
-        return 0.0
     ratio = radius / tool.radius
     return _lever_of_sphere(ratio) / ratio
 
