@@ -12,6 +12,7 @@ from vision.scenes import (
     Stage,
     example,
     example_views,
+    make_rig,
     moved_frame,
     noisy_views,
     projected,
@@ -23,7 +24,7 @@ from palpate.vision.cameras.projection import project_jacobian
 from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.joint.refinement import Limits, refine_joint
 from palpate.vision.joint.scene import make_scene
-from palpate.vision.joint.window import deformed_frame_kernel
+from palpate.vision.joint.window import deformed_frame_kernel, mapping_kernel
 from palpate.vision.range_flow import Outcome
 
 # No low-pass: white noise stays white, so that the bound and the claim are the same thing.
@@ -171,6 +172,65 @@ def test_errors_are_as_large_as_claimed(repeated, cameras):
         ratio.append((error**2).sum(axis=0) / np.einsum("nii->i", covariance))
     assert np.sqrt(np.mean(total)) == pytest.approx(1.0, abs=0.1)
     np.testing.assert_allclose(np.sqrt(np.mean(ratio, axis=0)), 1.0, atol=0.12)
+
+
+def _roof(x, _y):
+    """Two slopes of 39 degrees that meet over x = 0, rounded within a pixel."""
+    return -0.8 * np.hypot(x, 0.5 * PITCH)
+
+
+def test_errors_beside_a_crease_are_as_large_as_claimed():
+    """There half of a window's points follow the tilt of the normal, by their height.
+
+    Some 70 points, three components, six draws; neighbours overlap: 5 % from chance.
+    """
+    stage, motion = Stage(make_rig(), _roof), MOTIONS["shift"]
+    still, moved = stage.views(), stage.views(motion)
+    squares, sides = [], []
+    for seed in range(6):
+        scene = _scene(noisy_views(still, NOISE, seed), stage)
+        found = Found(scene, noisy_views(moved, NOISE, 50 + seed), _start(scene, motion))
+        beside = np.abs(scene.point[:, 0]) < 2.0 * PITCH
+        keep = _whole(scene, motion, stage.rig) & found.good & beside
+        error = (found.displacement - motion(scene.point))[keep]
+        inverse = np.linalg.inv(found.covariance[keep])
+        squares.append(np.einsum("ni,nij,nj->n", error, inverse, error) / 3.0)
+        sides.append(error[:, 1] ** 2 / found.covariance[keep, 1, 1])
+    assert len(np.concatenate(squares)) > 50
+    assert np.sqrt(np.concatenate(squares).mean()) == pytest.approx(1.0, abs=0.15)
+    assert np.sqrt(np.concatenate(sides).mean()) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("bases", [3, 6])
+def test_the_mapping_is_the_derivative_of_a_pixel_s_motion(bases):
+    """Of a point off the tangent plane, by central differences of what the window is moved by."""
+    rng = np.random.default_rng(bases)
+    scene = _scene(example_views("still"))
+    camera, packed = scene.rig.cameras[1], scene.packed[1]
+    point, tangent, half = scene.point[40], np.ascontiguousarray(scene.tangent[40]), 0.004
+    # Near the point: the mapping takes the camera's own derivative there.
+    xi, eta, height = 0.01 * rng.normal(size=3)
+    mapping = np.full((2 * (bases + 1), 3 * bases), np.nan)
+    mapping_kernel(packed, point, tangent, bases, np.empty((2, 3)), mapping)
+    monomials = np.array([1.0, xi, eta, xi * xi, xi * eta, eta * eta])
+    functions = np.append(monomials[:bases], height)
+
+    def pixel(q):
+        frame = np.empty((3, 3))
+        deformed_frame_kernel(q, tangent, half, frame)
+        offset = half * (xi * frame[0] + eta * frame[1] + height * frame[2])
+        moved = point + q[0] + offset + monomials[3:] @ q[3:]
+        return projected(camera, moved[None])[0]
+
+    for k in range(bases):
+        for b in range(3):
+            step = np.zeros((6, 3))
+            step[k, b] = 1e-5
+            expected = (pixel(step) - pixel(-step)) / 2e-5
+            column = mapping[:, b * bases + k].reshape(-1, 2)
+            # The camera's derivative changes by the size of the offset over the distance.
+            size = np.abs(expected).max() + 1e-3 * np.abs(mapping).max() * np.abs(functions).max()
+            np.testing.assert_allclose(functions @ column / size, expected / size, atol=5e-3)
 
 
 def test_three_cameras_beat_the_best_pair_by_the_bound(repeated):

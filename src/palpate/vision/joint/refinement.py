@@ -32,9 +32,9 @@ from palpate.vision.joint.window import (
 )
 from palpate.vision.matching import (
     window_blocks_kernel,
-    window_coupling_sums_kernel,
-    window_hessian_kernel,
+    window_residual_kernel,
     window_right_kernel,
+    window_system_kernel,
 )
 from palpate.vision.range_flow import Outcome
 from palpate.vision.small_systems import (
@@ -63,8 +63,8 @@ _Points = namedtuple("_Points", "point tangent half_window")
 # Work arrays of one thread. Functions that take them are inlined: so many arguments compile slowly.
 _Work = namedtuple(
     "_Work",
-    "window place sampled sums moments normal mapping jacobian statistics centre hessian inverse"
-    " right total q frame active blocks score_covariance illumination",
+    "window basis sampled sums normal own mapping jacobian statistics hessian inverse right total q"
+    " frame active blocks score_covariance illumination",
 )
 
 
@@ -210,28 +210,29 @@ def _set_kernel(to, values):
 @njit(cache=True, error_model="numpy", inline="always")
 def _make_work(views, half, bases):
     """Work arrays for one thread."""
-    side = 2 * half + 1
+    pixels = (2 * half + 1) ** 2
+    # A window that only shifts has no tilt that its pixels' heights could follow.
+    terms = bases + 1 if bases > 1 else 1
     return _Work(
-        window=np.empty((views, 6, side, side), dtype=np.float32),
-        place=np.empty((views, 3, side, side), dtype=np.float32),
-        sampled=np.empty((side, side), dtype=np.float32),
-        sums=np.empty((views, 8, 6)),
-        moments=np.empty((5, 5)),
-        normal=np.empty((views, 2 * bases, 2 * bases)),
-        mapping=np.empty((views, 2 * bases, 3 * bases)),
+        window=np.empty((views, 6, pixels), dtype=np.float32),
+        basis=np.empty((views, max(bases, 3) + 1, pixels), dtype=np.float32),
+        sampled=np.empty(pixels, dtype=np.float32),
+        sums=np.empty((views, 2 * terms, 4)),
+        normal=np.empty((views, 2 * terms, 2 * terms)),
+        own=np.empty((2 * bases, 2 * bases)),
+        mapping=np.empty((views, 2 * terms, 3 * bases)),
         jacobian=np.empty((2, 3)),
         statistics=np.empty((views, 3)),
-        centre=np.empty((views, 2), dtype=np.int64),
         hessian=np.empty((3 * bases, 3 * bases)),
         inverse=np.empty((3 * bases, 3 * bases)),
-        right=np.empty(2 * bases),
+        right=np.empty(2 * terms),
         total=np.empty(3 * bases),
         q=np.empty((6, 3)),
         frame=np.empty((3, 3)),
         active=np.empty(views, dtype=np.bool_),
-        blocks=np.empty((BLOCKS * BLOCKS, 2 * bases)),
+        blocks=np.empty((BLOCKS * BLOCKS, 2 * terms)),
         score_covariance=np.empty((3 * bases, 3 * bases)),
-        illumination=np.empty(5),
+        illumination=np.empty(4),
     )
 
 
@@ -245,7 +246,7 @@ def _prepare_kernel(first, points, i, cameras, noise, limits, work):
             first.cameras[c], first.grey[c], first.along_column[c], first.along_row[c],
             first.surface[c], first.interior[c], point, tangent, half_window, limits.half,
             limits.min_fraction, limits.shading, first.blur_variance[c], work.window[c],
-            work.place[c], work.centre[c], work.statistics[c],
+            work.basis[c], work.statistics[c],
         )  # fmt: skip
         seen += work.active[c]
     if seen < 2:
@@ -255,15 +256,13 @@ def _prepare_kernel(first, points, i, cameras, noise, limits, work):
     for c in range(len(cameras)):
         if not work.active[c]:
             continue
-        window_coupling_sums_kernel(work.window[c], limits.half, work.sums[c], work.moments)
-        window_hessian_kernel(
-            work.window[c], limits.half, limits.bases, work.statistics[c, 0], work.statistics[c, 2],
-            work.sums[c], work.moments, work.normal[c],
+        window_system_kernel(
+            work.window[c], work.basis[c, : len(work.right) // 2], work.statistics[c, 0],
+            work.statistics[c, 2], work.sampled, work.sums[c], work.normal[c],
         )  # fmt: skip
         mapping_kernel(
-            first.cameras[c], point, tangent, half_window, limits.half, limits.bases,
-            work.centre[c], work.jacobian, work.mapping[c],
-        )  # fmt: skip
+            first.cameras[c], point, tangent, limits.bases, work.jacobian, work.mapping[c]
+        )
         add_congruence_kernel(work.normal[c], work.mapping[c], 1.0 / noise[c] ** 2, hessian)
     return _VALID if cholesky_kernel(hessian) else _TEXTURE
 
@@ -303,11 +302,11 @@ def _right_kernel(first, moved, points, i, c, limits, work):
     is filled, see `window_right_kernel`.
     """
     noise_fraction = sample_surface_kernel(
-        first.cameras[c], moved[c], work.place[c], work.window[c, 3], points.point[i], work.q,
+        first.cameras[c], moved[c], work.basis[c], work.window[c, 3], points.point[i], work.q,
         work.frame, points.half_window[i], limits.half, work.sampled,
     )  # fmt: skip
     gain = window_right_kernel(
-        work.window[c], work.sampled, limits.half, limits.bases, work.statistics[c, 0],
+        work.window[c], work.basis[c, : len(work.right) // 2], work.sampled, work.statistics[c, 0],
         work.statistics[c, 1], work.statistics[c, 2], work.sums[c], work.right, work.illumination,
     )  # fmt: skip
     return gain, noise_fraction
@@ -335,36 +334,34 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
         if not work.active[c]:
             continue
         gain, noise_fraction = _right_kernel(first, moved, points, i, c, limits, work)
-        squares = work.illumination[4]
         if not gain > 0.0:
             score[c] = 0.0
             residual_variance[c] = np.inf
             continue
+        squares = window_residual_kernel(work.window[c], work.sampled, work.illumination)
         count, square = work.statistics[c, 0], work.statistics[c, 2]
         score[c] = np.sqrt(square / (square + squares))
         freedom = max(count - 4.0 - 3.0 * bases / seen, 1.0)
         residual_variance[c] = 2.0 / (1.0 + noise_fraction) * squares / freedom
         excess += residual_variance[c] / noise[c] ** 2 / seen
-        window_blocks_kernel(
-            work.window[c],
-            work.sampled,
-            limits.half,
-            bases,
-            work.statistics[c, 1],
-            work.illumination,
-            work.blocks,
-        )
+        basis = work.basis[c, : len(work.right) // 2]
+        window_blocks_kernel(work.window[c], basis, work.sampled, work.blocks)
         for block in work.blocks:
             work.total[:] = 0.0
             add_transposed_kernel(work.mapping[c], block, 1.0 / noise[c] ** 2, work.total)
             for k in range(3 * bases):
                 for m in range(3 * bases):
                     score_covariance[k, m] += work.total[k] * work.total[m]
-        if cholesky_kernel(work.normal[c]):
-            cholesky_solve_kernel(work.normal[c], work.right)
-            own_step[c, 0] = -work.right[0]
-            own_step[c, 1] = -work.right[bases]
-            mean = _mean_variance_kernel(work.normal[c], work.right)
+        # One camera does not see a tilt of the normal: its own step leaves out the heights.
+        own, step = work.own, work.right[: 2 * bases]
+        for k in range(2 * bases):
+            for m in range(2 * bases):
+                own[k, m] = work.normal[c, k, m]
+        if cholesky_kernel(own):
+            cholesky_solve_kernel(own, step)
+            own_step[c, 0] = -step[0]
+            own_step[c, 1] = -step[1]
+            mean = _mean_variance_kernel(own, step)
             found.own_variance[i, c] = residual_variance[c] * mean
     # Correct for the 3 bases degrees of freedom that the fit takes from few blocks.
     blocks = seen * BLOCKS * BLOCKS
@@ -384,8 +381,7 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
 def _mean_variance_kernel(factor, scratch):
     """Mean of the two diagonal entries of the inverse that belong to the shift."""
     variance = 0.0
-    bases = len(scratch) // 2
-    for a in (0, bases):
+    for a in range(2):
         scratch[:] = 0.0
         scratch[a] = 1.0
         cholesky_solve_kernel(factor, scratch)

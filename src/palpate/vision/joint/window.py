@@ -14,16 +14,17 @@ _SPLINE_MARGIN_PX = 8
 @njit(cache=True, error_model="numpy")
 def load_camera_kernel(
     camera, grey, along_column, along_row, surface, interior, point, tangent, half_window, half,
-    min_fraction, shading, blur_variance, window, place, centre, statistics,
+    min_fraction, shading, blur_variance, window, basis, statistics,
 ):  # fmt: skip
     """Load one camera's window with the surface points of its pixels; False if too few are seen.
 
-    Filled are `window` (6, side, side), see `load_window_kernel`; `place` (3, side, side),
-    coordinates of each pixel's point along the two tangents and the normal, in units of
-    `half_window`; `centre` (2,) int [px], column and row; `statistics` (3,): number of pixels
-    inside, their mean, sum of squared deviations. `tangent` (2, 3) is orthonormal, `half_window`
-    [m] half the side of a window on the surface, `min_fraction` (0 to 1) the visible fraction
-    required, `blur_variance` [px^2] that of the pictures.
+    Filled are `window` (6, pixels), see `load_window_kernel`; `basis` (bases + 1, pixels), the
+    shape function's monomials 1, xi, eta, xi^2, xi eta, eta^2 of each pixel's point in its two
+    tangential coordinates, and last its height along the normal, in units of `half_window`;
+    `statistics` (3,): number of pixels inside, their mean, sum of squared deviations. `tangent`
+    (2, 3) is orthonormal, `half_window` [m] half the side of a window on the surface,
+    `min_fraction` (0 to 1) the visible fraction required, `blur_variance` [px^2] that of the
+    pictures.
     """
     x, y = project_kernel(camera, point[0], point[1], point[2])
     rows, columns = grey.shape
@@ -31,8 +32,6 @@ def load_camera_kernel(
         return False
     column = int(np.rint(x))
     row = int(np.rint(y))
-    centre[0] = column
-    centre[1] = row
     scale = 1.0 / half_window
     t, s = tangent[0], tangent[1]
     n0 = t[1] * s[2] - t[2] * s[1]
@@ -41,8 +40,12 @@ def load_camera_kernel(
     # Beyond three extents (squared) a pixel shows another part of the object, behind a silhouette.
     far = 9.0
     count = 0.0
+    height = len(basis) - 1
+    basis[0] = 1.0
     for r in range(2 * half + 1):
         for k in range(2 * half + 1):
+            p = r * (2 * half + 1) + k
+            xi = eta = zeta = 0.0
             weight = interior[row - half + r, column - half + k]
             if weight > 0.0:
                 d0 = (surface[row - half + r, column - half + k, 0] - point[0]) * scale
@@ -51,15 +54,14 @@ def load_camera_kernel(
                 if d0 * d0 + d1 * d1 + d2 * d2 > far:
                     weight = np.float32(0.0)
                 else:
-                    place[0, r, k] = d0 * t[0] + d1 * t[1] + d2 * t[2]
-                    place[1, r, k] = d0 * s[0] + d1 * s[1] + d2 * s[2]
-                    place[2, r, k] = d0 * n0 + d1 * n1 + d2 * n2
-            if weight == 0.0:
-                place[0, r, k] = 0.0
-                place[1, r, k] = 0.0
-                place[2, r, k] = 0.0
-            window[3, r, k] = weight
+                    xi = d0 * t[0] + d1 * t[1] + d2 * t[2]
+                    eta = d0 * s[0] + d1 * s[1] + d2 * s[2]
+                    zeta = d0 * n0 + d1 * n1 + d2 * n2
+            window[3, p] = weight
             count += weight
+            basis[1, p], basis[2, p], basis[height, p] = xi, eta, zeta
+            if height == 6:
+                basis[3, p], basis[4, p], basis[5, p] = xi * xi, xi * eta, eta * eta
     if count < min_fraction * (2 * half + 1) ** 2:
         return False
     count, mean, square = load_window_kernel(
@@ -72,54 +74,36 @@ def load_camera_kernel(
 
 
 @njit(cache=True, error_model="numpy")
-def mapping_kernel(camera, point, tangent, half_window, half, bases, centre, jacobian, mapping):
+def mapping_kernel(camera, point, tangent, bases, jacobian, mapping):
     """Matrix from coefficients of the surface motion to those of the pixel motion in a window.
 
-    `mapping`, (2 bases, 3 bases) [px/m], is filled. Within the window the surface coordinates are
-    linearised in the pixel coordinates; this affects steps and weights, not the solution. `camera`
-    (25,) packed, `point` (3,) [m], `tangent` (2, 3), `half_window` [m], `half` side of the window
-    and `centre` (2,) [px]; `jacobian` (2, 3) is scratch.
+    `mapping`, (2 terms, 3 bases) [px/m], is filled; its rows are those of `window_system_kernel`
+    for the functions of `load_camera_kernel`. A tilt of the tangent plane turns the normal, so it
+    moves a pixel's point along the surface by minus its height. The camera is linearised at the
+    point. `camera` (25,) packed, `point` (3,) [m], `tangent` (2, 3); `jacobian` (2, 3) is scratch.
+
+    Source: the derivative of `sample_surface_kernel`'s motion at rest.
     """
-    x, y, _, _, _ = jacobian_kernel(camera, point[0], point[1], point[2], jacobian)
-    b00 = b01 = b10 = b11 = 0.0
-    for a in range(3):
-        b00 += jacobian[0, a] * tangent[0, a]
-        b01 += jacobian[0, a] * tangent[1, a]
-        b10 += jacobian[1, a] * tangent[0, a]
-        b11 += jacobian[1, a] * tangent[1, a]
-    # Seen edge-on the linear map is singular; such a window contributes nothing anyway.
-    determinant = b00 * b11 - b01 * b10
-    if abs(determinant) < 1e-12 * (abs(b00) + abs(b01) + abs(b10) + abs(b11)) ** 2:
-        determinant = np.inf
-    off0 = centre[0] - x
-    off1 = centre[1] - y
-    scale = 1.0 / (half_window * determinant)
-    xi = ((b11 * off0 - b01 * off1) * scale, b11 * half * scale, -b01 * half * scale)
-    eta = ((b00 * off1 - b10 * off0) * scale, -b10 * half * scale, b00 * half * scale)
-    polynomial = np.zeros((6, 6))
-    polynomial[0, 0] = 1.0
-    for m in range(3):
-        polynomial[1, m] = xi[m]
-        polynomial[2, m] = eta[m]
-    _product_kernel(xi, xi, polynomial[3])
-    _product_kernel(xi, eta, polynomial[4])
-    _product_kernel(eta, eta, polynomial[5])
+    jacobian_kernel(camera, point[0], point[1], point[2], jacobian)
+    t, s = tangent[0], tangent[1]
+    normal = (
+        t[1] * s[2] - t[2] * s[1],
+        t[2] * s[0] - t[0] * s[2],
+        t[0] * s[1] - t[1] * s[0],
+    )
+    mapping[:] = 0.0
     for a in range(2):
-        for m in range(bases):
+        for b in range(3):
+            for k in range(bases):
+                mapping[2 * k + a, b * bases + k] = jacobian[a, b]
+        if bases == 1:
+            continue
+        for k in range(2):
+            along = 0.0
             for b in range(3):
-                for k in range(bases):
-                    mapping[a * bases + m, b * bases + k] = jacobian[a, b] * polynomial[k, m]
-
-
-@njit(cache=True, error_model="numpy")
-def _product_kernel(first, second, out):
-    """Product of two linear polynomials in two variables, as six coefficients."""
-    out[0] = first[0] * second[0]
-    out[1] = first[0] * second[1] + first[1] * second[0]
-    out[2] = first[0] * second[2] + first[2] * second[0]
-    out[3] = first[1] * second[1]
-    out[4] = first[1] * second[2] + first[2] * second[1]
-    out[5] = first[2] * second[2]
+                along += jacobian[a, b] * tangent[k, b]
+            for b in range(3):
+                mapping[2 * bases + a, b * bases + 1 + k] = -along * normal[b]
 
 
 @njit(cache=True, error_model="numpy")
@@ -143,13 +127,13 @@ def deformed_frame_kernel(q, tangent, half_window, frame):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def sample_surface_kernel(
-    camera, moved, place, weight, point, q, frame, half_window, half, sampled
+    camera, moved, basis, weight, point, q, frame, half_window, half, sampled
 ):
     """Sample the later picture at the projections of the moved surface points.
 
-    `moved` are spline coefficients, `place` and `weight` those of the window's pixels, `point` (3,)
+    `moved` are spline coefficients, `basis` and `weight` those of the window's pixels, `point` (3,)
     [m], `q` (6, 3) [m] the motion, `frame` (3, 3) the deformed tangents and normal. `sampled`
-    (side, side) [grey levels] is filled. Returns the mean fraction of noise variance left.
+    (pixels,) [grey levels] is filled. Returns the mean fraction of noise variance left.
     """
     # Camera coordinates of a pixel's point: a polynomial in its surface coordinates.
     c = np.empty((7, 3))
@@ -168,8 +152,9 @@ def sample_surface_kernel(
     columns = np.empty(2 * half + 1, dtype=np.float32)
     rows = np.empty(2 * half + 1, dtype=np.float32)
     for r in range(2 * half + 1):
-        xi_line, eta_line, zeta_line = place[0, r], place[1, r], place[2, r]
-        line, row_weight = sampled[r], weight[r]
+        cut = slice(r * (2 * half + 1), (r + 1) * (2 * half + 1))
+        xi_line, eta_line, zeta_line = basis[1, cut], basis[2, cut], basis[len(basis) - 1, cut]
+        line, row_weight = sampled[cut], weight[cut]
         for k in range(2 * half + 1):
             xi, eta, zeta = xi_line[k], eta_line[k], zeta_line[k]
             xx, xy, yy = xi * xi, xi * eta, eta * eta

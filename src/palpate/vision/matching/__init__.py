@@ -38,7 +38,7 @@ from palpate.vision.matching.window_sums import (
     BASES as BASES,
     load_window_kernel as load_window_kernel,
     window_blocks_kernel as window_blocks_kernel,
-    window_coupling_sums_kernel as window_coupling_sums_kernel,
-    window_hessian_kernel as window_hessian_kernel,
+    window_residual_kernel as window_residual_kernel,
     window_right_kernel as window_right_kernel,
+    window_system_kernel as window_system_kernel,
 )

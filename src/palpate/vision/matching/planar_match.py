@@ -23,9 +23,9 @@ from palpate.vision.matching.window_sums import (
     BASES,
     EXPONENTS,
     load_window_kernel,
-    window_coupling_sums_kernel,
-    window_hessian_kernel,
+    window_residual_kernel,
     window_right_kernel,
+    window_system_kernel,
 )
 from palpate.vision.small_systems import (
     cholesky_inverse_kernel,
@@ -113,30 +113,36 @@ def refine_planar(
     )
     in_threads(
         _refine_range, count, reference.grey, reference.along_column, reference.along_row,
-        moved.coefficients, np.ascontiguousarray(np.rint(points), dtype=np.int64),
+        moved.coefficients, _polynomials(subset // 2, BASES[shape]),
+        np.ascontiguousarray(np.rint(points), dtype=np.int64),
         np.ascontiguousarray(start, dtype=np.float64),
-        np.ascontiguousarray(start_gradient, dtype=np.float64), subset // 2, BASES[shape],
+        np.ascontiguousarray(start_gradient, dtype=np.float64), subset // 2,
         found.displacement, found.gradient, found.covariance, found.score, found.converged,
         min_items=_MIN_WINDOWS_PER_THREAD,
     )  # fmt: skip
     return found
 
 
+def _polynomials(half: int, bases: int) -> Float[np.ndarray, "_ _"]:
+    """Monomials of the distance from the centre in half sides, (bases, pixels) float32."""
+    eta, xi = (np.mgrid[-half : half + 1, -half : half + 1] / half).reshape(2, -1)
+    return np.stack([xi**i * eta**j for i, j in EXPONENTS[:bases]]).astype(np.float32)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _refine_range(
-    begin, end, grey, along_column, along_row, moved, points, start, start_gradient, half, bases,
+    begin, end, grey, along_column, along_row, moved, basis, points, start, start_gradient, half,
     displacement, gradient, covariance, score, converged,
 ):  # fmt: skip
-    side = 2 * half + 1
-    window = np.ones((6, side, side), dtype=np.float32)
-    sampled = np.empty((side, side), dtype=np.float32)
+    bases, pixels = basis.shape
+    window = np.ones((6, pixels), dtype=np.float32)
+    sampled = np.empty(pixels, dtype=np.float32)
     hessian = np.empty((2 * bases, 2 * bases))
     inverse = np.empty((2 * bases, 2 * bases))
     right = np.empty(2 * bases)
     warp = np.empty((2, 6))
-    sums = np.empty((8, 6))
-    illumination = np.empty(5)
-    moments = np.empty((5, 5))
+    sums = np.empty((2 * bases, 4))
+    illumination = np.empty(4)
     for i in range(begin, end):
         column, row = points[i, 0], points[i, 1]
         if not (
@@ -150,8 +156,7 @@ def _refine_range(
         )
         if square <= 0.0:
             continue
-        window_coupling_sums_kernel(window, half, sums, moments)
-        window_hessian_kernel(window, half, bases, pixel_count, square, sums, moments, hessian)
+        window_system_kernel(window, basis, pixel_count, square, sampled, sums, hessian)
         if not cholesky_kernel(hessian):
             continue
         warp[:] = 0.0
@@ -163,12 +168,12 @@ def _refine_range(
         for _ in range(_MAX_ITERATIONS):
             _sample_window_kernel(moved, warp, column, row, half, sampled)
             gain = window_right_kernel(
-                window, sampled, half, bases, pixel_count, mean, square, sums, right, illumination
+                window, basis, sampled, pixel_count, mean, square, sums, right, illumination
             )
             if not gain > 0.0:
                 break
             cholesky_solve_kernel(hessian, right)
-            step = _update_kernel(warp, right, half, bases)
+            step = _update_kernel(warp, right, half)
             move = max(abs(warp[0, 0] - start[i, 0]), abs(warp[1, 0] - start[i, 1]))
             if not move <= _MAX_MOVE_PX:
                 break
@@ -179,12 +184,12 @@ def _refine_range(
             continue
         noise_fraction = _sample_window_kernel(moved, warp, column, row, half, sampled)
         gain = window_right_kernel(
-            window, sampled, half, bases, pixel_count, mean, square, sums, right, illumination
+            window, basis, sampled, pixel_count, mean, square, sums, right, illumination
         )
         if not gain > 0.0:
             continue
         converged[i] = True
-        squares = illumination[4]
+        squares = window_residual_kernel(window, sampled, illumination)
         score[i] = np.sqrt(square / (square + squares))
         variance = 2.0 / (1.0 + noise_fraction) * squares / (pixel_count - 2.0 * bases - 2.0)
         cholesky_inverse_kernel(hessian, inverse)
@@ -193,7 +198,7 @@ def _refine_range(
             gradient[i, a, 0] = warp[a, 1] / half
             gradient[i, a, 1] = warp[a, 2] / half
             for b in range(2):
-                covariance[i, a, b] = variance * inverse[a * bases, b * bases]
+                covariance[i, a, b] = variance * inverse[a, b]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -212,7 +217,7 @@ def _sample_window_kernel(moved, warp, column, row, half, sampled):
         c1 = np.float32(warp[0, 1] + eta * warp[0, 4])
         r0 = np.float32(row + r - half + warp[1, 0] + eta * (warp[1, 2] + eta * warp[1, 5]))
         r1 = np.float32(warp[1, 1] + eta * warp[1, 4])
-        line = sampled[r]
+        line = sampled[r * (2 * half + 1) : (r + 1) * (2 * half + 1)]
         fraction = np.float32(0.0)
         for k in range(2 * half + 1):
             along = np.float32(k - half)
@@ -226,7 +231,7 @@ def _sample_window_kernel(moved, warp, column, row, half, sampled):
 
 
 @njit(cache=True, error_model="numpy")
-def _update_kernel(warp, step, half, bases):
+def _update_kernel(warp, step, half):
     """Compose the warp with the inverse of the step; returns the step's length at the centre [px].
 
     To first order in the step the composition is u - (1 + grad u) step, with the gradient at the
@@ -236,11 +241,11 @@ def _update_kernel(warp, step, half, bases):
     a01 = warp[0, 2] / half
     a10 = warp[1, 1] / half
     a11 = 1.0 + warp[1, 2] / half
-    for k in range(bases):
-        x, y = step[k], step[bases + k]
+    for k in range(len(step) // 2):
+        x, y = step[2 * k], step[2 * k + 1]
         warp[0, k] -= a00 * x + a01 * y
         warp[1, k] -= a10 * x + a11 * y
-    return np.hypot(step[0], step[bases])
+    return np.hypot(step[0], step[1])
 
 
 @njit(cache=True, error_model="numpy")
