@@ -31,18 +31,23 @@ class Trace:
     files : int             entered at least once
     moves : int             from one file to another
     between_rooms : int     of these, from one room to another
+    routes : int            different pairs of files among the moves: what a reader follows once
+    routes_between_rooms : int      of these, from one room to another
     """
 
     files: int
     moves: int
     between_rooms: int
+    routes: int
+    routes_between_rooms: int
 
     @classmethod
     def of(cls, entered: Sequence[str]) -> "Trace":
         """Counts of the files of functions in the order in which they were entered."""
         moves = [(last, here) for last, here in pairwise(entered) if last != here]
-        crossing = sum(room(last) != room(here) for last, here in moves)
-        return cls(len(set(entered)), len(moves), crossing)
+        crossing = [move for move in moves if room(move[0]) != room(move[1])]
+        counts = (len(set(entered)), len(moves), len(crossing))
+        return cls(*counts, len(set(moves)), len(set(crossing)))
 
 
 def traced(work: Callable[[], object]) -> list[str]:
@@ -87,7 +92,8 @@ def main() -> None:
         found = Trace.of(traced(lambda: run_command(arguments)))
     print(
         f"files entered {found.files}, moves between files {found.moves}, between rooms"
-        f" {found.between_rooms}"
+        f" {found.between_rooms}; different moves {found.routes}, between rooms"
+        f" {found.routes_between_rooms}"
     )
 
 
