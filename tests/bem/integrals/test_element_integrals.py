@@ -6,8 +6,9 @@ import pytest
 from palpate.bem.integrals.assembly import polar_rule
 from palpate.bem.integrals.element_integrals import (
     add_near,
-    add_shape_moment,
+    add_shape_moments,
     add_singular,
+    add_weighted,
     surface_point,
 )
 from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION, lane_fields
@@ -79,22 +80,35 @@ def near_rules():
 
 
 @pytest.mark.parametrize("n_fields", [TRACTION.count, DISPLACEMENT.count])
-def test_regular_integral_in_lanes(n_fields):
-    rule = triangle_rule(5)
+@pytest.mark.parametrize("degree", [4, 5])  # 6 points, a multiple of three, and 7
+def test_regular_integral_in_lanes(n_fields, degree):
+    rule = triangle_rule(degree)
     source = element_points(CURVED[None], rule.barycentric)[0]
     source[:, 3:] *= rule.weight[:, None]
     points = np.random.default_rng(0).normal(size=(LANES, 3)) + 4
     rows = np.empty(rule.weight.size * n_fields * LANES)
     lane_fields(n_fields, np.ascontiguousarray(points.T).ravel(), source, rows)
     shape = quadratic_shapes(rule.barycentric)
+    number = np.array([4, 0, 6, 2, 1, 5])
+    out = np.ones(7 * n_fields * LANES)
+    add_shape_moments(rows, np.ascontiguousarray(shape), number, out)
+    found = (out - 1).reshape(7, n_fields, LANES)
+    assert not found[3].any()
     for a in range(6):
-        out = np.ones(n_fields * LANES)
-        add_shape_moment(rows, np.ascontiguousarray(shape[a]), out)
-        found = (out - 1).reshape(n_fields, LANES)
         for lane in (0, 7, LANES - 1):
             fields = kernel_fields(source[:, :3] - points[lane], source[:, 3:], n_fields)
             # Fast reciprocal root: 5e-15, times the fifth power; 1 was added and taken away.
-            np.testing.assert_allclose(found[:, lane], shape[a] @ fields, rtol=1e-11, atol=3e-16)
+            np.testing.assert_allclose(
+                found[number[a], :, lane], shape[a] @ fields, rtol=1e-11, atol=3e-16
+            )
+
+
+def test_weighted_sum_of_rows():
+    rows = np.random.default_rng(0).normal(size=(5, LANES))
+    number, weight = np.array([4, 1, 2, 0, 3, 0]), np.array([0.5, -1.0, 2.0, 3.0, 0.25, 0.0])
+    out = np.ones(LANES)
+    add_weighted(rows.ravel(), number, weight, out)
+    np.testing.assert_allclose(out, 1 + weight @ rows[number], rtol=1e-13, atol=1e-14)
 
 
 def test_surface_point_is_that_of_the_arrays():

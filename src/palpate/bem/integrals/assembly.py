@@ -2,25 +2,28 @@
 
 The rows come in blocks of LANES collocation points that lie close together, so that the loops over
 a block vectorise and one quadrature rule suits all of its points. A block is computed by one
-thread, which adds its triangles in order: the result does not depend on the number of threads.
+thread, which adds its triangles in order, patch by patch: the result does not depend on the number
+of threads.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array
 
 from palpate.bem.integrals.element_integrals import (
     SHAPES,
     add_near,
-    add_shape_moment,
+    add_shape_moments,
     add_singular,
+    add_weighted,
     shapes_at,
 )
 from palpate.bem.integrals.kelvin import LANES, TRACTION, FieldLayout, lane_fields
+from palpate.bem.integrals.patches import make_patches
 from palpate.bem.integrals.quadrature import Quadrature, triangle_rule, unit_gauss
 from palpate.bem.integrals.surface import BoundarySurface
 from palpate.geometry import (
@@ -34,6 +37,8 @@ from palpate.geometry import (
 from palpate.threads import in_threads
 
 _N_TRACTION = TRACTION.count
+# Quadrature points that are evaluated before they are summed: their fields stay in the first cache.
+_BATCH = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,8 +103,7 @@ class _Points(NamedTuple):
 
 
 class _Elements(NamedTuple):
-    """Triangles with the quadrature points of every rule; `number` is the index at which the
-    integral of each of their nodes is accumulated."""
+    """Triangles, patch by patch, with the quadrature points of every rule (`_sources`)."""
 
     triangle: np.ndarray
     vertices: np.ndarray
@@ -107,7 +111,6 @@ class _Elements(NamedTuple):
     sources: np.ndarray
     centre: np.ndarray
     radius: np.ndarray
-    number: np.ndarray
 
 
 class Rules(NamedTuple):
@@ -127,14 +130,6 @@ class Rules(NamedTuple):
     start: np.ndarray
     ratios: np.ndarray
     polar: np.ndarray
-
-
-class _MidsideNodes(NamedTuple):
-    """Sparse matrix by rows: weights that distribute each midside node's integral to the nodes."""
-
-    start: np.ndarray
-    node: np.ndarray
-    weight: np.ndarray
 
 
 def assemble(
@@ -170,25 +165,16 @@ def assemble(
         triangles = np.arange(len(surface.held))
     points = _points_in_blocks(collocation)
     rules = all_rules(quadrature)
+    patches = make_patches(element_spheres(surface.element_nodes[triangles])[0], nodes)
+    triangles = triangles[patches.order]
     element_nodes = surface.element_nodes[triangles]
-    sources = element_points(element_nodes, rules.points[:, :3])
-    sources[:, :, 3:] *= rules.points[:, 3:]
-    # Only the midside nodes in use are accumulated, numbered from n_nodes on.
-    dependent = nodes.element >= nodes.n_nodes
-    used, used_number = np.unique(nodes.element[dependent], return_inverse=True)
-    number = nodes.element.copy()
-    number[dependent] = nodes.n_nodes + used_number
-    weights = csr_array(nodes.weights[used - nodes.n_nodes])
-    midside = _MidsideNodes(
-        weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data
-    )
     elements = _Elements(
-        np.array(triangles), surface.mesh.triangles[triangles], element_nodes, sources,
-        *element_spheres(element_nodes), number,
+        triangles, surface.mesh.triangles[triangles], element_nodes,
+        _sources(element_nodes, rules), *element_spheres(element_nodes),
     )  # fmt: skip
     n_blocks = points.rows.shape[0]
     values = np.empty((n_blocks, nodes.n_nodes * kernel.count * LANES))
-    in_threads(_integrate_blocks, n_blocks, kernel.count, points, elements, rules, midside, values)
+    in_threads(_integrate_blocks, n_blocks, kernel.count, points, elements, rules, patches, values)
     shape = (n_blocks, nodes.n_nodes, kernel.count, LANES)
     return FieldBlocks(values.reshape(shape), points.rows, collocation.point.shape[0])
 
@@ -277,45 +263,61 @@ def _points_in_blocks(collocation: Collocation) -> _Points:
     )  # fmt: skip
 
 
+def _sources(element_nodes: Float[np.ndarray, "m 6 3"], rules: Rules) -> np.ndarray:
+    """Quadrature points and normals times weight, (q m, 6): by rule, then by triangle."""
+    sources = np.empty((rules.start[-1] * len(element_nodes), 6))
+    for first, last in itertools.pairwise(rules.start):
+        part = element_points(element_nodes, rules.points[first:last, :3])
+        part[:, :, 3:] *= rules.points[first:last, 3:]
+        sources[first * len(element_nodes) : last * len(element_nodes)] = part.reshape(-1, 6)
+    return sources
+
+
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-def _integrate_blocks(begin, end, n_fields, points, elements, rules, midside, out):
-    """Integrals of the blocks from begin to end, first for all nodes and midside nodes."""
+def _integrate_blocks(begin, end, n_fields, points, elements, rules, patches, out):
+    """Integrals of the blocks from begin to end, patch by patch."""
     width = n_fields * LANES
-    n_nodal = out.shape[1]
-    accumulated = np.empty(n_nodal + (midside.start.size - 1) * width)
-    start = rules.start
-    buffer = np.empty((start[-1] - start[-2]) * width)
+    start, farthest_near = rules.start, rules.ratios[-1]
+    largest = 0
+    for patch in range(patches.size.size):
+        largest = max(largest, patches.size[patch])
+    accumulated = np.empty(largest * width)
+    buffer = np.empty(_BATCH * width)
     ratio = np.empty(LANES)
     for b in range(begin, end):
-        accumulated[:] = 0.0
-        for e in range(elements.nodes.shape[0]):
-            rule, nearest = _choose_rule(
-                points.lanes[b], elements.centre[e], elements.radius[e], rules.ratios, ratio
-            )
-            first, last = start[rule], start[rule + 1]
-            fields = buffer[: (last - first) * width]
-            lane_fields(n_fields, points.lanes[b], elements.sources[e, first:last], fields)
-            near = nearest < rules.ratios[-1]
-            if near:
-                _clear_near_lanes(ratio, rules.ratios[-1], fields)
-            for a in range(SHAPES):
-                offset = elements.number[e, a] * width
-                add_shape_moment(
-                    fields, rules.shapes[a, first:last], accumulated[offset : offset + width]
+        for i in range(out.shape[1]):
+            out[b, i] = 0.0
+        for patch in range(patches.size.size):
+            for i in range(patches.size[patch] * width):
+                accumulated[i] = 0.0
+            for e in range(patches.triangles[patch], patches.triangles[patch + 1]):
+                rule, nearest = _choose_rule(
+                    points.lanes[b], elements.centre[e], elements.radius[e], rules.ratios, ratio
                 )
-            if near:
-                for i in range(LANES):
-                    if ratio[i] < rules.ratios[-1]:
-                        _add_near_lane(n_fields, points, b, i, elements, e, rules, accumulated)
-        for i in range(n_nodal):
-            out[b, i] = accumulated[i]
-        for t in range(midside.start.size - 1):
-            source = accumulated[n_nodal + t * width : n_nodal + (t + 1) * width]
-            for p in range(midside.start[t], midside.start[t + 1]):
-                node, weight = midside.node[p], midside.weight[p]
-                target = out[b, node * width : (node + 1) * width]
-                for i in range(width):
-                    target[i] += weight * source[i]
+                n_points = start[rule + 1] - start[rule]
+                own = start[rule] * elements.nodes.shape[0] + e * n_points
+                for first in range(0, n_points, _BATCH):
+                    last = min(first + _BATCH, n_points)
+                    fields = buffer[: (last - first) * width]
+                    sources = elements.sources[own + first : own + last]
+                    shapes = rules.shapes[:, start[rule] + first : start[rule] + last]
+                    lane_fields(n_fields, points.lanes[b], sources, fields)
+                    if nearest < farthest_near:
+                        _clear_near_lanes(ratio, farthest_near, fields)
+                    add_shape_moments(fields, shapes, patches.number[e], accumulated)
+                if nearest < farthest_near:
+                    for i in range(LANES):
+                        if ratio[i] < farthest_near:
+                            _add_near_lane(
+                                n_fields, points, b, i, elements, e, rules, patches.number[e],
+                                accumulated,
+                            )  # fmt: skip
+            for s in range(patches.sums[patch], patches.sums[patch + 1]):
+                first, last = patches.terms[s], patches.terms[s + 1]
+                add_weighted(
+                    accumulated, patches.own[first:last], patches.weight[first:last],
+                    out[b, patches.node[s] * width : (patches.node[s] + 1) * width],
+                )  # fmt: skip
 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
@@ -347,7 +349,7 @@ def _clear_near_lanes(ratio, limit, fields):
 
 
 @numba.njit(error_model="numpy", cache=True)
-def _add_near_lane(n_fields, points, b, i, elements, e, rules, accumulated):
+def _add_near_lane(n_fields, points, b, i, elements, e, rules, number, accumulated):
     """Add the near or singular integrals of one load point over one triangle."""
     row = points.rows[b, i]
     point, nodes, vertices = points.point[row], elements.nodes[e], elements.vertices[e]
@@ -374,6 +376,6 @@ def _add_near_lane(n_fields, points, b, i, elements, e, rules, accumulated):
     else:
         add_near(n_fields, point, nodes, rules.points, rules.start, rules.ratios, local)
     for a in range(SHAPES):
-        offset = elements.number[e, a] * n_fields * LANES + i
+        offset = number[a] * n_fields * LANES + i
         for f in range(n_fields):
             accumulated[offset + f * LANES] += local[a, f]

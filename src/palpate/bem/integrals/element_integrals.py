@@ -23,30 +23,58 @@ _WIDEST_PANEL = 2.0
 
 
 @numba.njit(fastmath=True, error_model="numpy", cache=True)
-def add_shape_moment(fields, shape, out):
-    """Add the sum over quadrature points of shape function times fields.
+def add_shape_moments(fields, shapes, number, out):
+    """Add the sums over quadrature points of shape functions times fields.
 
     Parameters
     ----------
     fields : (q * width,) float             one row per quadrature point
-    shape : (q,) float                      shape function at the points
+    shapes : (6, q) float                   shape functions at the points
+    number : (6,) int                       row of `out` that each sum is added to
+    out : (n * width,) float                added to
+    """
+    # Three by three: a field that is loaded serves three sums, and a sum takes three fields. Points
+    # beyond the last are the last with weight zero: a second loop would take longer to compile.
+    n_points = shapes.shape[1]
+    width = fields.size // n_points
+    for a in range(0, SHAPES, 3):
+        out0 = out[number[a] * width : (number[a] + 1) * width]
+        out1 = out[number[a + 1] * width : (number[a + 1] + 1) * width]
+        out2 = out[number[a + 2] * width : (number[a + 2] + 1) * width]
+        for q in range(0, n_points, 3):
+            q1, q2 = min(q + 1, n_points - 1), min(q + 2, n_points - 1)
+            s1, s2 = 1.0 * (q1 == q + 1), 1.0 * (q2 == q + 2)
+            u0, u1, u2 = shapes[a, q], s1 * shapes[a, q1], s2 * shapes[a, q2]
+            v0, v1, v2 = shapes[a + 1, q], s1 * shapes[a + 1, q1], s2 * shapes[a + 1, q2]
+            w0, w1, w2 = shapes[a + 2, q], s1 * shapes[a + 2, q1], s2 * shapes[a + 2, q2]
+            f0 = fields[q * width : (q + 1) * width]
+            f1 = fields[q1 * width : (q1 + 1) * width]
+            f2 = fields[q2 * width : (q2 + 1) * width]
+            for i in range(width):
+                out0[i] += u0 * f0[i] + u1 * f1[i] + u2 * f2[i]
+                out1[i] += v0 * f0[i] + v1 * f1[i] + v2 * f2[i]
+                out2[i] += w0 * f0[i] + w1 * f1[i] + w2 * f2[i]
+
+
+@numba.njit(fastmath=True, error_model="numpy", cache=True)
+def add_weighted(rows, number, weight, out):
+    """Add a weighted sum of rows.
+
+    Parameters
+    ----------
+    rows : (n * width,) float
+    number : (k,) int                       of the rows that are summed, k a multiple of 3
+    weight : (k,) float                     their weights
     out : (width,) float                    added to
     """
     width = out.size
-    n_points = shape.size
-    q = 0
-    while q + 3 <= n_points:
-        w0, w1, w2 = shape[q], shape[q + 1], shape[q + 2]
-        f = fields[q * width : (q + 3) * width]
+    for k in range(0, number.size, 3):
+        w0, w1, w2 = weight[k], weight[k + 1], weight[k + 2]
+        f0 = rows[number[k] * width : (number[k] + 1) * width]
+        f1 = rows[number[k + 1] * width : (number[k + 1] + 1) * width]
+        f2 = rows[number[k + 2] * width : (number[k + 2] + 1) * width]
         for i in range(width):
-            out[i] += w0 * f[i] + w1 * f[width + i] + w2 * f[2 * width + i]
-        q += 3
-    while q < n_points:
-        w0 = shape[q]
-        f = fields[q * width : (q + 1) * width]
-        for i in range(width):
-            out[i] += w0 * f[i]
-        q += 1
+            out[i] += w0 * f0[i] + w1 * f1[i] + w2 * f2[i]
 
 
 @numba.njit(error_model="numpy", cache=True)
