@@ -161,7 +161,7 @@ def _planned():
         # Coarser than for a plan's own tests.
         mesh = half_ball(radius=0.04, edge=0.014)
         write_mesh(session / "mesh.ply", mesh)
-        write_rig(session / "rig.toml", make_head(Head(distance=0.5, columns=160, rows=128), mesh))
+        write_rig(session / "rig.toml", make_head(Head(distance=0.5, columns=240, rows=192), mesh))
         assert main(shlex.split(_PLAN)[1:]) == 0
         pictures = Path("my_session-plan").glob("*_c?.png")
         return {path.name: path.read_bytes() for path in (*session.iterdir(), *pictures)}

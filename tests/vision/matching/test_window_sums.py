@@ -7,6 +7,7 @@ from palpate.vision.matching.window_sums import (
     BASES,
     EXPONENTS,
     load_window_kernel,
+    window_advance_kernel,
     window_blocks_kernel,
     window_residual_kernel,
     window_right_kernel,
@@ -207,3 +208,21 @@ def test_blocks_are_the_sums_of_their_pixels(kind, shape, shading):
     np.testing.assert_allclose(found / size, expected / size, **CLOSE)
     # Together they are the right-hand side.
     np.testing.assert_allclose(found.sum(axis=0) / size, right / size, **CLOSE)
+
+
+@pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
+def test_a_step_of_least_squares_leaves_no_right_hand_side(kind, shape, shading):
+    """To first order the picture changes by its gradient times the step."""
+    one = Window(kind, shape, shading=shading)
+    sampled, illumination = _later(one, 5), np.full(4, np.nan)
+    right, again = np.full((2, len(one.hessian)), np.nan)
+    state = one.count, one.mean, one.square, one.sums
+    gain = window_right_kernel(one.window, one.basis, sampled, *state, right, illumination)
+    step = np.linalg.solve(one.hessian, right)
+    window_advance_kernel(one.window, one.basis, gain * step, sampled)
+    state = one.count, 0.0, one.square, one.sums
+    window_right_kernel(one.window, one.basis, sampled, *state, again, illumination)
+    # Single precision, beside the sum of squares of the window.
+    size = np.linalg.norm(one.columns, axis=0) * np.sqrt(one.square)
+    np.testing.assert_allclose(again / size, 0.0, atol=1e-6)
+    assert np.abs(right / size).max() > 1e-3

@@ -9,6 +9,7 @@ from palpate.vision.small_systems import (
     cholesky_inverse_kernel,
     cholesky_kernel,
     cholesky_solve_kernel,
+    product_kernel,
 )
 
 
@@ -74,7 +75,9 @@ def test_one_direction_without_information_is_refused_at_any_scale(n):
 def test_products_are_added_to_what_is_there(k, m):
     rng = np.random.default_rng(k)
     matrix, inner, vector = rng.normal(size=(k, m)), rng.normal(size=(k, k)), rng.normal(size=k)
-    column, square = np.ones(m), np.ones((m, m))
+    column, square, row = np.ones(m), np.ones((m, m)), np.full(k, np.nan)
+    product_kernel(matrix, matrix[0], 0.5, row)
+    np.testing.assert_allclose(row, 0.5 * matrix @ matrix[0], atol=1e-12)
     add_transposed_kernel(matrix, vector, 0.5, column)
     add_congruence_kernel(inner, matrix, 0.5, square)
     # Rounding of sums of at most 144 products of size one.

@@ -13,8 +13,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 from numba import njit
-from scipy.ndimage import spline_filter, spline_filter1d
 
+# Filter that takes a spline's values at the pixel centres to its coefficients, beyond which it has
+# decayed below the rounding of single precision (Unser, Aldroubi and Eden, IEEE Transactions on
+# Signal Processing 41(2), 1993).
+_REACH = 12
+_COEFFICIENT = np.sqrt(3.0) * (np.sqrt(3.0) - 2.0) ** np.abs(np.arange(-_REACH, _REACH + 1))
 # Filters that take a spline's coefficients to its value and its derivative at the pixel centres.
 _VALUE, _SLOPE = np.array([1.0, 4.0, 1.0]) / 6.0, np.array([-0.5, 0.0, 0.5])
 # Coefficients are mirrored this far beyond the picture [px], so that a window may touch its edge.
@@ -64,8 +68,8 @@ def make_spline_picture(
     grey = np.ascontiguousarray(grey, dtype=np.float32)
     if smoothing > 0.0:
         grey = cv2.GaussianBlur(grey, (0, 0), smoothing, borderType=cv2.BORDER_REFLECT_101)
-    coefficients = spline_filter(grey, order=3, output=np.float32, mode="mirror")
     # OpenCV's default border mirrors at the edge, as do the coefficients.
+    coefficients = cv2.sepFilter2D(grey, -1, _COEFFICIENT, _COEFFICIENT)
     along_column = cv2.sepFilter2D(coefficients, -1, _SLOPE, _VALUE)
     along_row = cv2.sepFilter2D(coefficients, -1, _VALUE, _SLOPE)
     padded = np.pad(coefficients, PADDING, mode="reflect")
@@ -114,9 +118,7 @@ def slope_gain(smoothing: float) -> float:
     -------
     float [1/px]                    of `SplinePicture.along_column` and of `along_row`, above 0
     """
-    # The response to an impulse has decayed to 1e-9 over this many pixels.
-    response = np.pad(_low_pass(smoothing), 16)
-    slope = np.convolve(spline_filter1d(response, order=3, mode="mirror"), _SLOPE)
+    slope = np.convolve(np.convolve(_low_pass(smoothing), _COEFFICIENT), _SLOPE)
     return float(np.sqrt((slope**2).sum() * smoothing_gain(smoothing)))
 
 
@@ -143,15 +145,10 @@ def interpolate(
     -------
     (n,) float [grey levels]
     """
-    return _interpolate_all(picture.coefficients, np.ascontiguousarray(pixels, dtype=np.float64))
-
-
-@njit(cache=True, error_model="numpy")
-def _interpolate_all(coefficients, pixels):
-    grey = np.empty(len(pixels))
-    for i in range(len(pixels)):
-        grey[i] = sample_kernel(coefficients, np.float32(pixels[i, 0]), np.float32(pixels[i, 1]))
-    return grey
+    grey = np.empty(len(pixels), dtype=np.float32)
+    columns, rows = np.ascontiguousarray(pixels.T, dtype=np.float32)
+    sample_kernel(picture.coefficients, columns, rows, grey)
+    return grey.astype(np.float64)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
@@ -166,33 +163,42 @@ def _weights_kernel(t):
     return before, left, one - before - left - after, after
 
 
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def sample_kernel(coefficients, column, row):
-    """Grey level of the spline at a position in the picture.
+@njit(cache=True, fastmath=True, error_model="numpy")
+def sample_kernel(coefficients, columns, rows, sampled):
+    """Grey levels of the spline at positions in the picture.
 
     Parameters
     ----------
     coefficients : (rows + 8, columns + 8) float32 [grey levels]    of a `SplinePicture`
-    column, row : float32 [px]      clamped to the padded coefficients
-
-    Returns
-    -------
-    float32 [grey levels]
+    columns, rows : (n,) float32 [px]       clamped to the padded coefficients
+    sampled : (n,) float32 [grey levels]    filled
     """
     # Shifted to be positive, so that truncation is floor.
     zero, lead = np.float32(0.0), np.float32(PADDING - 1)
-    x = min(max(column + lead, zero), np.float32(coefficients.shape[1] - 4))
-    y = min(max(row + lead, zero), np.float32(coefficients.shape[0] - 4))
-    ix, iy = np.int32(x), np.int32(y)
-    a0, a1, a2, a3 = _weights_kernel(x - np.float32(ix))
-    b = _weights_kernel(y - np.float32(iy))
-    t0 = t1 = t2 = t3 = zero
-    for i in range(4):
-        t0 += b[i] * coefficients[iy + i, ix]
-        t1 += b[i] * coefficients[iy + i, ix + 1]
-        t2 += b[i] * coefficients[iy + i, ix + 2]
-        t3 += b[i] * coefficients[iy + i, ix + 3]
-    return a0 * t0 + a1 * t1 + a2 * t2 + a3 * t3
+    last_column = np.float32(coefficients.shape[1] - 4)
+    last_row = np.float32(coefficients.shape[0] - 4)
+    # The weights of all positions first: that loop is vectorised, the other one not.
+    first = np.empty((2, len(sampled)), dtype=np.uint32)
+    weight = np.empty((8, len(sampled)), dtype=np.float32)
+    for p in range(len(sampled)):
+        x = min(max(columns[p] + lead, zero), last_column)
+        y = min(max(rows[p] + lead, zero), last_row)
+        ix, iy = np.int32(x), np.int32(y)
+        first[0, p], first[1, p] = ix, iy
+        a, b = _weights_kernel(x - np.float32(ix)), _weights_kernel(y - np.float32(iy))
+        weight[0, p], weight[1, p], weight[2, p], weight[3, p] = a
+        weight[4, p], weight[5, p], weight[6, p], weight[7, p] = b
+    for p in range(len(sampled)):
+        # Indices without sign: they need no test for counting from the end.
+        x, y = np.uint64(first[0, p]), np.uint64(first[1, p])
+        t0 = t1 = t2 = t3 = zero
+        for i in range(4):
+            line, b = coefficients[y + np.uint64(i)], weight[4 + i, p]
+            t0 += b * line[x]
+            t1 += b * line[x + np.uint64(1)]
+            t2 += b * line[x + np.uint64(2)]
+            t3 += b * line[x + np.uint64(3)]
+        sampled[p] = weight[0, p] * t0 + weight[1, p] * t1 + weight[2, p] * t2 + weight[3, p] * t3
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")

@@ -20,6 +20,7 @@ from numba import njit
 
 from palpate.threads import in_threads
 from palpate.vision.images import SplinePicture
+from palpate.vision.joint.sampling import sample_surface_kernel
 from palpate.vision.joint.scene import Scene
 from palpate.vision.joint.window import (
     deformed_frame_kernel,
@@ -27,10 +28,10 @@ from palpate.vision.joint.window import (
     load_camera_kernel,
     mapping_kernel,
     pixel_lengths_kernel,
-    sample_surface_kernel,
     update_kernel,
 )
 from palpate.vision.matching import (
+    window_advance_kernel,
     window_blocks_kernel,
     window_residual_kernel,
     window_right_kernel,
@@ -43,6 +44,7 @@ from palpate.vision.small_systems import (
     cholesky_inverse_kernel,
     cholesky_kernel,
     cholesky_solve_kernel,
+    product_kernel,
 )
 
 # Outcomes as plain integers, for the kernels.
@@ -64,7 +66,7 @@ _Points = namedtuple("_Points", "point tangent half_window")
 _Work = namedtuple(
     "_Work",
     "window basis sampled sums normal own mapping jacobian statistics hessian inverse right total q"
-    " frame active blocks score_covariance illumination",
+    " frame active blocks influence illumination noise_fraction",
 )
 
 
@@ -196,7 +198,7 @@ def _refine_range(begin, end, first, moved, points, start, known, noise, limits,
         if outcome[i] == _VALID:
             outcome[i] = _iterate_kernel(first, moved, points, i, start[i], noise, limits, work)
         if outcome[i] == _VALID:
-            _conclude_kernel(first, moved, points, i, noise, limits, work, found)
+            _conclude_kernel(i, noise, limits, work, found)
 
 
 @njit(cache=True, error_model="numpy")
@@ -216,7 +218,7 @@ def _make_work(views, half, bases):
     return _Work(
         window=np.empty((views, 6, pixels), dtype=np.float32),
         basis=np.empty((views, max(bases, 3) + 1, pixels), dtype=np.float32),
-        sampled=np.empty(pixels, dtype=np.float32),
+        sampled=np.empty((views, pixels), dtype=np.float32),
         sums=np.empty((views, 2 * terms, 4)),
         normal=np.empty((views, 2 * terms, 2 * terms)),
         own=np.empty((2 * bases, 2 * bases)),
@@ -225,14 +227,15 @@ def _make_work(views, half, bases):
         statistics=np.empty((views, 3)),
         hessian=np.empty((3 * bases, 3 * bases)),
         inverse=np.empty((3 * bases, 3 * bases)),
-        right=np.empty(2 * terms),
+        right=np.empty((views, 2 * terms)),
         total=np.empty(3 * bases),
         q=np.empty((6, 3)),
         frame=np.empty((3, 3)),
         active=np.empty(views, dtype=np.bool_),
         blocks=np.empty((BLOCKS * BLOCKS, 2 * terms)),
-        score_covariance=np.empty((3 * bases, 3 * bases)),
-        illumination=np.empty(4),
+        influence=np.empty(2 * terms),
+        illumination=np.empty((views, 4)),
+        noise_fraction=np.empty(views),
     )
 
 
@@ -257,8 +260,8 @@ def _prepare_kernel(first, points, i, cameras, noise, limits, work):
         if not work.active[c]:
             continue
         window_system_kernel(
-            work.window[c], work.basis[c, : len(work.right) // 2], work.statistics[c, 0],
-            work.statistics[c, 2], work.sampled, work.sums[c], work.normal[c],
+            work.window[c], work.basis[c, : len(work.influence) // 2], work.statistics[c, 0],
+            work.statistics[c, 2], work.sampled[c], work.sums[c], work.normal[c],
         )  # fmt: skip
         mapping_kernel(
             first.cameras[c], point, tangent, limits.bases, work.jacobian, work.mapping[c]
@@ -278,9 +281,8 @@ def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
         for c in range(len(noise)):
             if not work.active[c]:
                 continue
-            gain, _noise_fraction = _right_kernel(first, moved, points, i, c, limits, work)
-            if gain > 0.0:
-                add_transposed_kernel(work.mapping[c], work.right, 1.0 / noise[c] ** 2, total)
+            if _right_kernel(first, moved, points, i, c, work) > 0.0:
+                add_transposed_kernel(work.mapping[c], work.right[c], 1.0 / noise[c] ** 2, total)
         cholesky_solve_kernel(work.hessian, total)
         update_kernel(work.q, work.frame, tangent, total, limits.bases)
         step, away = pixel_lengths_kernel(first.cameras, point, work.active, total, work.q, start)
@@ -295,26 +297,35 @@ def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _right_kernel(first, moved, points, i, c, limits, work):
-    """Right-hand side of one camera at the current motion, in `work.right`.
+def _right_kernel(first, moved, points, i, c, work):
+    """Right-hand side of one camera at the current motion; returns the gain.
 
-    Returns the gain and the fraction of noise variance left by interpolation. `work.illumination`
-    is filled, see `window_right_kernel`.
+    Filled are the camera's rows of `work.right`, `work.sampled` and `work.illumination`, see
+    `window_right_kernel`, and `work.noise_fraction`, what interpolation leaves of the variance.
     """
-    noise_fraction = sample_surface_kernel(
+    work.noise_fraction[c] = sample_surface_kernel(
         first.cameras[c], moved[c], work.basis[c], work.window[c, 3], points.point[i], work.q,
-        work.frame, points.half_window[i], limits.half, work.sampled,
+        work.frame, points.half_window[i], work.sampled[c],
     )  # fmt: skip
-    gain = window_right_kernel(
-        work.window[c], work.basis[c, : len(work.right) // 2], work.sampled, work.statistics[c, 0],
-        work.statistics[c, 1], work.statistics[c, 2], work.sums[c], work.right, work.illumination,
-    )  # fmt: skip
-    return gain, noise_fraction
+    return _eliminate_kernel(c, work.statistics[c, 1], work)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
-    """Store the motion of a point, its covariance, and the residuals in each camera."""
+def _eliminate_kernel(c, mean, work):
+    """`window_right_kernel` of one camera, for the sampled picture minus `mean` [grey levels]."""
+    return window_right_kernel(
+        work.window[c], work.basis[c, : len(work.influence) // 2], work.sampled[c],
+        work.statistics[c, 0], mean, work.statistics[c, 2], work.sums[c], work.right[c],
+        work.illumination[c],
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _conclude_kernel(i, noise, limits, work, found):
+    """Store the motion of a point, its covariance, and the residuals in each camera.
+
+    The residuals follow from those before the last step, which is far below their noise.
+    """
     bases, views = limits.bases, len(noise)
     score, own_step = found.score[i], found.own_step[i]
     residual_variance = found.residual_variance[i]
@@ -323,37 +334,39 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
     for a in range(3):
         for b in range(3):
             found.covariance[i, a, b] = work.inverse[a * bases, b * bases]
-    deformed_frame_kernel(work.q, points.tangent[i], points.half_window[i], work.frame)
-    score_covariance = work.score_covariance
-    score_covariance[:] = 0.0
     seen = 0
     for c in range(views):
         seen += work.active[c]
-    excess = 0.0
+    excess = robust = white = 0.0
     for c in range(views):
         if not work.active[c]:
             continue
-        gain, noise_fraction = _right_kernel(first, moved, points, i, c, limits, work)
+        basis = work.basis[c, : len(work.influence) // 2]
+        product_kernel(work.mapping[c], work.total, work.illumination[c, 1], work.influence)
+        window_advance_kernel(work.window[c], basis, work.influence, work.sampled[c])
+        gain = _eliminate_kernel(c, 0.0, work)
         if not gain > 0.0:
             score[c] = 0.0
             residual_variance[c] = np.inf
             continue
-        squares = window_residual_kernel(work.window[c], work.sampled, work.illumination)
+        squares = window_residual_kernel(work.window[c], work.sampled[c], work.illumination[c])
         count, square = work.statistics[c, 0], work.statistics[c, 2]
         score[c] = np.sqrt(square / (square + squares))
         freedom = max(count - 4.0 - 3.0 * bases / seen, 1.0)
-        residual_variance[c] = 2.0 / (1.0 + noise_fraction) * squares / freedom
+        residual_variance[c] = 2.0 / (1.0 + work.noise_fraction[c]) * squares / freedom
         excess += residual_variance[c] / noise[c] ** 2 / seen
-        basis = work.basis[c, : len(work.right) // 2]
-        window_blocks_kernel(work.window[c], basis, work.sampled, work.blocks)
-        for block in work.blocks:
-            work.total[:] = 0.0
-            add_transposed_kernel(work.mapping[c], block, 1.0 / noise[c] ** 2, work.total)
-            for k in range(3 * bases):
-                for m in range(3 * bases):
-                    score_covariance[k, m] += work.total[k] * work.total[m]
+        window_blocks_kernel(work.window[c], basis, work.sampled[c], work.blocks)
+        for a in range(3):
+            product_kernel(
+                work.mapping[c], work.inverse[a * bases], 1.0 / noise[c] ** 2, work.influence
+            )
+            for block in work.blocks:
+                share = 0.0
+                for k in range(len(block)):
+                    share += block[k] * work.influence[k]
+                robust += share**2
         # One camera does not see a tilt of the normal: its own step leaves out the heights.
-        own, step = work.own, work.right[: 2 * bases]
+        own, step = work.own, work.right[c, : 2 * bases]
         for k in range(2 * bases):
             for m in range(2 * bases):
                 own[k, m] = work.normal[c, k, m]
@@ -363,16 +376,11 @@ def _conclude_kernel(first, moved, points, i, noise, limits, work, found):
             own_step[c, 1] = -step[1]
             mean = _mean_variance_kernel(own, step)
             found.own_variance[i, c] = residual_variance[c] * mean
+    for a in range(3):
+        white += work.inverse[a * bases, a * bases]
     # Correct for the 3 bases degrees of freedom that the fit takes from few blocks.
     blocks = seen * BLOCKS * BLOCKS
     correction = blocks / max(blocks - 3.0 * bases, 1.0)
-    robust = white = 0.0
-    for a in range(3):
-        row = work.inverse[a * bases]
-        white += row[a * bases]
-        for k in range(3 * bases):
-            for m in range(3 * bases):
-                robust += row[k] * score_covariance[k, m] * row[m]
     # Identical pictures leave no residual: treated as white.
     found.variance_ratio[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
 

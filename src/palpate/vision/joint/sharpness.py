@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from palpate.vision.cameras import project
 from palpate.vision.images import (
@@ -124,29 +124,30 @@ def _window_variances(
 ) -> Float[np.ndarray, " w"]:
     """Relative blur variance in one camera, estimated from each window found [px^2]."""
     first = scene.pictures[camera]
-    ours, theirs = (cv2.Laplacian(picture.grey, cv2.CV_32F) for picture in (first, later))
+    # A spline's Laplacian at the pixel centres has the Laplacian of its coefficients.
+    theirs = replace(later, coefficients=cv2.Laplacian(later.coefficients, cv2.CV_32F))
     kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.cameras[:, camera])
-    window, column, row = _window_pixels(scene, rows[kept], camera)
-    point = scene.surface[camera][row, column]
-    there = _moved(scene, rows[kept][window], match.motion[kept][window], point)
-    target = project(scene.rig.cameras[camera], there)
-    rest, change = first.grey[row, column], interpolate(later, target)
-    laplacians = 0.5 * (ours[row, column] + interpolate(make_spline_picture(theirs), target))
-    illumination = np.stack([np.ones(len(rest)), rest, column, row], axis=1)
-    variances = []
-    for part in np.split(np.arange(len(window)), np.searchsorted(window, np.arange(1, len(kept)))):
-        basis = np.linalg.qr(illumination[part])[0]
-        laplacian, difference = (
-            x[part] - basis @ (basis.T @ x[part]) for x in (laplacians, change)
-        )
-        variances.append(2.0 * (laplacian @ difference) / (laplacian @ laplacian))
-    return np.array(variances if len(kept) else [])
+    column, row, seen = _window_pixels(scene, rows[kept], camera)
+    there = _moved(scene, rows[kept], match.motion[kept], scene.surface[camera][row, column])
+    target = project(scene.rig.cameras[camera], there[seen])
+    rest = first.grey[row, column]
+    illumination = np.stack([np.ones(rest.shape), rest, column, row], axis=2) * seen[..., None]
+    basis = np.linalg.qr(illumination)[0]
+    ours = cv2.Laplacian(first.grey, cv2.CV_32F)[row, column][seen]
+    left = []
+    for values in (0.5 * (ours + interpolate(theirs, target)), interpolate(later, target)):
+        window = np.zeros(seen.shape)
+        window[seen] = values
+        window -= np.einsum("wpi,wi->wp", basis, np.einsum("wpi,wp->wi", basis, window))
+        left.append(window)
+    laplacian, difference = left
+    return np.asarray(2.0 * (laplacian * difference).sum(axis=1) / (laplacian**2).sum(axis=1))
 
 
 def _window_pixels(
     scene: Scene, rows: Int[np.ndarray, " w"], camera: int
-) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-    """Pixels of a camera's windows that show the surface: window index (ascending), column, row."""
+) -> tuple[Int[np.ndarray, "w p"], Int[np.ndarray, "w p"], Bool[np.ndarray, "w p"]]:
+    """Columns and rows of the pixels of a camera's windows, and which of them show the surface."""
     half, size = scene.subset // 2, np.array(scene.grey[camera].shape[::-1])
     line = np.arange(-half, half + 1)
     offset = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
@@ -154,17 +155,16 @@ def _window_pixels(
     pixel = np.rint(place).astype(np.int64)[:, None] + offset
     inside = ((pixel >= 0) & (pixel < size)).all(axis=2)
     column, row = np.moveaxis(np.clip(pixel, 0, size - 1), 2, 0)
-    seen = inside & (scene.interior[camera][row, column] > 0.0)
-    return np.nonzero(seen)[0], column[seen], row[seen]
+    return column, row, inside & (scene.interior[camera][row, column] > 0.0)
 
 
 def _moved(
     scene: Scene,
-    rows: Int[np.ndarray, " p"],
-    motion: Float[np.ndarray, "p 6 3"],
-    point: Float[np.ndarray, "p 3"],
-) -> Float[np.ndarray, "p 3"]:
-    """Displaced surface points, from nearby motions and their first derivatives [m]."""
-    offset = np.einsum("pi,pai->pa", point - scene.point[rows], scene.tangent[rows])
-    offset /= scene.half_window[rows, None]
-    return point + motion[:, 0] + np.einsum("pa,pai->pi", offset, motion[:, 1:3])
+    rows: Int[np.ndarray, " w"],
+    motion: Float[np.ndarray, "w 6 3"],
+    point: Float[np.ndarray, "w p 3"],
+) -> Float[np.ndarray, "w p 3"]:
+    """Displaced surface points of windows, from their motions and first derivatives [m]."""
+    offset = (point - scene.point[rows, None]) @ scene.tangent[rows].swapaxes(1, 2)
+    offset /= scene.half_window[rows, None, None]
+    return point + motion[:, None, 0] + offset @ motion[:, 1:3]

@@ -3,8 +3,7 @@
 import numpy as np
 from numba import njit
 
-from palpate.vision.cameras import distort_kernel, jacobian_kernel, project_kernel
-from palpate.vision.images import noise_fraction_kernel, sample_kernel
+from palpate.vision.cameras import jacobian_kernel, project_kernel
 from palpate.vision.matching import load_window_kernel
 
 # Total padding of the spline coefficients, 4 px on each side [px].
@@ -123,62 +122,6 @@ def deformed_frame_kernel(q, tangent, half_window, frame):
     length = np.sqrt(frame[2, 0] ** 2 + frame[2, 1] ** 2 + frame[2, 2] ** 2)
     for a in range(3):
         frame[2, a] /= length
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def sample_surface_kernel(
-    camera, moved, basis, weight, point, q, frame, half_window, half, sampled
-):
-    """Sample the later picture at the projections of the moved surface points.
-
-    `moved` are spline coefficients, `basis` and `weight` those of the window's pixels, `point` (3,)
-    [m], `q` (6, 3) [m] the motion, `frame` (3, 3) the deformed tangents and normal. `sampled`
-    (pixels,) [grey levels] is filled. Returns the mean fraction of noise variance left.
-    """
-    # Camera coordinates of a pixel's point: a polynomial in its surface coordinates.
-    c = np.empty((7, 3))
-    for a in range(3):
-        i = 13 + 3 * a
-        r0, r1, r2 = camera[i], camera[i + 1], camera[i + 2]
-        c[0, a] = (
-            r0 * (point[0] + q[0, 0]) + r1 * (point[1] + q[0, 1]) + r2 * (point[2] + q[0, 2])
-            + camera[22 + a]
-        )  # fmt: skip
-        for k in range(3):
-            c[1 + k, a] = half_window * (r0 * frame[k, 0] + r1 * frame[k, 1] + r2 * frame[k, 2])
-            c[4 + k, a] = r0 * q[3 + k, 0] + r1 * q[3 + k, 1] + r2 * q[3 + k, 2]
-    fractions = np.float32(0.0)
-    count = np.float32(0.0)
-    columns = np.empty(2 * half + 1, dtype=np.float32)
-    rows = np.empty(2 * half + 1, dtype=np.float32)
-    for r in range(2 * half + 1):
-        cut = slice(r * (2 * half + 1), (r + 1) * (2 * half + 1))
-        xi_line, eta_line, zeta_line = basis[1, cut], basis[2, cut], basis[len(basis) - 1, cut]
-        line, row_weight = sampled[cut], weight[cut]
-        for k in range(2 * half + 1):
-            xi, eta, zeta = xi_line[k], eta_line[k], zeta_line[k]
-            xx, xy, yy = xi * xi, xi * eta, eta * eta
-            x = (
-                c[0, 0] + xi * c[1, 0] + eta * c[2, 0] + zeta * c[3, 0]
-                + xx * c[4, 0] + xy * c[5, 0] + yy * c[6, 0]
-            )  # fmt: skip
-            y = (
-                c[0, 1] + xi * c[1, 1] + eta * c[2, 1] + zeta * c[3, 1]
-                + xx * c[4, 1] + xy * c[5, 1] + yy * c[6, 1]
-            )  # fmt: skip
-            z = (
-                c[0, 2] + xi * c[1, 2] + eta * c[2, 2] + zeta * c[3, 2]
-                + xx * c[4, 2] + xy * c[5, 2] + yy * c[6, 2]
-            )  # fmt: skip
-            xd, yd, _, _, _ = distort_kernel(camera, x / z, y / z)
-            columns[k] = camera[0] * xd + camera[4] * yd + camera[2]
-            rows[k] = camera[1] * yd + camera[3]
-        for k in range(2 * half + 1):
-            line[k] = sample_kernel(moved, columns[k], rows[k])
-        for k in range(2 * half + 1):
-            fractions += row_weight[k] * noise_fraction_kernel(columns[k], rows[k])
-            count += row_weight[k]
-    return fractions / count
 
 
 @njit(cache=True, error_model="numpy")

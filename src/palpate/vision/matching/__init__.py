@@ -37,6 +37,7 @@ from palpate.vision.matching.planar_match import (
 from palpate.vision.matching.window_sums import (
     BASES as BASES,
     load_window_kernel as load_window_kernel,
+    window_advance_kernel as window_advance_kernel,
     window_blocks_kernel as window_blocks_kernel,
     window_residual_kernel as window_residual_kernel,
     window_right_kernel as window_right_kernel,

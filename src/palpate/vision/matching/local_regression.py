@@ -32,6 +32,8 @@ _MIN_PLACES_PER_THREAD = 32
 # Smallest relative pivot (tolerance) of a term: displacements on a line, or on one side only, do
 # not determine the polynomial.
 _MIN_PIVOT = 1e-3
+# What the compiler may assume of floating-point numbers: NaN keep their meaning.
+_ANY_ORDER = {"reassoc", "nsz", "contract"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,9 +172,11 @@ def _fit_range(
     subset, reach, terms, value, gradient, curvature, covariance, weight,
 ):  # fmt: skip
     max_points = nearest.shape[1]
-    design = np.empty((max_points, terms))
+    # Terms along the first axis: sums over the displacements are then vectorised.
+    design, given = np.empty((terms, max_points)), np.empty((3, max_points))
     base_weight, robust, height = np.empty(max_points), np.empty(max_points), np.empty(max_points)
-    ratio, ordered = np.empty(max_points), np.empty(max_points)
+    variance, ratio = np.empty(max_points), np.empty(max_points)
+    order = np.empty(max_points, dtype=np.int64)
     normal, solution, row = np.empty((terms, terms)), np.empty((3, terms)), np.empty(terms)
     turn = np.empty(3)
     for i in range(begin, end):
@@ -181,14 +185,16 @@ def _fit_range(
         turn[:] = 0.0
         m = 0
         while m < max_points and nearest[i, m] >= 0:
-            height[m] = _design_kernel(
-                place[i], tangent[i], point[nearest[i, m]], size, terms, design[m]
-            )
+            n = nearest[i, m]
+            height[m] = _design_kernel(place[i], tangent[i], point[n], size, design[:, m])
             distance = 0.0
             for a in range(3):
-                distance += (point[nearest[i, m], a] - place[i, a]) ** 2
+                distance += (point[n, a] - place[i, a]) ** 2
+                given[a, m] = displacement[n, a]
             near = 1.0 - distance / (size * size)
-            base_weight[m] = max(near, 0.0) ** 2 / trace[nearest[i, m]]
+            base_weight[m] = max(near, 0.0) ** 2 / trace[n]
+            variance[m] = trace[n]
+            order[m] = m
             m += 1
         # Without a degree of freedom left, no outlier can be recognised.
         if m <= terms:
@@ -197,14 +203,13 @@ def _fit_range(
         residual_rms = 0.0
         for _ in range(_ROUNDS):
             good = _solve_kernel(
-                design, base_weight, robust, displacement, height, turn, nearest[i], m, normal,
-                solution,
-            )  # fmt: skip
+                design, base_weight, robust, given, height, turn, m, normal, solution
+            )
             if not good:
                 break
             residual_rms = _reweigh_kernel(
-                design, base_weight, robust, displacement, height, turn, trace, nearest[i], m,
-                solution, ratio, ordered,
+                design, base_weight, robust, given, height, turn, m, variance, solution, ratio,
+                order,
             )  # fmt: skip
             _turn_kernel(tangent[i], solution, size, turn)
         if not good:
@@ -221,7 +226,7 @@ def _fit_range(
         for j in range(m):
             weight[i, j] = 0.0
             for k in range(terms):
-                weight[i, j] += row[k] * design[j, k]
+                weight[i, j] += row[k] * design[k, j]
             weight[i, j] *= base_weight[j] * robust[j]
         _covariance_kernel(weight[i], noise, trace, pixel, subset, nearest[i], m, covariance[i])
         for a in range(3):
@@ -246,7 +251,7 @@ def _turn_kernel(tangent, solution, reach, turn):
 
 
 @njit(cache=True, error_model="numpy")
-def _design_kernel(place, tangent, point, reach, terms, out):
+def _design_kernel(place, tangent, point, reach, out):
     """Polynomial terms of one displacement, in units of the reach; returns its height [m]."""
     t, s = tangent[0], tangent[1]
     d0, d1, d2 = point[0] - place[0], point[1] - place[1], point[2] - place[2]
@@ -255,7 +260,7 @@ def _design_kernel(place, tangent, point, reach, terms, out):
     out[0] = 1.0
     out[1] = xi
     out[2] = eta
-    if terms == 6:
+    if len(out) == 6:
         out[3] = xi * xi
         out[4] = xi * eta
         out[5] = eta * eta
@@ -266,23 +271,22 @@ def _design_kernel(place, tangent, point, reach, terms, out):
     )
 
 
-@njit(cache=True, error_model="numpy")
-def _solve_kernel(
-    design, base_weight, robust, displacement, height, turn, nearest, m, normal, solution
-):
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
+def _solve_kernel(design, base_weight, robust, given, height, turn, m, normal, solution):
     """Weighted least squares; leaves the Cholesky factor in `normal`; False where singular."""
-    terms = design.shape[1]
-    normal[:] = 0.0
-    solution[:] = 0.0
-    for j in range(m):
-        w = base_weight[j] * robust[j]
-        for k in range(terms):
-            for n in range(k + 1):
-                normal[k, n] += w * design[j, k] * design[j, n]
-            for a in range(3):
-                solution[a, k] += (
-                    w * design[j, k] * (displacement[nearest[j], a] - height[j] * turn[a])
-                )
+    terms = len(design)
+    for k in range(terms):
+        for n in range(k + 1):
+            total = 0.0
+            for j in range(m):
+                total += base_weight[j] * robust[j] * design[k, j] * design[n, j]
+            normal[k, n] = total
+        for a in range(3):
+            total = 0.0
+            for j in range(m):
+                value = given[a, j] - height[j] * turn[a]
+                total += base_weight[j] * robust[j] * design[k, j] * value
+            solution[a, k] = total
     if not cholesky_kernel(normal, _MIN_PIVOT):
         return False
     for a in range(3):
@@ -290,28 +294,31 @@ def _solve_kernel(
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
 def _reweigh_kernel(
-    design, base_weight, robust, displacement, height, turn, trace, nearest, m, solution, ratio,
-    ordered,
-):  # fmt: skip
-    """Student-t weights from the residuals; returns their weighted rms in units of sigma."""
-    terms = design.shape[1]
+    design, base_weight, robust, given, height, turn, m, variance, solution, ratio, order
+):
+    """Student-t weights from the residuals; returns their weighted rms in units of sigma.
+
+    `order` sorts `ratio` (m,), and is nearly that of the round before.
+    """
+    terms = len(design)
     for j in range(m):
         square = 0.0
         for a in range(3):
-            residual = displacement[nearest[j], a] - height[j] * turn[a]
+            residual = given[a, j] - height[j] * turn[a]
             for k in range(terms):
-                residual -= design[j, k] * solution[a, k]
+                residual -= design[k, j] * solution[a, k]
             square += residual * residual
-        ratio[j] = square / trace[nearest[j]]
-        k = j
-        while k > 0 and ordered[k - 1] > ratio[j]:
-            ordered[k] = ordered[k - 1]
+        ratio[j] = square / variance[j]
+    for j in range(m):
+        this, k = order[j], j
+        while k > 0 and ratio[order[k - 1]] > ratio[this]:
+            order[k] = order[k - 1]
             k -= 1
-        ordered[k] = ratio[j]
+        order[k] = this
     # Where the field is rougher than its noise everywhere, not every point is an outlier.
-    scale = max(1.0, 0.5 * (ordered[(m - 1) // 2] + ordered[m // 2]))
+    scale = max(1.0, 0.5 * (ratio[order[(m - 1) // 2]] + ratio[order[m // 2]]))
     total = 0.0
     squares = 0.0
     for j in range(m):
@@ -321,26 +328,28 @@ def _reweigh_kernel(
     return np.sqrt(squares / total * m / (m - terms))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
 def _covariance_kernel(weight, noise, trace, pixel, subset, nearest, m, covariance):
     """Covariance of the fitted value, including the noise shared by overlapping windows."""
     mean = np.zeros((3, 3))
     total = 0.0
+    # Copied together, so that the double loop is vectorised.
+    sigma, column, row = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):
         n = nearest[j]
         for a in range(3):
             for b in range(3):
                 mean[a, b] += abs(weight[j]) * noise[n, a, b] / trace[n]
         total += abs(weight[j])
+        sigma[j] = weight[j] * np.sqrt(trace[n])
+        column[j], row[j] = pixel[n, 0] / subset, pixel[n, 1] / subset
     factor = 0.0
     for j in range(m):
-        for k in range(j + 1):
-            p, q = nearest[j], nearest[k]
-            common = max(0.0, 1.0 - abs(pixel[p, 0] - pixel[q, 0]) / subset) * max(
-                0.0, 1.0 - abs(pixel[p, 1] - pixel[q, 1]) / subset
-            )
-            term = weight[j] * weight[k] * common * np.sqrt(trace[p] * trace[q])
-            factor += term if j == k else 2.0 * term
+        shared = 0.0
+        for k in range(m):
+            common = max(0.0, 1.0 - abs(column[j] - column[k]))
+            shared += sigma[k] * common * max(0.0, 1.0 - abs(row[j] - row[k]))
+        factor += sigma[j] * shared
     for a in range(3):
         for b in range(3):
             covariance[a, b] = factor * mean[a, b] / total

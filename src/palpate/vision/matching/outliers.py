@@ -67,21 +67,19 @@ def predicted(
     near = _nearest(point, valid, reach)
     there = near >= 0
     j = np.where(there, near, 0)
-    offset = point[:, None] - point[j]
-    carried = displacement[j].copy()
-    for a in range(2):
-        along = np.einsum("nki,nki->nk", offset, tangent[j, a])
-        carried += along[..., None] * gradient[j, a]
     normal = np.cross(tangent[:, 0], tangent[:, 1])
     moved = tangent + np.where(np.isfinite(gradient), gradient, 0.0)
     turned = np.cross(moved[:, 0], moved[:, 1])
     rotation = turned / np.linalg.norm(turned, axis=1)[:, None] - normal
-    carried += np.einsum("nki,nki->nk", offset, normal[j])[..., None] * rotation[j]
+    # Displacement gradients [n, i, b] in object axes, along the surface and with the normal.
+    along = np.einsum("nai,nab->nib", tangent, gradient)
+    whole = along + normal[:, :, None] * rotation[:, None]
+    offset = point[:, None] - point[j]
+    carried = displacement[j] + (offset[:, :, None] @ whole[j])[:, :, 0]
     median = neighbours_median(carried, there)
     scatter = neighbours_median(np.linalg.norm(carried - median[:, None], axis=2), there)
     # Transformed to each point's own tangents.
-    to_own = np.einsum("nai,nkbi->nkab", tangent, tangent[j])
-    slope = neighbours_median(np.einsum("nkab,nkbi->nkai", to_own, gradient[j]), there)
+    slope = neighbours_median(tangent[:, None] @ along[j], there)
     return Prediction(median, slope, scatter)
 
 
@@ -105,11 +103,20 @@ def neighbours_median(
     """
     median = np.full((len(values), *values.shape[2:]), np.nan)
     enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
-    if enough.any():
-        given = values[enough]
-        given[~there[enough]] = np.nan
-        median[enough] = np.nanmedian(given, axis=1)
+    given = values[enough]
+    given[~there[enough]] = np.nan
+    median[enough] = _nanmedian(given)
     return median
+
+
+def _nanmedian(values: Float[np.ndarray, "n k ..."]) -> Float[np.ndarray, "n ..."]:
+    """`np.nanmedian` along the second axis, three times as fast for these short rows."""
+    ordered, last = np.sort(values, axis=1), (~np.isnan(values)).sum(axis=1, keepdims=True) - 1
+    low, high = (
+        np.take_along_axis(ordered, np.maximum(middle, 0), axis=1)[:, 0]
+        for middle in (last // 2, (last + 1) // 2)
+    )
+    return 0.5 * (low + high)
 
 
 def median_test(point: Points, displacement: Points, valid: Flags) -> PointScalars:
@@ -171,11 +178,8 @@ def median_around(
     around = np.where(near >= 0, value[np.maximum(near, 0)], np.nan)
     own = np.where(valid, value, np.nan)[:, None]
     everything = np.hstack([own, around])
-    result = value.copy()
-    some = np.isfinite(everything).any(axis=1)
-    if some.any():
-        result[some] = np.nanmedian(everything[some], axis=1)
-    return result
+    median = _nanmedian(everything)
+    return np.where(np.isnan(median), value, median)
 
 
 def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"]:

@@ -210,23 +210,23 @@ def _sample_window_kernel(moved, warp, column, row, half, sampled):
     scale = np.float32(1.0 / half)
     c3 = np.float32(warp[0, 3])
     r3 = np.float32(warp[1, 3])
-    fractions = 0.0
+    columns, rows = np.empty(len(sampled), np.float32), np.empty(len(sampled), np.float32)
+    fractions = np.float32(0.0)
     for r in range(2 * half + 1):
         eta = (r - half) / half
         c0 = np.float32(column + warp[0, 0] + eta * (warp[0, 2] + eta * warp[0, 5]))
         c1 = np.float32(warp[0, 1] + eta * warp[0, 4])
         r0 = np.float32(row + r - half + warp[1, 0] + eta * (warp[1, 2] + eta * warp[1, 5]))
         r1 = np.float32(warp[1, 1] + eta * warp[1, 4])
-        line = sampled[r * (2 * half + 1) : (r + 1) * (2 * half + 1)]
-        fraction = np.float32(0.0)
+        first = r * (2 * half + 1)
         for k in range(2 * half + 1):
             along = np.float32(k - half)
             xi = along * scale
-            x = c0 + along + xi * (c1 + xi * c3)
-            y = r0 + xi * (r1 + xi * r3)
-            line[k] = sample_kernel(moved, x, y)
-            fraction += noise_fraction_kernel(x, y)
-        fractions += fraction
+            columns[first + k] = c0 + along + xi * (c1 + xi * c3)
+            rows[first + k] = r0 + xi * (r1 + xi * r3)
+    sample_kernel(moved, columns, rows, sampled)
+    for p in range(len(sampled)):
+        fractions += noise_fraction_kernel(columns[p], rows[p])
     return fractions / (2 * half + 1) ** 2
 
 

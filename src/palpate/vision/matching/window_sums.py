@@ -170,6 +170,19 @@ def window_right_kernel(
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
+def window_advance_kernel(window, basis, step, difference):
+    """Change the difference of the moved picture as a small step does, to first order.
+
+    `difference` (pixels,) [grey levels] is as `window_right_kernel` leaves it; `step` (2 terms,) is
+    in pixels times the gain.
+    """
+    for n in range(len(step)):
+        amount, slope, function = np.float32(step[n]), window[1 + n % 2], basis[n // 2]
+        for p in range(len(difference)):
+            difference[p] -= amount * slope[p] * function[p]
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
 def window_residual_kernel(window, difference, illumination):
     """Overwrite the difference of the moved picture with its residuals; their sum of squares.
 
@@ -193,10 +206,16 @@ def window_blocks_kernel(window, basis, residual, blocks):
     filled [grey levels^2/px]. `residual` (pixels,) is from `window_residual_kernel`.
     """
     side, cells = int(np.sqrt(len(residual))), int(np.sqrt(len(blocks)))
-    blocks[:] = 0.0
-    for p in range(len(residual)):
-        block = blocks[(p // side * cells // side) * cells + p % side * cells // side]
-        for k in range(len(basis)):
-            value = residual[p] * basis[k, p]
-            block[2 * k] += window[1, p] * value
-            block[2 * k + 1] += window[2, p] * value
+    # 1 in one of the vertical strips, 0 in the others: so the sums below are vectorised.
+    strips = np.zeros((cells, len(residual)), dtype=np.float32)
+    for k in range(side):
+        strips[k * cells // side, k::side] = 1.0
+    for i in range(cells):
+        rows = slice(-(-i * side // cells) * side, -(-(i + 1) * side // cells) * side)
+        for n in range(blocks.shape[1]):
+            slope, function, rest = window[1 + n % 2, rows], basis[n // 2, rows], residual[rows]
+            for j in range(cells):
+                strip, total = strips[j, rows], np.float32(0.0)
+                for p in range(len(strip)):
+                    total += strip[p] * rest[p] * function[p] * slope[p]
+                blocks[i * cells + j, n] = total

@@ -13,4 +13,5 @@ from palpate.vision.small_systems.cholesky import (
     cholesky_inverse_kernel as cholesky_inverse_kernel,
     cholesky_kernel as cholesky_kernel,
     cholesky_solve_kernel as cholesky_solve_kernel,
+    product_kernel as product_kernel,
 )

@@ -80,3 +80,13 @@ def add_congruence_kernel(inner, matrix, factor, total):
                 product += inner[k, h] * matrix[h, m]
             for n in range(len(total)):
                 total[n, m] += factor * matrix[k, n] * product
+
+
+@njit(cache=True, error_model="numpy")
+def product_kernel(matrix, vector, factor, out):
+    """Write factor * matrix vector into `out`, (k,); `matrix` is (k, m) float, `vector` (m,)."""
+    for k in range(len(out)):
+        total = 0.0
+        for m in range(len(vector)):
+            total += matrix[k, m] * vector[m]
+        out[k] = factor * total
