@@ -30,6 +30,8 @@ from palpate.shapes import Points
 from palpate.vision import calibration_numbers, moved_rig, project, surface_map, triangulate
 
 _TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
+# Far below what any rig is off by [m].
+_ROUNDING = 1e-12
 _EDGE, _VIEWS, _DRAWS = 2e-3, 4, 3
 
 
@@ -118,7 +120,7 @@ def kind_figures(folder: Path, kind: Wrong, draws: int) -> list[Figure]:
         seconds += time.perf_counter() - start
         before, after = off(rig, truth, points), off(view.rig, truth, points)
         taken += view.refined is not None and view.refined.better
-        worse += after > before
+        worse += after > before + _ROUNDING
         rows.append((before, after, *pose_error(view.rig, truth, centre)))
     before, after, turn, shift = np.sqrt(np.mean(np.square(rows), axis=0))
     name = f"`calibrate object --refine`, {kind.name}"
