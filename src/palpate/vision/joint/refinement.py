@@ -203,7 +203,7 @@ def _refine_range(begin, end, first, moved, points, start, known, noise, limits,
 
 @njit(cache=True, error_model="numpy")
 def _set_kernel(to, values):
-    """Copy a matrix; a slice assignment would take a second to compile."""
+    """Copy the leading block of a matrix; a slice assignment would take a second to compile."""
     for i in range(len(to)):
         for k in range(to.shape[1]):
             to[i, k] = values[i, k]
@@ -365,11 +365,9 @@ def _conclude_kernel(i, noise, limits, work, found):
                 for k in range(len(block)):
                     share += block[k] * work.influence[k]
                 robust += share**2
-        # One camera does not see a tilt of the normal: its own step leaves out the heights.
+        # Without the heights, which come last: in a flat window they determine nothing.
         own, step = work.own, work.right[c, : 2 * bases]
-        for k in range(2 * bases):
-            for m in range(2 * bases):
-                own[k, m] = work.normal[c, k, m]
+        _set_kernel(own, work.normal[c])
         if cholesky_kernel(own):
             cholesky_solve_kernel(own, step)
             own_step[c, 0] = -step[0]

@@ -11,19 +11,29 @@ _SPLINE_MARGIN_PX = 8
 
 
 @njit(cache=True, error_model="numpy")
+def _normal_kernel(t, s):
+    """Cross product of two tangents: the normal, as a tuple."""
+    return (
+        t[1] * s[2] - t[2] * s[1],
+        t[2] * s[0] - t[0] * s[2],
+        t[0] * s[1] - t[1] * s[0],
+    )
+
+
+@njit(cache=True, error_model="numpy")
 def load_camera_kernel(
     camera, grey, along_column, along_row, surface, interior, point, tangent, half_window, half,
     min_fraction, shading, blur_variance, window, basis, statistics,
 ):  # fmt: skip
     """Load one camera's window with the surface points of its pixels; False if too few are seen.
 
-    Filled are `window` (6, pixels), see `load_window_kernel`; `basis` (bases + 1, pixels), the
-    shape function's monomials 1, xi, eta, xi^2, xi eta, eta^2 of each pixel's point in its two
-    tangential coordinates, and last its height along the normal, in units of `half_window`;
-    `statistics` (3,): number of pixels inside, their mean, sum of squared deviations. `tangent`
-    (2, 3) is orthonormal, `half_window` [m] half the side of a window on the surface,
-    `min_fraction` (0 to 1) the visible fraction required, `blur_variance` [px^2] that of the
-    pictures.
+    Filled are `window` (6, pixels), see `load_window_kernel`; `basis`, (4, pixels) or, with the
+    second-order terms, (7, pixels): the monomials 1, xi, eta, xi^2, xi eta, eta^2 of each pixel's
+    point in its two tangential coordinates, and last its height along the normal, in units of
+    `half_window`; `statistics` (3,): number of pixels inside, their mean, sum of squared
+    deviations. `tangent` (2, 3) is orthonormal, `half_window` [m] half the side of a window on the
+    surface, `min_fraction` (0 to 1) the visible fraction required, `blur_variance` [px^2] that of
+    the pictures.
     """
     x, y = project_kernel(camera, point[0], point[1], point[2])
     rows, columns = grey.shape
@@ -33,9 +43,7 @@ def load_camera_kernel(
     row = int(np.rint(y))
     scale = 1.0 / half_window
     t, s = tangent[0], tangent[1]
-    n0 = t[1] * s[2] - t[2] * s[1]
-    n1 = t[2] * s[0] - t[0] * s[2]
-    n2 = t[0] * s[1] - t[1] * s[0]
+    n0, n1, n2 = _normal_kernel(t, s)
     # Beyond three extents (squared) a pixel shows another part of the object, behind a silhouette.
     far = 9.0
     count = 0.0
@@ -84,12 +92,7 @@ def mapping_kernel(camera, point, tangent, bases, jacobian, mapping):
     Source: the derivative of `sample_surface_kernel`'s motion at rest.
     """
     jacobian_kernel(camera, point[0], point[1], point[2], jacobian)
-    t, s = tangent[0], tangent[1]
-    normal = (
-        t[1] * s[2] - t[2] * s[1],
-        t[2] * s[0] - t[0] * s[2],
-        t[0] * s[1] - t[1] * s[0],
-    )
+    normal = _normal_kernel(tangent[0], tangent[1])
     mapping[:] = 0.0
     for a in range(2):
         for b in range(3):
@@ -132,11 +135,7 @@ def update_kernel(q, frame, tangent, step, bases):
     (2, 3) those at rest, `step` (3 bases,) [m] the coefficients component by component.
     """
     t, s = tangent[0], tangent[1]
-    normal = (
-        t[1] * s[2] - t[2] * s[1],
-        t[2] * s[0] - t[0] * s[2],
-        t[0] * s[1] - t[1] * s[0],
-    )
+    normal = _normal_kernel(t, s)
     for k in range(bases):
         d0, d1, d2 = step[k], step[bases + k], step[2 * bases + k]
         along = d0 * t[0] + d1 * t[1] + d2 * t[2]
