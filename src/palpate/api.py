@@ -29,8 +29,8 @@ from palpate.pipeline import (
 )
 from palpate.progress import Progress, silent
 from palpate.records import (
-    FORCES,
-    LENGTHS,
+    FORCE_UNITS,
+    LENGTH_UNITS,
     Constant,
     Estimate,
     Quantity,
@@ -157,11 +157,11 @@ class Result:
         SingularSystemError             the support does not hold the object
         NotConvergedError               the iteration for a large object does not converge
         """
-        size = None if radius is None else quantity(radius, LENGTHS, "radius")
+        size = None if radius is None else quantity(radius, LENGTH_UNITS, "radius")
         return poke_session(
             self.session,
-            quantities(force, FORCES, "force"),
-            tool_contact(self.session, quantities(at, LENGTHS, "at"), size),
+            quantities(force, FORCE_UNITS, "force"),
+            tool_contact(self.session, quantities(at, LENGTH_UNITS, "at"), size),
             shear_modulus=self.shear_modulus.value,
             poisson_ratio=self.poisson_ratio.value,
             cache=self.cache,

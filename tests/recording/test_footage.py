@@ -32,3 +32,14 @@ def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
     pictures = Footage("c0", None, tuple(files), np.arange(3.0))
     with pytest.raises(RecordError, match=r"2\.png: has 6 x 8 pixels, pictures before it 8 x 6"):
         list(read_frames(pictures))
+
+
+def test_times_are_read_in_the_unit_of_their_heading(tmp_path: Path) -> None:
+    path = tmp_path / "c0.csv"
+    path.write_text("frame,time [ms]\n0,40\n1,90\n")
+    np.testing.assert_allclose(footage.read_times(path), [0.04, 0.09], rtol=1e-12)
+    path.write_text("time [ms]\n40\n90\n")
+    np.testing.assert_allclose(footage.read_times(path), [0.04, 0.09], rtol=1e-12)
+    path.write_text("frame,time [h]\n0,0\n1,1\n")
+    with pytest.raises(RecordError, match=r"is in 'h'; must be in one of s, ms"):
+        footage.read_times(path)

@@ -10,7 +10,7 @@ from recording.bench_footage import write_recording
 from surfaces import box
 
 from palpate.app.cli import main
-from palpate.errors import InputError
+from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, write_mesh
 from palpate.recording import chosen_side, flat_sides, likely_unit, read_recording, survey_folder
 from palpate.records import read_session
@@ -155,3 +155,26 @@ def test_sides_and_units() -> None:
         assert likely_unit(TriangleMesh(factor * mesh.vertices, mesh.triangles)) == unit
     with pytest.raises(InputError, match="no flat side"):
         chosen_side(sides[:2], "x-")
+
+
+def test_times_of_numbered_frames_are_no_forces(tmp_path: Path) -> None:
+    (tmp_path / "c0.csv").write_text("frame,time\n0,0.0\n1,0.05\n")
+    (tmp_path / "gauge.csv").write_text("frame,time,fx\n0,0.0,0.1\n1,0.05,0.2\n")
+    survey = survey_folder(tmp_path)
+    assert survey.times == ("c0.csv",)
+    assert survey.forces == ("gauge.csv",)
+
+
+def test_files_of_one_name_would_overwrite_each_other(bench: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(bench, folder)
+    text = (folder / "recording.toml").read_text()
+    start, end = text.index("[support]"), text.index("[rig]")
+    supports = ""
+    for name in ("left", "right"):
+        (folder / name).mkdir()
+        (folder / name / "held.txt").write_text("0\n1\n" if name == "left" else "2\n3\n")
+        supports += f'[[support]]\ntriangles = "{name}/held.txt"\n'
+    (folder / "recording.toml").write_text(text[:start] + supports + text[end:])
+    with pytest.raises(RecordError, match=r"left/held\.txt.*right/held\.txt' have the same name"):
+        read_recording(folder)

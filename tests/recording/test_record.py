@@ -31,6 +31,28 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_recording(tmp_path_factory.mktemp("recording") / "bench")
 
 
+@pytest.mark.parametrize(
+    ("contact", "radius"),
+    [
+        ("radius = 0.004", 0.004),
+        ("radius = [0.004, 0.003, 0.002]", 0.003),
+        # A ball touches a circle of half its radius, or so.
+        ('tool = "sphere"\ntool_radius = 0.006', 0.003),
+        ('tool = "sphere"\ntool_radius = "8 mm"', 0.004),
+        # A twentieth of the block's 60 mm.
+        ("", 0.003),
+    ],
+)
+def test_radius_of_the_search(recording: Path, tmp_path: Path, contact: str, radius: float) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(recording, folder)
+    text = (folder / "recording.toml").read_text()
+    start = text.index("[contact]") + len("[contact]\n")
+    (folder / "recording.toml").write_text(text[:start] + contact)
+    given = read_recording(folder)
+    assert given.search_radius(2) == pytest.approx(radius, rel=1e-12)
+
+
 def test_presses_clocks_and_forces(recording: Path) -> None:
     found = find_presses(read_recording(recording))
     assert [press.name for press in found.presses] == ["n01", "n02", "n03"]

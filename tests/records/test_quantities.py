@@ -15,17 +15,15 @@ from palpate.records import (
     Status,
 )
 from palpate.records.quantities import (
-    FILE_LENGTH_UNITS,
-    LENGTH_UNITS,
     budget_text,
     constant_text,
     error_texts,
     interval_text,
     length_unit,
     modulus_unit,
-    unit_name,
     verdict_text,
 )
+from palpate.records.text import FILE_LENGTH_UNITS, LENGTH_UNITS, unit_name
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter, Token
 
-from palpate.records import FORCES, LENGTHS, MODULI, quantity
+from palpate.records import FORCE_UNITS, LENGTH_UNITS, MODULUS_UNITS, quantity
 
 
 def _convert(
@@ -21,11 +21,13 @@ def _converter(units: Mapping[str, float]) -> Callable[..., Any]:
     return partial(_convert, units)
 
 
-Length = Annotated[float, Parameter(converter=_converter(LENGTHS))]
-Modulus = Annotated[float, Parameter(converter=_converter(MODULI))]
+Length = Annotated[float, Parameter(converter=_converter(LENGTH_UNITS))]
+Modulus = Annotated[float, Parameter(converter=_converter(MODULUS_UNITS))]
 Place = Annotated[
-    tuple[float, float, float], Parameter(converter=_converter(LENGTHS), allow_leading_hyphen=True)
+    tuple[float, float, float],
+    Parameter(converter=_converter(LENGTH_UNITS), allow_leading_hyphen=True),
 ]
 Force = Annotated[
-    tuple[float, float, float], Parameter(converter=_converter(FORCES), allow_leading_hyphen=True)
+    tuple[float, float, float],
+    Parameter(converter=_converter(FORCE_UNITS), allow_leading_hyphen=True),
 ]

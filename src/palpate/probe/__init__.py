@@ -10,7 +10,6 @@ Read first : `contact_patch.py`, `contact_circle.py`, then `compression_test.py`
 """
 
 from palpate.probe.compression_files import (
-    NEWTONS as NEWTONS,
     CompressionRecord as CompressionRecord,
     metres_from_text as metres_from_text,
     read_compression as read_compression,

@@ -8,11 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from palpate.errors import InputError, RecordError
-from palpate.records import LENGTH_UNITS, Column, TextTable, make_table, split_cells, text_lines
+from palpate.records import (
+    FORCE_UNITS,
+    LENGTH_UNITS,
+    Column,
+    TextTable,
+    make_table,
+    split_cells,
+    text_lines,
+)
 from palpate.shapes import PointScalars
 
 METRES = LENGTH_UNITS | {"µm": 1e-6}
-NEWTONS = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216}
 DISPLACEMENT_WORDS = ("compression", "displacement", "extension", "crosshead", "stroke", "position")
 FORCE_WORDS = ("load", "force")
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -103,7 +110,7 @@ def read_compression(
     RecordError   file missing, no numbers, text among the numbers, column missing
     """
     _check_unit(displacement_unit, METRES, "displacement_unit")
-    _check_unit(force_unit, NEWTONS, "force_unit")
+    _check_unit(force_unit, FORCE_UNITS, "force_unit")
     table = _read_table(Path(path))
     columns = (
         _column(table, displacement_column, DISPLACEMENT_WORDS, "displacement", 0),
@@ -123,7 +130,7 @@ def read_compression(
         )
     notes: list[str] = []
     scale = _unit(columns[0], METRES, displacement_unit, "mm", "displacement", notes)
-    force_scale = _unit(columns[1], NEWTONS, force_unit, "N", "force", notes)
+    force_scale = _unit(columns[1], FORCE_UNITS, force_unit, "N", "force", notes)
     return CompressionRecord(
         displacement=_compression_positive(values[:, 0] * scale, "displacement", notes),
         force=_compression_positive(values[:, 1] * force_scale, "force", notes),

@@ -8,24 +8,15 @@ Depends on : `vision`, `bem`, `probe`, `records`, `geometry`.
 Read first : `record.py`, then `force/touches.py`, `clock.py` and `session_folder.py`.
 """
 
-from palpate.recording.clock import Clock as Clock
 from palpate.recording.folder_survey import (
     SIDES as SIDES,
     FolderSurvey as FolderSurvey,
-    Side as Side,
     chosen_side as chosen_side,
     default_radius as default_radius,
     flat_sides as flat_sides,
     likely_unit as likely_unit,
     read_surface as read_surface,
     survey_folder as survey_folder,
-)
-from palpate.recording.force import (
-    ForceLog as ForceLog,
-    Gauge as Gauge,
-    Reading as Reading,
-    Touch as Touch,
-    Zero as Zero,
 )
 from palpate.recording.outline import (
     TEMPLATES as TEMPLATES,
@@ -34,14 +25,12 @@ from palpate.recording.outline import (
     likely_template as likely_template,
     outline_text as outline_text,
 )
-from palpate.recording.pictures import CameraMotion as CameraMotion
 from palpate.recording.record import (
     Press as Press,
     Recorded as Recorded,
     find_presses as find_presses,
 )
 from palpate.recording.recording_file import (
-    RECORDING_FORMAT as RECORDING_FORMAT,
     Recording as Recording,
     read_recording as read_recording,
 )

@@ -33,6 +33,8 @@ _MAX_SCATTER = 1.0
 _OFFSET_SIGMAS, _OFFSET_FRAMES, _OFFSET_RAMPS = 5.0, 1.0, 0.15
 
 Span = tuple[float, float]
+# Motion in a camera's pictures, and its clock.
+Camera = tuple[CameraMotion, Clock]
 
 
 def synchronise_cameras(
@@ -43,7 +45,7 @@ def synchronise_cameras(
     plateaus: Sequence[Span | None],
     *,
     progress: Progress = silent,
-) -> tuple[tuple[CameraMotion, ...], tuple[Clock, ...]]:
+) -> list[Camera]:
     """Motion in every camera's pictures, and its clock offset; each video is decoded twice.
 
     Parameters
@@ -55,7 +57,7 @@ def synchronise_cameras(
 
     Returns
     -------
-    motions, clocks : tuples        one of each per camera
+    list of (motion, clock)         one per camera
 
     Raises
     ------
@@ -72,15 +74,13 @@ def synchronise_cameras(
     plateau_spans = [plateau or (m, m) for plateau, m in zip(plateaus, middles, strict=True)]
     count = len(recording.footage)
 
-    def process(k: int) -> tuple[CameraMotion, Clock]:
+    def process(k: int) -> Camera:
         footage, report = recording.footage[k], part_of(progress, k / count, (k + 1) / count)
         motion = camera_motion(footage, progress=part_of(report, 0.0, 0.5))
         return motion, _clock(footage, motion, force, touches, plateau_spans)
 
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        found = list(pool.map(process, range(count)))
-    motions, clocks = zip(*found, strict=True)
-    return motions, clocks
+        return list(pool.map(process, range(count)))
 
 
 def _clock(
@@ -127,17 +127,14 @@ def _clock(
 
 
 def still_pictures(
-    resampled: ResampledForce,
-    motions: Sequence[CameraMotion],
-    clocks: Sequence[Clock],
-    plateaus: Sequence[Span | None],
+    resampled: ResampledForce, cameras: Sequence[Camera], plateaus: Sequence[Span | None]
 ) -> Bool[np.ndarray, " n"]:
     """Times at which all cameras recorded and no motion is seen in any of them.
 
     Parameters
     ----------
     resampled : ResampledForce
-    motions, clocks : sequences     one per camera
+    cameras : sequence of (motion, clock)
     plateaus : sequence of (begin, end) [s] or None     plateaus of the force, gauge's clock
 
     Returns
@@ -145,7 +142,7 @@ def still_pictures(
     (n,) bool                       at the times of `resampled`
     """
     still = np.ones(len(resampled.time), dtype=bool)
-    for motion, clock in zip(motions, clocks, strict=True):
+    for motion, clock in cameras:
         shifted = [(a - clock.offset, b - clock.offset) for a, b in filter(None, plateaus)]
         flags = still_frames(motion, shifted)
         time = motion.time + clock.offset
@@ -159,11 +156,7 @@ def still_pictures(
 
 
 def rest_before(
-    resampled: ResampledForce,
-    motions: Sequence[CameraMotion],
-    clocks: Sequence[Clock],
-    free: Span,
-    still: Bool[np.ndarray, " n"],
+    resampled: ResampledForce, cameras: Sequence[Camera], free: Span, still: Bool[np.ndarray, " n"]
 ) -> Span | None:
     """Time span at rest within a pause, chosen so that the tool is least visible.
 
@@ -172,7 +165,7 @@ def rest_before(
     Parameters
     ----------
     resampled : ResampledForce
-    motions, clocks : sequences     one per camera
+    cameras : sequence of (motion, clock)
     free : (begin, end) [s]         the pause, without contact
     still : (n,) bool               no motion, at the times of `resampled`
 
@@ -187,23 +180,23 @@ def rest_before(
     for first, last in true_runs(at_rest):
         if last - first < length:
             continue
-        change = _total_change(motions, clocks, time[first:last])
+        change = _total_change(cameras, time[first:last])
         mean = np.convolve(change, np.ones(length) / length, "valid")
         smallest = float(mean.min())
         if best is None or smallest < best[0]:
             # Many spans are nearly as good; take their middle, farthest from any motion.
-            equal = np.flatnonzero(mean < smallest + _EQUAL_CHANGE * len(motions))
+            equal = np.flatnonzero(mean < smallest + _EQUAL_CHANGE * len(cameras))
             k = first + int(equal[len(equal) // 2])
             best = smallest, (float(time[k]), float(time[k + length - 1]))
     return None if best is None else best[1]
 
 
 def _total_change(
-    motions: Sequence[CameraMotion], clocks: Sequence[Clock], time: Float[np.ndarray, " n"]
+    cameras: Sequence[Camera], time: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
     """Sum over the cameras of the change since the first picture, each relative to its maximum."""
     parts = [
         np.interp(time - clock.offset, motion.time, motion.change) / max(motion.change.max(), 1e-12)
-        for motion, clock in zip(motions, clocks, strict=True)
+        for motion, clock in cameras
     ]
     return np.sum(parts, axis=0)

@@ -144,9 +144,11 @@ def _table_kind(path: Path) -> str:
     timed = words & {"t", "time", "timestamp", "elapsed"}
     if timed and {"x", "y", "z"} <= words:
         return "pose"
-    if timed and any(word.startswith(("f", "load")) for word in words):
+    # Lists of the times of frames may number the frames, too.
+    others = words - timed - {"frame"}
+    if timed and any(word.startswith(("f", "load")) for word in others):
         return "force"
-    return "time" if timed and len(table.columns) == 1 else ""
+    return "time" if timed and not others else ""
 
 
 def read_surface(survey: FolderSurvey, name: str) -> TriangleMesh:

@@ -7,14 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.recording.force import (
-    BAG_SUFFIXES,
-    POSITIONS,
-    SECONDS,
-    Reading,
-    Touch,
-    read_log_table,
-)
+from palpate.recording.force import POSITIONS, Reading, Touch, read_log_table
+from palpate.records import LENGTH_UNITS, SECONDS
 from palpate.shapes import Points, Vector3
 
 _COLUMNS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
@@ -67,7 +61,7 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
     Parameters
     ----------
     path : Path                     a table, or a bag, whose lengths are in metres
-    metres_per_unit : float         unit of a table's lengths
+    metres_per_unit : float         unit of lengths whose heading, as in "x [mm]", names none
     topic : str or None             of a bag; None: the only one with poses
 
     Returns
@@ -76,18 +70,18 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
 
     Raises
     ------
-    RecordError                     no such table or columns; times that decrease
+    RecordError                     no such table or columns; an unknown unit; times that decrease
     InputError                      the optional package for bags is missing
     """
     table = read_log_table(path, topic=topic, wanted=POSITIONS, cure=_CURE)
-    unit = 1.0 if path.suffix.lower() in BAG_SUFFIXES else metres_per_unit
     columns = table.require(_COLUMNS, normalise=str.lower, reason=lambda _: _CURE)
+    seconds = table.factor(columns[:1], SECONDS, 1.0)
+    metres = table.factor(columns[1:], LENGTH_UNITS, metres_per_unit)
     values = table.values(columns)
     values = values[np.isfinite(values).all(axis=1)]
-    seconds = SECONDS.get(columns[0].unit or "s", 1.0)
     if len(values) < 2 or np.any(np.diff(values[:, 0]) < 0.0):
         raise RecordError(f"{path}: has {len(values)} lines whose times do not increase; {_CURE}")
-    return PoseLog(seconds * values[:, 0], unit * values[:, 1:], str(path))
+    return PoseLog(seconds * values[:, 0], metres * values[:, 1:], str(path))
 
 
 def tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3, Vector3, float]:

@@ -1,13 +1,14 @@
 """Presses of a recording: times of contact and of rest, and the force at each."""
 
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Bool
 
 from palpate.errors import RecordError
 from palpate.progress import Progress, silent
-from palpate.recording.camera_clocks import rest_before, still_pictures, synchronise_cameras
+from palpate.recording.camera_clocks import Camera, rest_before, still_pictures, synchronise_cameras
 from palpate.recording.clock import Clock
 from palpate.recording.force import (
     ForceLog,
@@ -113,28 +114,27 @@ def find_presses(recording: Recording, *, progress: Progress = silent) -> Record
     zero = find_zero(log, touches)
     still = still_force(resampled, zero)
     plateaus = [find_plateau(resampled, zero, touch, still) for touch in touches]
-    _require_any(recording, [unreadable_reason(log, plateau) for plateau in plateaus])
-    motions, clocks = synchronise_cameras(
-        recording, resampled, zero, touches, plateaus, progress=progress
-    )
-    usable = still & still_pictures(resampled, motions, clocks, plateaus)
-    presses, reasons = _presses(log, resampled, zero, touches, (motions, clocks), usable)
-    _require_any(recording, reasons if not presses else [""])
-    knock_notes = [f"{knocks} touches too short or too weak for a press were passed over"] * (
-        knocks > 0
-    )
-    remarks = [text for motion in motions for text in motion.notes]
-    remarks += [text for clock in clocks for text in clock.notes]
-    left_out = [f"left out is {reason}" for reason in reasons]
-    notes = tuple(f"{text}." for text in (*remarks, *knock_notes, *left_out))
+    unreadable = [unreadable_reason(log, plateau) for plateau in plateaus]
+    if all(unreadable):
+        _refuse(recording, unreadable)
+    cameras = synchronise_cameras(recording, resampled, zero, touches, plateaus, progress=progress)
+    usable = still & still_pictures(resampled, cameras, plateaus)
+    presses, reasons = _presses(log, resampled, zero, touches, cameras, usable)
+    if not presses:
+        _refuse(recording, reasons)
+    motions, clocks = zip(*cameras, strict=True)
+    remarks = [text for item in (*motions, *clocks) for text in item.notes]
+    if knocks:
+        remarks.append(f"{knocks} touches too short or too weak for a press were passed over")
+    remarks += [f"left out is {reason}" for reason in reasons]
+    notes = tuple(f"{text}." for text in remarks)
     return Recorded(log, resampled, zero, touches, presses, motions, clocks, log.notes + notes)
 
 
-def _require_any(recording: Recording, reasons: list[str]) -> None:
+def _refuse(recording: Recording, reasons: list[str]) -> NoReturn:
     """Refuse a recording in which there is a reason to leave out every press."""
-    if reasons and all(reasons):
-        listed = "; ".join(dict.fromkeys(reasons[:3]))
-        raise RecordError(f"{recording.path}: none of the presses can be measured: {listed}")
+    listed = "; ".join(dict.fromkeys(reasons[:3]))
+    raise RecordError(f"{recording.path}: none of the presses can be measured: {listed}")
 
 
 def _presses(
@@ -142,7 +142,7 @@ def _presses(
     resampled: ResampledForce,
     zero: Zero,
     touches: tuple[Touch, ...],
-    cameras: tuple[tuple[CameraMotion, ...], tuple[Clock, ...]],
+    cameras: list[Camera],
     still: Bool[np.ndarray, " n"],
 ) -> tuple[tuple[Press, ...], list[str]]:
     """The presses that can be measured, and a reason for each of the others."""
@@ -150,7 +150,7 @@ def _presses(
     for k, touch in enumerate(touches):
         plateau = find_plateau(resampled, zero, touch, still)
         free = (touches[k - 1].end if k else float(resampled.time[0]) - 1.0, touch.begin)
-        rest = rest_before(resampled, *cameras, free, still)
+        rest = rest_before(resampled, cameras, free, still)
         if reason := unreadable_reason(log, plateau) or ("" if rest else _NO_REST_REASON):
             reasons.append(f"press {k + 1}: {reason}")
         elif plateau and rest:

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import MeshError, RecordError
-from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
+from palpate.errors import RecordError, quoted
+from palpate.geometry import TriangleMesh
 from palpate.recording.force import Gauge
 from palpate.recording.pictures import Footage, read_times
 from palpate.records import (
     FILE_LENGTH_UNITS,
+    LENGTH_UNITS,
     Rig,
     TomlTable,
+    read_object_mesh,
     read_rig,
     read_supports,
     read_toml,
@@ -28,6 +30,9 @@ _FORCE_KEYS = ("file", "time", "time_unit", "columns", "unit", "axes", "sign", "
 _CAMERA_KEYS = ("name", "video", "pictures", "times", "offset")
 # Sign convention of the gauge: force of the tool on the object, or of the object on the tool.
 _SIGNS = ("on object", "on tool")
+# Contact radius assumed in the search for a contact: this fraction of the tool's radius, or of the
+# object's size.
+_RADIUS_OVER_TOOL, _RADIUS_OVER_SIZE = 0.5, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +47,7 @@ class ContactSource:
     radii : tuple of float or None  contact radii, one per press, in the session's unit; None: a
                                     common one in `patch`
     topic : str or None             of the poses in a bag; None: the only one with poses
+    tool_radius : float [m] or None of the ball, or of a punch's face, that presses
     """
 
     points: Float[np.ndarray, "k 3"] | None
@@ -49,6 +55,7 @@ class ContactSource:
     patch: dict[str, Any]
     radii: tuple[float, ...] | None
     topic: str | None = None
+    tool_radius: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +89,26 @@ class Recording:
     contact_source: ContactSource
     files: tuple[Path, ...]
 
+    def search_radius(self, press: int) -> float:
+        """Contact radius assumed where a contact is searched for.
+
+        Parameters
+        ----------
+        press : int                 1 for the first
+
+        Returns
+        -------
+        float [m]                   as given; else from the tool's radius, or the object's size
+        """
+        source = self.contact_source
+        if source.radii is not None:
+            return self.metres_per_unit * source.radii[press - 1]
+        if "radius" in source.patch:
+            return float(self.metres_per_unit * source.patch["radius"])
+        if source.tool_radius is not None:
+            return _RADIUS_OVER_TOOL * source.tool_radius
+        return _RADIUS_OVER_SIZE * float(np.ptp(self.mesh.vertices, axis=0).max())
+
 
 def read_recording(path: Path) -> Recording:
     """Read and check recording.toml, mesh and rig; checks that all files exist.
@@ -102,46 +129,50 @@ def read_recording(path: Path) -> Recording:
     """
     root = read_toml(path / "recording.toml" if path.is_dir() else path)
     root.check_keys(_ROOT_KEYS)
-    if root.get("format") != RECORDING_FORMAT:
-        root.fail("format", f"is {root.get('format')!r}; this version reads '{RECORDING_FORMAT}'")
+    root.check_format(RECORDING_FORMAT)
     body = root.table("object")
     metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
-    mesh_file = body.existing_file("mesh")
-    try:
-        mesh, _ = checked_mesh(read_mesh(mesh_file, metres_per_unit=metres))
-    except MeshError as error:
-        text = str(error)
-        raise MeshError(
-            text if text.startswith(str(mesh_file)) else f"{mesh_file}: {text}"
-        ) from error
+    mesh, _ = read_object_mesh(body, metres)
     supports = read_supports(root, mesh, metres_per_unit=metres)
     held = np.unique(np.concatenate([support.triangles for support in supports]))
     rig_file = root.table("rig").existing_file("cameras")
     rig = read_rig(rig_file)
-    covariance = rig_file.with_name("rig_covariance.npz")
-    covariance_files = (covariance,) if covariance.is_file() else ()
-    lists = [table.existing_file("triangles") for table in _support_lists(root)]
+    files = [body.existing_file("mesh"), rig_file]
+    if (covariance := rig_file.with_name("rig_covariance.npz")).is_file():
+        files.append(covariance)
+    for table in root.tables("support"):
+        if "triangles" in table.values:
+            files.append(table.existing_file("triangles"))
+    _check_names(root, files)
     head = {key: root.values[key] for key in _ROOT_KEYS[2:6] if key in root.values}
     return Recording(
         root.file, root.optional("name", root.text) or root.file.parent.resolve().name, head,
         mesh, held, metres, rig, _gauge(root.table("force")), _cameras(root, rig),
         _contact_source(root.table("contact"), metres),
-        (mesh_file, rig_file, *covariance_files, *lists),
+        tuple(files),
     )  # fmt: skip
 
 
-def _support_lists(root: TomlTable) -> list[TomlTable]:
-    """Supports that name a file of triangles."""
-    return [table for table in root.tables("support") if "triangles" in table.values]
+def _check_names(root: TomlTable, files: Sequence[Path]) -> None:
+    """Refuse different files of one name: in the session's folder one would overwrite the other."""
+    by_name: dict[str, Path] = {}
+    for file in files:
+        other = by_name.setdefault(file.name, file)
+        if other.resolve() != file.resolve():
+            root.fail(
+                "",
+                f"{quoted(str(other))} and {quoted(str(file))} have the same name, and both are"
+                " copied into the session's folder: rename one of them",
+            )
 
 
 def _gauge(table: TomlTable) -> Gauge:
     """The table [force]: how to read the force log."""
     table.check_keys(_FORCE_KEYS)
-    sign = table.choice("sign", _SIGNS) if "sign" in table.values else _SIGNS[0]
+    sign = table.optional("sign", lambda key: table.choice(key, _SIGNS))
     axes = table.get("axes")
-    rows = axes if isinstance(axes, list) and axes and isinstance(axes[0], list) else [axes]
-    vectors = [TomlTable(table.file, table.name, {"axes": row}).vector("axes") for row in rows]
+    many = isinstance(axes, list) and axes and isinstance(axes[0], list)
+    vectors = table.each(TomlTable.vector, "axes") if many else [table.vector("axes")]
     with table.error_context():
         return Gauge(
             table.existing_file("file"),
@@ -176,7 +207,7 @@ def _cameras(root: TomlTable, rig: Rig) -> tuple[Footage, ...]:
 
 
 def _footage(table: TomlTable, name: str) -> Footage:
-    video = table.existing_file("video") if "video" in table.values else None
+    video = table.optional("video", table.existing_file)
     pictures: Sequence[Path] = ()
     if "pictures" in table.values:
         pattern = table.text("pictures")
@@ -201,21 +232,23 @@ def _contact_source(table: TomlTable, metres: float) -> ContactSource:
     if "points" in table.values and "poses" in table.values:
         table.fail("", "gives both points and poses; give one of the two")
     radii: tuple[float, ...] | None = None
-    if isinstance(radius := table.values.get("radius"), list):
-        single = [TomlTable(table.file, table.name, {"radius": value}) for value in radius]
-        radii = tuple(entry.number("radius") for entry in single)
-    elif radius is not None:
+    if isinstance(table.values.get("radius"), list):
+        radii = tuple(table.each(TomlTable.number, "radius"))
+    elif "radius" in table.values:
         patch["radius"] = table.number("radius")
     points = None
-    if isinstance(rows := table.values.get("points"), list):
-        vectors = [
-            TomlTable(table.file, table.name, {"points": row}).vector("points") for row in rows
-        ]
-        points = metres * np.array(vectors).reshape(-1, 3)
-    elif rows is not None:
-        table.fail("points", "must be a list of points, one for each press")
-    poses = table.existing_file("poses") if "poses" in table.values else None
-    return ContactSource(points, poses, patch, radii, table.optional("topic", table.text))
+    if "points" in table.values:
+        must = "be a list of points, one for each press"
+        table.checked(lambda value: isinstance(value, list), "points", must)
+        points = metres * np.array(table.each(TomlTable.vector, "points")).reshape(-1, 3)
+    return ContactSource(
+        points,
+        table.optional("poses", table.existing_file),
+        patch,
+        radii,
+        table.optional("topic", table.text),
+        table.optional("tool_radius", lambda key: table.quantity(key, LENGTH_UNITS, metres)),
+    )
 
 
 def check_contact_count(recording: Recording, presses: int) -> None:

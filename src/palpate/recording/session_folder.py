@@ -22,9 +22,6 @@ from palpate.vision import JointFlow, is_valid, read_pictures
 
 _PICTURES = "images"
 _REST, _LOADED = "{name}_rest_{{camera}}.png", "{name}_{{camera}}.png"
-# Contact radius assumed in the search for the contact if none is given: this fraction of the
-# tool's radius, or of the object's size.
-_RADIUS_OVER_TOOL, _RADIUS_OVER_SIZE = 0.5, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,15 +124,12 @@ def _place_press(
     folder: Path, recording: Recording, press: Press, model: ContactModel | None, frames: int
 ) -> PlacedPress:
     """Contact point of a press: given, from the log of poses, or from the surface's motion."""
-    contact_source, travel, travel_std, std = recording.contact_source, None, np.nan, np.nan
-    if contact_source.points is not None:
-        point = contact_source.points[press.number - 1]
-    elif contact_source.poses is not None:
-        poses = read_poses(
-            contact_source.poses,
-            metres_per_unit=recording.metres_per_unit,
-            topic=contact_source.topic,
-        )
+    source, unit = recording.contact_source, recording.metres_per_unit
+    travel, travel_std, std = None, np.nan, np.nan
+    if source.points is not None:
+        point = source.points[press.number - 1]
+    elif source.poses is not None:
+        poses = read_poses(source.poses, metres_per_unit=unit, topic=source.topic)
         point, travel, travel_std = tip_motion(poses, press.touch, press.reading)
     elif model is not None:
         point, std = _contact_from_motion(folder, recording, press, model)
@@ -166,16 +160,9 @@ def _contact_from_motion(
     state = method.start(recording.rig, pictures[0], recording.mesh)
     _, flow = method.follow(state, pictures[1])
     valid = is_valid(flow)
-    size = float(np.ptp(recording.mesh.vertices, axis=0).max())
-    patch = recording.contact_source.patch
-    radius = patch.get("radius")
-    if radius is None and isinstance(tool_radius := patch.get("tool_radius"), float | int):
-        radius = _RADIUS_OVER_TOOL * tool_radius
-    if recording.contact_source.radii is not None:
-        radius = recording.contact_source.radii[press.number - 1]
     found = find_contact(
         model, flow.point[valid], flow.displacement[valid], press.reading.force,
-        radius=_RADIUS_OVER_SIZE * size if radius is None else recording.metres_per_unit * radius,
+        radius=recording.search_radius(press.number),
         profile=recording.contact_source.patch.get("profile", "smooth"),
     )  # fmt: skip
     return found.point, found.std

@@ -38,43 +38,56 @@ from palpate.records.estimate import (
     Status as Status,
     SupportEstimate as SupportEstimate,
 )
-from palpate.records.files import (
+from palpate.records.files.displacement import (
+    read_displacement as read_displacement,
+    write_displacement as write_displacement,
+)
+from palpate.records.files.estimate import (
+    read_estimate as read_estimate,
+    write_estimate as write_estimate,
+)
+from palpate.records.files.import_pose import read_import_pose as read_import_pose
+from palpate.records.files.results import (
     INPUTS_FILE as INPUTS_FILE,
-    SESSION_FORMAT as SESSION_FORMAT,
-    Finding as Finding,
-    ImportItem as ImportItem,
     check_free as check_free,
-    covariance_file as covariance_file,
     default_folder as default_folder,
     disk_errors as disk_errors,
-    displacement_line as displacement_line,
-    file_sums as file_sums,
     folder_changes as folder_changes,
-    import_plan as import_plan,
-    named_displacements as named_displacements,
     parts_folder as parts_folder,
-    read_displacement as read_displacement,
-    read_estimate as read_estimate,
-    read_import_pose as read_import_pose,
-    read_rig as read_rig,
-    read_rig_covariance as read_rig_covariance,
-    read_session as read_session,
-    read_support as read_support,
-    read_supports as read_supports,
     record_inputs as record_inputs,
     result_file as result_file,
     result_folder as result_folder,
     sealed as sealed,
+)
+from palpate.records.files.rig import read_rig as read_rig, write_rig as write_rig
+from palpate.records.files.rig_covariance import (
+    covariance_file as covariance_file,
+    read_rig_covariance as read_rig_covariance,
+    write_rig_covariance as write_rig_covariance,
+)
+from palpate.records.files.session import (
+    SESSION_FORMAT as SESSION_FORMAT,
+    read_object_mesh as read_object_mesh,
+    read_session as read_session,
+)
+from palpate.records.files.session_import import (
+    ImportItem as ImportItem,
+    displacement_line as displacement_line,
+    import_plan as import_plan,
+    named_displacements as named_displacements,
+    with_displacements as with_displacements,
+)
+from palpate.records.files.sums import (
+    file_sums as file_sums,
     session_files as session_files,
     sums_in as sums_in,
     sums_text as sums_text,
-    verify_result as verify_result,
-    with_displacements as with_displacements,
-    write_displacement as write_displacement,
-    write_estimate as write_estimate,
-    write_rig as write_rig,
-    write_rig_covariance as write_rig_covariance,
 )
+from palpate.records.files.support import (
+    read_support as read_support,
+    read_supports as read_supports,
+)
+from palpate.records.files.verification import verify_result as verify_result
 from palpate.records.measured_points import (
     ImportedField as ImportedField,
     MeasuredPoints as MeasuredPoints,
@@ -103,17 +116,13 @@ from palpate.records.programs import (
     read_measured as read_measured,
 )
 from palpate.records.quantities import (
-    FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
     HIGHEST_PRESSURE as HIGHEST_PRESSURE,
-    LENGTH_UNITS as LENGTH_UNITS,
     MODULUS_RANGE as MODULUS_RANGE,
     NOT_DETERMINED as NOT_DETERMINED,
-    STIFFNESS_UNITS as STIFFNESS_UNITS,
     SYMBOLS as SYMBOLS,
     budget_text as budget_text,
     constant_row as constant_row,
     constant_text as constant_text,
-    constant_unit as constant_unit,
     error_texts as error_texts,
     interval_text as interval_text,
     length_unit as length_unit,
@@ -143,9 +152,12 @@ from palpate.records.support import (
     Support as Support,
 )
 from palpate.records.text import (
-    FORCES as FORCES,
-    LENGTHS as LENGTHS,
-    MODULI as MODULI,
+    FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
+    FORCE_UNITS as FORCE_UNITS,
+    LENGTH_UNITS as LENGTH_UNITS,
+    MODULUS_UNITS as MODULUS_UNITS,
+    SECONDS as SECONDS,
+    STIFFNESS_UNITS as STIFFNESS_UNITS,
     Column as Column,
     Quantity as Quantity,
     TextTable as TextTable,

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import InputError
-from palpate.records.quantities import ANGLE_UNITS, COMPLIANCE_UNITS, LENGTH_UNITS
-from palpate.records.text import TomlTable
+from palpate.records.text import ANGLE_UNITS, COMPLIANCE_UNITS, LENGTH_UNITS, TomlTable
 
 _FRACTION_UNITS = {"%": 0.01}
 _FRACTION_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
@@ -122,10 +121,7 @@ def read_error_priors(
     """
     found: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
     found["contact_points"] = _contact_points(root, metres_per_unit)
-    table = root.optional("errors", root.table)
-    if table is None:
-        with root.error_context():
-            return ErrorPriors(**found)
+    table = root.optional("errors", root.table) or TomlTable(root.file, "", {})
     table.check_keys(
         (*_FRACTION_KEYS, "force_direction", "contact_point", "pose", "support_compliance")
     )

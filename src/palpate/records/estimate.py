@@ -155,8 +155,14 @@ class Constant:
             raise InputError(f"ci95 is {self.ci95}; its lower end must not exceed its upper end")
         if self.value < low or self.value > high:
             raise InputError(f"the value {self.value:g} lies outside its ci95, {low:g} to {high:g}")
-        if self.std < 0.0:
-            raise InputError(f"std is {self.std:g}; must not be negative")
+        _check_not_negative(std=self.std)
+
+
+def _check_not_negative(**numbers: float) -> None:
+    """Refuse negative numbers, which are given by name; NaN means unknown."""
+    for name, number in numbers.items():
+        if number < 0.0:
+            raise InputError(f"{name} is {number:g}; must not be negative")
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +190,7 @@ class SupportEstimate:
 
     def __post_init__(self) -> None:
         for std in (*self.translation_std, *self.rotation_std):
-            if std < 0.0:
-                raise InputError(f"std of a motion is {std:g}; must not be negative")
+            _check_not_negative(**{"std of a motion": std})
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,10 +217,7 @@ class ErrorEstimate:
     prior_std: float
 
     def __post_init__(self) -> None:
-        if self.std < 0.0 or self.prior_std < 0.0:
-            raise InputError(
-                f"std is {self.std:g}, prior_std {self.prior_std:g}; must not be negative"
-            )
+        _check_not_negative(std=self.std, prior_std=self.prior_std)
 
     @property
     def is_surprising(self) -> bool:
@@ -250,9 +252,7 @@ class BudgetEntry:
     young_modulus: float
 
     def __post_init__(self) -> None:
-        for name in CONSTANT_NAMES:
-            if getattr(self, name) < 0.0:
-                raise InputError(f"std of {name} is {getattr(self, name):g}; must not be negative")
+        _check_not_negative(**{f"std of {name}": getattr(self, name) for name in CONSTANT_NAMES})
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,11 +292,9 @@ class ProbeEstimate:
     identifiable: Mapping[str, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for what, size in (
-            ("rms_residual", self.rms_residual), ("prediction_error", self.prediction_error or 0.0)
-        ):  # fmt: skip
-            if size < 0.0:
-                raise InputError(f"{what} is {size:g}; must not be negative")
+        _check_not_negative(
+            rms_residual=self.rms_residual, prediction_error=self.prediction_error or 0.0
+        )
         if self.identifiable:
             _check_identifiable(self.identifiable)
             _check_constants(self, self.identifiable)

@@ -10,8 +10,8 @@ from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, mesh_quality
 from palpate.records.probing import DisplacementField, measured_rows
 from palpate.records.program import ProgramPoints
-from palpate.records.quantities import LENGTH_UNITS, unit_name
-from palpate.shapes import Flags, Points
+from palpate.records.text import LENGTH_UNITS, unit_name
+from palpate.shapes import Flags, Points, PointScalars
 
 # The measured points cover a good part of the object: an extent of three times its size, or of a
 # hundredth, means a wrong unit (units differ by factors of 10, 25.4 and 1000).
@@ -259,7 +259,7 @@ def on_surface(
     is_near = distance <= surface_limit(mesh)
     off_surface = int((is_measured & ~is_near).sum())
     if off_surface:
-        _check_off_surface(measured, mesh, distance, drop_off_surface=drop_off_surface)
+        _check_off_surface(measured, mesh, distance[is_measured], may_drop=drop_off_surface)
     rows = np.flatnonzero(is_near)
     std = measured.std
     points = measured.points[rows]
@@ -319,20 +319,13 @@ def surface_limit(mesh: TriangleMesh) -> float:
 
 
 def _check_off_surface(
-    measured: MeasuredPoints,
-    mesh: TriangleMesh,
-    distance: Float[np.ndarray, " n"],
-    *,
-    drop_off_surface: bool,
+    measured: MeasuredPoints, mesh: TriangleMesh, distances: PointScalars, *, may_drop: bool
 ) -> None:
-    """Refuse points off the surface, unless they are a minority and may be left out."""
-    is_measured: Flags = measured_rows(measured.displacement)
-    distances, limit = distance[is_measured], surface_limit(mesh)
-    off_surface, median = int((distances > limit).sum()), float(np.median(distances))
-    if drop_off_surface and median <= limit:
+    """Refuse measured points off the surface, unless they are a minority and may be left out."""
+    limit, median = surface_limit(mesh), float(np.median(distances))
+    if may_drop and median <= limit:
         return
-    size = bounding_diagonal(mesh)
-    span = _span(measured)
+    size, span, off_surface = bounding_diagonal(mesh), _span(measured), (distances > limit).sum()
     what = (
         f"{measured.source}: {off_surface} of {len(distances)} measured points lie farther than"
         f" {limit:.3g} m off the surface (median {median:.3g} m, worst {distances.max():.3g} m)"

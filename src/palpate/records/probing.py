@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, diags_array, kron
 
-from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
 from palpate.records.contacts import RIGID, Contact
+from palpate.records.fixed_fields import fix_fields
 from palpate.records.large_rotation import check_rotation
 from palpate.records.support import RigidMotion
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
@@ -38,15 +38,13 @@ class PointCorrelation:
     value: Float[np.ndarray, " m"]
 
     def __post_init__(self) -> None:
-        pair = fixed_array(self.pair, name="pair", shape=(None, 2), integer=True)
-        value = fixed_array(self.value, name="value", shape=(len(pair),))
-        if (pair[:, 0] < 0).any() or (pair[:, 0] >= pair[:, 1]).any():
+        fix_fields(self, integer=True, pair=(None, 2))
+        fix_fields(self, value=(len(self.pair),))
+        if (self.pair[:, 0] < 0).any() or (self.pair[:, 0] >= self.pair[:, 1]).any():
             raise InputError("pairs of correlated points must have the lower number first")
         # Tolerance for rounding in sums of weights.
-        if (np.abs(value) > 1.0 + 1e-9).any():
-            raise InputError(f"a correlation of {np.abs(value).max():g} is more than 1")
-        object.__setattr__(self, "pair", pair)
-        object.__setattr__(self, "value", value)
+        if (np.abs(self.value) > 1.0 + 1e-9).any():
+            raise InputError(f"a correlation of {np.abs(self.value).max():g} is more than 1")
 
     def subset(self, rows: Indices, count: int) -> "PointCorrelation":
         """Restrict to a subset of the points, renumbered by their position in `rows`.
@@ -99,14 +97,13 @@ class SurfaceAverage:
     weights: csr_array
 
     def __post_init__(self) -> None:
-        points = fixed_array(self.points, name="points", shape=(None, 3))
-        object.__setattr__(self, "points", points)
+        fix_fields(self, points=(None, 3))
         object.__setattr__(self, "weights", csr_array(self.weights, dtype=np.float32))
         rows, columns = self.weights.shape
-        if columns != 3 * len(points) or rows % 3:
+        if columns != 3 * len(self.points) or rows % 3:
             raise InputError(
                 f"weights are {rows} x {columns}; must have three columns for each of the"
-                f" {len(points)} points, and three rows for each displacement"
+                f" {len(self.points)} points, and three rows for each displacement"
             )
         total = self._total()
         wrong = np.abs(total - np.eye(3) * self.has_weights[:, None, None]).max(
@@ -203,33 +200,21 @@ class DisplacementField:
     average: SurfaceAverage | None = None
 
     def __post_init__(self) -> None:
-        points = fixed_array(self.points, name="points", shape=(None, 3))
-        n = len(points)
-        moved = np.array(
-            fixed_array(self.displacement, name="displacement", shape=(n, 3), nan_allowed=True)
-        )
-        missing = ~measured_rows(moved)
-        moved[missing] = np.nan
+        fix_fields(self, points=(None, 3))
+        n = len(self.points)
+        fix_fields(self, nan_allowed=True, displacement=(n, 3), std=(n, 3), covariance=(n, 3, 3))
+        fix_fields(self, integer=True, vertex=(n,))
+        is_measured = measured_rows(self.displacement)
+        moved = np.where(is_measured[:, None], self.displacement, np.nan)
         moved.setflags(write=False)
-        object.__setattr__(self, "points", points)
         object.__setattr__(self, "displacement", moved)
         if self.std is not None:
-            std = fixed_array(self.std, name="std", shape=(n, 3), nan_allowed=True)
-            bad = np.flatnonzero(~missing & ~(std > 0.0).all(axis=1))
+            bad = np.flatnonzero(is_measured & ~(self.std > 0.0).all(axis=1))
             if len(bad):
                 raise InputError(
                     f"std of {len(bad)} measured points is not positive, the first: row {bad[0]},"
-                    f" {std[bad[0]].tolist()}; give one standard deviation in each component"
+                    f" {self.std[bad[0]].tolist()}; give one standard deviation in each component"
                 )
-            object.__setattr__(self, "std", std)
-        if self.covariance is not None:
-            covariance = fixed_array(
-                self.covariance, name="covariance", shape=(n, 3, 3), nan_allowed=True
-            )
-            object.__setattr__(self, "covariance", covariance)
-        if self.vertex is not None:
-            vertex = fixed_array(self.vertex, name="vertex", shape=(n,), integer=True)
-            object.__setattr__(self, "vertex", vertex)
         if len(self.surface.triangle) != n:
             raise InputError(f"surface has {len(self.surface.triangle)} points; must be {n}")
         if self.average is not None and self.average.weights.shape[0] != 3 * n:
@@ -314,8 +299,7 @@ class Load:
             )
         if self.pressure is not None and self.contact.triangles is None:
             raise InputError("pressure acts over triangles; name them in the contact of the load")
-        if self.force is not None:
-            object.__setattr__(self, "force", fixed_array(self.force, name="force", shape=(3,)))
+        fix_fields(self, force=(3,))
         size = self.pressure if self.force is None else self.force
         if not np.any(size):
             raise InputError("the load is zero; leave it out")
@@ -363,10 +347,8 @@ class Probing:
     force_sensor: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("force", "force_std", "tip_displacement", "tip_displacement_std"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, fixed_array(value, name=name, shape=(3,)))
+        fix_fields(self, force=(3,), force_std=(3,))
+        fix_fields(self, tip_displacement=(3,), tip_displacement_std=(3,))
         if not np.any(self.force) and not self.loads:
             raise InputError(
                 "force is zero; an unloaded object says nothing about its stiffness:"

@@ -1,6 +1,5 @@
 """Interface to other programs whose files are read: calibrations, displacements, or both."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
-from palpate.files import max_unpacked_size
-from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, PictureTracks, Rig
-from palpate.records.text import TREE_SUFFIXES, nearest_word, read_toml, read_tree
+from palpate.records.text import FILE_LENGTH_UNITS, TREE_SUFFIXES, not_allowed, read_toml, read_tree
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
 # Largest error of a rotation matrix that counts as rounding in print; `Camera` refuses larger ones.
@@ -23,7 +20,6 @@ _MAX_PRINTED_ERROR = 1e-6
 # Zero-mean normalised cross-correlation below which a match is rejected: at this value a quarter of
 # the grey-level variance of the subsets is noise, or another surface.
 MIN_CORRELATION = 0.75
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,20 +65,22 @@ class CalibrationFile:
         """Raise a `CalibrationError` about this file."""
         raise CalibrationError(f"{self.path}: {what}")
 
-    def metres(self, *, default: str | None, stated: str | None = None) -> float:
+    def metres(self, *, default: str | None, stated: Any = None) -> float:
         """Length of the file's unit [m].
 
         Parameters
         ----------
         default : str or None       unit of files of this kind; None: there is no default unit
-        stated : str or None        unit stated in the file; takes precedence over the caller's
+        stated : any                unit stated in the file, if any; takes precedence over the
+                                    caller's
 
         Raises
         ------
         InputError                  unknown unit
         CalibrationError            no unit is given anywhere
         """
-        unit = stated or (default if self.length_unit is None else self.length_unit)
+        given = default if self.length_unit is None else self.length_unit
+        unit = str(stated) if stated else given
         allowed = ", ".join(FILE_LENGTH_UNITS)
         if unit is None:
             self.fail(
@@ -91,8 +89,8 @@ class CalibrationFile:
                 " target were given in"
             )
         if unit not in FILE_LENGTH_UNITS:
-            near = nearest_word(unit, tuple(FILE_LENGTH_UNITS))
-            raise InputError(f"{self.path}: length_unit is '{unit}'{near} (allowed: {allowed})")
+            found = not_allowed(unit, tuple(FILE_LENGTH_UNITS))
+            raise InputError(f"{self.path}: length_unit is {found}")
         return FILE_LENGTH_UNITS[unit]
 
     def numbers(self, what: str, values: Any, shape: tuple[int, ...] | None) -> np.ndarray:
@@ -313,24 +311,6 @@ def chosen_frame(path: Path, frame: int | None, count: int = 1) -> tuple[int, tu
             + (", so leave --frame out" if count == 1 else f", numbered 0 to {count - 1}")
         )
     return frame % count, ()
-
-
-def checked_size(array: Any) -> Any:
-    """Return a data set that is not yet loaded, after checking its size, which a header may forge.
-
-    Parameters
-    ----------
-    array : h5py.Dataset
-
-    Raises
-    ------
-    ValueError                      more numbers than any measurement has
-    """
-    if math.prod(array.shape) * array.dtype.itemsize > max_unpacked_size(
-        array.id.get_storage_size()
-    ):
-        raise ValueError(f"it claims an array of {' x '.join(map(str, array.shape))} numbers")
-    return array
 
 
 def camera_matrix(intrinsics: Sequence[float] | np.ndarray, skew: float = 0.0) -> Matrix3:

@@ -1,18 +1,10 @@
-"""Units, and formatting of numbers for readers, with no more digits than are significant."""
+"""Formatting of numbers for readers, with no more digits than are significant."""
 
 import math
 from collections.abc import Sequence
 
 from palpate.records.estimate import BIASED, BudgetEntry, Constant, ErrorEstimate, Estimate
 
-# Metres in each unit that a file or a command may name.
-LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-# Length units of Palpate's own files and of calibrations, in which micrometres make no sense.
-FILE_LENGTH_UNITS = {unit: LENGTH_UNITS[unit] for unit in ("m", "cm", "mm", "in")}
-ANGLE_UNITS = {"deg": math.pi / 180.0, "rad": 1.0}
-# Modulus of an elastic foundation, traction over displacement [N/m^3]; compliance is its inverse.
-STIFFNESS_UNITS = {"N/m^3": 1.0, "Pa/m": 1.0, "N/mm^3": 1e9, "kPa/mm": 1e6, "MPa/mm": 1e9}
-COMPLIANCE_UNITS = {"m/Pa": 1.0, "m^3/N": 1.0, "mm/kPa": 1e-6, "um/kPa": 1e-9, "mm/MPa": 1e-9}
 # SI unit of an error -> factor to the unit in which it is shown, and name of that unit.
 _ERROR_UNITS = {
     "": (100.0, "%"),
@@ -30,29 +22,6 @@ _RELATIVE_ROUNDING = 1e-9
 NOT_DETERMINED = "not determined"
 # Symbols of the constants, in the order in which they are shown.
 SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
-_SPELLINGS = {
-    "\u00b5m": "um",
-    "\u03bcm": "um",
-    "micron": "um",
-    "meter": "m",
-    "metre": "m",
-    "inch": "in",
-    "inches": "in",
-}
-
-
-def unit_name(word: str) -> str:
-    """Name in `LENGTH_UNITS` of a unit as programs spell it; an unknown unit in lower case.
-
-    Parameters
-    ----------
-    word : str                      e.g. "MM", "micron", "inches"
-
-    Returns
-    -------
-    str
-    """
-    return _SPELLINGS.get(word.lower(), word.lower())
 
 
 def modulus_unit(modulus: float) -> tuple[float, str]:

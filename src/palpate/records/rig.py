@@ -6,8 +6,8 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import fixed_array
 from palpate.errors import CalibrationError, InputError
+from palpate.records.fixed_fields import fix_fields
 from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -50,13 +50,8 @@ class Camera:
             )
         terms = np.zeros(len(DISTORTION_TERMS))
         terms[: given.size] = given
-        arrays = {
-            "matrix": (self.matrix, (3, 3)),
-            "distortion": (terms, (8,)),
-            "T_camera_object": (self.T_camera_object, (4, 4)),
-        }
-        for name, (value, shape) in arrays.items():
-            object.__setattr__(self, name, fixed_array(value, name=name, shape=shape))
+        object.__setattr__(self, "distortion", terms)
+        fix_fields(self, matrix=(3, 3), distortion=(8,), T_camera_object=(4, 4))
         _check_matrix(self.name, self.matrix)
         _check_pose(self.name, self.T_camera_object)
         if self.size is not None and min(self.size) < 1:
@@ -125,9 +120,7 @@ class RigCovariance:
 
     def __post_init__(self) -> None:
         size = len(self.names)
-        for name, shape in (("value", (size,)), ("covariance", (size, size))):
-            array = fixed_array(getattr(self, name), name=name, shape=shape)
-            object.__setattr__(self, name, array)
+        fix_fields(self, value=(size,), covariance=(size, size))
         largest = float(np.abs(self.covariance).max(initial=0.0))
         if np.any(np.abs(self.covariance - self.covariance.T) > 1e-9 * largest) or np.any(
             np.diag(self.covariance) < 0.0

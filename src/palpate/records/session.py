@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.arrays import fixed_array
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records.contacts import RIGID
 from palpate.records.error_priors import ErrorPriors
+from palpate.records.fixed_fields import fix_fields
 from palpate.records.probing import Probing
 from palpate.records.support import Support
 from palpate.records.support_checks import check_supports
@@ -97,41 +97,18 @@ class Session:
     errors: ErrorPriors = field(default_factory=ErrorPriors)
 
     def __post_init__(self) -> None:
-        held = fixed_array(self.held_triangles, name="held_triangles", shape=(None,), integer=True)
+        fix_fields(self, integer=True, held_triangles=(None,))
         _check_contents(self)
+        held = np.unique(self.held_triangles)
         if self.probings or len(held):
             _check_support(held, len(self.mesh.triangles))
-        held = np.unique(held)
         held.setflags(write=False)
         object.__setattr__(self, "held_triangles", held)
         if not self.supports and len(held):
             object.__setattr__(self, "supports", (Support(held),))
         check_supports(self.mesh, self.supports, self.probings)
-        if self.density is not None and not 0.0 < self.density <= _LARGEST_DENSITY:
-            raise InputError(
-                f"density is {self.density}; must be positive and at most {_LARGEST_DENSITY:g}"
-                " kg/m^3, the densest metal's"
-            )
-        if self.gravity is not None:
-            gravity = fixed_array(self.gravity, name="gravity", shape=(3,))
-            object.__setattr__(self, "gravity", gravity)
-            if self.density is None:
-                raise InputError(
-                    "gravity is given without a density; give it in kg/m^3, or leave gravity out if"
-                    " the rest state was measured under gravity too"
-                )
-            if np.linalg.norm(gravity) > _LARGEST_GRAVITY:
-                raise InputError(
-                    f"gravity is {np.linalg.norm(gravity):.4g} m/s^2; the earth's is 9.81, at most"
-                    f" {_LARGEST_GRAVITY:g} is taken: is it in mm/s^2?"
-                )
-            pulled = [probing.name for probing in self.probings if probing.contact.profile == RIGID]
-            if pulled:
-                raise InputError(
-                    f"probing '{pulled[0]}' has its force on a support, and there is gravity: its"
-                    " share of the weight is not known; measure the rest state under gravity too,"
-                    " and leave [gravity] out"
-                )
+        fix_fields(self, gravity=(3,))
+        _check_gravity(self)
 
     def __repr__(self) -> str:
         names = [item.name for item in self.probings] or [item.name for item in self.steps]
@@ -205,24 +182,54 @@ def _check_contents(session: Session) -> None:
         )
 
 
+def _check_gravity(session: Session) -> None:
+    """Refuse a density or a gravity that nothing has, and gravity where its share is not known."""
+    density, gravity = session.density, session.gravity
+    if density is not None and not 0.0 < density <= _LARGEST_DENSITY:
+        raise InputError(
+            f"density is {density}; must be positive and at most {_LARGEST_DENSITY:g} kg/m^3, the"
+            " densest metal's"
+        )
+    if gravity is None:
+        return
+    if density is None:
+        raise InputError(
+            "gravity is given without a density; give it in kg/m^3, or leave gravity out if the"
+            " rest state was measured under gravity too"
+        )
+    if np.linalg.norm(gravity) > _LARGEST_GRAVITY:
+        raise InputError(
+            f"gravity is {np.linalg.norm(gravity):.4g} m/s^2; the earth's is 9.81, at most"
+            f" {_LARGEST_GRAVITY:g} is taken: is it in mm/s^2?"
+        )
+    pulled = [probing.name for probing in session.probings if probing.contact.profile == RIGID]
+    if pulled:
+        raise InputError(
+            f"probing '{pulled[0]}' has its force on a support, and there is gravity: its share of"
+            " the weight is not known; measure the rest state under gravity too, and leave"
+            " [gravity] out"
+        )
+
+
 def _check_support(held: Indices, triangle_count: int) -> None:
-    """Refuse a support that is empty, out of range, a single triangle, or the whole surface."""
+    """Refuse a support that is empty, out of range, a single triangle, or the whole surface; its
+    triangles are sorted and distinct."""
     if len(held) == 0:
         raise InputError(
             "the support is empty: no triangle is held, and the object would float away;"
             " choose the triangles that do not move"
         )
-    if held.min() < 0 or held.max() >= triangle_count:
+    if held[0] < 0 or held[-1] >= triangle_count:
         raise InputError(
-            f"the support names triangles {held.min()} to {held.max()}, but the mesh has"
+            f"the support names triangles {held[0]} to {held[-1]}, but the mesh has"
             f" {triangle_count} (0 to {triangle_count - 1})"
         )
-    if len(np.unique(held)) == 1:
+    if len(held) == 1:
         raise InputError(
             f"the support is one triangle (number {held[0]}): how it is held cannot be resolved"
             " there; select all that is held, or refine the mesh there"
         )
-    if len(np.unique(held)) == triangle_count:
+    if len(held) == triangle_count:
         raise InputError(
             f"the support is the whole surface (all {triangle_count} triangles); nothing could"
             " move: choose only the part that is held"

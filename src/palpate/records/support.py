@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
+from palpate.records.fixed_fields import fix_fields
 from palpate.shapes import Indices, Vector3
 
 # How a support moves.
@@ -47,8 +48,8 @@ class Support:
     stiffness: float | None = None
 
     def __post_init__(self) -> None:
-        triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
-        object.__setattr__(self, "triangles", np.unique(triangles))
+        fix_fields(self, integer=True, triangles=(None,))
+        object.__setattr__(self, "triangles", np.unique(self.triangles))
         if self.motion not in MOTIONS:
             raise InputError(f"motion is '{self.motion}'; must be one of {', '.join(MOTIONS)}")
         if self.directions is not None:
@@ -108,9 +109,7 @@ class RigidMotion:
     rotation: Vector3
 
     def __post_init__(self) -> None:
-        for name in ("translation", "rotation"):
-            value = fixed_array(getattr(self, name), name=name, shape=(3,))
-            object.__setattr__(self, name, value)
+        fix_fields(self, translation=(3,), rotation=(3,))
         turn = float(np.linalg.norm(self.rotation))
         if turn > _LARGEST_TURN:
             raise InputError(

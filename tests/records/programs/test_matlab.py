@@ -150,5 +150,5 @@ def test_what_is_missing_is_named(tmp_path):
     with pytest.raises(CalibrationError, match="CameraParameters1 and 2 are no structures"):
         read_rig(path)
     path.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
-    with pytest.raises(RecordError, match=r"stereo\.mat: is no MATLAB file"):
+    with pytest.raises(RecordError, match=r"stereo\.mat: is damaged or cut off"):
         read_rig(path)

@@ -43,6 +43,13 @@ def test_blanks_separate_where_nothing_else_does(tmp_path):
     np.testing.assert_array_equal(table.values(table.columns[1:]), [[2.5], [4.0]])
 
 
+def test_a_unit_stays_with_its_quantity(tmp_path):
+    table = _read(tmp_path, "time [ms]  force [N] [a] [b]\n 1 2.5 3 4\n")
+    assert [column.name for column in table.columns[:2]] == ["time", "force"]
+    assert [column.unit for column in table.columns[:2]] == ["ms", "N"]
+    np.testing.assert_array_equal(table.values(table.columns), [[1.0, 2.5, 3.0, 4.0]])
+
+
 @pytest.mark.parametrize(
     "word", ["", "nan", "NaN", "-nan(ind)", "NeuN", "n. def.", "1.#QNAN", "1.#INF", "#N/A", "-"]
 )
@@ -55,6 +62,13 @@ def test_no_number(tmp_path, word):
 def test_infinity_is_for_the_caller_to_judge(tmp_path, word):
     table = _read(tmp_path, f"a,b\n1,{word}\n")
     assert np.isinf(table.values(table.columns)).tolist() == [[False, True]]
+
+
+@pytest.mark.parametrize("word", ["info", "inferior", "inf3"])
+def test_a_word_that_begins_like_infinity_is_a_word(tmp_path, word):
+    table = _read(tmp_path, f"a,b\n1,{word}\n")
+    with pytest.raises(RecordError, match=f"line 2: column 'b' holds '{word}'"):
+        table.values(table.columns)
 
 
 def test_words_in_columns_that_are_not_wanted(tmp_path):

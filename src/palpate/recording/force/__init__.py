@@ -4,17 +4,12 @@ Purpose    : forces on the object, corrected for tool weight and zero drift, wit
              deviations.
 Takes      : a table of times and forces, or a robot's bag, and how to read it (`Gauge`).
 Gives      : `ForceLog`, `Touch`, `Zero`, `Reading`.
-Depends on : `probe`, `records`.
+Depends on : `records`.
 Read first : `log.py`, `bags.py`, `touches.py`, `plateaus.py`.
 """
 
-from palpate.recording.force.bags import (
-    BAG_SUFFIXES as BAG_SUFFIXES,
-    POSITIONS as POSITIONS,
-    read_log_table as read_log_table,
-)
+from palpate.recording.force.bags import POSITIONS as POSITIONS, read_log_table as read_log_table
 from palpate.recording.force.log import (
-    SECONDS as SECONDS,
     ForceLog as ForceLog,
     Gauge as Gauge,
     read_force_log as read_force_log,

@@ -48,7 +48,7 @@ FORCES = LoggedQuantity(
 )
 POSITIONS = LoggedQuantity(
     "pose",
-    _AXES,
+    ("x [m]", "y [m]", "z [m]"),
     {
         "geometry_msgs/msg/PoseStamped": "pose.position",
         "geometry_msgs/msg/Pose": "position",

@@ -1,6 +1,7 @@
 """The log of a force gauge: readings in newtons in the object frame, with gaps and saturation."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,13 +10,16 @@ from jaxtyping import Bool, Float
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError, quoted
-from palpate.probe import NEWTONS
 from palpate.recording.force.bags import FORCES, read_log_table
-from palpate.records import Column, TextTable
+from palpate.records import FORCE_UNITS, SECONDS, Column, TextTable
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_WORDS = ("time", "t", "timestamp", "seconds", "elapsed", "elapsed time")
 _FORCE_WORDS = ("force", "load", "f", "fx", "fy", "fz", "fn")
+_TIME_ADVICE = "columns are called time or t; name it as `time` in [force]"
+_FORCE_ADVICE = (
+    "columns are called force, fx, fy or fz, and there are {} axes; name one column for each axis"
+    " as `columns` in [force]"
+)
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$")
 _CURE = (
     "a force log is a table with a line of headings, a column of times and one to three of forces"
@@ -40,7 +44,7 @@ class Gauge:
     file : Path
     time : str or None              heading of the times; None: a usual name such as "time"
     columns : tuple of str          headings of the forces; empty: usual names such as "fx"
-    unit : str or None              key of `NEWTONS`; None: as in the headings, else N
+    unit : str or None              key of `FORCE_UNITS`; None: as in the headings, else N
     time_unit : str or None         key of `SECONDS`; None: as in the heading, else s
     axes : (k, 3) float             direction of a positive reading of each of 1 to 3 columns,
                                     object frame; perpendicular, normalised to unit length
@@ -66,7 +70,7 @@ class Gauge:
 
     def __post_init__(self) -> None:
         for name, value, known in (
-            ("unit", self.unit, NEWTONS), ("time_unit", self.time_unit, SECONDS)
+            ("unit", self.unit, FORCE_UNITS), ("time_unit", self.time_unit, SECONDS)
         ):  # fmt: skip
             if value is not None and value not in known:
                 raise InputError(f"{name} is {quoted(value)}; must be one of {', '.join(known)}")
@@ -140,11 +144,14 @@ def read_force_log(gauge: Gauge) -> ForceLog:
     InputError                      the optional package for bags is missing
     """
     table = read_log_table(gauge.file, topic=gauge.topic, wanted=FORCES, cure=_CURE)
-    time = _time_column(table, gauge.time)
-    columns = _force_columns(table, gauge.columns, len(gauge.axes))
+    (time,) = _columns(table, [gauge.time] if gauge.time else [], _TIME_WORDS, 1, _TIME_ADVICE)
+    count = len(gauge.axes)
+    columns = _columns(table, gauge.columns, _FORCE_WORDS, count, _FORCE_ADVICE.format(count))
     notes: list[str] = []
     seconds = SECONDS[_unit(table, [time], gauge.time_unit, tuple(SECONDS), "s", "time", notes)]
-    newtons = NEWTONS[_unit(table, columns, gauge.unit, tuple(NEWTONS), "N", "force", notes)]
+    newtons = FORCE_UNITS[
+        _unit(table, columns, gauge.unit, tuple(FORCE_UNITS), "N", "force", notes)
+    ]
     values = table.values([time, *columns])
     valid = np.isfinite(values).all(axis=1)
     if valid.sum() < 2:
@@ -176,45 +183,30 @@ def _bare_heading(heading: str) -> str:
     return (match["name"] if match else heading).strip().lower()
 
 
-def _find_column(table: TextTable, wanted: str, what: str) -> Column:
-    """The only column of that name, with or without its unit."""
-    found = [
-        c for c in table.columns if wanted.lower() in (c.heading.lower(), _bare_heading(c.heading))
-    ]
-    if len(found) == 1:
-        return found[0]
-    listed = ", ".join(column.heading[:40] for column in table.columns[:12])
-    count = "no" if not found else len(found)
-    raise RecordError(
-        f"{table.path}: {count} columns are called {quoted(wanted)} ({what}); it has: {listed}"
-    )
-
-
-def _time_column(table: TextTable, wanted: str | None) -> Column:
-    if wanted is not None:
-        return _find_column(table, wanted, "time")
-    found = [column for column in table.columns if _bare_heading(column.heading) in _TIME_WORDS]
-    if len(found) == 1:
-        return found[0]
-    listed = ", ".join(column.heading[:40] for column in table.columns[:12])
-    raise RecordError(
-        f"{table.path}: no single column is called time or t; name it as `time` in [force]; it has:"
-        f" {listed}"
-    )
-
-
-def _force_columns(table: TextTable, wanted: tuple[str, ...], count: int) -> list[Column]:
-    """The force columns, one for each axis."""
-    if wanted:
-        return [_find_column(table, name, "force") for name in wanted]
-    found = [column for column in table.columns if _bare_heading(column.heading) in _FORCE_WORDS]
-    if len(found) == count:
+def _columns(
+    table: TextTable, wanted: Sequence[str], usual: Sequence[str], count: int, advice: str
+) -> list[Column]:
+    """The columns of the wanted headings, with or without their units; without such, those with
+    usual names, which must be so many."""
+    if not wanted:
+        found = [column for column in table.columns if _bare_heading(column.heading) in usual]
+        if len(found) != count:
+            raise RecordError(f"{table.path}: {len(found)} {advice}; it has: {table.listed}")
         return found
-    listed = ", ".join(column.heading[:40] for column in table.columns[:12])
-    raise RecordError(
-        f"{table.path}: {len(found)} columns are called force, fx, fy or fz, and there are {count}"
-        f" axes; name one column for each axis as `columns` in [force]; it has: {listed}"
-    )
+    chosen = []
+    for name in wanted:
+        found = [
+            column
+            for column in table.columns
+            if name.lower() in (column.heading.lower(), _bare_heading(column.heading))
+        ]
+        if len(found) != 1:
+            raise RecordError(
+                f"{table.path}: {len(found) or 'no'} columns are called {quoted(name)}; it has:"
+                f" {table.listed}"
+            )
+        chosen += found
+    return chosen
 
 
 def _unit(
@@ -268,7 +260,7 @@ def _check_force_range(path: Path, reading: Float[np.ndarray, "n k"]) -> None:
         raise RecordError(
             f"{path}: the force changes by {spread:.3g} N at most; the forces of probings are from"
             f" {_SMALLEST_FORCE:g} to {_LARGEST_FORCE:g} N: is it in another unit? Say it as `unit`"
-            f" in [force] ({', '.join(NEWTONS)})"
+            f" in [force] ({', '.join(FORCE_UNITS)})"
         )
 
 

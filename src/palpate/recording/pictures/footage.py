@@ -10,7 +10,7 @@ from jaxtyping import Float, Shaped
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError
-from palpate.records import read_text_table
+from palpate.records import SECONDS, read_text_table
 from palpate.vision import open_video, read_grey, video_frames
 
 # Longest recording [s].
@@ -175,13 +175,15 @@ def read_times(path: Path) -> Float[np.ndarray, " n"]:
 
     Raises
     ------
-    RecordError                     no such table or column; a line without a number
+    RecordError                     no such table or column; an unknown unit; a line without a
+                                    number
     """
     table = read_text_table(path, cure=_TIMES_CURE)
     named = [column for column in table.columns if column.name.lower() in ("time", "t")]
     if not named and len(table.columns) > 1:
         raise RecordError(f"{path}: no column is called time or t; {_TIMES_CURE}")
-    times = table.values(named[:1] or table.columns[:1])[:, 0]
+    chosen = named[:1] or table.columns[:1]
+    times = table.factor(chosen, SECONDS, 1.0) * table.values(chosen)[:, 0]
     if bad := np.flatnonzero(~np.isfinite(times)).tolist():
         raise RecordError(f"{path}: line {table.numbers[bad[0]]}: is no number; {_TIMES_CURE}")
     return times

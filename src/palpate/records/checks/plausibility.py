@@ -3,12 +3,7 @@
 import numpy as np
 
 from palpate.errors import InputError, quoted
-from palpate.geometry import (
-    TriangleMesh,
-    bounding_diagonal,
-    triangle_areas,
-    wall_thickness,
-)
+from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas, wall_thickness
 from palpate.records.checks.displacements import held_points
 from palpate.records.checks.loads import UNIT_HINT, largest_displacement
 from palpate.records.checks.probings import probing_notes
@@ -169,19 +164,22 @@ def _slip_notes(session: Session) -> list[str]:
 
 
 def _settlement_notes(session: Session) -> list[str]:
-    """Notes on elastic supports into which the object would sink farther than anything moved."""
-    notes = []
-    areas = triangle_areas(session.mesh)
-    for number, support in enumerate(session.supports, start=1):
-        for probing in session.probings:
-            force = float(np.linalg.norm(probing.force))
-            settlement = force * support.compliance / float(areas[support.triangles].sum())
-            largest = largest_displacement(probing)
-            if len(session.supports) == 1 and settlement > _MAX_SETTLEMENT * largest > 0.0:
-                notes.append(
-                    f"Probing {probing.name}: under its {force:.3g} N the object would sink"
-                    f" {settlement:.3g} m into support {number}, whose stiffness is"
-                    f" {support.stiffness:.3g} N/m^3; nothing moved farther than {largest:.3g} m:"
-                    " is it in N/m^3?"
-                )
+    """Notes on an only, elastic support, into which the object would sink farther than anything
+    moved."""
+    notes: list[str] = []
+    if len(session.supports) != 1:
+        return notes
+    (support,) = session.supports
+    area = float(triangle_areas(session.mesh)[support.triangles].sum())
+    for probing in session.probings:
+        force = float(np.linalg.norm(probing.force))
+        settlement = force * support.compliance / area
+        largest = largest_displacement(probing)
+        if settlement > _MAX_SETTLEMENT * largest > 0.0:
+            notes.append(
+                f"Probing {probing.name}: under its {force:.3g} N the object would sink"
+                f" {settlement:.3g} m into support 1, whose stiffness is"
+                f" {support.stiffness:.3g} N/m^3; nothing moved farther than {largest:.3g} m: is it"
+                " in N/m^3?"
+            )
     return notes

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, convex_planes
 from palpate.records.contacts.pressure import (
@@ -17,6 +16,7 @@ from palpate.records.contacts.pressure import (
     PressureMap,
     contact_profiles,
 )
+from palpate.records.fixed_fields import fix_fields
 from palpate.shapes import Indices, Matrix3, Points, PointScalars, Vector3
 
 # Shapes of tools, and friction between tool and surface.
@@ -134,14 +134,11 @@ class Contact:
     outward: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
-        if self.first_point is not None:
-            first = fixed_array(self.first_point, name="first_point", shape=(3,))
-            object.__setattr__(self, "first_point", first)
+        fix_fields(self, point=(3,), first_point=(3,))
         if self.triangles is not None:
-            triangles = fixed_array(self.triangles, name="triangles", shape=(None,), integer=True)
-            object.__setattr__(self, "triangles", np.unique(triangles))
-            if not triangles.size or self.radius is not None:
+            fix_fields(self, integer=True, triangles=(None,))
+            object.__setattr__(self, "triangles", np.unique(self.triangles))
+            if not self.triangles.size or self.radius is not None:
                 raise InputError("a load over triangles needs at least one, and has no radius")
             if self.profile not in (UNIFORM, RIGID):
                 raise InputError(

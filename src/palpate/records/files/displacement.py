@@ -1,5 +1,6 @@
 """Reads and writes measured surface displacements as CSV."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,15 +53,20 @@ def read_displacement(
     table, values, copies = _without_repeated_rows(table, table.values(known))
     notes += copies
     column = {known[i].heading.lower(): values[:, i] for i in range(len(known))}
-    points = metres_per_unit * np.stack([column[name] for name in _POSITION_COLUMNS], axis=1)
+
+    def vectors(names: Sequence[str]) -> np.ndarray:
+        return metres_per_unit * np.stack([column[name] for name in names], axis=1)
+
+    points = vectors(_POSITION_COLUMNS)
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise RecordError(
             f"{path}: line {table.numbers[row]}: x, y or z is not a finite number;"
             " only displacements may be NaN (not measured)"
         )
-    moved = metres_per_unit * np.stack([column[name] for name in _DISPLACEMENT_COLUMNS], axis=1)
-    std = _std(column, metres_per_unit)
+    moved = vectors(_DISPLACEMENT_COLUMNS)
+    std_columns = ("sigma",) * 3 if "sigma" in column else _STD_COLUMNS
+    std = vectors(std_columns) if std_columns[0] in column else None
     if std is not None:
         _check_std(table, std, moved, mesh)
     if np.isinf(moved).any():
@@ -190,15 +196,6 @@ def _check_distance(table: TextTable, mesh: TriangleMesh, distance: np.ndarray) 
         " taken to be at its closest points."
     )
     return (note,)
-
-
-def _std(column: dict[str, np.ndarray], metres_per_unit: float) -> np.ndarray | None:
-    """Standard deviation per component [m], if the file has one."""
-    if "sigma" in column:
-        return metres_per_unit * np.repeat(column["sigma"][:, None], 3, axis=1)
-    if "sx" in column:
-        return metres_per_unit * np.stack([column[name] for name in _STD_COLUMNS], axis=1)
-    return None
 
 
 def _check_std(table: TextTable, std: np.ndarray, moved: np.ndarray, mesh: TriangleMesh) -> None:

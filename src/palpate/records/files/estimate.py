@@ -2,12 +2,12 @@
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from palpate.errors import InputError, quoted
+from palpate.errors import InputError
 from palpate.records.estimate import (
     CONSTANT_NAMES,
     BudgetEntry,
@@ -19,6 +19,8 @@ from palpate.records.estimate import (
     SupportEstimate,
 )
 from palpate.records.text import TomlTable, json_text, read_json, write_text
+
+T = TypeVar("T")
 
 ESTIMATE_FORMAT = "palpate-estimate/1"
 # Range of half a 95 % interval in standard deviations: Student's quantiles for a known variance and
@@ -66,18 +68,16 @@ def read_estimate(path: Path | str) -> Estimate:
                                     the key
     """
     root = read_json(Path(path))
-    found = root.values.get("format")
-    if found != ESTIMATE_FORMAT:
-        root.fail("format", f"is {quoted(found)}; this version reads '{ESTIMATE_FORMAT}'")
+    root.check_format(ESTIMATE_FORMAT)
     flags = root.table("identifiable")
     with root.error_context():
         estimate = Estimate(
             status=Status(root.choice("status", tuple(Status))),
             identifiable={name: flags.boolean(name) for name in CONSTANT_NAMES},
             probes=tuple(map(_read_probe, root.tables("probes"))),
-            seconds=_numbers(root.table("seconds")),
+            seconds=_mapping(root.table("seconds"), _duration),
             method=root.optional("method", root.text) or "",
-            settings=_values(root.optional("settings", root.table)),
+            settings=_mapping(root.optional("settings", root.table), TomlTable.get),
             notes=tuple(root.optional("notes", root.texts) or ()),
             errors=_read_errors(root),
             budget=_read_budget(root),
@@ -127,24 +127,23 @@ def _check_deviations(
 
 def _number(table: TomlTable, key: str) -> float:
     """A finite number of any magnitude, as estimates may have."""
-    value = table.get(key)
-    plain = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not plain or not abs(value) <= sys.float_info.max:
-        table.fail(key, f"is {quoted(value)}; must be a finite number")
+    value = table.checked(_is_finite, key, "be a finite number")
     return float(value)
 
 
-def _numbers(table: TomlTable) -> dict[str, float]:
-    """Numbers that are not negative."""
-    found = {key: _number(table, key) for key in table.values}
-    for key, value in found.items():
-        if value < 0.0:
-            table.fail(key, f"is {quoted(value)}; must not be negative")
-    return found
+def _is_finite(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
 
 
-def _values(table: TomlTable | None) -> dict[str, Any]:
-    return {} if table is None else table.values
+def _duration(table: TomlTable, key: str) -> float:
+    """A number that is not negative."""
+    _number(table, key)
+    return float(table.checked(lambda value: value >= 0.0, key, "not be negative"))
+
+
+def _mapping(table: TomlTable | None, read: Callable[[TomlTable, str], T]) -> dict[str, T]:
+    """Every value of a table by its key; empty without a table."""
+    return {} if table is None else {key: read(table, key) for key in table.values}
 
 
 def _known(table: TomlTable, key: str, unknown: float = math.nan) -> float:
@@ -152,28 +151,29 @@ def _known(table: TomlTable, key: str, unknown: float = math.nan) -> float:
     return unknown if table.get(key) is None else _number(table, key)
 
 
-def _flags(table: TomlTable | None) -> dict[str, bool]:
-    return {} if table is None else {name: table.boolean(name) for name in table.values}
+def _parts(table: TomlTable, key: str, names: Sequence[str], count: str) -> TomlTable:
+    """The numbers of a list as a table in which each has a name."""
+    values = table.checked(
+        lambda value: isinstance(value, list) and len(value) == len(names),
+        key,
+        f"be {count} numbers in brackets",
+    )
+    return TomlTable(table.file, f"{table.name} {key}", dict(zip(names, values, strict=True)))
 
 
 def _read_constant(table: TomlTable) -> Constant:
-    ends = table.get("ci95")
-    if not isinstance(ends, list) or len(ends) != 2:
-        table.fail("ci95", f"is {quoted(ends)}; must be two numbers in brackets")
-    pair = TomlTable(
-        table.file, f"{table.name} ci95", dict(zip(("low", "high"), ends, strict=True))
-    )
-    low, high = _known(pair, "low", -math.inf), _known(pair, "high", math.inf)
+    ends = _parts(table, "ci95", ("low", "high"), "two")
+    low, high = _known(ends, "low", -math.inf), _known(ends, "high", math.inf)
     with table.error_context():
         return Constant(_known(table, "value"), _known(table, "std"), (low, high))
 
 
 def _read_support(table: TomlTable) -> SupportEstimate:
-    parts = {
-        name: tuple(_vector_parts(table, name))
-        for name in ("translation", "translation_std", "rotation", "rotation_std")
-    }
-    return SupportEstimate(support=table.count("support"), **parts)
+    vectors = {}
+    for name in ("translation", "translation_std", "rotation", "rotation_std"):
+        parts = _parts(table, name, "xyz", "three")
+        vectors[name] = tuple(_known(parts, axis) for axis in "xyz")
+    return SupportEstimate(support=table.count("support"), **vectors)
 
 
 def _read_errors(table: TomlTable) -> tuple[ErrorEstimate, ...]:
@@ -194,14 +194,6 @@ def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:
     )
 
 
-def _vector_parts(table: TomlTable, key: str) -> list[float]:
-    values = table.get(key)
-    if not isinstance(values, list) or len(values) != 3:
-        table.fail(key, f"is {quoted(values)}; must be three numbers in brackets")
-    parts = TomlTable(table.file, f"{table.name} {key}", dict(zip("xyz", values, strict=True)))
-    return [_known(parts, axis) for axis in "xyz"]
-
-
 def _read_probe(table: TomlTable) -> ProbeEstimate:
     error = table.values.get("prediction_error")
     constants = {
@@ -217,6 +209,6 @@ def _read_probe(table: TomlTable) -> ProbeEstimate:
             prediction_error=None if error is None else _number(table, "prediction_error"),
             supports=tuple(map(_read_support, table.optional("supports", table.tables) or ())),
             errors=_read_errors(table),
-            identifiable=_flags(table.optional("identifiable", table.table)),
+            identifiable=_mapping(table.optional("identifiable", table.table), TomlTable.boolean),
             **constants,
         )

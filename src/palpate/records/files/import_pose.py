@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import LARGEST_NUMBER
-from palpate.errors import quoted
+from palpate.arrays import fixed_array
+from palpate.errors import InputError, quoted
 from palpate.records.program import nearest_rotation
-from palpate.records.quantities import LENGTH_UNITS
-from palpate.records.text import TomlTable, read_toml
+from palpate.records.text import LENGTH_UNITS, TomlTable, read_toml
 
 # A rotation typed with four digits is this far from orthogonal; a larger error is a mistake.
 _MAX_TYPED_ERROR = 1e-3
@@ -43,7 +42,7 @@ def read_import_pose(path: Path | str) -> tuple[Float[np.ndarray, "4 4"], tuple[
     if ("T" in table.values) == ("R" in table.values or "t" in table.values):
         table.fail("", f"must have either R and t, or T; for example: {_EXAMPLE}")
     if "T" in table.values:
-        pose = _matrix(table, "T", 4)
+        pose = _matrix(table, "T", 4).copy()
         if not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
             table.fail("T", f"has the last row {pose[3].tolist()}; must be [0, 0, 0, 1]")
     else:
@@ -64,12 +63,9 @@ def _matrix(table: TomlTable, key: str, size: int) -> np.ndarray:
     """A square matrix of finite numbers."""
     value = table.get(key)
     try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.zeros(0)
-    if matrix.shape != (size, size) or not (np.abs(matrix) <= LARGEST_NUMBER).all():
+        return fixed_array(value, name=key, shape=(size, size))
+    except InputError:
         table.fail(key, f"is {quoted(value)}; must be {size} rows of {size} finite numbers")
-    return matrix
 
 
 def _rotation(table: TomlTable, given: np.ndarray) -> tuple[np.ndarray, float]:

@@ -24,52 +24,21 @@ from palpate.records.contacts import (
     contact_profiles,
     mesh_tool,
 )
-from palpate.records.files.displacement import read_displacement
-from palpate.records.files.support import listed_triangles
-from palpate.records.probing import DisplacementField, Load
-from palpate.records.quantities import ANGLE_UNITS, LENGTH_UNITS
-from palpate.records.support import FIXED, RigidMotion, Support
-from palpate.records.text import TomlTable
+from palpate.records.files.support import HeldObject, listed_triangles
+from palpate.records.probing import Load
+from palpate.records.support import RigidMotion
+from palpate.records.text import ANGLE_UNITS, LENGTH_UNITS, TomlTable
 from palpate.shapes import Indices, Vector3
 
 
-def held_triangles(supports: Sequence[Support], *, still: bool = False) -> Indices:
-    """Triangles of all supports together, or only of those whose points do not move.
-
-    Parameters
-    ----------
-    supports : sequence of Support
-    still : bool                    only fixed supports that are not rollers
-
-    Returns
-    -------
-    (k,) int
-    """
-    parts = [
-        one.triangles
-        for one in supports
-        if not still or (one.motion == FIXED and one.directions is None)
-    ]
-    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
-
-
-def read_push(
-    table: TomlTable,
-    mesh: TriangleMesh,
-    supports: Sequence[Support],
-    loads: Sequence[Load],
-    *,
-    metres_per_unit: float,
-) -> tuple[Contact, Vector3]:
+def read_push(table: TomlTable, body: HeldObject, loads: Sequence[Load]) -> tuple[Contact, Vector3]:
     """Contact and force of a probing; with additional loads only, zero force at the first of them.
 
     Parameters
     ----------
     table : TomlTable               of the probing
-    mesh : TriangleMesh
-    supports : sequence of Support
+    body : HeldObject
     loads : sequence of Load        additional loads of the probing
-    metres_per_unit : float         length unit of the session
 
     Returns
     -------
@@ -87,28 +56,26 @@ def read_push(
     if "support" not in contact.values:
         force = table.vector("force")
         if "tool" in contact.values:
-            point = metres_per_unit * contact.vector("point")
-            tool = _tool(contact, metres_per_unit, force)
-            return tool.contact(point, bounding_diagonal(mesh)), force
-        return _contact(contact, mesh, metres_per_unit), force
+            point = body.metres_per_unit * contact.vector("point")
+            tool = _tool(contact, body.metres_per_unit, force)
+            return tool.contact(point, bounding_diagonal(body.mesh)), force
+        return _contact(contact, body), force
     contact.check_keys(("support",))
     number = contact.number("support")
-    if number not in range(1, len(supports) + 1):
-        contact.fail(
-            "support", f"is {number:g}; must be the number of a support, 1 to {len(supports)}"
-        )
-    held = supports[int(number) - 1].triangles
-    return Contact(_middle(mesh, held), None, RIGID, held), table.vector("force")
+    count = len(body.supports)
+    if number not in range(1, count + 1):
+        contact.fail("support", f"is {number:g}; must be the number of a support, 1 to {count}")
+    held = body.supports[int(number) - 1].triangles
+    return Contact(_middle(body.mesh, held), None, RIGID, held), table.vector("force")
 
 
-def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> tuple[Load, ...]:
+def read_loads(table: TomlTable, body: HeldObject) -> tuple[Load, ...]:
     """Additional loads of a probing, from its tables `[[probe.load]]`.
 
     Parameters
     ----------
     table : TomlTable               of the probing
-    mesh : TriangleMesh
-    metres_per_unit : float         length unit of the session
+    body : HeldObject
 
     Returns
     -------
@@ -127,38 +94,12 @@ def read_loads(table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) 
             contact = named.table("contact", f"{named.name} contact")
             loads.append(
                 Load(
-                    _contact(contact, mesh, metres_per_unit),
+                    _contact(contact, body),
                     named.optional("force", named.vector),
                     named.optional("pressure", named.number),
                 )
             )
     return tuple(loads)
-
-
-def read_support_field(
-    table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float
-) -> tuple[DisplacementField | None, tuple[str, ...]]:
-    """Displacements measured on the supports in a probing, if its table names their file.
-
-    Parameters
-    ----------
-    table : TomlTable               of the probing
-    mesh : TriangleMesh
-    metres_per_unit : float         length unit of the session
-
-    Returns
-    -------
-    field : DisplacementField or None
-    notes : tuple of str
-
-    Raises
-    ------
-    RecordError                     as in `read_displacement`
-    """
-    if "support_displacement" not in table.values:
-        return None, ()
-    file = table.existing_file("support_displacement")
-    return read_displacement(file, mesh, metres_per_unit=metres_per_unit)
 
 
 def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMotion | None:
@@ -189,16 +130,17 @@ def read_support_motion(table: TomlTable, *, metres_per_unit: float) -> RigidMot
         )
 
 
-def _contact(contact: TomlTable, mesh: TriangleMesh, metres: float) -> Contact:
+def _contact(contact: TomlTable, body: HeldObject) -> Contact:
     """Contact of a circular patch, or of triangles."""
+    metres = body.metres_per_unit
     if "triangles" in contact.values:
         contact.check_keys(("triangles", "traction"))
-        chosen = np.unique(listed_triangles(contact, len(mesh.triangles)))
+        chosen = np.unique(listed_triangles(contact, len(body.mesh.triangles)))
         if not chosen.size:
             contact.fail("triangles", "names no triangle; give at least one")
         if "traction" in contact.values:
             contact.choice("traction", (UNIFORM,))
-        return Contact(_middle(mesh, chosen), None, UNIFORM, chosen)
+        return Contact(_middle(body.mesh, chosen), None, UNIFORM, chosen)
     # `point_std` is read along with the other errors, in `read_error_priors`.
     contact.check_keys(("point", "point_std", "radius", "profile"))
     return Contact(

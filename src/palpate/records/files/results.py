@@ -21,6 +21,7 @@ from palpate.records.files.sums import (
     file_sums,
     sums_in,
     sums_text,
+    unreadable_errors,
 )
 from palpate.records.text import json_text, read_text, write_text
 
@@ -147,7 +148,7 @@ def record_inputs(folder: Path, files: Iterable[Path]) -> None:
     ------
     RecordError                     an input cannot be read, or the record cannot be written
     """
-    write_text(folder / INPUTS_FILE, sums_text(_sums(files, folder)))
+    write_text(folder / INPUTS_FILE, sums_text(file_sums(files, start=folder)))
 
 
 @contextmanager
@@ -216,7 +217,7 @@ def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) 
     ------
     RecordError                     an input cannot be read
     """
-    with_inputs = {**content, "inputs": _sums(inputs, folder)}
+    with_inputs = {**content, "inputs": file_sums(inputs, start=folder)}
     return json_text(
         {**with_inputs, SEAL_NAME: hashlib.sha256(json_text(with_inputs).encode()).hexdigest()}
     )
@@ -263,13 +264,11 @@ def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
     kind = _kind(folder)
     if not kind:
         return "", {}, {}
-    try:
+    with unreadable_errors():
         sums = sums_in(folder / CONTENTS_FILE)
         present = {path.relative_to(folder).as_posix() for path in _all_files(folder)}
         unlisted = sorted(present - {*sums, CONTENTS_FILE})
         return kind, changes(folder, sums) | dict.fromkeys(unlisted, NOT_LISTED), sums
-    except OSError as error:
-        raise RecordError(f"{error.filename}: cannot be read ({error.strerror})") from error
 
 
 @contextmanager
@@ -295,13 +294,6 @@ def disk_errors(target: Path) -> Iterator[None]:
             f"{target}: cannot be written ({error.strerror}); nothing was changed: make room, or"
             " choose another place with --out"
         ) from error
-
-
-def _sums(files: Iterable[Path], folder: Path) -> dict[str, str]:
-    try:
-        return file_sums(files, start=folder)
-    except OSError as error:
-        raise RecordError(f"{error.filename}: cannot be read ({error.strerror})") from error
 
 
 def _check_place(target: Path) -> None:
@@ -334,10 +326,8 @@ def _folder_objection(target: Path, kind: str) -> str:
     or missing."""
     if not target.is_dir():
         return ""
-    try:
+    with unreadable_errors():
         names = sorted(os.listdir(target))
-    except OSError as error:
-        raise RecordError(f"{target}: cannot be read ({error.strerror})") from error
     if not names:
         return ""
     found, changed, _ = folder_changes(target)

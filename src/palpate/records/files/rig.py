@@ -11,9 +11,8 @@ from palpate.errors import CalibrationError, RecordError, quoted
 from palpate.files import is_file
 from palpate.records.program import CalibrationFile, make_pose
 from palpate.records.programs import holds_camera_tables, read_calibration
-from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import Camera, Rig, check_baselines
-from palpate.records.text import TomlTable, nearest_file, read_toml, write_text
+from palpate.records.text import FILE_LENGTH_UNITS, TomlTable, nearest_file, read_toml, write_text
 
 _FILE = "rig.toml"
 _ROOT_KEYS = ("length_unit", "reference", "camera")

@@ -21,20 +21,21 @@ from palpate.records.checks import (
 )
 from palpate.records.error_priors import read_error_priors
 from palpate.records.files.displacement import read_displacement
-from palpate.records.files.loads import (
-    held_triangles,
-    read_loads,
-    read_push,
-    read_support_field,
-    read_support_motion,
-)
+from palpate.records.files.loads import read_loads, read_push, read_support_motion
 from palpate.records.files.rig_covariance import covariance_file
-from palpate.records.files.support import read_supports
+from palpate.records.files.support import HeldObject, read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
-from palpate.records.quantities import FILE_LENGTH_UNITS, LENGTH_UNITS
 from palpate.records.session import Session, Step
 from palpate.records.support import Support
-from palpate.records.text import TomlTable, nearest_file, nearest_word, read_toml
+from palpate.records.text import (
+    FILE_LENGTH_UNITS,
+    LENGTH_UNITS,
+    TomlTable,
+    is_list_of,
+    nearest_file,
+    nearest_word,
+    read_toml,
+)
 from palpate.shapes import Vector3
 
 SESSION_FORMAT = "palpate-session/1"
@@ -53,7 +54,7 @@ _PROBE_KEYS[_PROBE_KEYS.index("loads")] = "load"
 _PROBE_KEYS.append("tip_displacement_offset_std")
 
 
-def _allow_any_size(n_vertices: int, n_probings: int) -> None:
+def _allow_any_size(*counts: int) -> None:
     """Accepts sessions of any size."""
 
 
@@ -90,20 +91,21 @@ def read_session(
     """
     root = read_toml(session_file(Path(path)))
     root.check_keys(_ROOT_KEYS)
-    found = root.get("format")
-    if found != SESSION_FORMAT:
-        root.fail("format", f"is {found!r}; this version reads '{SESSION_FORMAT}'")
+    root.check_format(SESSION_FORMAT)
     body = root.table("object")
     body.check_keys(("mesh", "length_unit", "density"))
     metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
     requested = _requested_probes(root, probes)
-    mesh, notes = _mesh(body, metres, lambda count: requested and allow(count, len(requested)))
+    mesh, notes = read_object_mesh(
+        body, metres, lambda count: requested and allow(count, len(requested))
+    )
     supports: tuple[Support, ...] = ()
     if "support" in root.values or root.values.get("probe"):
         supports = read_supports(root, mesh, metres_per_unit=metres)
+    held_object = HeldObject(mesh, supports, metres)
     probings: list[Probing] = []
     for table in requested:
-        probing, probing_notes = _probing(table, mesh, supports, metres, observations=observations)
+        probing, probing_notes = _probing(table, held_object, observations=observations)
         probings.append(probing)
         notes += probing_notes
     gravity = _single_key_table(root, "gravity", "acceleration")
@@ -115,7 +117,7 @@ def read_session(
             name=root.optional("name", root.label) or root.file.parent.name,
             path=root.file,
             mesh=mesh,
-            held_triangles=held_triangles(supports),
+            held_triangles=held_object.held_triangles(),
             probings=tuple(probings),
             density=body.optional("density", body.number),
             gravity=gravity.vector("acceleration") if gravity else None,
@@ -174,13 +176,30 @@ def session_file(path: Path) -> Path:
     return path
 
 
-def _mesh(
-    body: TomlTable, metres: float, allow: Callable[[int], object]
+def read_object_mesh(
+    body: TomlTable, metres_per_unit: float, allow: Callable[[int], object] = _allow_any_size
 ) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """The object's validated surface mesh, in metres, with notes."""
+    """The validated surface of the object, from the table [object] of a session or a recording.
+
+    Parameters
+    ----------
+    body : TomlTable
+    metres_per_unit : float [m]     length unit of the mesh
+    allow : callable                as in `read_session`, with the number of vertices only
+
+    Returns
+    -------
+    mesh : TriangleMesh             in metres, closed, outward normals
+    notes : tuple of str            what was repaired
+
+    Raises
+    ------
+    RecordError                     no such file
+    MeshError                       a mesh that cannot be read or is not closed; the text names it
+    """
     path = body.existing_file("mesh")
     try:
-        mesh = read_mesh(path, metres_per_unit=metres)
+        mesh = read_mesh(path, metres_per_unit=metres_per_unit)
         with replace(body, file=path, name="").error_context():
             allow(len(mesh.vertices))
         mesh, notes = checked_mesh(mesh)
@@ -231,33 +250,34 @@ def _steps(root: TomlTable) -> tuple[Step, ...]:
     return tuple(steps)
 
 
+def _field(file: Path | None, body: HeldObject) -> tuple[DisplacementField | None, tuple[str, ...]]:
+    """Displacements in a file, if there is one, with notes."""
+    if file is None:
+        return None, ()
+    return read_displacement(file, body.mesh, metres_per_unit=body.metres_per_unit)
+
+
 def _probing(
-    table: TomlTable,
-    mesh: TriangleMesh,
-    supports: Sequence[Support],
-    metres: float,
-    *,
-    observations: bool,
+    table: TomlTable, body: HeldObject, *, observations: bool
 ) -> tuple[Probing, tuple[str, ...]]:
     """One probing, in SI units, checked against surface and supports, with notes."""
-    held, still = held_triangles(supports), held_triangles(supports, still=True)
+    mesh, held, still = body.mesh, body.held_triangles(), body.held_triangles(still=True)
     images = _images(table) if observations else None
-    field: DisplacementField | None = None
-    notes: tuple[str, ...] = ()
-    if observations and "displacement" in table.values:
-        file = table.existing_file("displacement")
-        field, notes = read_displacement(file, mesh, metres_per_unit=metres)
-    elif observations and images is None:
+    file = table.optional("displacement", table.existing_file) if observations else None
+    field, notes = _field(file, body)
+    if observations and field is None and images is None:
         table.fail(
             "displacement",
             "the key is missing: give the measured displacements as a CSV file, or the pictures"
             " they are to come from as images",
         )
-    support_field, support_notes = read_support_field(table, mesh, metres_per_unit=metres)
-    tip, tip_std = _tip(table, metres)
+    support_field, support_notes = _field(
+        table.optional("support_displacement", table.existing_file), body
+    )
+    tip, tip_std = _tip(table, body.metres_per_unit)
     with table.error_context():
-        loads = read_loads(table, mesh, metres_per_unit=metres)
-        contact, force = read_push(table, mesh, supports, loads, metres_per_unit=metres)
+        loads = read_loads(table, body)
+        contact, force = read_push(table, body, loads)
         probing = Probing(
             name=table.text("name"),
             contact=contact,
@@ -269,7 +289,7 @@ def _probing(
             images=images,
             loads=loads,
             support_displacement=support_field,
-            support_motion=read_support_motion(table, metres_per_unit=metres),
+            support_motion=read_support_motion(table, metres_per_unit=body.metres_per_unit),
             force_sensor=table.optional("force_sensor", table.label) or "",
         )
         if observations:
@@ -308,9 +328,11 @@ def _images(table: TomlTable) -> Images | None:
         return None
     images = table.table("images", f"{table.name} images")
     images.check_keys(("rest", "loaded"))
-    loaded = images.get("loaded")
-    if not (isinstance(loaded, list) and loaded and all(isinstance(x, str) for x in loaded)):
-        images.fail("loaded", f"is {loaded!r}; must be a list of file patterns in quotes")
+    loaded = images.checked(
+        lambda value: value and is_list_of(str)(value),
+        "loaded",
+        "be a list of file patterns in quotes",
+    )
     patterns = [_pattern(images, "rest", ())]
     for pattern in loaded:
         single = replace(images, values={"loaded": pattern})

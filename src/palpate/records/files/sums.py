@@ -4,10 +4,12 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from palpate.errors import RecordError
 from palpate.files import checked_file
 from palpate.records.files.rig_covariance import covariance_file
 from palpate.records.files.session import session_file
@@ -16,6 +18,21 @@ from palpate.records.text import read_text, read_toml
 CHANGED, MISSING, NOT_LISTED = "changed", "missing", "not listed"
 # Escapes of `sha256sum` in names that contain a backslash or a line break.
 _ESCAPES = {"\\": "\\\\", "\n": "\\n", "\r": "\\r"}
+
+
+@contextmanager
+def unreadable_errors() -> Iterator[None]:
+    """Turn errors of the file system within the block, or the decorated function, into
+    `RecordError`, which names the file.
+
+    Raises
+    ------
+    RecordError                     in place of an OSError
+    """
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(f"{error.filename}: cannot be read ({error.strerror})") from error
 
 
 def file_sum(path: Path) -> str:
@@ -38,6 +55,7 @@ def file_sum(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+@unreadable_errors()
 def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
     """Checksums of some files, by their paths relative to a folder.
 
@@ -52,7 +70,7 @@ def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
 
     Raises
     ------
-    RecordError, OSError            as in `file_sum`
+    RecordError                     missing, not readable, not a regular file, too large
     """
     single = chain.from_iterable(_files_in(path) for path in files)
     by_name = {Path(os.path.relpath(file, start)).as_posix(): file for file in single}
@@ -95,6 +113,7 @@ def parsed_sums(text: str) -> dict[str, str]:
     return sums
 
 
+@unreadable_errors()
 def changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
     """Files that have changed since their checksums were taken.
 
@@ -109,7 +128,7 @@ def changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
 
     Raises
     ------
-    RecordError, OSError            as in `file_sum`
+    RecordError                     missing, not readable, not a regular file, too large
     """
     found = {}
     for name, value in sums.items():

@@ -1,18 +1,43 @@
 """Reads supports from session.toml: the selected triangles, and how they are held."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import RecordError, quoted
+from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
-from palpate.records.quantities import STIFFNESS_UNITS
 from palpate.records.support import FIXED, MOTIONS, Support
-from palpate.records.text import TomlTable, read_text
+from palpate.records.text import STIFFNESS_UNITS, TomlTable, is_list_of, read_text
 from palpate.shapes import Indices
 
 _SELECTORS = ("plane", "box", "triangles")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldObject:
+    """The object of a session, and what holds it: all that a probing's table is read against.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    supports : tuple of Support
+    metres_per_unit : float [m]     length unit of the session's files
+    """
+
+    mesh: TriangleMesh
+    supports: tuple[Support, ...]
+    metres_per_unit: float
+
+    def held_triangles(self, *, still: bool = False) -> Indices:
+        """Triangles of all supports together, (k,) int; `still`: only of those whose points do not
+        move, which are fixed and no rollers."""
+        parts = [
+            one.triangles
+            for one in self.supports
+            if not still or (one.motion == FIXED and one.directions is None)
+        ]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
 
 def read_supports(
@@ -54,15 +79,9 @@ def read_supports(
 
 def _directions(table: TomlTable) -> Float[np.ndarray, "d 3"]:
     """The directions that a support holds."""
-    value = table.get("directions")
-    if not isinstance(value, list) or not all(isinstance(item, list) for item in value):
-        table.fail(
-            "directions",
-            f"is {quoted(value)}; must be a list of vectors, e.g. [[0, 0, 1]], in two pairs of"
-            " brackets",
-        )
-    found = [replace(table, values={"directions": item}).vector("directions") for item in value]
-    return np.array(found).reshape(-1, 3)
+    must = "be a list of vectors, e.g. [[0, 0, 1]], in two pairs of brackets"
+    table.checked(is_list_of(list), "directions", must)
+    return np.array(table.each(TomlTable.vector, "directions")).reshape(-1, 3)
 
 
 def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float) -> Indices:

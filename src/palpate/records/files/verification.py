@@ -15,7 +15,7 @@ from palpate.records.files.results import (
     is_sealed,
     target_parts_folder,
 )
-from palpate.records.files.sums import CHANGED, changes, sums_in
+from palpate.records.files.sums import CHANGED, changes, sums_in, unreadable_errors
 from palpate.records.text import read_text
 
 UNCHANGED = "as it was"
@@ -70,10 +70,8 @@ def verify_result(path: Path) -> tuple[Finding, ...]:
 def _parts(path: Path) -> list[Finding]:
     """The finished parts stored next to a result."""
     folder = target_parts_folder(Path(os.path.abspath(path)))
-    try:
+    with unreadable_errors():
         names = sorted(os.listdir(folder)) if folder.is_dir() else []
-    except OSError as error:
-        raise RecordError(f"{folder}: cannot be read ({error.strerror})") from error
     return [
         Finding(
             f"{folder.name}/{name}", "part", UNCHANGED if is_intact_part(folder / name) else CHANGED
@@ -114,8 +112,5 @@ def _file_findings(path: Path) -> tuple[Finding, ...]:
 
 
 def _inputs(folder: Path, sums: dict[str, str]) -> list[Finding]:
-    try:
-        changed = changes(folder, sums)
-    except OSError as error:
-        raise RecordError(f"{error.filename}: cannot be read ({error.strerror})") from error
+    changed = changes(folder, sums)
     return [Finding(name, "input", changed.get(name, UNCHANGED)) for name in sums]

@@ -11,19 +11,17 @@ from scipy.io import netcdf_file
 from palpate.errors import RecordError
 from palpate.files import checked_file, read_bytes, read_errors
 from palpate.records.program import (
-    HDF5_SIGNATURE,
     MIN_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
     camera_matrix,
-    checked_size,
     chosen_frame,
     make_pose,
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import open_hdf5, read_text_table
+from palpate.records.text import HDF5_SIGNATURE, checked_size, open_hdf5, read_text_table
 
 _POSITION = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _DISPLACEMENT = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")

@@ -7,17 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.files import checked_file, read_bytes, read_errors
-from palpate.records.program import (
-    HDF5_SIGNATURE,
-    CalibrationFile,
-    Program,
-    checked_size,
-    make_pose,
-)
-from palpate.records.quantities import FILE_LENGTH_UNITS, unit_name
+from palpate.records.program import CalibrationFile, Program, make_pose
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import open_hdf5, read_mat
+from palpate.records.text import FILE_LENGTH_UNITS, checked_size, open_mat, unit_name
 
 _CAMERAS = ("CameraParameters1", "CameraParameters2")
 _ROTATION, _TRANSLATION = "RotationOfCamera2", "TranslationOfCamera2"
@@ -37,13 +29,11 @@ class _Opaque:
     kind: str
 
 
-def _is_transformation(path: Path) -> bool:
-    """True for MultiDIC's files, which are recognised by their names."""
-    return path.is_dir() or path.name.startswith("DLTstruct")
-
-
 def _holds_rig(file: CalibrationFile) -> bool:
-    return file.path.suffix.lower() == ".mat" and not _is_transformation(file.path)
+    """True for MATLAB's files but those of MultiDIC, which are recognised by their names."""
+    path = file.path
+    is_multidic = path.is_dir() or path.name.startswith("DLTstruct")
+    return path.suffix.lower() == ".mat" and not is_multidic
 
 
 def read_matlab_rig(file: CalibrationFile) -> Rig:
@@ -116,24 +106,9 @@ def _camera(
 
 
 def _variables(path: Path) -> dict[str, Any]:
-    """All variables of a MATLAB file, structures as dictionaries."""
-    start = read_bytes(path, 520)
-    with read_errors(checked_file(path), "save it again in MATLAB", what="is no MATLAB file"):
-        if HDF5_SIGNATURE in (start[:8], start[512:520]):
-            with open_hdf5(path) as file:
-                return {name: _value(file[name]) for name in file if not name.startswith("#")}
-        found = read_mat(path, what="is no MATLAB file", cure="save it again in MATLAB")
-    names = [name for name in found if not name.startswith("__")]
-    return {name: _from_version_5(found[name]) for name in names}
-
-
-def _from_version_5(value: Any) -> Any:
-    """A variable with MATLAB objects replaced by `_Opaque`; scipy gives them as arrays with the
-    fields variable, system, class and reference."""
-    if isinstance(value, dict):
-        return {name: _from_version_5(item) for name, item in value.items()}
-    is_object = isinstance(value, np.ndarray) and "s2" in (value.dtype.names or ())
-    return _Opaque(_text(value["s2"][0])) if is_object else value
+    """All variables of a MATLAB file, structures as dictionaries, objects as `_Opaque`."""
+    with open_mat(path) as found:
+        return {name: _value(item) for name, item in found.items()}
 
 
 def _tables(content: Any, depth: int = _MAX_DEPTH) -> Iterator[dict[str, Any]]:
@@ -145,9 +120,13 @@ def _tables(content: Any, depth: int = _MAX_DEPTH) -> Iterator[dict[str, Any]]:
 
 
 def _value(item: Any) -> Any:
-    """A variable of a version 7.3 file: structures are groups, arrays are transposed."""
+    """A variable of `open_mat` in memory."""
     if isinstance(item, Mapping):
         return {name: _value(item[name]) for name in item}
+    if not hasattr(item, "attrs"):
+        # Version 5: an object is an array with the fields variable, system, class and reference.
+        is_object = isinstance(item, np.ndarray) and "s2" in (item.dtype.names or ())
+        return _Opaque(_text(item["s2"][0])) if is_object else item
     kind = _text(item.attrs.get("MATLAB_class", b"double"))
     if kind in ("cell", "struct"):
         return None

@@ -9,23 +9,18 @@ from jaxtyping import Float
 from scipy.linalg import rq
 
 from palpate.errors import RecordError
-from palpate.files import read_bytes, read_errors
 from palpate.records.program import (
-    HDF5_SIGNATURE,
     MIN_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
-    checked_size,
     chosen_frame,
     make_pose,
 )
 from palpate.records.rig import Camera, PictureTracks, Rig
-from palpate.records.text import MAT_SIGNATURE, open_hdf5, read_mat
+from palpate.records.text import checked_size, open_mat, read_mat
 
 _POSITIONS, _PIXELS = "Points3D", "Points"
-_CURE = "save it again in MATLAB"
-_HDF5_HEADER = b"MATLAB 7.3 MAT-file"
 _PATTERN = "DLTstruct_cam_*.mat"
 _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
 
@@ -148,59 +143,27 @@ def _score(
 
 def _cells(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
     """Arrays of some cell arrays, from the only struct that has the first; empty where missing."""
-    start = read_bytes(path, 520)
-    with read_errors(path, _CURE):
-        if start.startswith(_HDF5_HEADER) or HDF5_SIGNATURE in (start[:8], start[512:520]):
-            return _cells_of_hdf5(path, keys, what)
-        if start.startswith(MAT_SIGNATURE):
-            return _cells_of_version_5(path, keys, what)
-    raise RecordError(f"{path}: is not a MATLAB file of version 5 to 7.3; save it again in MATLAB")
+    with open_mat(path) as content:
+        struct = content[_only_struct(path, keys[0], what, content)]
+        return [_arrays(struct[key]) if key in struct else [] for key in keys]
 
 
-def _cells_of_hdf5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
-    """Cell arrays of a version 7.3 file (HDF5): arrays are transposed, cells are references."""
-    with open_hdf5(path) as file:
-        present = [name for name in file if not name.startswith("#")]
-        groups = [name for name in present if isinstance(file[name], Mapping)]
-        struct = file[_only_struct(path, keys[0], what, groups, present, file)]
-        items = [struct.get(key) for key in keys]
-        links = [
-            [] if item is None else
-            [file[link] for link in np.asarray(item).ravel(order="F")] if item.dtype == object
-            else [item]
-            for item in items
-        ]  # fmt: skip
-        return [
-            [np.asarray(checked_size(array), dtype=np.float64).T for array in cell]
-            for cell in links
-        ]
+def _arrays(cell: Any) -> list[np.ndarray]:
+    """The arrays of a cell array; one of a single array may be that array itself."""
+    if not hasattr(cell, "file"):
+        values = np.asarray(cell)
+        items = values if values.dtype == object else [values]
+        return [np.asarray(item, dtype=np.float64) for item in items]
+    # Version 7.3: cells are references; the size of an array is checked before it is loaded.
+    sets = [cell]
+    if cell.dtype == object:
+        sets = [cell.file[link] for link in np.asarray(cell).ravel(order="F")]
+    return [np.asarray(checked_size(item), dtype=np.float64).T for item in sets]
 
 
-def _cells_of_version_5(path: Path, keys: Sequence[str], what: str) -> list[list[np.ndarray]]:
-    """Cell arrays of a version 5 to 7 file."""
-    content = read_mat(path, what="is damaged or cut off", cure=_CURE)
-    present = [name for name in content if not name.startswith("__")]
-    found = [name for name in present if isinstance(content[name], dict)]
-    struct = content[_only_struct(path, keys[0], what, found, present, content)]
-    items = [np.asarray(struct[key]) if key in struct else None for key in keys]
-    # A cell array of one state is simplified to that state.
-    return [
-        [] if item is None else
-        [np.asarray(array, dtype=np.float64) for array in item] if item.dtype == object
-        else [item.astype(np.float64)]
-        for item in items
-    ]  # fmt: skip
-
-
-def _only_struct(
-    path: Path,
-    key: str,
-    what: str,
-    structs: Sequence[str],
-    present: Sequence[str],
-    content: Mapping[str, Any],
-) -> str:
+def _only_struct(path: Path, key: str, what: str, content: Mapping[str, Any]) -> str:
     """Name of the only struct with a field; a file with none or several is refused."""
+    structs = [name for name, item in content.items() if isinstance(item, Mapping)]
     names = [name for name in structs if key in content[name]]
     if len(names) == 1:
         return names[0]
@@ -216,7 +179,7 @@ def _only_struct(
         if is_planar
         else f"give the file of the {what}"
     )
-    raise RecordError(f"{path}: has no struct with {key}: {cure}; it has: {', '.join(present)}")
+    raise RecordError(f"{path}: has no struct with {key}: {cure}; it has: {', '.join(content)}")
 
 
 def _holds_rig(file: CalibrationFile) -> bool:

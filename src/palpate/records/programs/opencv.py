@@ -135,22 +135,19 @@ def _camera(
 
 
 def _own_pose(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> np.ndarray:
-    rotation, translation = (
-        _numbered(entries, _ROTATION).get(name),
-        _numbered(entries, _TRANSLATION).get(name),
-    )
+    where = f"camera '{name or file.path.stem}'"
+    rotation = _numbered(entries, _ROTATION).get(name)
+    translation = _numbered(entries, _TRANSLATION).get(name)
     if rotation is None or translation is None:
         file.fail(
-            f"camera '{name or file.path.stem}' has no pose: give R and T between two cameras, or"
+            f"{where} has no pose: give R and T between two cameras, or"
             f" a rotation and a translation for each (found: {', '.join(entries)})"
         )
-    where = f"camera '{name or file.path.stem}'"
     return opencv_pose(file, where, rotation, translation, _metres(file, entries))
 
 
 def _metres(file: CalibrationFile, entries: Mapping[str, Any]) -> float:
-    stated = entries.get("length_unit")
-    return file.metres(stated=str(stated) if stated else None, default=None)
+    return file.metres(stated=entries.get("length_unit"), default=None)
 
 
 def opencv_pose(
@@ -192,11 +189,8 @@ def _size(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> tuple
 
 def _numbered(entries: Mapping[str, Any], pattern: re.Pattern[str]) -> dict[str, Any]:
     """Entries of one kind, by the number or side in their names; '' if there is none."""
-    found = {}
-    for key, value in entries.items():
-        if match := pattern.match(key):
-            found[(match[1] or "")] = value
-    return found
+    matches = ((pattern.match(key), value) for key, value in entries.items())
+    return {match[1] or "": value for match, value in matches if match}
 
 
 def _matrix_numbers(value: Any) -> Any:

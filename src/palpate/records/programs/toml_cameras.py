@@ -46,10 +46,8 @@ def read_camera_tables(file: CalibrationFile) -> Rig:
     """
     tables = _tables(file.content)
     is_caliscope = "cameras" in file.content or any("port" in t for t in tables.values())
-    stated = file.content.get("length_unit")
-    metres = file.metres(
-        stated=str(stated) if stated else None, default="m" if is_caliscope else None
-    )
+    default = "m" if is_caliscope else None
+    metres = file.metres(stated=file.content.get("length_unit"), default=default)
     used = {key: table for key, table in tables.items() if table.get("ignore") is not True}
     return file.rig([_camera(file, key, table, metres) for key, table in used.items()])
 

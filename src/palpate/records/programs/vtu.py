@@ -102,7 +102,7 @@ def _std(path: Path, data: Mapping[str, np.ndarray]) -> Points | None:
         if name in data:
             values = np.array(data[name], dtype=np.float64)
             if values.ndim == 1:
-                values = np.repeat(values[:, None], 3, axis=1)
+                values = values[:, None]
             if values.shape[1] not in (1, 3):
                 raise RecordError(
                     f"{path}: its point data '{name}' has {values.shape[1]} components; must be 1"

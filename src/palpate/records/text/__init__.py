@@ -17,30 +17,36 @@ from palpate.records.text.csv_table import (
     text_lines as text_lines,
 )
 from palpate.records.text.file_names import file_stems as file_stems
-from palpate.records.text.hdf5 import open_hdf5 as open_hdf5
-from palpate.records.text.json_file import (
-    json_text as json_text,
-    read_json as read_json,
+from palpate.records.text.hdf5 import (
+    HDF5_SIGNATURE as HDF5_SIGNATURE,
+    checked_size as checked_size,
+    open_hdf5 as open_hdf5,
 )
-from palpate.records.text.mat_file import MAT_SIGNATURE as MAT_SIGNATURE, read_mat as read_mat
+from palpate.records.text.json_file import json_text as json_text, read_json as read_json
+from palpate.records.text.mat_file import open_mat as open_mat, read_mat as read_mat
 from palpate.records.text.nearest import (
     nearest_file as nearest_file,
     nearest_word as nearest_word,
+    not_allowed as not_allowed,
 )
-from palpate.records.text.text_file import (
-    read_text as read_text,
-    write_text as write_text,
+from palpate.records.text.text_file import read_text as read_text, write_text as write_text
+from palpate.records.text.toml_table import (
+    TomlTable as TomlTable,
+    is_list_of as is_list_of,
+    read_toml as read_toml,
 )
-from palpate.records.text.toml_table import TomlTable as TomlTable, read_toml as read_toml
-from palpate.records.text.tree_file import (
-    TREE_SUFFIXES as TREE_SUFFIXES,
-    read_tree as read_tree,
-)
+from palpate.records.text.tree_file import TREE_SUFFIXES as TREE_SUFFIXES, read_tree as read_tree
 from palpate.records.text.units import (
-    FORCES as FORCES,
-    LENGTHS as LENGTHS,
-    MODULI as MODULI,
+    ANGLE_UNITS as ANGLE_UNITS,
+    COMPLIANCE_UNITS as COMPLIANCE_UNITS,
+    FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
+    FORCE_UNITS as FORCE_UNITS,
+    LENGTH_UNITS as LENGTH_UNITS,
+    MODULUS_UNITS as MODULUS_UNITS,
+    SECONDS as SECONDS,
+    STIFFNESS_UNITS as STIFFNESS_UNITS,
     Quantity as Quantity,
     quantities as quantities,
     quantity as quantity,
+    unit_name as unit_name,
 )

@@ -15,22 +15,14 @@ from palpate.errors import RecordError, quoted
 from palpate.files import read_bytes
 
 _UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
+_WORD = re.compile(r"\S+(?:(?<!\])\s+\[[^\]]*\])?")
 # Representations of "not a number" by programs, .NET and Visual C++, in several languages.
 _NO_NUMBER = {
-    "",
-    "-",
-    "na",
-    "n/a",
-    "#n/a",
-    "null",
-    "n. def.",
-    "neun",
-    "non num\u00e9rique",
-    "non un numero reale",
-    "\u975e\u6570\u5b57",
-    "\u221e",
-}
+    "", "-", "na", "n/a", "#n/a", "null", "n. def.", "neun", "non num\u00e9rique",
+    "non un numero reale", "\u975e\u6570\u5b57", "\u221e"
+}  # fmt: skip
 _NO_NUMBER_START = ("nan", "1.#")
+_INFINITE = {"inf", "infinity", "infinite", "infinito", "infini"}
 # Largest file [bytes]: three million rows of six numbers.
 _MAX_BYTES = 2**28
 # Longest line [characters]: longer than in any table, but within the limit of the csv module.
@@ -87,6 +79,12 @@ class TextTable:
     rows: tuple[str, ...]
     preamble: tuple[str, ...]
 
+    @property
+    def listed(self) -> str:
+        """The first headings, shortened, for messages about a column that is missing."""
+        shown = ", ".join(column.heading[:40] for column in self.columns[:12])
+        return shown + (", ..." if len(self.columns) > 12 else "")
+
     def find(self, words: Collection[str], *, normalise: Callable[[str], str]) -> Column | None:
         """The column whose name is one of some words, or None.
 
@@ -127,11 +125,9 @@ class TextTable:
         """
         found = {name: self.find(words, normalise=normalise) for name, words in wanted.items()}
         if missing := [name for name, column in found.items() if column is None]:
-            shown = ", ".join(column.name[:40] for column in self.columns[:12])
-            more = ", ..." if len(self.columns) > 12 else ""
             raise RecordError(
                 f"{self.path}: the column '{missing[0]}' is missing; {reason(missing)}; it has:"
-                f" {shown}{more}"
+                f" {self.listed}"
             )
         return [column for column in found.values() if column]
 
@@ -153,6 +149,27 @@ class TextTable:
                 f"{self.path}: its columns have different units ({each}); export all in one"
             )
         return units.pop()
+
+    def factor(self, wanted: Sequence[Column], known: Mapping[str, float], default: float) -> float:
+        """Value of the common unit of some columns in SI units.
+
+        Parameters
+        ----------
+        wanted : sequence of Column     of this table, at least one
+        known : mapping                 unit -> its value in SI units
+        default : float                 result if the columns have no unit
+
+        Raises
+        ------
+        RecordError                     the units differ, or are none of the known ones
+        """
+        unit = self.unit(wanted)
+        if unit is not None and unit not in known:
+            raise RecordError(
+                f"{self.path}: column {quoted(wanted[0].heading)} is in {quoted(unit)}; must be in"
+                f" one of {', '.join(known)}: convert it"
+            )
+        return default if unit is None else known[unit]
 
     def values(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
         """Numbers of some columns; NaN where a cell is empty or marked as not a number.
@@ -213,7 +230,7 @@ class TextTable:
         bare = word.lower().lstrip("+-")
         if word.lower() in _NO_NUMBER or bare in _NO_NUMBER or bare.startswith(_NO_NUMBER_START):
             return np.nan
-        if bare.startswith("inf"):
+        if bare in _INFINITE:
             return np.inf
         try:
             # Python would accept 1_0 as ten.
@@ -327,7 +344,8 @@ def _is_header(line: str) -> bool:
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
-    """Cells of one line; a blank as delimiter stands for any run of blanks.
+    """Cells of one line; a blank as delimiter stands for any run of blanks, and leaves a unit with
+    its quantity, as in `time [ms]`.
 
     Parameters
     ----------
@@ -338,7 +356,9 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     -------
     list of str                     quotes removed, except with blanks as delimiter
     """
-    return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
+    if delimiter == " ":
+        return _WORD.findall(line)
+    return next(csv.reader([line], delimiter=delimiter))
 
 
 def text_lines(path: Path, *, cure: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""MATLAB files of version 5 to 7.2, whose structure is validated before they are read.
+"""MATLAB files: version 7.3, which is HDF5, and 5 to 7.2, which are validated before they are read.
 
 SciPy's reader trusts the sizes in a file: one wrong byte can crash the process.
 """
@@ -7,14 +7,18 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from scipy.io import loadmat
 
 from palpate.files import max_unpacked_size, read_bytes, read_errors
+from palpate.records.text.hdf5 import HDF5_SIGNATURE, open_hdf5
 
-MAT_SIGNATURE = b"MATLAB 5.0 MAT-file"
+_SIGNATURE, _HDF5_HEADER = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+# Where the HDF5 content of a file may begin [bytes]: behind MATLAB's header, or at once.
+_HDF5_STARTS = (512, 0)
 _HEADER = 128
 # Types of data elements: numbers with their sizes in bytes, matrices, compressed elements.
 _NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
@@ -23,6 +27,40 @@ _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _CELL, _STRUCT, _OBJECT, _CHAR, _NUMERIC = 1, 2, 3, 4, range(6, 16)
 _COMPLEX = 0x800
 Elements = list[tuple[int, memoryview]]
+
+
+@contextmanager
+def open_mat(path: Path) -> Iterator[dict[str, Any]]:
+    """The variables of a file of version 5 to 7.3, to be used within the block.
+
+    Structures are mappings. In version 7.3 arrays are data sets that are not yet loaded and
+    transposed, cells are references in the data set's file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Yields
+    ------
+    dict of str to any              variables by name
+
+    Raises
+    ------
+    RecordError                     missing, of another version, damaged; also in place of errors of
+                                    the block
+    InputError                      h5py is not installed, for version 7.3
+    """
+    start, cure = read_bytes(path, 520), "save it again in MATLAB"
+    in_hdf5 = any(start[at : at + 8] == HDF5_SIGNATURE for at in _HDF5_STARTS)
+    is_known = in_hdf5 or start.startswith((_SIGNATURE, _HDF5_HEADER))
+    what = "is damaged or cut off" if is_known else "is not a MATLAB file of version 5 to 7.3"
+    with read_errors(path, cure, what=what):
+        if in_hdf5 or start.startswith(_HDF5_HEADER):
+            with open_hdf5(path) as file:
+                yield {name: file[name] for name in file if not name.startswith("#")}
+        else:
+            found = read_mat(path, what=what, cure=cure)
+            yield {name: found[name] for name in found if not name.startswith("__")}
 
 
 def read_mat(path: Path, *, what: str, cure: str, **options: Any) -> dict[str, Any]:
@@ -48,7 +86,7 @@ def read_mat(path: Path, *, what: str, cure: str, **options: Any) -> dict[str, A
     """
     content = read_bytes(path)
     with read_errors(path, cure, what=what):
-        if not content.startswith(MAT_SIGNATURE):
+        if not content.startswith(_SIGNATURE):
             raise ValueError(f"it starts with {content[:19]!r}")
         order = {b"IM": "<", b"MI": ">"}[content[126:_HEADER]]
         remaining = max_unpacked_size(len(content))

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
+from palpate.errors import quoted
+
 # Limits on what is compared, as the comparison takes quadratic time.
 _LONGEST_WORD, _MAX_NAMES = 100, 1000
 
@@ -23,6 +25,21 @@ def nearest_word(word: str, allowed: Sequence[str]) -> str:
     """
     near = get_close_matches(word.lower()[:_LONGEST_WORD], allowed, n=1, cutoff=0.6)
     return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def not_allowed(word: str, allowed: Sequence[str]) -> str:
+    """Part of an error message that quotes a word and lists those that are allowed in its place.
+
+    Parameters
+    ----------
+    word : str                      as written by the user
+    allowed : sequence of str
+
+    Returns
+    -------
+    str                             e.g. "'forse'; did you mean 'force'? (allowed: force, name)"
+    """
+    return f"{quoted(word)}{nearest_word(word, allowed)} (allowed: {', '.join(allowed)})"
 
 
 def nearest_file(path: Path, *, exclude: str = "") -> str:

@@ -4,7 +4,7 @@ import os
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -13,7 +13,7 @@ import numpy as np
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import InputError, RecordError, quoted
 from palpate.files import is_file, read_errors
-from palpate.records.text.nearest import nearest_file, nearest_word
+from palpate.records.text.nearest import nearest_file, not_allowed
 from palpate.records.text.text_file import read_text
 from palpate.shapes import Vector3
 
@@ -27,6 +27,9 @@ _RANGE = f" (0, or {_SMALLEST_NUMBER:g} to {LARGEST_NUMBER:g} in size)"
 @dataclass(frozen=True, slots=True)
 class TomlTable:
     """One table of a TOML file, which knows its file and name for error messages.
+
+    Its readers, from `text` on, take the name of a key; they raise `RecordError` if the key is
+    missing, or if its value is not what the reader is for.
 
     Parameters
     ----------
@@ -67,8 +70,21 @@ class TomlTable:
         """
         for key in self.values:
             if key not in allowed:
-                near = nearest_word(key, allowed)
-                self.fail("", f"unknown key {quoted(key)}{near} (allowed: {', '.join(allowed)})")
+                self.fail("", f"unknown key {not_allowed(key, allowed)}")
+
+    def check_format(self, wanted: str) -> None:
+        """Refuse a file that is not in the format that its key `format` should name.
+
+        Parameters
+        ----------
+        wanted : str                    e.g. "palpate-session/1"
+
+        Raises
+        ------
+        RecordError                     the key is missing, or names another format
+        """
+        if (found := self.get("format")) != wanted:
+            self.fail("format", f"is {quoted(found)}; this version reads '{wanted}'")
 
     def get(self, key: str) -> Any:
         """Value of a required key.
@@ -84,6 +100,39 @@ class TomlTable:
         if key not in self.values:
             self.fail("", f"the key '{key}' is missing")
         return self.values[key]
+
+    def checked(self, fits: Callable[[Any], object], key: str, must: str) -> Any:
+        """Value of a required key, after a test.
+
+        Parameters
+        ----------
+        fits : callable                 value -> whether it is accepted
+        key : str
+        must : str                      what the value must do or be, for the message
+
+        Raises
+        ------
+        RecordError                     the key is missing, or its value does not pass the test
+        """
+        value = self.get(key)
+        if not fits(value):
+            self.fail(key, f"is {quoted(value)}; must {must}")
+        return value
+
+    def each(self, read: "Callable[[TomlTable, str], T]", key: str) -> list[T]:
+        """Items of a list, each read as if it were the value of its key.
+
+        Parameters
+        ----------
+        read : callable                 a method of this class, e.g. `TomlTable.vector`
+        key : str                       of a list
+
+        Raises
+        ------
+        RecordError                     missing, or not a list; as `read`
+        """
+        items = self.checked(is_list_of(object), key, "be a list")
+        return [read(replace(self, values={key: item}), key) for item in items]
 
     def optional(self, key: str, read: Callable[[str], T]) -> T | None:
         """Value of an optional key, read by a method of this table, or None if it is missing.
@@ -116,37 +165,14 @@ class TomlTable:
             raise RecordError(f"{place}: {error}") from error
 
     def text(self, key: str) -> str:
-        """A non-empty string.
-
-        Parameters
-        ----------
-        key : str
-
-        Raises
-        ------
-        RecordError                     missing, not a text, or blank
-        """
-        value = self.get(key)
-        if not isinstance(value, str):
-            self.fail(key, f"is {quoted(value)}; must be a text in quotes")
-        if not value.strip():
-            self.fail(key, f"is {quoted(value)}; must not be empty")
-        return value
+        """A non-empty string."""
+        self.checked(lambda value: isinstance(value, str), key, "be a text in quotes")
+        return self.checked(str.strip, key, "not be empty")
 
     def label(self, key: str) -> str:
-        """A one-line text for use in tables, pictures and file names.
-
-        Parameters
-        ----------
-        key : str
-
-        Raises
-        ------
-        RecordError                     as `text`; a line break or another unprintable character
-        """
-        if not (value := self.text(key)).isprintable():
-            self.fail(key, f"is {quoted(value)}; must have no line break or control character")
-        return value
+        """A one-line text for use in tables, pictures and file names."""
+        self.text(key)
+        return self.checked(str.isprintable, key, "have no line break or control character")
 
     def choice(self, key: str, allowed: Sequence[str]) -> str:
         """One of some words.
@@ -162,29 +188,17 @@ class TomlTable:
         """
         value = self.text(key)
         if value not in allowed:
-            near = nearest_word(value, allowed)
-            self.fail(key, f"is {quoted(value)}{near} (allowed: {', '.join(allowed)})")
+            self.fail(key, f"is {not_allowed(value, allowed)}")
         return value
 
     def number(self, key: str) -> float:
         """A finite number.
 
-        Parameters
-        ----------
-        key : str
-
         Returns
         -------
         float
-
-        Raises
-        ------
-        RecordError                     missing, not a number, or not finite
         """
-        value = self.get(key)
-        if not _is_number(value):
-            self.fail(key, f"is {quoted(value)}; must be a finite number{_RANGE}")
-        return float(value)
+        return float(self.checked(_is_number, key, f"be a finite number{_RANGE}"))
 
     def quantity(self, key: str, units: Mapping[str, float], plain: float | None = None) -> float:
         """A number with its unit, in quotes, such as "0.5 mm"; or a plain number.
@@ -225,96 +239,42 @@ class TomlTable:
         return factor * float(value)
 
     def count(self, key: str) -> int:
-        """A non-negative integer.
-
-        Parameters
-        ----------
-        key : str
-
-        Raises
-        ------
-        RecordError                     missing, or something else
-        """
-        value = self.get(key)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            self.fail(key, f"is {quoted(value)}; must be a whole number, 0 or more")
-        return value
+        """A non-negative integer."""
+        return self.checked(
+            lambda value: type(value) is int and value >= 0, key, "be a whole number, 0 or more"
+        )
 
     def boolean(self, key: str) -> bool:
-        """True or false.
-
-        Parameters
-        ----------
-        key : str
-
-        Raises
-        ------
-        RecordError                     missing, or something else
-        """
-        value = self.get(key)
-        if not isinstance(value, bool):
-            self.fail(key, f"is {quoted(value)}; must be true or false, without quotes")
-        return value
+        """True or false."""
+        return self.checked(
+            lambda value: isinstance(value, bool), key, "be true or false, without quotes"
+        )
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """A list of texts.
-
-        Parameters
-        ----------
-        key : str
-
-        Raises
-        ------
-        RecordError                     missing, or something else
-        """
-        value = self.get(key)
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            self.fail(key, f"is {quoted(value)}; must be a list of texts in quotes")
-        return tuple(value)
+        """A list of texts."""
+        return tuple(self.checked(is_list_of(str), key, "be a list of texts in quotes"))
 
     def vector(self, key: str) -> Vector3:
         """Three finite numbers.
 
-        Parameters
-        ----------
-        key : str
-
         Returns
         -------
         (3,) float
-
-        Raises
-        ------
-        RecordError                     missing, or not three finite numbers
         """
-        value = self.get(key)
-        if not (isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))):
-            self.fail(key, f"is {quoted(value)}; must be three finite numbers, e.g. [0, 0, -1.2]")
+        value = self.checked(_is_vector, key, "be three finite numbers, e.g. [0, 0, -1.2]")
         return np.array(value, dtype=np.float64)
 
     def number_or_vector(self, key: str) -> Vector3:
         """Three finite numbers, or one that stands for all three.
 
-        Parameters
-        ----------
-        key : str
-
         Returns
         -------
         (3,) float
-
-        Raises
-        ------
-        RecordError                     missing, or neither
         """
-        value = self.get(key)
-        if _is_number(value):
-            return np.full(3, float(value))
-        if not isinstance(value, list):
-            self.fail(
-                key, f"is {quoted(value)}; must be a finite number, or three of them in brackets"
-            )
-        return self.vector(key)
+        if isinstance(self.get(key), list):
+            return self.vector(key)
+        must = "be a finite number, or three of them in brackets"
+        return np.full(3, float(self.checked(_is_number, key, must)))
 
     def table(self, key: str, name: str | None = None) -> "TomlTable":
         """A table inside this one, called `[key]`, or `name`, in messages.
@@ -328,9 +288,7 @@ class TomlTable:
         ------
         RecordError                     missing, or not a table
         """
-        value = self.get(key)
-        if not isinstance(value, dict):
-            self.fail(key, f"is {quoted(value)}; must be a table")
+        value = self.checked(lambda value: isinstance(value, dict), key, "be a table")
         return TomlTable(self.file, name or f"[{key}]", value)
 
     def tables(self, key: str, name: str | None = None) -> "tuple[TomlTable, ...]":
@@ -347,7 +305,7 @@ class TomlTable:
         """
         value = self.get(key)
         items = value if isinstance(value, list) else [value]
-        if not all(isinstance(item, dict) for item in items):
+        if not is_list_of(dict)(items):
             self.fail(key, f"is {quoted(value)}; must be a table or a list of tables")
         return tuple(
             TomlTable(self.file, name or f"[[{key}]] number {number}", item)
@@ -391,6 +349,21 @@ def read_toml(path: Path) -> TomlTable:
     text = read_text(path)
     with read_errors(path, "correct it there", what="is not valid TOML"):
         return TomlTable(path, "", tomllib.loads(text))
+
+
+def is_list_of(kind: type) -> Callable[[Any], bool]:
+    """Test for a list whose items are all of one type, for `TomlTable.checked`.
+
+    Parameters
+    ----------
+    kind : type
+    """
+    return lambda value: isinstance(value, list) and all(isinstance(x, kind) for x in value)
+
+
+def _is_vector(value: object) -> bool:
+    """True for a list of three numbers."""
+    return isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
 
 
 def _is_number(value: object) -> bool:
