@@ -1,12 +1,13 @@
 """Every thing is done once, whatever the number of threads, and errors come through."""
 
 import threading
+import time
 
 import numba
 import numpy as np
 import pytest
 
-from palpate.threads import in_threads
+from palpate.threads import in_threads, map_in_threads
 
 
 @pytest.fixture(params=[1, 2])
@@ -55,3 +56,17 @@ def test_an_error_in_a_thread_comes_through(threads):
 
     with pytest.raises(ZeroDivisionError):
         in_threads(kernel, 8)
+
+
+def test_results_come_in_the_order_of_the_items(threads):
+    found = map_in_threads(
+        lambda x, y: (time.sleep(x), x + y)[1], [0.02, 0.0, 0.01], [1.0, 2.0, 3.0]
+    )
+    assert list(found) == [1.02, 2.0, 3.01]
+
+
+def test_the_error_of_an_item_is_raised_at_its_turn(threads):
+    found = map_in_threads(lambda x: 1 // x, [1, 0, 2])
+    assert next(found) == 1
+    with pytest.raises(ZeroDivisionError):
+        next(found)

@@ -2,12 +2,10 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -15,6 +13,7 @@ from palpate.calibration.adjustment import Corners
 from palpate.calibration.targets import Sighting, Target
 from palpate.errors import CalibrationError, RecordError
 from palpate.progress import Progress, silent
+from palpate.threads import map_in_threads
 from palpate.vision import read_grey
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
@@ -126,10 +125,9 @@ def find_boards(
         return (grey.shape[1], grey.shape[0]), seen, _edge_width(grey, seen)
 
     results = []
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done, result in enumerate(pool.map(work, jobs), start=1):
-            results.append(result)
-            progress(f"{jobs[done - 1][2].name}", done / len(jobs))
+    for done, result in enumerate(map_in_threads(work, jobs), start=1):
+        results.append(result)
+        progress(f"{jobs[done - 1][2].name}", done / len(jobs))
     sizes = _sizes(jobs, [size for size, _, _ in results])
     blurred = _blurred(jobs, [seen for _, seen, _ in results], [width for _, _, width in results])
     sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]

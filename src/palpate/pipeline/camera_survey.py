@@ -1,7 +1,5 @@
 """Survey of a session's cameras and pictures before any motion is measured."""
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
@@ -13,6 +11,7 @@ from jaxtyping import Float
 from palpate.errors import PalpateError, RecordError
 from palpate.pipeline.object_pose import posed_rig
 from palpate.records import Images, Rig, Session, read_rig
+from palpate.threads import map_in_threads
 from palpate.vision import (
     JointFlow,
     Outcome,
@@ -210,10 +209,8 @@ def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[st
         return (), ()
     rig = read_rig(session.rig)
     instants = _instants(session)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        surveyed = list(
-            pool.map(partial(_survey_instant, session, rig), instants, instants.values())
-        )
+    survey = partial(_survey_instant, session, rig)
+    surveyed = list(map_in_threads(survey, instants, instants.values()))
     pictures = [each for each, _ in surveyed]
     remarks = [text for _, notes in surveyed for text in notes]
     _check_copies(session, rig, instants, pictures)

@@ -1,10 +1,8 @@
 """Camera pictures on the gauge's clock: clock offsets, times of rest, moments for rest pictures."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -21,6 +19,7 @@ from palpate.recording.pictures import (
     still_frames,
 )
 from palpate.recording.recording_file import Recording
+from palpate.threads import map_in_threads
 
 # Least time between a touch and the rest picture before it, and least duration of that rest [s].
 _MIN_GAP, _MIN_REST = 0.15, 0.2
@@ -79,8 +78,7 @@ def synchronise_cameras(
         motion = camera_motion(footage, progress=part_of(report, 0.0, 0.5))
         return motion, _clock(footage, motion, force, touches, plateau_spans)
 
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        return list(pool.map(process, range(count)))
+    return list(map_in_threads(process, range(count)))
 
 
 def _clock(
