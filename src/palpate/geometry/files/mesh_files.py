@@ -13,6 +13,7 @@ from palpate.disk import atomic_replacement, write_bytes, write_errors
 from palpate.errors import InputError, MeshError
 from palpate.files import read_bytes, read_errors
 from palpate.geometry.files.corners import check_text_msh, check_text_ply, whole_numbers
+from palpate.geometry.files.msh_nodes import check_msh_nodes
 from palpate.geometry.files.obj_file import parse_obj
 from palpate.geometry.files.step_file import STEP_SUFFIXES, read_step
 from palpate.geometry.files.vtp_file import check_packed_arrays, parse_vtp
@@ -214,6 +215,7 @@ def _check_whole(content: bytes, suffix: str) -> None:
             check_text_ply(content)
     elif suffix == ".msh":
         check_text_msh(content)
+        check_msh_nodes(content)
     elif suffix == ".vtu":
         check_packed_arrays(content)
     elif suffix == ".off":
