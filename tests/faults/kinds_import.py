@@ -40,7 +40,7 @@ KINDS = [
         "a least score of nan", _table(*_ROWS), '--min-score is "nan"', options="--min-score nan"
     ),
     _kind(
-        "a least score where none is told",
+        "a least score where none is stated",
         _table("0.1,0,0,5,5,40", head="u,v,w,ref_x,ref_y,ref_z"),
         "has no correlation",
         options="--min-score 0.5",

@@ -1,4 +1,4 @@
-"""Sessions: what a good one becomes, and what every kind of bad one is told."""
+"""Sessions: what a good one becomes, and the message for each kind of bad one."""
 
 import numpy as np
 import pytest

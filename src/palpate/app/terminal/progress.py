@@ -18,7 +18,7 @@ from palpate.progress import Progress
 def progress_bar() -> Iterator[Progress]:
     """A callback `(stage, fraction)` that moves a bar on stderr; the bar vanishes at the end.
 
-    Where stderr is not a terminal nothing is shown; where every stage is to be told, each has a
+    Where stderr is not a terminal nothing is shown; where every stage is to be shown, each has a
     line with the seconds so far, on a terminal or not.
     """
     if wanted_output().verbose:
@@ -119,7 +119,7 @@ class StageLog:
 
         Parameters
         ----------
-        progress : callable         is told all the same
+        progress : callable         is called all the same
         """
 
         def report(stage: str, fraction: float) -> None:

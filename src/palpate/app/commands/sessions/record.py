@@ -101,9 +101,9 @@ def _presses(found: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
     caption = (
         "time: of the picture under load, gauge's clock; creep: of the force along the plateau;"
         " hysteresis: force going in less coming out at the same picture, of the full force, where"
-        " the clocks' offset is told;"
+        " the clocks' offset is given;"
         " frames: whose mean the picture is; ±: one standard deviation along the surface, - where"
-        " the place was told"
+        " the place was given"
     )
     return terminal_table(
         f"{len(placed)} of {len(found.touches)} presses", columns, rows, caption=caption
@@ -115,7 +115,7 @@ def _clocks(found: Recorded) -> Table:
         (
             motion.camera, str(len(motion.time)), f"{1.0 / motion.interval:.2f}",
             str(motion.dropped), str(motion.repeated), str(motion.lost), f"{clock.offset:+.4f}",
-            "told" if clock.given else number_text(1e3 * clock.std, ".1f"),
+            "given" if clock.given else number_text(1e3 * clock.std, ".1f"),
             number_text(1e3 * clock.scatter, ".1f"),
         )
         for motion, clock in zip(found.motions, found.clocks, strict=True)

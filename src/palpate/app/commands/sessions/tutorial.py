@@ -9,7 +9,7 @@ from palpate.calibration import Charuco
 from palpate.lab import Print, choose_variant, make_tutorial
 from palpate.records import result_folder
 
-# Board of the pictures, as `palpate calibrate` is told; dots a square of its print.
+# Board of the pictures, as given to `palpate calibrate`; dots a square of its print.
 _BOARD = Charuco(7, 5, 16e-3, 12e-3)
 _DOTS_PER_SQUARE = 80
 
