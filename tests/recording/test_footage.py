@@ -43,3 +43,10 @@ def test_times_are_read_in_the_unit_of_their_heading(tmp_path: Path) -> None:
     path.write_text("frame,time [h]\n0,0\n1,1\n")
     with pytest.raises(RecordError, match=r"is in 'h'; must be in one of s, ms"):
         footage.read_times(path)
+
+
+def test_a_list_without_headings_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "c0.csv"
+    path.write_text('""\n1\n2\n')
+    with pytest.raises(RecordError, match=r"c0\.csv: line 1 has no headings"):
+        footage.read_times(path)

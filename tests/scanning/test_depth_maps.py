@@ -33,7 +33,7 @@ def test_every_format_gives_the_same_points(tmp_path, name):
 def test_several_maps_in_one_file_are_refused(tmp_path):
     _, pages = cv2.imencodemulti(".tif", [LEVELS, LEVELS])
     (tmp_path / "depth.tif").write_bytes(pages.tobytes())
-    with pytest.raises(RecordError, match=r"depth\.tif: cannot be read .*it holds 2 pictures"):
+    with pytest.raises(RecordError, match=r"depth map: .*depth\.tif: holds 2 pictures"):
         _points(tmp_path / "depth.tif")
 
 

@@ -29,10 +29,10 @@ from palpate.vision.images import (
     VIDEO_SUFFIXES as VIDEO_SUFFIXES,
     Pictures as Pictures,
     open_video as open_video,
-    picture_count as picture_count,
     prepare_pictures as prepare_pictures,
     read_grey as read_grey,
     read_pictures as read_pictures,
+    read_stored as read_stored,
     video_frames as video_frames,
 )
 from palpate.vision.joint import (

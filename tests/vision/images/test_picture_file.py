@@ -1,5 +1,6 @@
 """Sizes that headers claim, against what encoders put into them."""
 
+import resource
 import struct
 import tracemalloc
 
@@ -9,7 +10,7 @@ import pytest
 
 from palpate.errors import RecordError
 from palpate.records import Camera, Rig
-from palpate.vision.images.picture_file import claimed_size
+from palpate.vision.images.picture_file import claimed_size, decode_picture
 from palpate.vision.images.pictures import read_pictures
 
 GREY = np.arange(12 * 20, dtype=np.uint8).reshape(12, 20)
@@ -63,3 +64,19 @@ def test_a_size_that_no_camera_has_is_refused_before_memory_is_taken(tmp_path):
     # Of the 900 MB that it claims.
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize("length", [100, 0xF4002F49, 0x7FFFFFFF])
+def test_a_chunk_longer_than_its_file_takes_no_memory(length):
+    content = _encoded(".png")
+    place = content.index(b"IDAT") - 4
+    damaged = content[:place] + struct.pack(">I", length + len(content)) + content[place + 4 :]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(RecordError, match=r"is cut off or damaged.*it has \d+ bytes"):
+        decode_picture(damaged)
+    # Kilobytes: OpenCV would take four gigabytes for the longest.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
+def test_what_follows_the_end_of_a_png_does_not_matter():
+    np.testing.assert_array_equal(decode_picture(_encoded(".png") + b"more"), GREY)

@@ -291,6 +291,8 @@ def read_text_table(path: Path, *, cure: str) -> TextTable:
     ]
     while headings and not headings[-1]:
         headings.pop()
+    if not headings:
+        raise RecordError(f"{path}: line {header_row + 1} has no headings; {cure}")
     return make_table(path, lines, headings, first=header_row + 1, delimiter=delimiter, cure=cure)
 
 

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -10,7 +9,7 @@ from palpate.errors import RecordError
 from palpate.files import parse_array, read_bytes, read_errors
 from palpate.records import Camera
 from palpate.shapes import Points
-from palpate.vision import normalised, picture_count
+from palpate.vision import normalised, read_stored
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 _MAX_BYTES = 2**28
@@ -68,16 +67,12 @@ def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Poin
 
 
 def _levels(path: Path) -> Float[np.ndarray, "rows columns"]:
-    content = read_bytes(path, max_bytes=_MAX_BYTES)
     with read_errors(path, "write it again", what="cannot be read as a depth map"):
-        levels: np.ndarray | None
         if path.suffix.lower() == ".npy":
-            levels = parse_array(content)
-        elif (count := picture_count(content)) > 1:
-            raise ValueError(f"it holds {count} pictures; give each a file of its own")
+            levels = parse_array(read_bytes(path, max_bytes=_MAX_BYTES))
         else:
-            levels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-        if levels is None or levels.ndim != 2:
+            levels, _ = read_stored(path, "depth map", None)
+        if levels.ndim != 2:
             raise ValueError("it must be one number a pixel")
         if levels.dtype == np.uint8:
             raise ValueError("it has 8 bits a pixel; depth needs 16")

@@ -23,11 +23,11 @@ from palpate.vision.images.normalisation import (
     moments as moments,
     point_spread_variance as point_spread_variance,
 )
-from palpate.vision.images.picture_file import picture_count as picture_count
 from palpate.vision.images.pictures import (
     Pictures as Pictures,
     read_grey as read_grey,
     read_pictures as read_pictures,
+    read_stored as read_stored,
 )
 from palpate.vision.images.spline import (
     SplinePicture as SplinePicture,

@@ -125,7 +125,8 @@ def decode_picture(content: bytes) -> np.ndarray:
     pixels = None
     buffer = np.frombuffer(content, dtype=np.uint8)
     with _codec_messages() as messages, suppress(cv2.error):
-        pixels = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+        if not _is_cut_png(content):
+            pixels = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     damage = [_SOURCE.sub("", line.strip()) for line in messages if _DAMAGE.search(line)]
     # The end marker 0xFF 0xD9 cannot occur within coded data.
     if content.startswith(_JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
@@ -137,6 +138,21 @@ def decode_picture(content: bytes) -> np.ndarray:
             f" {len(content)} bytes: copy or record it again"
         )
     return pixels
+
+
+def _is_cut_png(content: bytes) -> bool:
+    """True for a PNG file that ends within a chunk: OpenCV takes memory for all that a chunk claims
+    to have, up to four gigabytes, before it reads the chunk."""
+    if not content.startswith(_PNG):
+        return False
+    # A chunk is its length, its name of four letters, so many bytes, and their checksum.
+    place = len(_PNG)
+    while place + 8 <= len(content):
+        length, name = struct.unpack_from(">I4s", content, place)
+        place += 12 + length
+        if name == b"IEND":
+            break
+    return place > len(content)
 
 
 @contextmanager

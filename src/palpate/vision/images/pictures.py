@@ -125,7 +125,7 @@ def _read_picture(
     camera: Camera, path: Path, place: str
 ) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
     """Grey levels, saturated fraction and remarks of one file."""
-    stored, place = _stored(path, place, camera)
+    stored, place = read_stored(path, place, camera)
     levels, remarks = _grey_levels(stored, place)
     return levels, _saturated_fraction(stored), remarks
 
@@ -146,12 +146,30 @@ def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
     RecordError                     the file is missing, damaged, of an unknown type, holds several
                                     pictures, values that are not finite, or one grey everywhere
     """
-    stored, place = _stored(path, "picture", None)
+    stored, place = read_stored(path, "picture", None)
     return _grey_levels(stored, place)[0]
 
 
-def _stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, str]:
-    """Pixels of a file as stored, and the file's name for messages."""
+def read_stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, str]:
+    """Pixels of a file as stored, and the file's name for messages.
+
+    Parameters
+    ----------
+    path : Path
+    place : str                     what the file is, before its name in messages
+    camera : Camera or None         whose size the picture must have
+
+    Returns
+    -------
+    pixels : array                  as `decode_picture` gives them
+    place : str                     with the file's name
+
+    Raises
+    ------
+    RecordError                     the file is missing, damaged, of an unknown type or too large,
+                                    or holds several pictures
+    CalibrationError                its size is not the camera's
+    """
     try:
         content = read_bytes(path)
     except RecordError as error:
