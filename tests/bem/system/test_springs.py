@@ -121,3 +121,22 @@ def test_what_a_softer_support_changes(glued, compliance):
     np.testing.assert_allclose(value, solved(compliance, one[None][:0]), rtol=1e-12)
     # A difference of 1e-5 leaves 1e-10 of the third derivative, and rounding of 1e-16 / 1e-5.
     np.testing.assert_allclose(slope, difference, atol=1e-6 * np.abs(difference).max())
+
+
+def test_springs_that_two_supports_share(glued):
+    halves = [BOTTOM[MIDDLE[BOTTOM, 1] < SIZE[1] / 2], BOTTOM[MIDDLE[BOTTOM, 1] > SIZE[1] / 2]]
+    springs = make_springs(glued, halves, np.array([], dtype=np.int64))
+    share = springs.support_fraction
+    shared = (share > 0.0).all(axis=1)
+    assert shared.any()
+    assert not shared.all()
+    np.testing.assert_allclose(share.sum(axis=1), 1.0)
+    # Both give: each in proportion to its share, also in the derivatives.
+    both = np.array([2e-8, 5e-8])
+    np.testing.assert_allclose(springs.compliance(both), share @ both)
+    np.testing.assert_array_equal(springs.compliance_derivatives(both), share.T)
+    # One is rigid: what it holds, alone or together, does not give, however the other changes.
+    one = np.array([0.0, 5e-8])
+    np.testing.assert_allclose(springs.compliance(one), np.where(share[:, 0] > 0.0, 0.0, one[1]))
+    assert (springs.compliance_derivatives(one)[:, shared] == 0.0).all()
+    assert (springs.compliance_derivatives(one)[1, share[:, 1] == 1.0] == 1.0).all()
