@@ -15,7 +15,9 @@ from vision.scenes import (
     rigid,
 )
 
-from palpate.vision.joint.acceptance import _matching_bias
+from palpate.vision.images import spline_pictures
+from palpate.vision.joint.acceptance import _matching_bias, accepted_flow
+from palpate.vision.joint.match import match_scene
 from palpate.vision.joint.refinement import Match
 from palpate.vision.range_flow import Outcome, is_valid
 
@@ -178,3 +180,21 @@ def test_points_beside_what_covers_the_surface_are_less_certain():
     ratio = sure[near & same] / (sure / bias * usual)[near & same]
     assert ratio.max() - ratio.min() < 1e-9 * ratio.max()
     assert 4.0 < ratio.max() <= (0.006 / 0.002) ** 2 * (1.0 + 1e-9)
+
+
+def test_points_that_noise_moves_by_a_tenth_of_a_pixel_have_too_little_texture():
+    state = first_instant(example(), noisy_views(example_views("still"), NOISE, 1))
+    scene = state.scene
+    later = spline_pictures(noisy_views(example_views("still"), NOISE, 2), scene.smoothing)
+    match, noise = match_scene(scene, later, np.zeros((len(scene.point), 6, 3)), shape="affine")
+    flow = accepted_flow(scene, match, noise)
+    good = np.flatnonzero(is_valid(flow))[:200:2]
+    # The first camera looks straight down: x and y are across its axis.
+    by_noise = (flow.covariance - flow.bias)[good]
+    lateral = np.sqrt(np.maximum(by_noise[:, 0, 0], by_noise[:, 1, 1]))
+    for pixels, outcome in ((0.09, Outcome.VALID), (0.12, Outcome.TEXTURE)):
+        # A pixel is as wide as the pitch, within the 2 % by which the surface is not a plane.
+        covariance = match.covariance.copy()
+        covariance[good] *= ((pixels * PITCH / lateral) ** 2)[:, None, None]
+        flow = accepted_flow(scene, match._replace(covariance=covariance), noise)
+        assert (flow.outcome[good] == outcome).all()
