@@ -2,6 +2,7 @@
 tangents of a normal, medians that ignore missing values."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -110,6 +111,35 @@ def fixed_array(
         array = rounded
     array.setflags(write=False)
     return array
+
+
+def fix_fields(
+    record: Any,
+    *,
+    integer: bool = False,
+    nan_allowed: bool = False,
+    none_allowed: bool = False,
+    **shapes: Sequence[int | None],
+) -> None:
+    """Replace fields of a frozen dataclass by checked read-only copies.
+
+    Parameters
+    ----------
+    record : dataclass              that is being made
+    integer, nan_allowed : bool     as in `fixed_array`, for all the fields of this call
+    none_allowed : bool             None stays None
+    **shapes                        name of a field -> its shape, as in `fixed_array`
+
+    Raises
+    ------
+    InputError                      as `fixed_array`; the text names the field
+    """
+    for name, shape in shapes.items():
+        value = getattr(record, name)
+        if value is None and none_allowed:
+            continue
+        array = fixed_array(value, name=name, shape=shape, integer=integer, nan_allowed=nan_allowed)
+        object.__setattr__(record, name, array)
 
 
 def with_rows(

@@ -1,9 +1,11 @@
 """Checked read-only copies: what passes, and what each refusal says; rows replaced in a copy."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
-from palpate.arrays import fixed_array, lengths, tangents_of, with_rows
+from palpate.arrays import fix_fields, fixed_array, lengths, tangents_of, with_rows
 from palpate.errors import InputError
 
 
@@ -55,3 +57,25 @@ def test_lengths_are_those_of_each_vector():
 def test_tangents_and_normal_are_orthogonal(normal):
     frame = np.vstack([tangents_of(np.array(normal)), np.array(normal) / np.linalg.norm(normal)])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-14)
+
+
+@dataclass(frozen=True)
+class _Record:
+    place: object
+    weight: object = None
+
+    def __post_init__(self) -> None:
+        fix_fields(self, place=(3,))
+        fix_fields(self, none_allowed=True, weight=(None,))
+
+
+def test_fields_of_records_are_fixed():
+    given = np.zeros(3)
+    record = _Record(given, [1, 2])
+    given[:] = 1.0
+    assert (record.place.tolist(), record.weight.tolist()) == ([0.0] * 3, [1.0, 2.0])
+    assert not record.place.flags.writeable
+    assert _Record(given).weight is None
+    for bad in (None, [0, 1]):
+        with pytest.raises(InputError, match="place has shape"):
+            _Record(bad)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from palpate.errors import RecordError
 from palpate.recording.force import POSITIONS, Reading, Touch, read_log_table
-from palpate.records import LENGTH_UNITS, SECONDS
+from palpate.records import LENGTH_UNITS, TIME_UNITS
 from palpate.shapes import Points, Vector3
 
 _COLUMNS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
@@ -75,7 +75,7 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
     """
     table = read_log_table(path, topic=topic, wanted=POSITIONS, cure=_CURE)
     columns = table.require(_COLUMNS, normalise=str.lower, reason=lambda _: _CURE)
-    seconds = table.factor(columns[:1], SECONDS, 1.0)
+    seconds = table.factor(columns[:1], TIME_UNITS, 1.0)
     metres = table.factor(columns[1:], LENGTH_UNITS, metres_per_unit)
     values = table.values(columns)
     values = values[np.isfinite(values).all(axis=1)]

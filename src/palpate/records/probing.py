@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, diags_array, kron
 
+from palpate.arrays import fix_fields
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
 from palpate.records.contacts import RIGID, Contact
-from palpate.records.fixed_fields import fix_fields
 from palpate.records.large_rotation import check_rotation
 from palpate.records.support import RigidMotion
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
@@ -202,8 +202,9 @@ class DisplacementField:
     def __post_init__(self) -> None:
         fix_fields(self, points=(None, 3))
         n = len(self.points)
-        fix_fields(self, nan_allowed=True, displacement=(n, 3), std=(n, 3), covariance=(n, 3, 3))
-        fix_fields(self, integer=True, vertex=(n,))
+        fix_fields(self, nan_allowed=True, displacement=(n, 3))
+        fix_fields(self, nan_allowed=True, none_allowed=True, std=(n, 3), covariance=(n, 3, 3))
+        fix_fields(self, integer=True, none_allowed=True, vertex=(n,))
         is_measured = measured_rows(self.displacement)
         moved = np.where(is_measured[:, None], self.displacement, np.nan)
         moved.setflags(write=False)
@@ -299,7 +300,7 @@ class Load:
             )
         if self.pressure is not None and self.contact.triangles is None:
             raise InputError("pressure acts over triangles; name them in the contact of the load")
-        fix_fields(self, force=(3,))
+        fix_fields(self, none_allowed=True, force=(3,))
         size = self.pressure if self.force is None else self.force
         if not np.any(size):
             raise InputError("the load is zero; leave it out")
@@ -347,8 +348,11 @@ class Probing:
     force_sensor: str = ""
 
     def __post_init__(self) -> None:
-        fix_fields(self, force=(3,), force_std=(3,))
-        fix_fields(self, tip_displacement=(3,), tip_displacement_std=(3,))
+        fix_fields(self, force=(3,))
+        fix_fields(
+            self, none_allowed=True, force_std=(3,), tip_displacement=(3,),
+            tip_displacement_std=(3,),
+        )  # fmt: skip
         if not np.any(self.force) and not self.loads:
             raise InputError(
                 "force is zero; an unloaded object says nothing about its stiffness:"

@@ -6,8 +6,8 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import fix_fields
 from palpate.errors import CalibrationError, InputError
-from palpate.records.fixed_fields import fix_fields
 from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.arrays import fix_fields
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records.contacts import RIGID
 from palpate.records.error_priors import ErrorPriors
-from palpate.records.fixed_fields import fix_fields
 from palpate.records.probing import Probing
 from palpate.records.support import Support
 from palpate.records.support_checks import check_supports
@@ -107,7 +107,7 @@ class Session:
         if not self.supports and len(held):
             object.__setattr__(self, "supports", (Support(held),))
         check_supports(self.mesh, self.supports, self.probings)
-        fix_fields(self, gravity=(3,))
+        fix_fields(self, none_allowed=True, gravity=(3,))
         _check_gravity(self)
 
     def __repr__(self) -> str:

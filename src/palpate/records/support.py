@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import fixed_array
+from palpate.arrays import fix_fields, fixed_array
 from palpate.errors import InputError
-from palpate.records.fixed_fields import fix_fields
 from palpate.shapes import Indices, Vector3
 
 # How a support moves.

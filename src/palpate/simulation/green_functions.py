@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg.lapack import dpotrf
 
-from palpate.arrays import fixed_array
+from palpate.arrays import fix_fields
 from palpate.bem import (
     BoundarySystem,
     SurfaceLoad,
@@ -81,14 +81,10 @@ class GreenFunctions:
 
     def __post_init__(self) -> None:
         vertices, count = len(self.mesh.vertices), len(self.nodes)
-        shapes = {
-            "nodes": (None,), "held_triangles": (None,), "compliance": (count, 3, count, 3),
-            "surface": (count, 3, vertices, 3), "slope": (count, 3, count, 3), "left_out": (None,),
-        }  # fmt: skip
-        for name, shape in shapes.items():
-            integer = name in ("nodes", "held_triangles", "left_out")
-            value = fixed_array(getattr(self, name), name=name, shape=shape, integer=integer)
-            object.__setattr__(self, name, value)
+        between, onto = (count, 3, count, 3), (count, 3, vertices, 3)
+        fix_fields(self, integer=True, nodes=(None,), held_triangles=(None,))
+        fix_fields(self, compliance=between, surface=onto, slope=between)
+        fix_fields(self, integer=True, left_out=(None,))
         check_nodes(self.mesh, self.held_triangles, self.nodes)
         square = self.compliance.reshape(3 * count, -1)
         if not np.array_equal(square, square.T):

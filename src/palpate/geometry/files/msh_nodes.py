@@ -33,10 +33,11 @@ def check_msh_nodes(content: bytes) -> None:
     """
     version, mode, *_ = content.partition(b"$MeshFormat")[2].split(maxsplit=2)
     section = content.partition(b"$Nodes")[2].partition(b"\n")[2]
-    take = _take_text(section) if mode == b"0" else _take_binary(section)
+    text = mode == b"0"
+    take = _reader(section, text=text)
     if version.startswith(b"2"):
         # In a binary file the count is text, and meshio takes only 1, 2, 3 ... for numbers.
-        blocks = _numbers_of_version_2(take) if mode == b"0" else iter(())
+        blocks = _numbers_of_version_2(take) if text else iter(())
     else:
         blocks = _numbers_of_version_4(take, listed=not version.startswith(b"4.0"))
     for numbers in blocks:
@@ -46,34 +47,21 @@ def check_msh_nodes(content: bytes) -> None:
             )
 
 
-def _take_text(section: bytes) -> Take:
-    values = np.array(section.partition(b"$EndNodes")[0].split(), dtype=np.float64)
-    place = 0
-
-    def take(_: str, count: int) -> np.ndarray:
-        nonlocal place
-        start, place = place, place + count
-        _check_end(start, place, len(values))
-        return values[start:place]
-
-    return take
-
-
-def _take_binary(section: bytes) -> Take:
+def _reader(section: bytes, *, text: bool) -> Take:
+    """Takes one value after another from the numbers of a text, or from bytes."""
+    values = np.frombuffer(section, np.uint8)
+    if text:
+        values = np.array(section.partition(b"$EndNodes")[0].split(), dtype=np.float64)
     place = 0
 
     def take(kind: str, count: int) -> np.ndarray:
         nonlocal place
-        start, place = place, place + count * np.dtype(kind).itemsize
-        _check_end(start, place, len(section))
-        return np.frombuffer(section[start:place], kind)
+        start, place = place, place + count * (1 if text else np.dtype(kind).itemsize)
+        if not start <= place <= len(values):
+            raise ValueError("it has fewer nodes than it declares")
+        return values[start:place] if text else values[start:place].view(kind)
 
     return take
-
-
-def _check_end(start: int, place: int, end: int) -> None:
-    if not start <= place <= end:
-        raise ValueError("it has fewer nodes than it declares")
 
 
 def _numbers_of_version_2(take: Take) -> Iterator[Shaped[np.ndarray, " n"]]:
@@ -96,13 +84,8 @@ def _numbers_of_version_4(take: Take, *, listed: bool) -> Iterator[Shaped[np.nda
             yield take("u8", count)
             take("f8", 3 * count)
         else:
-            yield from (_row(take)[:1] for _ in range(count))
+            for _ in range(count):
+                yield take("i4", 1)
+                take("f8", 3)
     if found != said:
         raise ValueError(f"it says that it has {said} nodes, and holds {found}")
-
-
-def _row(take: Take) -> Shaped[np.ndarray, " n"]:
-    """Number and coordinates of one node."""
-    number = take("i4", 1)
-    take("f8", 3)
-    return number

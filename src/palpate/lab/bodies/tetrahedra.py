@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
-from palpate.arrays import fixed_array
+from palpate.arrays import fix_fields, fixed_array
 from palpate.errors import InputError, MeshError
 from palpate.geometry import TriangleMesh, checked_mesh, closest_points
 from palpate.lab.bodies.even_points import (
@@ -70,12 +70,10 @@ class Solid:
     deviation: float
 
     def __post_init__(self) -> None:
-        shapes = {"nodes": (3,), "elements": (10,), "facets": (6,), "facet_triangle": ()}
-        for name, item in shapes.items():
-            integer = name != "nodes"
-            value = getattr(self, name)
-            fixed = fixed_array(value, name=name, shape=(None, *item), integer=integer)
-            object.__setattr__(self, name, fixed)
+        fix_fields(self, nodes=(None, 3))
+        fix_fields(
+            self, integer=True, elements=(None, 10), facets=(None, 6), facet_triangle=(None,)
+        )
 
 
 def make_solid(

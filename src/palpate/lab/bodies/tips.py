@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import fixed_array, tangents_of
+from palpate.arrays import fix_fields, fixed_array, tangents_of
 from palpate.errors import InputError
 from palpate.records import FLAT, SPHERE
 from palpate.shapes import Points, PointScalars, Vector3
@@ -48,7 +48,7 @@ class Tip(ABC):
         length = float(np.linalg.norm(self.direction))
         if length == 0.0:
             raise InputError("the tip's direction is the zero vector; it must point to the body")
-        object.__setattr__(self, "point", fixed_array(self.point, name="point", shape=(3,)))
+        fix_fields(self, point=(3,))
         unit = fixed_array(np.asarray(self.direction) / length, name="direction", shape=(3,))
         object.__setattr__(self, "direction", unit)
 

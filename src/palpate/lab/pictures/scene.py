@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
-from palpate.arrays import fixed_array
+from palpate.arrays import fix_fields
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, vertex_normals
 from palpate.lab.pictures.ideal_view import IdealView, camera_picture, ideal_view
@@ -51,12 +51,11 @@ class DrawnBody:
     gloss: float = 0.0
 
     def __post_init__(self) -> None:
-        grey = fixed_array(self.grey, name="grey", shape=(len(self.mesh.vertices),))
-        object.__setattr__(self, "grey", grey)
-        if grey.min() < 0.0 or grey.max() > 1.0:
+        fix_fields(self, grey=(len(self.mesh.vertices),))
+        if self.grey.min() < 0.0 or self.grey.max() > 1.0:
             raise InputError(
-                f"grey of a body is {grey.min():.3g} to {grey.max():.3g}; must be in 0 to 1: it is"
-                " the share of the light that is reflected"
+                f"grey of a body is {self.grey.min():.3g} to {self.grey.max():.3g}; must be in 0"
+                " to 1: it is the share of the light that is reflected"
             )
 
 
@@ -82,9 +81,7 @@ class Lamp:
     radiance: float
 
     def __post_init__(self) -> None:
-        for name in ("position", "target"):
-            value = fixed_array(getattr(self, name), name=name, shape=(3,))
-            object.__setattr__(self, name, value)
+        fix_fields(self, position=(3,), target=(3,))
         if not self.radiance >= 0.0:
             raise InputError(f"radiance of a lamp is {self.radiance:g}; must not be negative")
         if np.array_equal(self.position, self.target):

@@ -1,7 +1,7 @@
 """The log of a force gauge: readings in newtons in the object frame, with gaps and saturation."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError, quoted
 from palpate.recording.force.bags import FORCES, read_log_table
-from palpate.records import FORCE_UNITS, SECONDS, Column, TextTable
+from palpate.records import FORCE_UNITS, TIME_UNITS, Column, TextTable
 
 _TIME_WORDS = ("time", "t", "timestamp", "seconds", "elapsed", "elapsed time")
 _FORCE_WORDS = ("force", "load", "f", "fx", "fy", "fz", "fn")
@@ -45,7 +45,7 @@ class Gauge:
     time : str or None              heading of the times; None: a usual name such as "time"
     columns : tuple of str          headings of the forces; empty: usual names such as "fx"
     unit : str or None              key of `FORCE_UNITS`; None: as in the headings, else N
-    time_unit : str or None         key of `SECONDS`; None: as in the heading, else s
+    time_unit : str or None         key of `TIME_UNITS`; None: as in the heading, else s
     axes : (k, 3) float             direction of a positive reading of each of 1 to 3 columns,
                                     object frame; perpendicular, normalised to unit length
     on_tool : bool                  readings are the force on the tool, not on the object
@@ -70,7 +70,7 @@ class Gauge:
 
     def __post_init__(self) -> None:
         for name, value, known in (
-            ("unit", self.unit, FORCE_UNITS), ("time_unit", self.time_unit, SECONDS)
+            ("unit", self.unit, FORCE_UNITS), ("time_unit", self.time_unit, TIME_UNITS)
         ):  # fmt: skip
             if value is not None and value not in known:
                 raise InputError(f"{name} is {quoted(value)}; must be one of {', '.join(known)}")
@@ -148,10 +148,8 @@ def read_force_log(gauge: Gauge) -> ForceLog:
     count = len(gauge.axes)
     columns = _columns(table, gauge.columns, _FORCE_WORDS, count, _FORCE_ADVICE.format(count))
     notes: list[str] = []
-    seconds = SECONDS[_unit(table, [time], gauge.time_unit, tuple(SECONDS), "s", "time", notes)]
-    newtons = FORCE_UNITS[
-        _unit(table, columns, gauge.unit, tuple(FORCE_UNITS), "N", "force", notes)
-    ]
+    seconds = _factor(table, [time], gauge.time_unit, TIME_UNITS, "time", notes)
+    newtons = _factor(table, columns, gauge.unit, FORCE_UNITS, "force", notes)
     values = table.values([time, *columns])
     valid = np.isfinite(values).all(axis=1)
     if valid.sum() < 2:
@@ -209,16 +207,16 @@ def _columns(
     return chosen
 
 
-def _unit(
+def _factor(
     table: TextTable,
     columns: list[Column],
     wanted: str | None,
-    known: tuple[str, ...],
-    default: str,
+    known: Mapping[str, float],
     what: str,
     notes: list[str],
-) -> str:
-    """The given unit or that of the headings; refused if they contradict each other."""
+) -> float:
+    """Value of the given unit, or of that of the headings, refused if they contradict each other;
+    without either that of the first known one."""
     stated = {match["unit"] for c in columns if (match := _UNIT.match(c.heading))}
     heading = columns[0].heading
     if len(stated) > 1 or stated - set(known):
@@ -231,9 +229,10 @@ def _unit(
             f"{table.path}: column {quoted(heading)} and the unit {quoted(wanted)} that was asked"
             " for contradict each other; correct one of them"
         )
+    default = next(iter(known))
     if not stated and wanted is None:
         notes.append(f"{table.path.name}: no unit is given for the {what}; {default} is taken.")
-    return wanted or next(iter(stated), default)
+    return known[wanted or next(iter(stated), default)]
 
 
 def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray) -> None:
@@ -249,7 +248,7 @@ def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray)
         raise RecordError(
             f"{path}: its times run over {time[-1] - time[0]:g} s; a recording has some seconds to"
             " a day: are they in another unit? Say it as `time_unit` in [force]"
-            f" ({', '.join(SECONDS)})"
+            f" ({', '.join(TIME_UNITS)})"
         )
 
 

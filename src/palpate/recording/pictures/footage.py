@@ -10,7 +10,7 @@ from jaxtyping import Float, Shaped
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError
-from palpate.records import SECONDS, read_text_table
+from palpate.records import TIME_UNITS, read_text_table
 from palpate.vision import open_video, read_grey, video_frames
 
 # Longest recording [s].
@@ -183,7 +183,7 @@ def read_times(path: Path) -> Float[np.ndarray, " n"]:
     if not named and len(table.columns) > 1:
         raise RecordError(f"{path}: no column is called time or t; {_TIMES_CURE}")
     chosen = named[:1] or table.columns[:1]
-    times = table.factor(chosen, SECONDS, 1.0) * table.values(chosen)[:, 0]
+    times = table.factor(chosen, TIME_UNITS, 1.0) * table.values(chosen)[:, 0]
     if bad := np.flatnonzero(~np.isfinite(times)).tolist():
         raise RecordError(f"{path}: line {table.numbers[bad[0]]}: is no number; {_TIMES_CURE}")
     return times

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import fix_fields
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, convex_planes
 from palpate.records.contacts.pressure import (
@@ -16,7 +17,6 @@ from palpate.records.contacts.pressure import (
     PressureMap,
     contact_profiles,
 )
-from palpate.records.fixed_fields import fix_fields
 from palpate.shapes import Indices, Matrix3, Points, PointScalars, Vector3
 
 # Shapes of tools, and friction between tool and surface.
@@ -134,7 +134,8 @@ class Contact:
     outward: float = 0.0
 
     def __post_init__(self) -> None:
-        fix_fields(self, point=(3,), first_point=(3,))
+        fix_fields(self, point=(3,))
+        fix_fields(self, none_allowed=True, first_point=(3,))
         if self.triangles is not None:
             fix_fields(self, integer=True, triangles=(None,))
             object.__setattr__(self, "triangles", np.unique(self.triangles))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.files import parse_array, read_bytes, read_errors
+from palpate.files import checked_file, parse_array, read_bytes, read_errors
 from palpate.records import Camera
 from palpate.shapes import Points
 from palpate.vision import normalised, read_stored
@@ -68,8 +68,9 @@ def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Poin
 
 def _levels(path: Path) -> Float[np.ndarray, "rows columns"]:
     with read_errors(path, "write it again", what="cannot be read as a depth map"):
+        checked_file(path, max_bytes=_MAX_BYTES)
         if path.suffix.lower() == ".npy":
-            levels = parse_array(read_bytes(path, max_bytes=_MAX_BYTES))
+            levels = parse_array(read_bytes(path))
         else:
             levels, _ = read_stored(path, "depth map", None)
         if levels.ndim != 2:
