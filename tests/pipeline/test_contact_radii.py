@@ -1,8 +1,11 @@
 """Contacts whose radius nobody knows: a session that names its tool tells as much as one that knows
 the circle that the tool touches."""
 
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -83,6 +86,32 @@ def test_the_circle_is_found(measured: Session) -> None:
     radius = float(note.split("touches: ")[1].split(" mm")[0])
     (known,) = measured.probings
     assert radius == pytest.approx(1e3 * known.contact.radius, rel=0.01)
+
+
+def test_all_radii_are_tried_with_the_same_factors(
+    measured: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The radius changes the load, not the equations: each model is factorised once."""
+    factorised, asked = [], []
+    for module, name, calls in (
+        ("palpate.bem.system.centred_system", "factorise", factorised),
+        ("palpate.pipeline.fit_session", "best_constants_of", asked),
+    ):
+        monkeypatch.setattr(sys.modules[module], name, _counted(sys.modules[module], name, calls))
+    fit_session(_named(measured, Tool(SPHERE, BALL)))
+    assert len(asked) > 1
+    # The given mesh, wider fits, finer edges, the graded mesh.
+    assert len(factorised) == 4
+
+
+def _counted(module: ModuleType, name: str, calls: list[object]) -> Callable[..., object]:
+    plain = getattr(module, name)
+
+    def counting(*arguments: object, **named: object) -> object:
+        calls.append(arguments)
+        return plain(*arguments, **named)
+
+    return counting
 
 
 def test_a_ball_that_is_given_as_a_mesh_is_as_good(measured: Session) -> None:

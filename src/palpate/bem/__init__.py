@@ -54,6 +54,7 @@ from palpate.bem.loads import (
 from palpate.bem.system import (
     LARGEST_DENSE as LARGEST_DENSE,
     BoundarySystem as BoundarySystem,
+    CentredSystem as CentredSystem,
     FactorisedSystem as FactorisedSystem,
     PointEquations as PointEquations,
     SpringFactors as SpringFactors,
@@ -63,6 +64,7 @@ from palpate.bem.system import (
     SystemSlope as SystemSlope,
     assemble_system as assemble_system,
     cached_system as cached_system,
+    centred_system as centred_system,
     check_memory as check_memory,
     factorise as factorise,
     make_spring_factors as make_spring_factors,

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.blas import dgemm
+from scipy.linalg.blas import get_blas_funcs
 
 from palpate.bem.integrals import DISPLACEMENT, TRACTION, FieldBlocks
-from palpate.bem.system.system import BoundarySystem
+from palpate.bem.system.system import BoundarySystem, Precision
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,10 +42,11 @@ class SystemSlope:
         (r, c) float              rows in the order of `system_matrix`
         """
         (n_rows, n_free), count = self.flux.shape, unknowns.shape[1]
+        unknowns = unknowns.astype(self.flux.dtype, copy=False)
         u = unknowns[: 3 * n_free].reshape(n_free, 3, count)
         q = unknowns[3 * n_free : -3].reshape(self.trace.shape[1], 3 * count)
         total = _product(self.flux, u.reshape(n_free, 3 * count)) + _product(self.trace, q)
-        product = total.reshape(n_rows, 3, count)
+        product = total.astype(float, copy=False).reshape(n_rows, 3, count)
         for axis, part in enumerate(self.skew):
             # A cross product with the axis involves the two other components only.
             after, last = (axis + 1) % 3, (axis + 2) % 3
@@ -59,15 +60,17 @@ class SystemSlope:
 def _product(a: Float[np.ndarray, "r n"], b: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "r c"]:
     """a @ b by the library that solves the system, in turns with these products: that of numpy has
     threads of its own, and the idle ones of either take the processors from the other."""
-    return dgemm(1.0, b.T, a.T).T
+    (gemm,) = get_blas_funcs(("gemm",), (a, b))
+    return gemm(1.0, b.T, a.T).T
 
 
-def system_slope(system: BoundarySystem) -> SystemSlope:
+def system_slope(system: BoundarySystem, *, precision: Precision = np.float64) -> SystemSlope:
     """Gather the fields that depend on Poisson's ratio.
 
     Parameters
     ----------
     system : BoundarySystem
+    precision : type          of the entries
 
     Returns
     -------
@@ -76,14 +79,14 @@ def system_slope(system: BoundarySystem) -> SystemSlope:
     free = system.unknowns.free_vertices
     traction, displacement = system.traction_kernel, system.displacement_kernel
     # In place: together these are half as large as the matrix itself.
-    skew = np.empty((3, traction.n_rows, free.size))
+    skew = np.empty((3, traction.n_rows, free.size), dtype=precision)
     for k, part in enumerate(skew):
-        np.multiply(2.0, _rows(traction, slice(k, k + 1))[:, free], out=part)
+        np.multiply(2.0, _rows(traction, slice(k, k + 1))[:, free], out=part, casting="same_kind")
     flux = _rows(traction, TRACTION.diagonal)[:, free]
     flux *= 2.0 / 3
     trace = _rows(displacement, DISPLACEMENT.diagonal)
     trace = 2.0 / system.traction_length * trace
-    return SystemSlope(skew, flux, trace)
+    return SystemSlope(skew, flux.astype(precision, copy=False), trace.astype(precision))
 
 
 def _rows(blocks: FieldBlocks, fields: slice) -> Float[np.ndarray, "r n"]:

@@ -27,6 +27,8 @@ from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads
 
+# Type of the entries of a matrix.
+Precision = type[np.float64] | type[np.float32]
 # An unsupported body has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
 SMALLEST_RCOND = 1e-13
 
@@ -170,13 +172,16 @@ def restricted_nodes(
     return QuadraticNodes(np.concatenate([corner, middle], axis=1), count, nodes.weights[:, order])
 
 
-def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndarray, "r k"]:
+def system_matrix(
+    system: BoundarySystem, poisson_ratio: float, *, precision: Precision = np.float64
+) -> Float[np.ndarray, "r k"]:
     """The matrix at one Poisson's ratio, multiplied by 8 pi (1 - nu).
 
     Parameters
     ----------
     system : BoundarySystem
     poisson_ratio : float
+    precision : type          of its entries
 
     Returns
     -------
@@ -185,7 +190,7 @@ def system_matrix(system: BoundarySystem, poisson_ratio: float) -> Float[np.ndar
     """
     n_rows = system.collocation.point.shape[0]
     n_free = system.unknowns.free_vertices.size
-    matrix = np.zeros((system.size, 3 * n_rows + 3))
+    matrix = np.zeros((system.size, 3 * n_rows + 3), dtype=precision)
     # The transpose is filled: by node and component, then by component and collocation point.
     entries = matrix[:-3, :-3].reshape(-1, 3, 3, n_rows)
     n_blocks = len(system.traction_kernel.rows)
@@ -220,13 +225,16 @@ def _fill_rows(
         entries[free.size :, :, :, rows] = displacement.transpose(2, 1, 0, 3)
 
 
-def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
+def factorise(
+    system: BoundarySystem, poisson_ratio: float, *, precision: Precision = np.float64
+) -> FactorisedSystem:
     """Factorise the system at one Poisson's ratio.
 
     Parameters
     ----------
     system : BoundarySystem
     poisson_ratio : float     -1 < nu <= 0.5
+    precision : type          of the factors
 
     Returns
     -------
@@ -237,7 +245,7 @@ def factorise(system: BoundarySystem, poisson_ratio: float) -> FactorisedSystem:
     SingularSystemError       the reciprocal condition is below 1e-13, most often because of
                               coinciding or degenerate parts of the mesh
     """
-    matrix = system_matrix(system, poisson_ratio)
+    matrix = system_matrix(system, poisson_ratio, precision=precision)
     order = system.traction_kernel.rows.ravel()[: system.traction_kernel.n_rows]
     elimination = make_elimination(system.surface, system.unknowns, system.collocation, order)
     if elimination is not None:
@@ -273,7 +281,8 @@ def solve(
     (k, c) float [m]          unknowns as in `BoundarySystem`
     """
     pair, elimination = (factorised.lu, factorised.pivots), factorised.elimination
-    if elimination is None:
-        return lu_solve(pair, right, check_finite=False)
-    solution = lu_solve(pair, elimination.right(right), check_finite=False)
-    return elimination.unknowns(solution)
+    given = right if elimination is None else elimination.right(right)
+    # Of another type, the factors would be copied.
+    given = given.astype(factorised.lu.dtype, copy=False)
+    solution = lu_solve(pair, given, check_finite=False).astype(float, copy=False)
+    return solution if elimination is None else elimination.unknowns(solution)

@@ -24,11 +24,12 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.bem import (
     BoundarySystem,
+    CentredSystem,
     CompressedSystem,
     RightHand,
     SpringFactors,
     SpringSlope,
-    factorise,
+    centred_system,
     make_spring_system,
     orthogonalised,
     reduced_basis,
@@ -123,7 +124,7 @@ class ReducedModel:
 
 
 def make_reduced_model(
-    system: BoundarySystem,
+    system: BoundarySystem | CentredSystem,
     right: RightHand,
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
@@ -135,7 +136,7 @@ def make_reduced_model(
 
     Parameters
     ----------
-    system : BoundarySystem
+    system : BoundarySystem or CentredSystem    centred at `CENTRE`
     right : RightHand                 c columns
     poisson_range : (float, float)    range of Poisson's ratio that the model must cover
     tolerance : float or (c,) float   largest relative residual allowed at both ends of the range,
@@ -157,9 +158,10 @@ def make_reduced_model(
             system, right.terms, poisson_range=poisson_range,
             tolerance=max(float(np.min(tolerance)), _SNAPSHOT_RESIDUAL),
         )  # fmt: skip
-    factorised = factorise(system, CENTRE)
+    if isinstance(system, BoundarySystem):
+        system = centred_system(system, CENTRE)
     return _krylov_model(
-        lambda terms: solve(factorised, terms), system_slope(system).apply, right, poisson_range,
+        lambda terms: solve(system.factorised, terms), system.slope.apply, right, poisson_range,
         tolerance,
     )  # fmt: skip
 

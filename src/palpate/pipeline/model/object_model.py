@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from palpate.bem import (
     BodyForce,
     BoundarySystem,
+    CentredSystem,
     IndentationCorrection,
     PointEquations,
     RightHand,
@@ -93,6 +94,7 @@ class ObjectModel:
     springs : Springs or None             under compliant supports
     body : BodyForce or None
     tips : ContactPoints or None          None where no tip was measured
+    centred : CentredSystem or None       the system, factorised for several models of it to share
     """
 
     session: Session
@@ -107,6 +109,7 @@ class ObjectModel:
     tips: ContactPoints | None
     perturbations: tuple[ContactPerturbation, ...] = ()
     springs: Springs | None = None
+    centred: CentredSystem | None = None
 
     @property
     def gives_motions(self) -> bool:
@@ -151,7 +154,7 @@ def make_object_model(
     perturbed : bool                  False: without perturbed contacts, and without the error of
                                       the mesh about contacts
     like : ObjectModel or None        of the same mesh on the same supports with other contacts: its
-                                      integrals are reused
+                                      integrals and factors are reused
     progress : callable               called with the progress of the integrals, which may take
                                       minutes
 
@@ -208,7 +211,7 @@ def make_object_model(
         tips = ContactPoints(equations, _right_hand(equations.system, *loads)[0])
     return ObjectModel(
         session, system, patches, pressed, supports, sliding is not None, shapes, right, body, tips,
-        perturbations, session_springs(session, system),
+        perturbations, session_springs(session, system), None if like is None else like.centred,
     )  # fmt: skip
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from palpate.bem import LARGEST_DENSE, SurfaceSettings
-from palpate.estimation import FitMethod, FitSettings, ModelStep, ProbeObservations
+from palpate.bem import LARGEST_DENSE, CompressedSystem, SurfaceSettings, centred_system
+from palpate.estimation import CENTRE, FitMethod, FitSettings, ModelStep, ProbeObservations
 from palpate.pipeline.model import (
     ObjectModel,
     edge_refined_session,
@@ -65,9 +65,18 @@ def ungraded_observations(
         progress=part_of(progress, 0.0, _SOLVED),
     )  # fmt: skip
     progress("reduced model", _SOLVED)
+    if _can_be_centred(model, settings) and model.centred is None:
+        # The errors of single precision are within that residual.
+        model = replace(model, centred=centred_system(model.system, CENTRE, single=True))
     return model, converged_observations(
         plain, model, settings=settings, with_surface=with_surface, residual=_UNGRADED_RESIDUAL
     )
+
+
+def _can_be_centred(model: ObjectModel, settings: FitSettings) -> bool:
+    """Whether the solutions of a model come from one factorisation."""
+    compressed = isinstance(model.system, CompressedSystem)
+    return settings.method == FitMethod.REDUCED and model.springs is None and not compressed
 
 
 def with_considered_errors(

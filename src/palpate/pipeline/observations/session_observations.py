@@ -118,8 +118,9 @@ def session_observations_at(
         tolerance = np.full(model.right.terms.shape[2], residual)
         tolerance[len(tolerance) - len(model.perturbations) :] = _PERTURBATION_TOLERANCE
         reduced = make_reduced_model(
-            model.system, model.right, poisson_range=settings.poisson_range, tolerance=tolerance
-        )
+            model.centred or model.system, model.right, poisson_range=settings.poisson_range,
+            tolerance=tolerance,
+        )  # fmt: skip
         responses = [reduced_response(reduced, row) for row in rows]
     return lambda modulus: _all_observations(session, model, responses, modulus)
 
