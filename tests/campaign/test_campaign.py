@@ -4,6 +4,7 @@ import csv
 import errno
 import shutil
 import sqlite3
+from contextlib import contextmanager
 from dataclasses import replace
 
 import dask
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 from campaign.conftest import NU, SHEAR
 from pipeline.kept.picture_session import with_pictures
+from surfaces import box
 
 from palpate.campaign import FitOptions, Store, read_items, run_campaign, work as work_file
 from palpate.campaign.engine import Engine
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError, InUseError, RecordError
+from palpate.geometry import write_mesh
 from palpate.records import read_session, verify_result
 from palpate.records.files import results
 
@@ -144,18 +147,39 @@ def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, submitte
     assert handed == {f"c{k}/session.toml" for k in range(2)} - {kept[0]}
 
 
-def test_a_body_beyond_a_thread_s_share_of_memory_is_a_row(cube, tmp_path):
-    # The program itself counts 0.4 GB: a worker of 0.8 GiB has that, its two threads have not. It
-    # lives in this process, whose memory after some thousand tests would make it pause.
+@contextmanager
+def _small_worker(*, threads):
+    """Address of a scheduler with one worker of 0.8 GiB for all its threads.
+
+    It lives in this process, whose memory after some thousand tests would make it pause.
+    """
     pauses = {f"distributed.worker.memory.{k}": False for k in ("target", "spill", "pause")}
     with dask.config.set(pauses), distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp",
+        n_workers=1, threads_per_worker=threads, processes=False, protocol="tcp",
         dashboard_address=":0", memory_limit="0.8GiB",
     ) as cluster:  # fmt: skip
-        items = read_items(cube.parent)
-        (row,) = run_campaign(items, tmp_path / "c", scheduler=cluster.scheduler_address)
+        yield cluster.scheduler_address
+
+
+def test_a_body_beyond_a_thread_s_share_of_memory_is_a_row(cube, tmp_path):
+    # The program itself counts 0.4 GB: a worker of 0.8 GiB has that, its two threads have not.
+    with _small_worker(threads=2) as address:
+        (row,) = run_campaign(read_items(cube.parent), tmp_path / "c", scheduler=address)
     assert row.state == "failed"
     assert "needs 0.4 GB of memory for one probing; 0.4 GB can be used here" in row.message
+
+
+def test_a_body_beyond_memory_does_not_keep_the_others_from_their_results(cubes, tmp_path):
+    shutil.copytree(cubes / "c0", cubes / "large")
+    write_mesh(cubes / "large" / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=18))
+    with _small_worker(threads=1) as address:
+        rows = run_campaign(read_items(cubes), tmp_path / "c", scheduler=address)
+    assert {row.session: row.state for row in rows} == {
+        "bad": "failed", "c0": "done", "c1": "done", "large": "failed"
+    }  # fmt: skip
+    refused = rows[-1].message
+    assert refused.startswith(f"{cubes}/large/mesh.ply: the mesh has 1946 vertices")
+    assert "needs 1.1 GB of memory for one probing; 0.8 GB can be used here" in refused
 
 
 def test_only_one_process_works_on_a_campaign(cubes, tmp_path):

@@ -1,5 +1,6 @@
 """Workers that are not there, not the same, or die."""
 
+import errno
 import gc
 import os
 import re
@@ -106,6 +107,13 @@ def test_work_that_kills_its_workers_is_given_up(packed_cube):
 def test_an_error_of_the_program_is_a_row(packed_cube):
     outcome = _found(ZeroDivisionError("by\nzero"), Work("fit", packed_cube, FitOptions()))
     assert outcome.failure == "an error of the program, not of yours (ZeroDivisionError: by zero)"
+
+
+def test_a_worker_without_a_place_to_work_is_a_row(packed_cube):
+    full = OSError(errno.ENOSPC, "No space left on device", "/tmp/palpate")
+    outcome = _found(full, Work("fit", packed_cube, FitOptions()))
+    assert outcome.failure.startswith("an error of a worker's machine, not of yours (OSError: ")
+    assert "No space left on device: '/tmp/palpate'" in outcome.failure
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """What a piece of work gives depends on what it is given, and on nothing else."""
 
+import errno
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,6 +58,19 @@ def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_pat
     assert outcome.package.files == {}
     assert outcome.failure.startswith(f"{packed_cube.root}/cube/n01.csv: ")
     assert "there" not in outcome.failure
+
+
+def test_a_worker_s_full_disk_is_not_taken_for_the_session_s(packed_cube, tmp_path, monkeypatch):
+    def full(path, _):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    work = Work("fit", packed_cube, FitOptions())
+    monkeypatch.setattr(Path, "write_bytes", full)
+    outcome = do_work(work, folder=tmp_path / "there")
+    assert outcome.failure.startswith(f"{tmp_path}/there/work-")
+    assert "cannot be written (No space left on device)" in outcome.failure
+    assert packed_cube.root not in outcome.failure
+    assert list((tmp_path / "there").iterdir()) == []
 
 
 def test_a_body_that_memory_cannot_hold_is_refused_before_any_work(packed_cube, tmp_path):

@@ -144,7 +144,8 @@ class Engine:
             )
             return Outcome(pack_files({}), text, 0.0)
         text = " ".join(f"{type(error).__name__}: {error}".split())[:400]
-        return Outcome(pack_files({}), f"an error of the program, not of yours ({text})", 0.0)
+        source = "a worker's machine" if isinstance(error, OSError) else "the program"
+        return Outcome(pack_files({}), f"an error of {source}, not of yours ({text})", 0.0)
 
     def _lost_scheduler(self) -> InputError:
         return InputError(

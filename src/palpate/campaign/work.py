@@ -3,6 +3,7 @@
 The result depends only on the input: not on the machine, the working folder or the time.
 """
 
+import os
 import shutil
 import tempfile
 import time
@@ -103,6 +104,8 @@ class Outcome:
 
 def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome:
     """Do a piece of work, with one thread.
+
+    BLAS uses as many threads as its process allows; another number changes the last digits.
 
     Parameters
     ----------
@@ -224,4 +227,8 @@ def _with_original_notes(session: Session, work: Work, own_folder: Path) -> Sess
 
 def _with_original_paths(text: str, work: Work, own_folder: Path) -> str:
     """A text in which file names refer to the session's original location."""
-    return text.replace(str(own_folder / "given"), work.session.root)
+    # With the separator: the folder itself is named where the worker's own disk is full.
+    unpacked, original = (
+        os.path.join(one, "") for one in (own_folder / "given", work.session.root)
+    )
+    return text.replace(unpacked, original)

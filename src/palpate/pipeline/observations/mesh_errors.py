@@ -66,7 +66,7 @@ def ungraded_observations(
     )  # fmt: skip
     progress("reduced model", _SOLVED)
     if _can_be_centred(model, settings) and model.centred is None:
-        # The errors of single precision are within that residual.
+        # In solutions, a residual of 1e-5 allows for errors at least as large as single precision.
         model = replace(model, centred=centred_system(model.system, CENTRE, single=True))
     return model, converged_observations(
         plain, model, settings=settings, with_surface=with_surface, residual=_UNGRADED_RESIDUAL
