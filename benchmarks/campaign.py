@@ -1,4 +1,9 @@
-"""Campaigns: speed over one process, cost of the engine, and what is left when things die."""
+"""Campaigns: speed over one process, cost of the engine, and what is left when things die.
+
+The long study, of as many half balls as wanted, is about speed and killed workers only:
+
+    python -m benchmarks.campaign SESSIONS
+"""
 
 import os
 import random
@@ -10,8 +15,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from itertools import repeat
+from multiprocessing import get_context
 from pathlib import Path
 
 import psutil
@@ -20,6 +28,7 @@ from benchmarks.clock import shortest
 from benchmarks.figure import CAMPAIGN, Figure
 from benchmarks.machine import ROOT
 from benchmarks.options import Options
+from benchmarks.report import with_notes
 from palpate.campaign import (
     DONE,
     CampaignItem,
@@ -39,6 +48,7 @@ from palpate.errors import PalpateError
 START = "import sys; from palpate.app.cli import main; sys.exit(main())"
 _WORKER = ["--nworkers", "1", "--nthreads", "1", "--local-directory", ".", "--preload"]
 TASK = 2.0  # s, of a piece of work that the engine may cost 5 % of
+KILL_EVERY = 20.0  # s, between two killed workers
 # A worker that notes every file it opens below the folder that the sessions lie in.
 WATCH = """
 import sys
@@ -61,7 +71,7 @@ def measure(options: Options) -> list[Figure]:
         items = write_sessions(folder / "sessions", count)
         figures = _against_serial(items, folder)
         figures += _engine_cost(items, folder)
-        figures.append(_with_kills(items, folder, every=5.0 if options.quick else 20.0))
+        figures.append(_with_kills(items, folder, every=5.0 if options.quick else KILL_EVERY))
         figures.append(_with_client_killed(items, folder))
         return figures + _without_shared_disk(items[:4], folder)
 
@@ -84,10 +94,15 @@ def write_sessions(folder: Path, count: int) -> tuple[CampaignItem, ...]:
 
 def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figure]:
     """Two workers against one process that does the same works one after the other."""
-    _one_after_the_other(items[0], folder / "warm")
-    start, used = time.perf_counter(), time.process_time()
-    serial = {item.name: _one_after_the_other(item, folder / "serial") for item in items}
-    alone, used_alone = time.perf_counter() - start, time.process_time() - used
+    # As in a worker: with more threads BLAS takes longer here, and sums in another order.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        process.submit(_one_after_the_other, items[0], folder / "warm").result()
+        start, used = time.perf_counter(), process.submit(time.process_time).result()
+        found = list(process.map(_one_after_the_other, items, repeat(folder / "serial")))
+        alone = time.perf_counter() - start
+        used_alone = process.submit(time.process_time).result() - used
+    serial = {item.name: files for item, files in zip(items, found, strict=True)}
     with started_engine(None, 2) as workers:
         address = workers.client.scheduler.address
         # Every worker loads its programs and kernels before anything is timed.
@@ -298,15 +313,19 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
 
 
 def _campaign(folder: Path, name: str) -> subprocess.Popen[str]:
-    return _palpate(["campaign", "sessions", "--out", name, "--workers", "2"], folder)
+    # Nobody reads what is said of killed workers: a pipe would fill, and the command wait.
+    words = ["campaign", "sessions", "--out", name, "--workers", "2"]
+    return _palpate(words, folder, stderr=subprocess.DEVNULL)
 
 
-def _palpate(words: list[str], folder: Path) -> subprocess.Popen[str]:
+def _palpate(
+    words: list[str], folder: Path, *, stderr: int = subprocess.PIPE
+) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", START, *words],
         cwd=folder,
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
+        stderr=stderr,
         text=True,
     )
 
@@ -359,3 +378,17 @@ def _free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
     return port
+
+
+def main() -> None:
+    """Print the figures of speed and of killed workers for so many half balls."""
+    count = int(sys.argv[1])
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        items = write_sessions(folder / "sessions", count)
+        print(with_notes(_against_serial(items, folder)), flush=True)
+        print(with_notes([_with_kills(items, folder, every=KILL_EVERY)]), flush=True)
+
+
+if __name__ == "__main__":
+    main()

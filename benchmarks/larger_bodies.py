@@ -57,6 +57,8 @@ PLACES = np.array([[0.5, 0.3, 0.8], [-0.9, 0.2, 0.3], [0.1, -1.0, 0.2]])
 SCALE = 0.04
 SHEAR_MODULUS, POISSON_RATIO, NOISE = 20e3, 0.3, 2e-5
 CONTACT_RADIUS = 0.006
+# The displacements that are fitted come from a body of 16 002 vertices, seen at every sixth.
+SOURCE, EVERY = 40, 6
 
 
 def body(frequency: int) -> TriangleMesh:
@@ -194,7 +196,7 @@ def _series(folder: Path, way: str, key: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit(folder: Path, frequency: int) -> None:
-    """A fit of three probings whose displacements come from a dense model of 2562 vertices."""
+    """A fit of three probings whose displacements come from the model of another mesh."""
     mesh = body(frequency)
     fields = _fields_on(mesh)
     clock = _clock()
@@ -215,9 +217,9 @@ def fit(folder: Path, frequency: int) -> None:
 
 
 def _fields_on(mesh: TriangleMesh) -> list[DisplacementField]:
-    """What is seen of the dense model; it is gone, with its memory, before the fit begins."""
-    coarse = body(16)
-    silent = _session(coarse, [None] * len(PLACES))
+    """What is seen of the other model; it is gone, with its memory, before the fit begins."""
+    source = body(SOURCE)
+    silent = _session(source, [None] * len(PLACES))
     model = make_object_model(replace(silent, errors=EXACT))
     elastic = make_elastic_map(
         model.system, shear_modulus=SHEAR_MODULUS, poisson_ratio=POISSON_RATIO
@@ -226,7 +228,7 @@ def _fields_on(mesh: TriangleMesh) -> list[DisplacementField]:
     states = elastic.respond(loads, np.array([one.force for one in silent.probings]))
     rng = np.random.default_rng(0)
     return [
-        _observed(coarse, mesh, one.contact.point, state.displacement, rng)
+        _observed(source, mesh, one.contact.point, state.displacement, rng)
         for one, state in zip(silent.probings, states, strict=True)
     ]
 
@@ -247,15 +249,15 @@ def _session(mesh: TriangleMesh, fields: Sequence[DisplacementField | None]) -> 
 
 
 def _observed(
-    coarse: TriangleMesh,
+    source: TriangleMesh,
     mesh: TriangleMesh,
     contact: np.ndarray,
     displacement: np.ndarray,
     rng: np.random.Generator,
 ) -> DisplacementField:
-    """What is seen of the coarse mesh's vertices, on the surface of the other."""
-    points = coarse.vertices
-    free = np.setdiff1d(np.arange(len(points)), coarse.triangles[held(coarse)])
+    """What is seen of the source's vertices, on the surface of the other mesh."""
+    points = source.vertices
+    free = np.setdiff1d(np.arange(len(points)), source.triangles[held(source)])[::EVERY]
     seen = free[np.linalg.norm(points[free] - contact, axis=1) > 1.3 * CONTACT_RADIUS]
     noisy = displacement[seen] + NOISE * rng.normal(size=(seen.size, 3))
     return DisplacementField(
