@@ -32,6 +32,7 @@ PARTS = {
     ),
     "pictures": (
         "flow_time",
+        "flow_video",
         "flow_speckle",
         "flow_peers",
         "flow_rendered",

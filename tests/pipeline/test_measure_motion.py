@@ -1,5 +1,6 @@
 """From a session's pictures to its vertices, and what happens to bad pictures."""
 
+import gc
 import re
 import shutil
 import sys
@@ -18,11 +19,14 @@ from palpate.pipeline import (
     SessionFlow,
     fit_session,
     measure_motion,
+    measured_motions,
+    motion_names,
     with_measured_displacement,
     with_pictures_measured,
 )
 from palpate.records import DisplacementField, Session, read_rig, read_session
-from palpate.vision import JointFlow, Outcome
+from palpate.vision import JointFlow, Outcome, RangeFlow
+from palpate.vision.joint import Scene
 
 GIVEN = {"method": JointFlow(step=8), "pose": "given"}
 # Less than half the points, where no vertex of a fine mesh needs many about it.
@@ -60,6 +64,12 @@ class _Killed(BaseException):
     """The process ends."""
 
 
+def _alive(kind: type) -> int:
+    """Number of objects of a class that something holds."""
+    gc.collect()
+    return sum(isinstance(each, kind) for each in gc.get_objects())
+
+
 def test_an_interrupted_measurement_goes_on_to_the_same_bytes(
     sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -93,6 +103,47 @@ def test_an_interrupted_measurement_goes_on_to_the_same_bytes(
     shutil.copy(changed / "images" / "s1_c0.png", changed / "images" / "s2_c0.png")
     with pytest.raises(_Killed):
         measure_motion(read_session(changed), **options)
+
+
+def test_a_motion_is_let_go_before_the_next_one_is_measured(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The method goes on from the last flow; earlier ones are gone."""
+    session = read_session(_part(shared_data / "rigid_translation_x", tmp_path / "long", 6))
+    alive, follow = [], JointFlow.follow
+
+    def counted(*given: Any) -> Any:
+        alive.append(_alive(RangeFlow))
+        return follow(*given)
+
+    monkeypatch.setattr(JointFlow, "follow", counted)
+    found = measured_motions(session, method=JointFlow(step=24), pose="given")
+    names = [motion.name for _, motion, _ in found]
+    assert names == motion_names(session) == ["s1", "s2", "s3", "s4", "s5"]
+    assert [count - alive[0] for count in alive] == [0, 1, 1, 1, 1]
+
+
+def test_first_pictures_are_let_go_after_their_last_probing(
+    half_ball: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every probing may have pictures at rest of its own; those of two are processed once."""
+    probing = half_ball.probings[0]
+    assert probing.images is not None
+    probings = tuple(
+        replace(probing, name=f"p{k}", images=replace(probing.images, rest=f"images/{rest}.png"))
+        for k, rest in enumerate(["n01_{camera}", "rest_{camera}", "n01_{camera}", "n02_{camera}"])
+    )
+    alive, start = [], JointFlow.start
+
+    def counted(*given: Any) -> Any:
+        alive.append(_alive(Scene))
+        return start(*given)
+
+    monkeypatch.setattr(JointFlow, "start", counted)
+    found = measured_motions(replace(half_ball, probings=probings), **COARSE)
+    names = [motion.name for _, motion, _ in found]
+    assert names == ["p0", "p1", "p2", "p3"]
+    assert [count - alive[0] for count in alive] == [0, 1, 1]
 
 
 def test_a_translation_is_measured_to_hundredths_of_a_millimetre(sequence: Path) -> None:

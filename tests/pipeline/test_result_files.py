@@ -15,7 +15,7 @@ from rich.console import Console
 from palpate.app.terminal.tables import flow_table
 from palpate.errors import RecordError
 from palpate.pipeline import MeasuredMotion
-from palpate.pipeline.motion_figures import motion_figures, write_flow_document
+from palpate.pipeline.motion.figures import motion_figures, write_flow_document
 from palpate.pipeline.result_files import (
     seen_vertices,
     write_flow_npz,

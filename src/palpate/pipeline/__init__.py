@@ -5,7 +5,7 @@ Purpose    : measure the motion of a session's object from its pictures, estimat
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model that links them, and the files that hold them.
 Depends on : `lab`, `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
-Read first : `measure_motion.py`, then `fit_session.py`.
+Read first : `fit_session.py`, then `result_files.py`.
 """
 
 from palpate.pipeline.camera_survey import (
@@ -29,14 +29,6 @@ from palpate.pipeline.kept import (
     with_kept_motion as with_kept_motion,
     write_fitted_surface as write_fitted_surface,
 )
-from palpate.pipeline.measure_motion import (
-    FLOW_METHODS as FLOW_METHODS,
-    MeasuredMotion as MeasuredMotion,
-    SessionFlow as SessionFlow,
-    measure_motion as measure_motion,
-    with_measured_displacement as with_measured_displacement,
-    with_pictures_measured as with_pictures_measured,
-)
 from palpate.pipeline.model import (
     graded_session as graded_session,
     make_object_model as make_object_model,
@@ -46,8 +38,16 @@ from palpate.pipeline.model import (
     sliding_motion as sliding_motion,
     surface_load as surface_load,
 )
-from palpate.pipeline.motion_figures import (
+from palpate.pipeline.motion import (
+    FLOW_METHODS as FLOW_METHODS,
+    MeasuredMotion as MeasuredMotion,
     MotionFigures as MotionFigures,
+    SessionFlow as SessionFlow,
+    measure_motion as measure_motion,
+    measured_motions as measured_motions,
+    motion_names as motion_names,
+    with_measured_displacement as with_measured_displacement,
+    with_pictures_measured as with_pictures_measured,
     write_flow_document as write_flow_document,
 )
 from palpate.pipeline.observations import (
@@ -77,7 +77,7 @@ from palpate.pipeline.result_files import (
     seen_vertices as seen_vertices,
     write_flow_npz as write_flow_npz,
     write_flow_vtp as write_flow_vtp,
-    write_motions as write_motions,
+    write_motion as write_motion,
     write_residuals as write_residuals,
     write_vertices as write_vertices,
 )

@@ -2,7 +2,7 @@
 
 import base64
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,8 @@ from jaxtyping import Float
 
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh
-from palpate.pipeline.measure_motion import MeasuredMotion, SessionFlow, vertex_field
-from palpate.pipeline.motion_figures import MotionFigures, motion_figures
-from palpate.records import Camera, Session, file_stems, write_displacement, write_text
+from palpate.pipeline.motion import MeasuredMotion, MotionFigures, motion_figures, vertex_field
+from palpate.records import Camera, Rig, Session, file_stems, write_displacement, write_text
 from palpate.shapes import Flags
 from palpate.vision import (
     Outcome,
@@ -62,65 +61,66 @@ def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrittenMotion:
-    """A measured motion whose files, except pictures, have been written.
+    """What was written of a measured motion: all its files except pictures.
 
     Attributes
     ----------
-    motion : MeasuredMotion
     surface : SurfaceMap            surface of the object at rest as the reference camera sees it
     figures : MotionFigures
-    stem : str                      of its files' names
     files : dict of str to str      kind to file name; empty without a flow
     """
 
-    motion: MeasuredMotion
     surface: SurfaceMap
     figures: MotionFigures
-    stem: str
     files: dict[str, str]
 
 
-def write_motions(folder: Path, session: Session, found: SessionFlow) -> Iterator[WrittenMotion]:
-    """Write the files of all motions of a session, one motion after the other.
+def write_motion(
+    folder: Path,
+    session: Session,
+    rig: Rig,
+    motion: MeasuredMotion,
+    *,
+    stem: str,
+    surface: SurfaceMap | None = None,
+) -> WrittenMotion:
+    """Write the files of one motion of a session.
 
     Parameters
     ----------
     folder : Path                   of the result
-    session : Session               that was measured
-    found : SessionFlow
+    session : Session               that is measured
+    rig : Rig                       with which it is measured
+    motion : MeasuredMotion
+    stem : str                      of the files' names
+    surface : SurfaceMap or None    that of an earlier motion, to be used again if the pictures have
+                                    the same size
 
-    Yields
-    ------
+    Returns
+    -------
     WrittenMotion
 
     Raises
     ------
     OSError, RecordError            a file cannot be written
     """
-    camera, mesh = found.rig.cameras[found.rig.reference], session.mesh
-    names = [camera.name for camera in found.rig.cameras]
-    surfaces: dict[tuple[int, ...], SurfaceMap] = {}
-    stems = file_stems([motion.name for motion in found.motions], kind="motion")
-    for motion, stem in zip(found.motions, stems, strict=True):
-        rows, columns = motion.first.shape
-        if (rows, columns) not in surfaces:
-            view = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
-            surfaces[rows, columns] = view
-        surface = surfaces[rows, columns]
-        seen = seen_vertices(surface, mesh)
-        files: dict[str, str] = {}
-        if motion.flow is not None:
-            files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
-            write_flow_npz(
-                folder / files["range_flow"], motion.flow, name=motion.name, cameras=names
-            )
-            write_flow_vtp(folder / files["points"], motion.flow, camera)
-        if motion.vertices is not None:
-            files["vertices"] = f"{stem}.csv"
-            unit = session.metres_per_unit
-            path = folder / files["vertices"]
-            write_vertices(path, mesh, motion.vertices, seen=seen, metres_per_unit=unit)
-        yield WrittenMotion(motion, surface, motion_figures(motion, found.rig, seen), stem, files)
+    camera, mesh = rig.cameras[rig.reference], session.mesh
+    rows, columns = motion.first.shape
+    if surface is None or surface.triangle.shape != (rows, columns):
+        surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
+    seen = seen_vertices(surface, mesh)
+    files: dict[str, str] = {}
+    if motion.flow is not None:
+        files = {"range_flow": f"{stem}_flow.npz", "points": f"{stem}_flow.vtp"}
+        names = [camera.name for camera in rig.cameras]
+        write_flow_npz(folder / files["range_flow"], motion.flow, name=motion.name, cameras=names)
+        write_flow_vtp(folder / files["points"], motion.flow, camera)
+    if motion.vertices is not None:
+        files["vertices"] = f"{stem}.csv"
+        unit = session.metres_per_unit
+        path = folder / files["vertices"]
+        write_vertices(path, mesh, motion.vertices, seen=seen, metres_per_unit=unit)
+    return WrittenMotion(surface, motion_figures(motion, rig, seen), files)
 
 
 def seen_vertices(surface: SurfaceMap, mesh: TriangleMesh) -> Flags:

@@ -3,6 +3,7 @@
 The measurement itself is replaced here; its own tests say whether its numbers are right.
 """
 
+import gc
 import json
 from types import SimpleNamespace
 
@@ -13,9 +14,9 @@ from flow_samples import SHAPE, rig, sample
 from palpate.app.commands import flow as flow_command
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, write_mesh
-from palpate.pipeline import MeasuredMotion, SessionFlow, result_files
+from palpate.pipeline import MeasuredMotion, result_files
 from palpate.records import read_displacement, read_session
-from palpate.vision import JointFlow, LangPaiFlow, Outcome
+from palpate.vision import JointFlow, LangPaiFlow, Outcome, RangeFlow
 
 SESSION = """\
 format = "palpate-session/1"
@@ -84,16 +85,20 @@ def measured(monkeypatch):
         motions=[
             motion("n01_1", sampled, probing="n01", last=False),
             motion("n01", sampled, probing="n01"),
+            motion("n02", sampled, probing="n02"),
         ],
         notes=("rest_c1.png: 16 bit a pixel, made 8.",),
     )
 
-    def measure_motion(session, *, method, pose, progress, parts):
+    def measured_motions(session, *, method, pose, progress, parts):
         told.asked.append((session, method, pose))
-        progress("points [a]", 0.5)
-        return SessionFlow(rig(), tuple(told.motions), told.notes)
+        wanted = {None, *(probing.name for probing in session.probings)}
+        for found in told.motions:
+            progress("points [a]", 0.5)
+            if found.probing in wanted:
+                yield rig(), found, told.notes
 
-    monkeypatch.setattr(flow_command, "measure_motion", measure_motion)
+    monkeypatch.setattr(flow_command, "measured_motions", measured_motions)
     return told
 
 
@@ -107,7 +112,7 @@ def test_the_table_is_printed_and_the_folder_written(palpate, measured, session,
     names = {path.name for path in folder.iterdir()}
     ends = (".csv", "_flow.npz", "_flow.vtp", ".png", "_quality.png")
     assert names == {"flow.json", "contents.txt", "inputs.txt"} | {
-        name + end for name in ("n01", "n01_1") for end in ends
+        name + end for name in ("n01", "n01_1", "n02") for end in ends
     }
 
 
@@ -134,7 +139,7 @@ def test_the_document_holds_settings_figures_and_files(palpate, measured, sessio
     assert (content["settings"]["method"], content["settings"]["pose"]) == ("joint", "auto")
     assert content["csv_metres_per_unit"] == 1e-3
     assert content["notes"] == list(measured.notes)
-    first, second = content["motions"]
+    first, second, _ = content["motions"]
     assert (first["name"], first["probing"], first["last"]) == ("n01_1", "n01", False)
     assert second["last"] is True
     for kind, file in second["files"].items():
@@ -177,7 +182,7 @@ def test_no_pictures_leaves_them_out(palpate, measured, session, tmp_path):
 
 
 def test_a_step_that_failed_is_said_and_the_others_are_kept(palpate, measured, session, tmp_path):
-    measured.motions.append(lost("n02", "c_c1.png: is cut off"))
+    measured.motions[2] = lost("n02", "c_c1.png: is cut off")
     code, out, err = palpate("flow", session, "--no-pictures")
     assert code == 3
     assert "palpate: n02: c_c1.png: is cut off\n" in err
@@ -196,7 +201,7 @@ def test_nothing_that_can_be_followed_ends_with_three(palpate, measured, session
     blind.vertices.displacement[:] = np.nan
     blind.vertices.covariance[:] = np.nan
     measured.motions = [motion("n02", blind, probing="n02")]
-    code, out, err = palpate("flow", session)
+    code, out, err = palpate("flow", session, "--probe", "n02")
     assert code == 3
     assert f"palpate: n02: not one vertex could be followed (0 of {count} points valid)" in err
     assert f"texture:{count}" in out
@@ -230,13 +235,40 @@ def test_bad_input_ends_with_two_before_any_work(palpate, measured, session, opt
 
 
 def test_a_failure_leaves_nothing(palpate, measured, session, tmp_path, monkeypatch):
-    def measure_motion(session, **options):
+    def measured_motions(session, **options):
+        yield rig(), measured.motions[0], ()
         raise RecordError("rest_c0.png: is missing")
 
-    monkeypatch.setattr(flow_command, "measure_motion", measure_motion)
+    monkeypatch.setattr(flow_command, "measured_motions", measured_motions)
     code, out, err = palpate("flow", session)
     assert (code, out, err) == (2, "", "palpate: rest_c0.png: is missing\n")
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
+
+
+def test_motions_are_let_go_once_they_are_written(palpate, session, tmp_path, monkeypatch):
+    """A video is long: its files are there, and its flows gone, as it goes."""
+    alive, there = [], []
+
+    def flows():
+        gc.collect()
+        return sum(isinstance(each, RangeFlow) for each in gc.get_objects())
+
+    def measured_motions(session, **options):
+        (folder,) = (path for path in tmp_path.glob(".long*") if path.is_dir())
+        before = flows()
+        for k in range(1, 6):
+            there.append(len(list(folder.glob("*.csv"))))
+            yield rig(), motion(f"s{k}", sample()), ()
+            alive.append(flows() - before)
+
+    monkeypatch.setattr(flow_command, "measured_motions", measured_motions)
+    steps = "".join(f'[[step]]\nname = "s{k}"\nimages = "s{k}_{{camera}}.png"\n' for k in range(6))
+    (session / "steps.toml").write_text(STEPS.partition("[[step]]")[0] + steps)
+    code, _, err = palpate("flow", session / "steps.toml", "--no-pictures", "--out", "long")
+    assert code == 0, err
+    assert there == [0, 1, 2, 3, 4]
+    # The command holds the motion that it has just written, and no earlier one.
+    assert alive == [1] * 5
 
 
 def test_a_disk_that_fills_up_leaves_nothing(palpate, measured, session, tmp_path, monkeypatch):
@@ -260,9 +292,3 @@ def test_a_rate_is_shown_when_it_can_be_known(monkeypatch):
     report("n03", 0.0)
     # Half of twenty in four seconds; the brackets are no markup.
     assert shown == [("n01", 0.1), (r"n\[b] (2.5 motions/s)", 0.5), ("n03", 0.0)]
-
-
-def test_motions_are_counted_before_they_are_measured(session):
-    (session / "steps.toml").write_text(STEPS)
-    assert flow_command._motion_count(read_session(session)) == 3
-    assert flow_command._motion_count(read_session(session / "steps.toml")) == 1

@@ -5,9 +5,9 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from rich.markup import escape
@@ -18,19 +18,24 @@ from palpate.errors import InputError
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
     FLOW_METHODS,
+    MeasuredMotion,
     MotionFigures,
+    Rejections,
     SessionFlow,
-    measure_motion,
+    measured_motions,
+    motion_names,
     rejection_note,
     rejections,
     with_measured_displacement,
     write_flow_document,
-    write_motions,
+    write_motion,
 )
 from palpate.progress import Progress
 from palpate.records import (
+    Rig,
     Session,
     default_folder,
+    file_stems,
     parts_folder,
     read_session,
     record_inputs,
@@ -106,64 +111,62 @@ def flow(
         given = read_session(session, probes=probe)
         record_inputs(folder, session_files(session))
         print_notes(given.notes)
-        start = time.perf_counter()
+        stems = file_stems(motion_names(given), kind="motion")
+        figures: list[MotionFigures] = []
+        files: list[dict[str, str]] = []
+        counts: list[Rejections] = []
+        surface, writing, start = None, 0.0, time.perf_counter()
         with progress_bar() as progress:
-            report = _with_rate(progress, _motion_count(given))
-            found = measure_motion(
+            report = _with_rate(progress, len(stems))
+            motions = measured_motions(
                 given, method=chosen, pose=pose, progress=report, parts=parts_folder(folder)
             )
-            seconds = time.perf_counter() - start
-            settings = {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)}
-            heading = {"session": given.name, "settings": settings}
-            figures = _write(
-                folder, given, found, progress, heading=heading, measuring=seconds,
-                pictures=not no_pictures,
-            )  # fmt: skip
-    print_notes(note for note in found.notes if note not in given.notes)
-    print_tables(flow_table(figures, found.rig))
-    _print_rejections(given, found)
+            # Each is written and let go before the next one is measured, as a video may be long.
+            for found, stem in zip(motions, stems, strict=True):
+                measured = time.perf_counter()
+                rig, motion, notes = found
+                written = write_motion(folder, given, rig, motion, stem=stem, surface=surface)
+                surface = written.surface
+                if motion.flow is not None and not no_pictures:
+                    camera = rig.cameras[rig.reference]
+                    view = make_flow_view(motion.first, camera, surface, given.mesh)
+                    written.files.update(write_flow_pictures(folder, stem, motion, view))
+                figures.append(written.figures)
+                files.append(written.files)
+                counts += _rejections(given, rig, motion)
+                writing += time.perf_counter() - measured
+        seconds = time.perf_counter() - start - writing
+        heading = {
+            "session": given.name,
+            "settings": {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)},
+            "csv_metres_per_unit": given.metres_per_unit,
+            "seconds": {"measuring": seconds, "writing": writing},
+            "notes": list(dict.fromkeys([*given.notes, *notes])),
+        }
+        write_flow_document(folder / "flow.json", figures, files, rig, heading)
+    print_notes(note for note in notes if note not in given.notes)
+    print_tables(flow_table(figures, rig))
+    _print_rejections(figures, counts)
     print_text(f"{_closing_text(figures, seconds)}\nResult in {target}")
     return NOT_OK if _print_failures(figures) else 0
 
 
-def _write(
-    folder: Path,
-    session: Session,
-    found: SessionFlow,
-    progress: Progress,
-    *,
-    heading: dict[str, Any],
-    measuring: float,
-    pictures: bool,
-) -> list[MotionFigures]:
-    """All files of the result; figures of every motion, in order."""
-    start, count = time.perf_counter(), len(found.motions)
-    report = _with_rate(progress, count)
-    camera = found.rig.cameras[found.rig.reference]
-    figures, files = [], []
-    for written in write_motions(folder, session, found):
-        motion = written.motion
-        if pictures and motion.flow is not None:
-            view = make_flow_view(motion.first, camera, written.surface, session.mesh)
-            written.files.update(write_flow_pictures(folder, written.stem, motion, view))
-        figures.append(written.figures)
-        files.append(written.files)
-        report(f"wrote {motion.name}, {len(files)} of {count}", len(files) / count)
-    heading |= {
-        "csv_metres_per_unit": session.metres_per_unit,
-        "seconds": {"measuring": measuring, "writing": time.perf_counter() - start},
-        "notes": list(dict.fromkeys([*session.notes, *found.notes])),
-    }
-    write_flow_document(folder / "flow.json", figures, files, found.rig, heading)
-    return figures
-
-
-def _print_rejections(session: Session, found: SessionFlow) -> None:
-    """Whether so many lost vertices are usual; nothing where a probing has none at all."""
+def _rejections(session: Session, rig: Rig, motion: MeasuredMotion) -> tuple[Rejections, ...]:
+    """Counts of a probing's lost vertices; empty for an earlier image, a step or a failure."""
+    if motion.probing is None or not motion.last:
+        return ()
+    one = tuple(probing for probing in session.probings if probing.name == motion.probing)
     with suppress(InputError):
-        counts = rejections(with_measured_displacement(session, found))
-        if any(rejection.lost for rejection in counts):
-            print_text(rejection_note(counts))
+        found = SessionFlow(rig, (motion,), ())
+        return rejections(with_measured_displacement(replace(session, probings=one), found))
+    return ()
+
+
+def _print_rejections(figures: Sequence[MotionFigures], counts: Sequence[Rejections]) -> None:
+    """Whether so many lost vertices are usual; nothing where a probing has none at all."""
+    probings = {f.probing for f in figures if f.probing is not None}
+    if len(counts) == len(probings) and any(each.lost for each in counts):
+        print_text(rejection_note(counts))
 
 
 def _closing_text(figures: Sequence[MotionFigures], seconds: float) -> str:
@@ -194,13 +197,6 @@ def _print_failures(figures: Sequence[MotionFigures]) -> int:
     for name, failure in failures.items():
         print(f"palpate: {name}: {failure}", file=sys.stderr)
     return len(failures)
-
-
-def _motion_count(session: Session) -> int:
-    """How many motions there are to measure."""
-    images = [probing.images for probing in session.probings]
-    loaded = sum(len(given.loaded) for given in images if given is not None)
-    return max(len(session.steps) - 1, 0) + loaded
 
 
 def _with_rate(progress: Progress, count: int) -> Progress:

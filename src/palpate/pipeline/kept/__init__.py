@@ -4,7 +4,7 @@ Purpose    : the measured motion, reused when nothing has changed; measured and 
              for reports and other programs.
 Takes      : a `Session`, a `FitResult`, a result folder.
 Gives      : `motion.npz` and `surface.npz`, and what is read back from them.
-Depends on : `estimation`, `geometry`, `records`, `vision`.
+Depends on : `pipeline.motion`, `estimation`, `geometry`, `records`, `vision`.
 Read first : `motion.py`, then `fitted_surface.py`.
 """
 

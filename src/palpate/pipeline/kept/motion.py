@@ -12,7 +12,7 @@ from palpate.disk import write_bytes
 from palpate.errors import InputError
 from palpate.files import stored_arrays
 from palpate.geometry import closest_points
-from palpate.pipeline.measure_motion import SCALE_ERROR, motion_key
+from palpate.pipeline.motion import SCALE_ERROR, motion_key
 from palpate.pipeline.object_pose import PoseChoice
 from palpate.records import (
     DisplacementField,

@@ -3,8 +3,8 @@
 Purpose    : expected precision of probings still to be made, and the most informative next places.
 Takes      : a `Session`, with a guess of its constants or with measurements.
 Gives      : `MeasurementPlan`, `NextProbings`.
-Depends on : `pipeline.model`, `pipeline.observations`, `lab`, `estimation`, `vision`, `records`,
-             `geometry`.
+Depends on : `pipeline.model`, `pipeline.motion`, `pipeline.observations`, `lab`, `estimation`,
+             `vision`, `records`, `geometry`.
 Read first : `measurement_plan.py`, then `next_probings.py`.
 """
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.arrays import known_median
-from palpate.pipeline.measure_motion import MeasuredMotion
+from palpate.pipeline.motion.measure_motion import MeasuredMotion
 from palpate.records import Camera, Rig, json_text, write_text
 from palpate.shapes import Flags
 from palpate.vision import (

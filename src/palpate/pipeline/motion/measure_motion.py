@@ -1,8 +1,10 @@
-"""From a session's pictures to the displacement of its object's vertices."""
+"""Motion of the object's surface from a session's pictures, one motion at a time."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, closest_points
+from palpate.geometry import TriangleMesh
 from palpate.parts import Parts, content_digest
+from palpate.pipeline.motion.notes import order_notes, texture_notes, typical_motion
 from palpate.pipeline.object_pose import PoseChoice, posed_rig
 from palpate.progress import Progress, silent
 from palpate.records import (
-    DisplacementField,
     Images,
     Rig,
     Session,
@@ -23,16 +25,13 @@ from palpate.records import (
     read_rig,
     session_files,
 )
-from palpate.shapes import Indices
 from palpate.vision import (
     FlowMethod,
     JointFlow,
     LangPaiFlow,
-    Outcome,
     Pictures,
     RangeFlow,
     VertexDisplacement,
-    measured_vertices,
     read_pictures,
 )
 
@@ -41,15 +40,6 @@ FLOW_METHODS: Mapping[str, Callable[..., FlowMethod]] = {
     "joint": JointFlow,
     "lang-pai": LangPaiFlow,
 }
-# Texture finer than the pixels makes motions of a fraction of a pixel come out too long: with the
-# low-pass filter applied, by 0.1 % for speckles with a sigma of 1.7 px, by 0.5 to 1.2 % for 1 to
-# 0.6 px (analytic textures).
-SCALE_ERROR = 0.007
-# A few points without texture are at outlines or blots; a larger fraction means a surface without
-# speckle.
-_MAX_TEXTURELESS = 0.1
-# An earlier image with more than this many times the motion of the last one is out of order.
-_MAX_EARLIER_MOTION = 1.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,15 +97,15 @@ class _Instant:
 _Start = tuple[Rig, Float[np.ndarray, "_ _"], Any]
 
 
-def measure_motion(
+def measured_motions(
     session: Session,
     *,
     method: FlowMethod = JointFlow(),
     pose: PoseChoice = "auto",
     progress: Progress = silent,
     parts: Path | None = None,
-) -> SessionFlow:
-    """Measure how the object's surface moves in the pictures of a session.
+) -> Iterator[tuple[Rig, MeasuredMotion, tuple[str, ...]]]:
+    """Measure the motions of a session one by one; those already yielded are not kept.
 
     Parameters
     ----------
@@ -127,9 +117,12 @@ def measure_motion(
     parts : Path or None            folder, made if missing, for finished instants, so that an
                                     interrupted run can be resumed
 
-    Returns
-    -------
-    SessionFlow                     an instant whose pictures cannot be read is kept as a failure
+    Yields
+    ------
+    rig : Rig                       with the pose that was used, the same for all motions
+    motion : MeasuredMotion         in the order of `motion_names`; an instant whose pictures cannot
+                                    be read is a failure
+    notes : tuple of str            all so far, on conversions, registration and what looks wrong
 
     Raises
     ------
@@ -142,85 +135,80 @@ def measure_motion(
     progress("cameras", 0.0)
     rig = read_rig(session.rig)
     store = Parts(parts, "" if parts is None else motion_key(session, method, pose))
-    total = sum(len(later) for _, _, later in sequences)
-    motions: list[MeasuredMotion] = []
+    done, total = 0, sum(len(later) for _, _, later in sequences)
     notes: list[str] = []
+    texture: tuple[str, ...] = ()
+    order: tuple[str, ...] = ()
     starts: dict[str, _Start] = {}
+    uses = Counter(first.pattern for _, first, _ in sequences)
     for probing, first, later in sequences:
         if first.pattern not in starts:
-            progress(f"{first.whose}: first pictures and pose", len(motions) / total)
-            pictures = _read(session, rig, first)
-            posed, remarks = posed_rig(rig, pictures.grey, session.mesh, pose)
-            state = method.start(posed, pictures.grey, session.mesh)
-            starts[first.pattern] = posed, pictures.grey[posed.reference], state
-            rig = rig if len(starts) > 1 else posed
-            notes += pictures.notes + remarks
-        start = starts[first.pattern]
-        for motion, remarks in _followed(session, probing, later, start, method, store):
-            motions.append(motion)
+            progress(f"{first.whose}: first pictures and pose", done / total)
+            starts[first.pattern], remarks = _started(session, rig, first, method, pose)
+            rig = starts[first.pattern][0] if first is sequences[0][1] else rig
             notes += remarks
-            progress(f"{motion.name}, {len(motions)} of {total} instants", len(motions) / total)
-    notes += _texture_notes(motions) + _order_notes(motions)
-    return SessionFlow(rig, tuple(motions), tuple(dict.fromkeys(notes)))
+        start = starts[first.pattern]
+        uses[first.pattern] -= 1
+        if uses[first.pattern] == 0:
+            # It holds pictures, and every probing may have its own.
+            del starts[first.pattern]
+        sizes: dict[str, float] = {}
+        for motion, remarks in _followed(session, probing, later, start, method, store):
+            done += 1
+            notes += remarks
+            if motion.flow is not None:
+                texture = texture or texture_notes(motion.name, motion.flow)
+            if motion.flow is not None and probing is not None:
+                sizes[motion.name] = typical_motion(motion.flow)
+                order += order_notes(probing, sizes) if motion.last else ()
+            progress(f"{motion.name}, {done} of {total} instants", done / total)
+            yield rig, motion, tuple(dict.fromkeys(chain(notes, texture, order)))
 
 
-def with_pictures_measured(
+def measure_motion(
     session: Session,
     *,
+    method: FlowMethod = JointFlow(),
     pose: PoseChoice = "auto",
     progress: Progress = silent,
     parts: Path | None = None,
-) -> Session:
-    """The session, with displacements measured in the pictures where it has no file of them.
+) -> SessionFlow:
+    """Measure how the object's surface moves in the pictures of a session; keep all motions.
 
     Parameters
     ----------
-    session : Session
-    pose, progress, parts           as in `measure_motion`
+    session, method, pose, progress, parts      as in `measured_motions`
 
     Returns
     -------
-    Session                         unchanged if nothing is to be measured; else with the notes of
-                                    the measurement after its own
+    SessionFlow                     an instant whose pictures cannot be read is kept as a failure
 
     Raises
     ------
-    InputError                      a probing whose pictures could not be used or show no motion
+    InputError                      no images, no rig
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
-    unread = tuple(p for p in session.probings if p.displacement is None and p.images)
-    if not unread:
-        return session
-    flow = measure_motion(
-        replace(session, probings=unread), pose=pose, progress=progress, parts=parts
-    )
-    return with_measured_displacement(session, flow)
+    found = measured_motions(session, method=method, pose=pose, progress=progress, parts=parts)
+    rigs, motions, notes = zip(*found, strict=True)
+    return SessionFlow(rigs[-1], motions, notes[-1])
 
 
-def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:
-    """The session, with the displacements that were measured at full force.
+def motion_names(session: Session) -> list[str]:
+    """Names of the motions of a session, in the order in which they are measured.
 
     Parameters
     ----------
-    session : Session
-    flow : SessionFlow              of probings of this session
+    session : Session               with steps, or with probings of which some have images
 
     Returns
     -------
-    Session                         probings that have a displacement file keep it
+    list of str                     of every step but the first, or of every loaded image
 
     Raises
     ------
-    InputError                      a probing whose pictures could not be used or show no motion
+    InputError                      no images
     """
-    by_probing = {motion.probing: motion for motion in flow.motions if motion.last}
-    probings = tuple(
-        replace(probing, displacement=_displacement_field(session, by_probing[probing.name]))
-        if probing.displacement is None and probing.name in by_probing
-        else probing
-        for probing in session.probings
-    )
-    return replace(session, probings=probings, notes=session.notes + flow.notes)
+    return [instant.name for _, _, later in _sequences(session) for instant in later]
 
 
 def _sequences(session: Session) -> Sequence[tuple[str | None, _Instant, list[_Instant]]]:
@@ -251,6 +239,16 @@ def _instants(name: str, images: Images) -> tuple[_Instant, list[_Instant]]:
         for k, pattern in enumerate(images.loaded, start=1)
     ]
     return _Instant("rest", whose, images.rest, False), later
+
+
+def _started(
+    session: Session, rig: Rig, first: _Instant, method: FlowMethod, pose: PoseChoice
+) -> tuple[_Start, tuple[str, ...]]:
+    """Start of the sequences with these first pictures, and notes on pictures and pose."""
+    pictures = _read(session, rig, first)
+    posed, remarks = posed_rig(rig, pictures.grey, session.mesh, pose)
+    state = method.start(posed, pictures.grey, session.mesh)
+    return (posed, pictures.grey[posed.reference], state), pictures.notes + remarks
 
 
 def _followed(
@@ -305,96 +303,3 @@ def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
 def _read(session: Session, rig: Rig, instant: _Instant) -> Pictures:
     folder = session.path.parent
     return read_pictures(rig, instant.pattern, folder=folder, what=instant.whose)
-
-
-def vertex_field(
-    mesh: TriangleMesh, vertices: VertexDisplacement, rows: Indices, source: str
-) -> DisplacementField:
-    """Displacement field of some vertices, as if read from a displacement file.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    vertices : VertexDisplacement   of all v vertices of the mesh
-    rows : (k,) int                 observed vertices, measured or not
-    source : str                    where it comes from, for messages
-
-    Returns
-    -------
-    DisplacementField               k rows; NaN where nothing was measured
-    """
-    points = mesh.vertices[rows]
-    return DisplacementField(
-        points=points,
-        displacement=vertices.displacement[rows],
-        std=np.sqrt(np.einsum("vaa->va", vertices.covariance[rows])),
-        vertex=rows,
-        surface=closest_points(mesh, points),
-        source=source,
-        scale_error=SCALE_ERROR,
-        covariance=vertices.covariance[rows],
-        correlation=vertices.correlation.subset(rows, len(mesh.vertices)),
-        average=None if vertices.average is None else vertices.average.subset(rows),
-    )
-
-
-def _displacement_field(session: Session, motion: MeasuredMotion) -> DisplacementField:
-    """Displacement field of one motion, as the estimation takes it."""
-    if motion.vertices is None:
-        raise InputError(f"probing '{motion.name}': {motion.failure}")
-    measured = measured_vertices(motion.vertices)
-    if not measured.any():
-        raise InputError(
-            f"probing '{motion.name}' in {session.path}: no vertex of the mesh could be followed"
-            " in its pictures; `palpate flow` shows why, point by point"
-        )
-    rows = np.flatnonzero((motion.vertices.count > 0) | measured)
-    return vertex_field(session.mesh, motion.vertices, rows, f"images of {motion.name}")
-
-
-def _order_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
-    """Notes where an earlier image of a probing shows more motion than the last one."""
-    full = {
-        motion.probing: _typical_motion(motion.flow)
-        for motion in motions
-        if motion.last and motion.probing is not None and motion.flow is not None
-    }
-    notes = []
-    for motion in motions:
-        if motion.last or motion.flow is None or motion.probing not in full:
-            continue
-        size, last = _typical_motion(motion.flow), full[motion.probing]
-        if size > _MAX_EARLIER_MOTION * last:
-            notes.append(
-                f"probing '{motion.probing}': image '{motion.name}' shows more motion"
-                f" ({1e3 * size:.3g} mm) than the last one ({1e3 * last:.3g} mm), which must be"
-                " the one at full force; is their order right?"
-            )
-    return tuple(notes)
-
-
-def _texture_notes(motions: Sequence[MeasuredMotion]) -> tuple[str, ...]:
-    """A note on where the surface has too little texture to be tracked, and how much it needs."""
-    for motion in motions:
-        if motion.flow is None:
-            continue
-        poor = motion.flow.outcome == Outcome.TEXTURE
-        if len(poor) > 0 and poor.mean() > _MAX_TEXTURELESS:
-            column, row = np.median(motion.flow.pixel[poor], axis=0)
-            needed = 3.0 * float(np.max(motion.flow.noise))
-            return (
-                (
-                    f"'{motion.name}': {100 * poor.mean():.0f} % of the points have too little"
-                    f" texture to be followed (around column {column:.0f}, row {row:.0f} of the"
-                    f" reference camera); a window of {motion.flow.subset} px needs grey levels"
-                    f" that vary by {needed:.1f} or more (1 sigma): speckle the surface, or light"
-                    " it better"
-                ),
-            )
-    return ()
-
-
-def _typical_motion(flow: RangeFlow) -> float:
-    """Root mean square of the displacement [m]."""
-    square = np.nansum(flow.displacement**2, axis=1)[np.isfinite(flow.displacement[:, 0])]
-    return float(np.sqrt(square.mean())) if len(square) else 0.0
