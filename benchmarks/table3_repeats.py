@@ -1,11 +1,11 @@
 """Table 3 of the paper made again and again on the virtual bench: do its intervals hold the truth?
 
-Every repeat has its own texture, misalignment, readings and noise; the specimen stays.
+Every repeat has its own texture, misalignment, readings and noise; the specimen stays. The fits are
+a campaign of their own, the pose as given.
 """
 
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.figure import FACILITY, Figure
+from benchmarks.machine import CORES
 from benchmarks.options import Options
+from palpate.campaign import DONE, CampaignItem, FitOptions, Store, run_campaign
 from palpate.lab import Material, built_in, choose_variant, make_sessions, read_lab_config
 from palpate.paper import (
     CALIBRATION,
@@ -25,8 +27,7 @@ from palpate.paper import (
     reduced,
     with_misjudged_rig,
 )
-from palpate.pipeline import fit_session, with_pictures_measured
-from palpate.records import Estimate, ProbeEstimate, Session, read_session
+from palpate.records import Estimate, ProbeEstimate, read_estimate, read_session
 
 REPEATS = 20
 # As in the error budget.
@@ -66,13 +67,16 @@ def measure(options: Options) -> list[Figure]:
         for _, folder in wanted:
             folder.mkdir()
         make_sessions(wanted, variant=choose_variant(), progress=_log_progress)
-        return evaluated([read_session(folder) for _, folder in wanted], config.material)
+        folders = [folder for _, folder in wanted]
+        return evaluated(folders, config.material, Path(name) / "campaign")
 
 
-def evaluated(sessions: Sequence[Session], material: Material) -> list[Figure]:
-    """Figures of sessions that repeat each other, each in a folder named by its seed."""
-    estimates = [_estimate(session) for session in sessions]
-    misjudged = [_estimate(_misjudged(session)) for session in sessions]
+def evaluated(folders: Sequence[Path], material: Material, campaign: Path) -> list[Figure]:
+    """Figures of sessions that repeat each other, each in a folder named by its seed; the campaign
+    of their fits is made or gone on with."""
+    given = [folder / "session.toml" for folder in folders]
+    found = fitted([*given, *map(misjudged_session, folders)], campaign)
+    estimates, misjudged = found[: len(folders)], found[len(folders) :]
     together, wrong = _repeats(estimates, material), _repeats(misjudged, material)
     alone = _repeats([probe for each in estimates for probe in each.probes], material)
     count, singles = len(estimates), len(alone.error)
@@ -87,24 +91,27 @@ def evaluated(sessions: Sequence[Session], material: Material) -> list[Figure]:
     ]
 
 
-def _estimate(session: Session) -> Estimate:
-    """Constants by the default method, the pose as given."""
-    start = time.perf_counter()
-    estimate = fit_session(with_pictures_measured(session, pose="given")).estimate
-    young, nu = estimate.young_modulus, estimate.poisson_ratio
-    _log(
-        f"{session.path.parent.name}: nu {nu.value:.4f} {np.round(nu.ci95, 4).tolist()},"
-        f" E {young.value:.0f} {np.round(young.ci95).tolist()},"
-        f" {time.perf_counter() - start:.0f} s"
-    )
-    return estimate
+def fitted(files: Sequence[Path], campaign: Path) -> list[Estimate]:
+    """Estimates of session files by the default method, the pose as given; two at a time."""
+    items = [CampaignItem(f"{file.parent.name}/{file.name}", file.stem, file) for file in files]
+    options = FitOptions(pose="given")
+    rows = run_campaign(items, campaign, options=options, workers=CORES, progress=_log_progress)
+    for row in rows:
+        if row.state != DONE:
+            raise RuntimeError(f"{row.session}: {row.message}")
+        _log(f"{row.session}: nu {row.poisson_ratio}, E {row.young_modulus}, {row.seconds:.0f} s")
+    results = Store(campaign)
+    return [read_estimate(results.result_at(row.address) / "estimate.json") for row in rows]
 
 
-def _misjudged(session: Session) -> Session:
-    """The same pictures with a calibration and a pose of the object that are a little wrong."""
-    folder = session.path.parent
+def misjudged_session(folder: Path) -> Path:
+    """File of a session beside the given one: its calibration and its pose are a little wrong."""
     rng = np.random.default_rng([int(folder.name), 1])
-    return with_misjudged_rig(session, rng, folder / "rig_misjudged.toml", error=_ERROR)
+    with_misjudged_rig(read_session(folder), rng, folder / "rig_misjudged.toml", error=_ERROR)
+    text = (folder / "session.toml").read_text(encoding="utf-8")
+    file = folder / "session_misjudged.toml"
+    file.write_text(text.replace('"rig.toml"', '"rig_misjudged.toml"'), encoding="utf-8")
+    return file
 
 
 def _repeats(estimates: Sequence[Estimate | ProbeEstimate], material: Material) -> Repeats:

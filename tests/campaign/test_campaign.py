@@ -98,11 +98,11 @@ def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, submitte
     with_pictures(tmp_path / "seen" / "cube")
     asked = []
 
-    def with_pictures_measured(session):
+    def with_pictures_measured(session, *, pose):
         """What the model says of the pictures, in the place of cameras."""
         if all(one.displacement is not None for one in session.probings):
             return session
-        asked.append(session.name)
+        asked.append(pose)
         field = read_session(cube).probings[0].displacement
         field = replace(field, vertex=np.flatnonzero(session.mesh.vertices[:, 2] > 0))
         probing = replace(session.probings[0], displacement=field)
@@ -119,8 +119,15 @@ def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, submitte
     other = FitOptions(poisson_range=(0.0, 0.45))
     (second,) = run_campaign(items, folder, options=other, scheduler=scheduler)
     assert [kind for kind, _ in submitted] == ["motion", "fit", "fit"]
-    assert asked == ["a [bold] cube"]
+    assert asked == ["auto"]
     assert second.address != first.address
+    # Another choice of the pose does.
+    (third,) = run_campaign(
+        items, folder, options=replace(other, pose="given"), scheduler=scheduler
+    )
+    assert [kind for kind, _ in submitted][3:] == ["motion", "fit"]
+    assert asked == ["auto", "given"]
+    assert third.address != second.address
     # The fit knows nothing of where the displacements come from: the model's own constants.
     assert first.young_modulus_low < 2 * SHEAR * (1 + NU) < first.young_modulus_high
 

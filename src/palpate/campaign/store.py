@@ -137,7 +137,16 @@ class Store:
         ----------
         work : Work
         """
-        return self.folder / _RESULTS / work.digest[:_DIGEST_DIGITS]
+        return self.result_at(work.digest)
+
+    def result_at(self, address: str) -> Path:
+        """Folder of the result with an address, whether it exists or not.
+
+        Parameters
+        ----------
+        address : str               as in `Row`, of a session that is done
+        """
+        return self.folder / _RESULTS / address[:_DIGEST_DIGITS]
 
     def is_done(self, work: Work) -> bool:
         """Whether a fit's result exists and is unchanged.

@@ -52,11 +52,13 @@ class FitOptions:
     poisson_range : (float, float)      range in which Poisson's ratio is searched
     surface : "smooth" or "flat"        interpretation of the meshes: smooth or faceted surface
     strain : "small" or "finite"        finite: `finite_strain` of `fit_session`
+    pose : "auto", "given" or "register"    as in `with_pictures_measured`
     """
 
     poisson_range: tuple[float, float] = (0.0, 0.4999)
     surface: Literal["smooth", "flat"] = "smooth"
     strain: Literal["small", "finite"] = "small"
+    pose: Literal["auto", "given", "register"] = "auto"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +84,7 @@ class Work:
     def digest(self) -> str:
         """Digest of everything that determines the outcome: files, options, version; 64 digits."""
         sums = dict(self.session.package.sums)
-        options = self.options if self.kind == "fit" else None
+        options = self.options if self.kind == "fit" else self.options.pose
         return content_digest((self.kind, self.session.session, sums, options))
 
 
@@ -161,8 +163,12 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
     result = own_folder / "result"
     result.mkdir()
     if work.kind == "motion":
+        measured = with_pictures_measured(given, pose=work.options.pose)
         keep_motion(
-            result, given, _with_original_notes(with_pictures_measured(given), work, own_folder)
+            result,
+            given,
+            _with_original_notes(measured, work, own_folder),
+            pose=work.options.pose,
         )
     else:
         _fit(
@@ -183,13 +189,14 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
 
 def _with_motion(work: Work, given: Session, own_folder: Path) -> Session:
     """The session with the displacements measured in its pictures."""
+    pose = work.options.pose
     if work.motion is not None:
         with result_folder(own_folder / "motion", kind="fit") as motion_folder:
             (motion_folder / MOTION_FILE).write_bytes(work.motion)
-        measured = with_kept_motion(given, own_folder / "motion")
+        measured = with_kept_motion(given, own_folder / "motion", pose=pose)
         if measured is not None:
             return measured
-    return with_pictures_measured(given)
+    return with_pictures_measured(given, pose=pose)
 
 
 def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Path | None) -> None:

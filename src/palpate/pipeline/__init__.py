@@ -50,6 +50,7 @@ from palpate.pipeline.motion import (
     with_pictures_measured as with_pictures_measured,
     write_flow_document as write_flow_document,
 )
+from palpate.pipeline.object_pose import PoseChoice as PoseChoice
 from palpate.pipeline.observations import (
     converged_observations as converged_observations,
     graded_observations as graded_observations,

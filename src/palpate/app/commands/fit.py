@@ -23,6 +23,7 @@ from palpate.app.versions import versions
 from palpate.bem import SurfaceSettings, check_memory
 from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import (
+    PoseChoice,
     fit_session,
     keep_motion,
     with_kept_motion,
@@ -59,6 +60,7 @@ def fit(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
+    pose: Literal["auto", "given", "register"] = "auto",
     cache: Path | None = None,
     force: bool = False,
 ) -> int:
@@ -86,6 +88,9 @@ def fit(
     strain
         Small: displacements are linear in the force. Finite: what that leaves out of an object that
         was pressed far is computed with finite elements, and corrected.
+    pose
+        Where the object is in pictures: as the camera file says (given), as the pictures at rest
+        show (register), or registered only where they contradict the file (auto).
     cache
         Folder that keeps the surface integrals of this object for the next fit.
     force
@@ -117,7 +122,7 @@ def fit(
             # Shares of the work, about: pictures, where there are some, take as long as the rest.
             fit_begins = _FIT_BEGINS if has_pictures else 0.0
             measured, reused = _with_motion_measured(
-                given, target, folder, part_of(progress, 0.0, fit_begins)
+                given, target, folder, pose, part_of(progress, 0.0, fit_begins)
             )
             print_notes(measured.notes[len(given.notes) :])
             before = {"loading": loading, "reading_and_motion": log.seconds - loading}
@@ -131,7 +136,7 @@ def fit(
             )
             progress("tables and pictures", _DRAWING_BEGINS)
             result = _with_provenance(
-                result, before, log, _command(session, probe, settings, surface, strain)
+                result, before, log, _command(session, probe, settings, surface, strain, pose)
             )
             estimate = _write(folder, measured, result, log)
     _print(estimate, measured)
@@ -147,17 +152,19 @@ def fit(
 
 
 def _with_motion_measured(
-    given: Session, target: Path, folder: Path, progress: Progress
+    given: Session, target: Path, folder: Path, pose: PoseChoice, progress: Progress
 ) -> tuple[Session, bool]:
     """The session with the motion of its pictures, which the result keeps, and whether an earlier
     result held it."""
     has_pictures = any(
         probing.displacement is None and probing.images for probing in given.probings
     )
-    kept = with_kept_motion(given, target) if has_pictures else None
-    measured = kept or with_pictures_measured(given, progress=progress, parts=parts_folder(folder))
+    kept = with_kept_motion(given, target, pose=pose) if has_pictures else None
+    measured = kept or with_pictures_measured(
+        given, pose=pose, progress=progress, parts=parts_folder(folder)
+    )
     if measured is not given:
-        keep_motion(folder, given, measured)
+        keep_motion(folder, given, measured, pose=pose)
     return measured, kept is not None
 
 
@@ -172,12 +179,18 @@ def _with_provenance(
 
 
 def _command(
-    session: Path, probe: list[str] | None, settings: FitSettings, surface: str, strain: str
+    session: Path,
+    probe: list[str] | None,
+    settings: FitSettings,
+    surface: str,
+    strain: str,
+    pose: str,
 ) -> str:
     """The line that repeats a fit, without what has no part in its numbers."""
     words = ["palpate", "fit", str(session)]
     words += ["--probe", *probe] if probe else []
     words += ["--method", settings.method, "--surface", surface, "--strain", strain]
+    words += ["--pose", pose]
     return shlex.join([*words, "--poisson-range", *(f"{end:g}" for end in settings.poisson_range)])
 
 

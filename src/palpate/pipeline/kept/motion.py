@@ -3,7 +3,7 @@
 import io
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.sparse import bsr_array, csr_array
@@ -24,12 +24,14 @@ from palpate.records import (
 from palpate.vision import JointFlow
 
 MOTION_FILE = "motion.npz"
-MOTION_FORMAT = "palpate-motion/3"
-# Flow method and pose that `palpate fit` uses.
-_HOW: tuple[JointFlow, PoseChoice] = JointFlow(), "auto"
+MOTION_FORMAT = "palpate-motion/4"
+# Flow method that `palpate fit` uses.
+_METHOD = JointFlow()
 
 
-def keep_motion(folder: Path, given: Session, measured: Session) -> None:
+def keep_motion(
+    folder: Path, given: Session, measured: Session, *, pose: PoseChoice = "auto"
+) -> None:
     """Write the displacements measured in pictures, with a digest of everything they depend on.
 
     Parameters
@@ -37,6 +39,7 @@ def keep_motion(folder: Path, given: Session, measured: Session) -> None:
     folder : Path                   of the result
     given : Session                 as it was read
     measured : Session              the same, with the measured displacements
+    pose : PoseChoice               with which they were measured
 
     Raises
     ------
@@ -45,7 +48,8 @@ def keep_motion(folder: Path, given: Session, measured: Session) -> None:
     """
     content: dict[str, Any] = {
         "format": np.array(MOTION_FORMAT),
-        "key": np.array(motion_key(given, *_HOW)),
+        "key": np.array(motion_key(given, _METHOD, pose)),
+        "pose": np.array(pose),
         "notes": np.array(measured.notes[len(given.notes) :], dtype=str),
     }
     for before, probing in zip(given.probings, measured.probings, strict=True):
@@ -65,18 +69,21 @@ def keep_motion(folder: Path, given: Session, measured: Session) -> None:
     write_bytes(folder / MOTION_FILE, packed.getvalue())
 
 
-def with_kept_motion(session: Session, folder: Path) -> Session | None:
+def with_kept_motion(
+    session: Session, folder: Path, *, pose: PoseChoice | None = None
+) -> Session | None:
     """The session with the displacements of its pictures from an earlier result.
 
     Parameters
     ----------
     session : Session               as it was read
     folder : Path                   of the earlier result; it need not exist
+    pose : PoseChoice or None       with which they must have been measured; None: any
 
     Returns
     -------
     Session or None                 None: nothing was kept, it was altered, or the session's files,
-                                    its probings or Palpate itself have changed since
+                                    its probings, the pose's choice or Palpate itself have changed
     """
     path = folder / MOTION_FILE
     try:
@@ -84,8 +91,10 @@ def with_kept_motion(session: Session, folder: Path) -> Session | None:
         if MOTION_FILE in changed or MOTION_FILE not in sums:
             return None
         with stored_arrays(path, "") as kept:
-            stored = [str(kept[name]) for name in ("format", "key")]
-            if stored != [MOTION_FORMAT, motion_key(session, *_HOW)]:
+            form, key, used = (str(kept[name]) for name in ("format", "key", "pose"))
+            if form != MOTION_FORMAT or pose not in (None, used):
+                return None
+            if key != motion_key(session, _METHOD, cast(PoseChoice, used)):
                 return None
             return _with_fields(session, kept)
     except InputError:

@@ -56,6 +56,7 @@ def run(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
+    pose: Literal["auto", "given", "register"] = "auto",
 ) -> int:
     """Fit all sessions of a list or below a folder, several at a time, and make one table of them.
 
@@ -82,6 +83,8 @@ def run(
         As in `palpate fit`.
     strain
         As in `palpate fit`.
+    pose
+        As in `palpate fit`.
 
     Returns
     -------
@@ -96,7 +99,7 @@ def run(
         )
     items = read_items(sessions)
     folder = out or Path(f"{sessions.resolve().stem}-campaign")
-    options = FitOptions(poisson_range, surface, strain)
+    options = FitOptions(poisson_range, surface, strain, pose)
     with progress_bar() as progress:
         rows = run_campaign(
             items, folder, options=options, scheduler=scheduler, workers=workers, progress=progress
