@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
-from palpate.vision.matching.local_regression import Scatter, local_field
+from palpate.vision.matching import Scatter, local_field
 from palpate.vision.matching.noise_correlation import noise_correlation
 
 PITCH = 3e-4

@@ -34,9 +34,6 @@ _MAX_DISAGREEMENT = 5.0
 # response), part of every covariance; and its minimum beside occlusions and shadows.
 _MATCHING_BIAS_PX = 0.002
 _BIAS_BESIDE_CHANGE_PX = 0.006
-# Variance inflation because derivatives taken from the neighbours carry noise, relative to a window
-# with known derivatives (benchmarks/flow_sigma.py).
-_CARRIED_NOISE = 1.44
 
 
 def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) -> RangeFlow:
@@ -57,7 +54,7 @@ def accepted_flow(scene: Scene, match: Match, noise: Float[np.ndarray, " c"]) ->
     inflation = _variance_inflation(scene, match)
     inflation *= _gradient_noise_inflation(scene, raw_noise[scene.rig.reference])
     match = match._replace(own_variance=match.own_variance * inflation[:, None])
-    by_noise = match.covariance * (_CARRIED_NOISE * inflation)[:, None, None]
+    by_noise = match.covariance * inflation[:, None, None]
     bias_px = _matching_bias(match, used)
     outcome = _outcome(scene, match, by_noise, noise, bias_px)
     beside = np.where(_beside_change(scene, outcome), _BIAS_BESIDE_CHANGE_PX, 0.0)

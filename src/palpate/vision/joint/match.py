@@ -14,7 +14,15 @@ from palpate.vision.cameras import pixel_sizes
 from palpate.vision.images import SplinePicture
 from palpate.vision.joint.refinement import Limits, Match, refine_joint
 from palpate.vision.joint.scene import Scene
-from palpate.vision.matching import BASES, Prediction, Scatter, local_field, predicted
+from palpate.vision.matching import (
+    BASES,
+    LocalField,
+    Prediction,
+    Scatter,
+    local_field,
+    predicted,
+    sum_variance,
+)
 from palpate.vision.range_flow import Outcome
 
 # Rounds of second attempts: in each, the front of found points advances by a few windows.
@@ -60,10 +68,12 @@ def match_scene(
         tried = _refined(scene, again, moved, restart, scene.seen[again], noise, quick)
         tried = _without_one_camera(scene, again, moved, tried, restart, noise, quick)
         match = _replaced(match, tried, again)
-    known = _with_derivatives(scene, match)
+    known, inflation = _with_derivatives(scene, match)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
     final = limits._replace(bases=BASES[shape])
     last = _refined(scene, rows, moved, known[rows], match.cameras[rows], noise, final)
+    if final.bases < BASES["quadratic"]:
+        last = last._replace(covariance=last.covariance * inflation[rows, None, None])
     match = _replaced(match, last, rows)
     return match, _noise(match)
 
@@ -238,30 +248,45 @@ def predicted_motion(scene: Scene, match: Match, valid: Bool[np.ndarray, " n"]) 
     )
 
 
-def _with_derivatives(scene: Scene, match: Match) -> Float[np.ndarray, "n 6 3"]:
-    """The motion found, with derivatives from a local field; NaN where undetermined."""
+def _with_derivatives(
+    scene: Scene, match: Match
+) -> tuple[Float[np.ndarray, "n 6 3"], Float[np.ndarray, " n"]]:
+    """The motion found, with derivatives from a local field, and the `_inflation` by their noise;
+    NaN where undetermined."""
     good = match.outcome == Outcome.VALID
-    motion = np.full(match.motion.shape, np.nan)
+    motion, inflation = np.full(match.motion.shape, np.nan), np.full(len(good), np.nan)
     if not good.any():
-        return motion
-    field = local_field(
-        Scatter(
-            scene.point[good],
-            scene.pixel[good],
-            match.motion[good, 0],
-            match.covariance[good],
-            np.zeros((int(good.sum()), 3, 3)),
-            scene.subset,
-        ),
-        scene.point,
-        scene.tangent,
-        reach=neighbourhood(scene),
+        return motion, inflation
+    scatter = Scatter(
+        scene.point[good],
+        scene.pixel[good],
+        match.motion[good, 0],
+        match.covariance[good],
+        np.zeros((int(good.sum()), 3, 3)),
+        scene.subset,
     )
-    size = scene.half_window[good, None, None]
-    motion[good, 0] = match.motion[good, 0]
-    motion[good, 1:3] = field.gradient[good] * size
-    motion[good, 3:] = field.curvature[good] * size**2
-    return motion
+    field = local_field(scatter, scatter.point, scene.tangent[good], reach=neighbourhood(scene))
+    size = scene.half_window[good]
+    motion[good, 0] = scatter.displacement
+    motion[good, 1:3] = field.gradient * size[:, None, None]
+    motion[good, 3:] = field.curvature * size[:, None, None] ** 2
+    inflation[good] = _inflation(scatter, field, size)
+    return motion, inflation
+
+
+def _inflation(
+    scatter: Scatter, field: LocalField, half_window: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Variance of the displacements of windows whose second derivatives are the neighbours', over
+    that with known ones.
+
+    A second derivative moves a window's mean by half its second moment, half_window^2 / 3. First
+    derivatives do not: the mean of their coordinates is zero.
+    """
+    own = field.nearest == np.arange(len(half_window))[:, None]
+    weight = own - (half_window**2 / 3.0)[:, None] * field.bend
+    variance = np.trace(scatter.covariance, axis1=1, axis2=2)
+    return sum_variance(scatter, field.nearest, weight) / variance
 
 
 def neighbourhood(scene: Scene) -> float:

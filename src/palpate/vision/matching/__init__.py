@@ -19,7 +19,6 @@ from palpate.vision.matching.fit_operators import (
 )
 from palpate.vision.matching.local_regression import (
     LocalField as LocalField,
-    Scatter as Scatter,
     local_field as local_field,
 )
 from palpate.vision.matching.noise_correlation import noise_correlation as noise_correlation
@@ -34,6 +33,7 @@ from palpate.vision.matching.planar_match import (
     PlanarMatch as PlanarMatch,
     refine_planar as refine_planar,
 )
+from palpate.vision.matching.scatter import Scatter as Scatter, sum_variance as sum_variance
 from palpate.vision.matching.window_sums import (
     BASES as BASES,
     load_window_kernel as load_window_kernel,

@@ -14,7 +14,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import bsr_array
 
 from palpate.shapes import Points, PointScalars
-from palpate.vision.matching.local_regression import Scatter, nearest_within
+from palpate.vision.matching.local_regression import nearest_within
+from palpate.vision.matching.scatter import Scatter
 
 # Smallest tolerance (1 / variance inflation factor) of a coefficient; below it the polynomial is
 # undetermined.

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from palpate.shapes import Points
 from palpate.threads import in_threads
+from palpate.vision.matching.scatter import ANY_ORDER, Scatter, variance_kernel
 from palpate.vision.small_systems import cholesky_kernel, cholesky_solve_kernel
 
 _TERMS = {1: 3, 2: 6}
@@ -32,30 +33,6 @@ _MIN_PLACES_PER_THREAD = 32
 # Smallest relative pivot (tolerance) of a term: displacements on a line, or on one side only, do
 # not determine the polynomial.
 _MIN_PIVOT = 1e-3
-# What the compiler may assume of floating-point numbers: NaN keep their meaning.
-_ANY_ORDER = {"reassoc", "nsz", "contract"}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scatter:
-    """Displacements measured at scattered points of the surface.
-
-    Attributes
-    ----------
-    point : (n, 3) float [m]
-    pixel : (n, 2) float [px]           position of the point in the reference camera
-    displacement : (n, 3) float [m]     all finite
-    covariance : (n, 3, 3) float [m^2]  noise plus bias
-    bias : (n, 3, 3) float [m^2]        the part of the covariance shared by neighbouring points
-    subset : int [px]                   side of the windows they were measured with
-    """
-
-    point: Points
-    pixel: Float[np.ndarray, "n 2"]
-    displacement: Points
-    covariance: Float[np.ndarray, "n 3 3"]
-    bias: Float[np.ndarray, "n 3 3"]
-    subset: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +50,8 @@ class LocalField:
     nearest : (t, m) int                their indices in the scatter; -1 where there are fewer
     weight : (t, m) float [-]           weight of each in the fitted displacement; NaN where unused
                                         or undetermined
+    bend : (t, m) float [1/m^2]         the same in the sum of the coefficients of xi^2 and eta^2;
+                                        zero for order 1
     """
 
     displacement: Float[np.ndarray, "t 3"]
@@ -82,6 +61,7 @@ class LocalField:
     count: Int[np.ndarray, " t"]
     nearest: Int[np.ndarray, "t m"]
     weight: Float[np.ndarray, "t m"]
+    bend: Float[np.ndarray, "t m"]
 
 
 def local_field(
@@ -118,16 +98,16 @@ def local_field(
     value, gradient, curvature, covariance = (
         np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3))
     )
-    weight = np.full(nearest.shape, np.nan)
+    weight, bend = np.full(nearest.shape, np.nan), np.full(nearest.shape, np.nan)
     in_threads(
         _fit_range, count, np.ascontiguousarray(place, dtype=np.float64),
         np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
         scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
         float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, covariance,
-        weight, min_items=_MIN_PLACES_PER_THREAD,
+        weight, bend, min_items=_MIN_PLACES_PER_THREAD,
     )  # fmt: skip
     found = (nearest >= 0).sum(axis=1)
-    return LocalField(value, gradient, curvature, covariance, found, nearest, weight)
+    return LocalField(value, gradient, curvature, covariance, found, nearest, weight, bend)
 
 
 def nearest_within(
@@ -169,7 +149,7 @@ def nearest_within(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_range(
     begin, end, place, tangent, nearest, point, pixel, displacement, noise, bias, trace,
-    subset, reach, terms, value, gradient, curvature, covariance, weight,
+    subset, reach, terms, value, gradient, curvature, covariance, weight, bend,
 ):  # fmt: skip
     max_points = nearest.shape[1]
     # Terms along the first axis: sums over the displacements are then vectorised.
@@ -222,12 +202,11 @@ def _fit_range(
                 curvature[i, k, a] = solution[a, 3 + k] / size**2 if terms == 6 else 0.0
         row[:] = 0.0
         row[0] = 1.0
-        cholesky_solve_kernel(normal, row)
-        for j in range(m):
-            weight[i, j] = 0.0
-            for k in range(terms):
-                weight[i, j] += row[k] * design[k, j]
-            weight[i, j] *= base_weight[j] * robust[j]
+        _weights_kernel(normal, row, design, base_weight, robust, m, weight[i])
+        row[:] = 0.0
+        if terms == 6:
+            row[3] = row[5] = 1.0 / size**2
+        _weights_kernel(normal, row, design, base_weight, robust, m, bend[i])
         _covariance_kernel(weight[i], noise, trace, pixel, subset, nearest[i], m, covariance[i])
         for a in range(3):
             for b in range(3):
@@ -271,7 +250,7 @@ def _design_kernel(place, tangent, point, reach, out):
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
+@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
 def _solve_kernel(design, base_weight, robust, given, height, turn, m, normal, solution):
     """Weighted least squares; leaves the Cholesky factor in `normal`; False where singular."""
     terms = len(design)
@@ -294,7 +273,7 @@ def _solve_kernel(design, base_weight, robust, given, height, turn, m, normal, s
     return True
 
 
-@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
+@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
 def _reweigh_kernel(
     design, base_weight, robust, given, height, turn, m, variance, solution, ratio, order
 ):
@@ -328,28 +307,30 @@ def _reweigh_kernel(
     return np.sqrt(squares / total * m / (m - terms))
 
 
-@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
+@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
+def _weights_kernel(normal, row, design, base_weight, robust, m, out):
+    """Weight of each displacement in a combination of the coefficients, given as `row`, which is
+    overwritten; `normal` holds the Cholesky factor."""
+    cholesky_solve_kernel(normal, row)
+    for j in range(m):
+        out[j] = 0.0
+        for k in range(len(row)):
+            out[j] += row[k] * design[k, j]
+        out[j] *= base_weight[j] * robust[j]
+
+
+@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
 def _covariance_kernel(weight, noise, trace, pixel, subset, nearest, m, covariance):
     """Covariance of the fitted value, including the noise shared by overlapping windows."""
     mean = np.zeros((3, 3))
     total = 0.0
-    # Copied together, so that the double loop is vectorised.
-    sigma, column, row = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):
         n = nearest[j]
         for a in range(3):
             for b in range(3):
                 mean[a, b] += abs(weight[j]) * noise[n, a, b] / trace[n]
         total += abs(weight[j])
-        sigma[j] = weight[j] * np.sqrt(trace[n])
-        column[j], row[j] = pixel[n, 0] / subset, pixel[n, 1] / subset
-    factor = 0.0
-    for j in range(m):
-        shared = 0.0
-        for k in range(m):
-            common = max(0.0, 1.0 - abs(column[j] - column[k]))
-            shared += sigma[k] * common * max(0.0, 1.0 - abs(row[j] - row[k]))
-        factor += sigma[j] * shared
+    factor = variance_kernel(weight, trace, pixel, subset, nearest, m)
     for a in range(3):
         for b in range(3):
             covariance[a, b] = factor * mean[a, b] / total

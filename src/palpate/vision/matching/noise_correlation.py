@@ -5,7 +5,8 @@ from scipy.sparse import coo_array, csr_array, dia_array
 from scipy.spatial import cKDTree
 
 from palpate.records import PointCorrelation
-from palpate.vision.matching.local_regression import LocalField, Scatter
+from palpate.vision.matching.local_regression import LocalField
+from palpate.vision.matching.scatter import Scatter
 
 # Smaller correlations are dropped: three quarters of the pairs whose windows touch, which together
 # would add about 1 % to a variance.
