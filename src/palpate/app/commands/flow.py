@@ -3,9 +3,9 @@
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -111,44 +111,78 @@ def flow(
         given = read_session(session, probes=probe)
         record_inputs(folder, session_files(session))
         print_notes(given.notes)
-        stems = file_stems(motion_names(given), kind="motion")
-        figures: list[MotionFigures] = []
-        files: list[dict[str, str]] = []
-        counts: list[Rejections] = []
-        surface, writing, start = None, 0.0, time.perf_counter()
+        start, names = time.perf_counter(), motion_names(given)
         with progress_bar() as progress:
-            report = _with_rate(progress, len(stems))
+            report = _with_rate(progress, len(names))
             motions = measured_motions(
                 given, method=chosen, pose=pose, progress=report, parts=parts_folder(folder)
             )
-            # Each is written and let go before the next one is measured, as a video may be long.
-            for found, stem in zip(motions, stems, strict=True):
-                measured = time.perf_counter()
-                rig, motion, notes = found
-                written = write_motion(folder, given, rig, motion, stem=stem, surface=surface)
-                surface = written.surface
-                if motion.flow is not None and not no_pictures:
-                    camera = rig.cameras[rig.reference]
-                    view = make_flow_view(motion.first, camera, surface, given.mesh)
-                    written.files.update(write_flow_pictures(folder, stem, motion, view))
-                figures.append(written.figures)
-                files.append(written.files)
-                counts += _rejections(given, rig, motion)
-                writing += time.perf_counter() - measured
-        seconds = time.perf_counter() - start - writing
+            stems = file_stems(names, kind="motion")
+            written = _write(folder, given, motions, stems, pictures=not no_pictures)
+        seconds = time.perf_counter() - start - written.seconds
+        rig, notes, figures = written.rig, written.notes, written.figures
         heading = {
             "session": given.name,
             "settings": {"method": method, "pose": pose, method.replace("-", "_"): asdict(chosen)},
             "csv_metres_per_unit": given.metres_per_unit,
-            "seconds": {"measuring": seconds, "writing": writing},
+            "seconds": {"measuring": seconds, "writing": written.seconds},
             "notes": list(dict.fromkeys([*given.notes, *notes])),
         }
-        write_flow_document(folder / "flow.json", figures, files, rig, heading)
+        write_flow_document(folder / "flow.json", figures, written.files, rig, heading)
     print_notes(note for note in notes if note not in given.notes)
     print_tables(flow_table(figures, rig))
-    _print_rejections(figures, counts)
+    _print_rejections(figures, written.counts)
     print_text(f"{_closing_text(figures, seconds)}\nResult in {target}")
     return NOT_OK if _print_failures(figures) else 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """What is kept of the motions of a session, all files but flow.json being written.
+
+    Attributes
+    ----------
+    rig : Rig                       with the pose that was used
+    notes : tuple of str            of the measurement
+    figures : list of MotionFigures
+    files : list of dict            kind of file -> its name, of each motion
+    counts : list of Rejections     of the probings
+    seconds : float [s]             that the writing took
+    """
+
+    rig: Rig
+    notes: tuple[str, ...]
+    figures: list[MotionFigures]
+    files: list[dict[str, str]]
+    counts: list[Rejections]
+    seconds: float
+
+
+def _write(
+    folder: Path,
+    session: Session,
+    motions: Iterator[tuple[Rig, MeasuredMotion, tuple[str, ...]]],
+    stems: Sequence[str],
+    *,
+    pictures: bool,
+) -> _Written:
+    """Write each motion and let it go before the next one is measured: a video may be long."""
+    figures, files, counts = list[MotionFigures](), list[dict[str, str]](), list[Rejections]()
+    surface, seconds = None, 0.0
+    for found, stem in zip(motions, stems, strict=True):
+        start = time.perf_counter()
+        rig, motion, notes = found
+        written = write_motion(folder, session, rig, motion, stem=stem, surface=surface)
+        surface, names = written.surface, written.files
+        if pictures and motion.flow is not None:
+            camera = rig.cameras[rig.reference]
+            view = make_flow_view(motion.first, camera, surface, session.mesh)
+            names = names | write_flow_pictures(folder, stem, motion, view)
+        figures.append(written.figures)
+        files.append(names)
+        counts += _rejections(session, rig, motion)
+        seconds += time.perf_counter() - start
+    return _Written(rig, notes, figures, files, counts, seconds)
 
 
 def _rejections(session: Session, rig: Rig, motion: MeasuredMotion) -> tuple[Rejections, ...]:
