@@ -276,13 +276,23 @@ def draw(folder: Path) -> None:
             (panels[0], "times", 1.0, "Processor time [s]", 3),
             (panels[1], "memory", 1e9, "Memory [GB]", 2),
         ):
-            for way, colour in (("dense", ORANGE), ("compressed", BLUE)):
+            for way, colour, shift, side in (
+                ("dense", ORANGE, (6, -6), "left"), ("compressed", BLUE, (-14, 4), "right"),
+            ):  # fmt: skip
                 sizes, values = _series(folder, way, key)
-                axes.loglog(sizes, values / unit, "o-", color=colour, ms=3.5, lw=1.2, label=way)
+                axes.loglog(sizes, values / unit, "o-", color=colour, ms=3.5, lw=1.2)
+                axes.annotate(
+                    way, (sizes[-1], values[-1] / unit), xytext=shift, textcoords="offset points",
+                    ha=side, fontsize=7.5, color=colour,
+                )  # fmt: skip
             sizes, values = _series(folder, "dense", key)
             last = np.array([sizes[-1], largest])
             further = values[-1] / unit * (last / last[0]) ** power
-            axes.loglog(last, further, ":", color=ORANGE, lw=1.0, label="dense, not measured")
+            axes.loglog(last, further, ":", color=ORANGE, lw=1.0)
+            axes.annotate(
+                "not measured", (last[1], further[1]), xytext=(-14, -2), ha="right",
+                textcoords="offset points", fontsize=7.5, color=ORANGE,
+            )  # fmt: skip
             axes.axvline(SIZE_CHOOSES, color=GREY, lw=0.6)
             axes.set_xlabel("Vertices")
             axes.set_title(title, loc="left")
@@ -291,7 +301,6 @@ def draw(folder: Path) -> None:
             axes.minorticks_off()
             axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
             open_frame(axes)
-        panels[0].legend(loc="lower right")
         panels[1].annotate(
             "by itself\ncompressed", (SIZE_CHOOSES, 0.97), xycoords=("data", "axes fraction"),
             xytext=(4, 0), textcoords="offset points", va="top", fontsize=7.5, color=GREY,
