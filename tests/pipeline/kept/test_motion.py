@@ -1,5 +1,6 @@
 """Motion that a result keeps: the same to the last bit, and only where nothing has changed."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from pipeline.kept.picture_session import given_and_measured
 
 import palpate
 from palpate.pipeline import MOTION_FILE, keep_motion, with_kept_motion
-from palpate.records import result_folder
+from palpate.records import read_session, result_folder
 
 
 @pytest.fixture
@@ -43,11 +44,35 @@ def test_nothing_is_kept_where_there_is_no_result(kept, tmp_path):
     assert with_kept_motion(kept[0], tmp_path / "elsewhere") is None
 
 
-@pytest.mark.parametrize("name", ["loaded_c1.png", "rig.toml", "session.toml", "mesh.ply"])
+@pytest.mark.parametrize("name", ["loaded_c1.png", "rig.toml", "mesh.ply"])
 def test_a_file_that_changed_has_the_motion_measured_again(kept, cube_session, name):
     file = cube_session / name
     file.write_bytes(file.read_bytes() + b"\n")
     assert with_kept_motion(kept[0], kept[2]) is None
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "still"),
+    [
+        ("force = [0, 0, -1.2]", "force = [0, 0, -1.3]", True),
+        ("radius = 0.006", "radius = 0.007", True),
+        ('length_unit = "m"', 'length_unit = "cm"', False),
+        ('loaded = ["loaded_', 'loaded = ["later_', False),
+        ('cameras = "rig.toml"', 'cameras = "rig2.toml"', False),
+    ],
+)
+def test_only_what_motion_depends_on_has_it_measured_again(
+    kept, cube_session, before, after, still
+):
+    shutil.copy(cube_session / "rig.toml", cube_session / "rig2.toml")
+    for camera in ("c0", "c1"):
+        shutil.copy(cube_session / f"loaded_{camera}.png", cube_session / f"later_{camera}.png")
+    file = cube_session / "session.toml"
+    text = file.read_text()
+    assert before in text
+    file.write_text(text.replace(before, after))
+    again = with_kept_motion(read_session(cube_session), kept[2])
+    assert (again is not None) == still
 
 
 def test_another_version_measures_again(kept, monkeypatch):

@@ -1,5 +1,6 @@
 """Motion of the object's surface from a session's pictures, one motion at a time."""
 
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -292,12 +293,17 @@ def _follow(
 
 
 def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
-    """Digest of everything that all instants depend on: the session's files, method and pose."""
+    """Digest of everything that all instants depend on: method, pose, mesh, rig, pictures, and what
+    the session file says of these; forces, contacts and supports may change."""
+    folder = session.path.parent
+    files = [file for file in session_files(session.path) if file != session.path]
     try:
-        sums = file_sums(session_files(session.path), start=session.path.parent)
+        sums = file_sums(files, start=folder)
     except OSError as error:
         raise InputError(f"{error.filename}: cannot be read ({error.strerror})") from error
-    return content_digest((sums, [p.name for p in session.probings], method, pose))
+    rig = None if session.rig is None else os.path.relpath(session.rig, folder)
+    pictures = [(probing.name, probing.images) for probing in session.probings]
+    return content_digest((sums, session.mesh, rig, pictures, session.steps, method, pose))
 
 
 def _read(session: Session, rig: Rig, instant: _Instant) -> Pictures:
