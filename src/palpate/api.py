@@ -22,6 +22,7 @@ from palpate.figures import (
 )
 from palpate.pipeline import (
     PokedState,
+    PoseChoice,
     fit_session,
     poke_session,
     tool_contact,
@@ -271,6 +272,7 @@ def fit(
     method: str = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     finite_strain: bool = False,
+    pose: PoseChoice = "auto",
     cache: Path | str | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -284,6 +286,9 @@ def fit(
     poisson_range : (float, float)  range in which Poisson's ratio is searched
     finite_strain : bool            correct for the geometric and material nonlinearity that the
                                     linear model leaves out at large displacement
+    pose : "auto", "given" or "register"    where the object is in pictures: as the rig says, or as
+                                    the pictures at rest show; auto: the latter only where they
+                                    contradict the rig
     cache : path or None            folder in which surface integrals are cached for later runs
     progress : callable             called with the current step (text) and the fraction done, 0..1
 
@@ -300,7 +305,7 @@ def fit(
     if isinstance(session, (str, os.PathLike)):
         session = read_session(session, probes=None if probe is None else list(probe))
     folder = None if cache is None else Path(cache)
-    measured = with_pictures_measured(session, progress=progress)
+    measured = with_pictures_measured(session, pose=pose, progress=progress)
     fitted = fit_session(
         measured,
         settings=FitSettings(method=method, poisson_range=poisson_range),

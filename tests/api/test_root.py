@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from cube_session import cube_session as cube_session
 from estimate_samples import sample_result
 from matplotlib.figure import Figure
 
@@ -92,3 +93,16 @@ def test_pokes_take_units(result):
     assert in_metres.displacement[2] < 0.0
     with pytest.raises(InputError, match=r"at is '20 miles'; must be a finite number.*mm"):
         result.poke(("20 miles", 0, 0), (0, 0, -1))
+
+
+def test_the_pose_is_chosen_as_on_the_command_line(cube_session, monkeypatch):
+    chosen = []
+
+    def measured(session, *, pose, progress):
+        chosen.append(pose)
+        return session
+
+    monkeypatch.setattr("palpate.api.with_pictures_measured", measured)
+    palpate.fit(cube_session)
+    palpate.fit(cube_session, pose="given")
+    assert chosen == ["auto", "given"]
