@@ -32,9 +32,9 @@ def test_carried_noise_is_that_of_many_draws(step):
         moment = ((SUBSET * PITCH) ** 2 - PITCH**2) / 12.0
         squares += ((window - moment * bend) ** 2).mean(axis=1) / sigma**2 / DRAWS
     claimed = _inflation(scatter, field, half_window)
-    # Neighbours lie on all sides in the middle, on one side at the rim, too few in a corner. Squares
-    # of 180 draws scatter by a tenth, their mean over the points by a fiftieth. The half window of
-    # 10 px claims a second moment that is a tenth smaller than that of 21 pixels.
+    # Neighbours lie on all sides in the middle, on one side at the rim, too few in a corner.
+    # Squares of 180 draws scatter by a tenth, their mean over the points by a fiftieth. The half
+    # window of 10 px claims a second moment that is a tenth smaller than that of 21 pixels.
     middle = np.abs(pixel - pixel.mean(axis=0)).max(axis=1) < 20.0
     known = np.isfinite(claimed)
     for chosen in (middle & known, ~middle & known):
