@@ -206,7 +206,7 @@ def test_motion_is_measured_once(palpate, calls, cube_session, tmp_path, monkeyp
     _, first, _ = palpate("fit", cube_session)
     _, second, err = palpate("fit", cube_session)
     assert len(asked) == 1
-    assert "nothing has changed since" not in first
+    assert "the motion in the pictures" not in first
     assert "Note: the motion in the pictures is the one that cube-result holds" in second
     # Its notes are said again.
     assert "note: the pictures are dark" in err

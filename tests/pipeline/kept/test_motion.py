@@ -1,4 +1,4 @@
-"""Motion that a result keeps: the same to the last bit, and only where nothing has changed."""
+"""Motion that a result keeps: the same to the last bit, and only for the same pictures."""
 
 import shutil
 from dataclasses import replace

@@ -47,7 +47,9 @@ from palpate.report import REPORT_FILE, write_report, write_result_files
 
 # Fractions of the work that are done when the fit and when the drawing begin.
 _FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.9
-_REUSED = "the motion in the pictures is the one that {} holds: nothing has changed since"
+_REUSED = (
+    "the motion in the pictures is the one that {} holds: pictures, cameras and mesh are the same"
+)
 
 
 def fit(

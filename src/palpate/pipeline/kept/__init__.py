@@ -1,6 +1,6 @@
 """What a result keeps of a fit besides its numbers, and how the next fit takes it up.
 
-Purpose    : the measured motion, reused when nothing has changed; measured and predicted surfaces
+Purpose    : the measured motion, reused for the same pictures; measured and predicted surfaces
              for reports and other programs.
 Takes      : a `Session`, a `FitResult`, a result folder.
 Gives      : `motion.npz` and `surface.npz`, and what is read back from them.
