@@ -110,10 +110,10 @@ def test_an_error_of_the_program_is_a_row(packed_cube):
 
 
 def test_a_worker_without_a_place_to_work_is_a_row(packed_cube):
-    full = OSError(errno.ENOSPC, "No space left on device", "/tmp/palpate")
+    full = OSError(errno.ENOSPC, "No space left on device", "worker/palpate")
     outcome = _found(full, Work("fit", packed_cube, FitOptions()))
     assert outcome.failure.startswith("an error of a worker's machine, not of yours (OSError: ")
-    assert "No space left on device: '/tmp/palpate'" in outcome.failure
+    assert "No space left on device: 'worker/palpate'" in outcome.failure
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from palpate.files import read_bytes
 from palpate.parts import content_digest
 from palpate.pipeline import (
     MOTION_FILE,
+    PoseChoice,
     fit_session,
     keep_motion,
     with_kept_motion,
@@ -58,7 +59,7 @@ class FitOptions:
     poisson_range: tuple[float, float] = (0.0, 0.4999)
     surface: Literal["smooth", "flat"] = "smooth"
     strain: Literal["small", "finite"] = "small"
-    pose: Literal["auto", "given", "register"] = "auto"
+    pose: PoseChoice = "auto"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,10 +23,9 @@ from palpate.bem import (
     BoundarySystem,
     SurfaceLoad,
     SurfaceSettings,
-    factorise,
+    centred_system,
     load_right_hand,
     solve,
-    system_slope,
 )
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
@@ -316,7 +315,7 @@ def _responses(
     """Displacement of the first vertices per newton, [j, b, i, a], and its slope at the nodes."""
     ratio = material.poisson_ratio
     say("factorisation", 0.3)
-    factorised, matrix_slope = factorise(system, ratio), system_slope(system)
+    centred = centred_system(system, ratio)
     everywhere = np.zeros((len(nodes), 3, count, 3))
     slope = np.zeros((len(nodes), 3, len(nodes), 3))
     free = system.unknowns.free_vertices
@@ -324,9 +323,9 @@ def _responses(
         say("Green's functions", 0.4 + 0.6 * part.start / len(nodes))
         loads = [hat_load(system.surface.mesh, int(v)) for v in nodes[part]]
         right = load_right_hand(system, loads)
-        solution = solve(factorised, right.at(ratio))
-        right_slope = right.terms[1] + 2 * ratio * right.terms[2] - matrix_slope.apply(solution)
-        solution_slope = solve(factorised, right_slope)
+        solution = solve(centred.factorised, right.at(ratio))
+        right_slope = right.terms[1] + 2 * ratio * right.terms[2] - centred.slope.apply(solution)
+        solution_slope = solve(centred.factorised, right_slope)
         for values, out, kept in (
             (solution, everywhere[part], np.arange(count)), (solution_slope, slope[part], nodes),
         ):  # fmt: skip

@@ -62,7 +62,7 @@ def fit(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
-    pose: Literal["auto", "given", "register"] = "auto",
+    pose: PoseChoice = "auto",
     cache: Path | None = None,
     force: bool = False,
 ) -> int:

@@ -86,7 +86,9 @@ def system_slope(system: BoundarySystem, *, precision: Precision = np.float64) -
     flux *= 2.0 / 3
     trace = _rows(displacement, DISPLACEMENT.diagonal)
     trace = 2.0 / system.traction_length * trace
-    return SystemSlope(skew, flux.astype(precision, copy=False), trace.astype(precision))
+    return SystemSlope(
+        skew, flux.astype(precision, copy=False), trace.astype(precision, copy=False)
+    )
 
 
 def _rows(blocks: FieldBlocks, fields: slice) -> Float[np.ndarray, "r n"]:

@@ -29,12 +29,12 @@ from palpate.bem import (
     RightHand,
     SpringFactors,
     SpringSlope,
+    SystemSlope,
     centred_system,
     make_spring_system,
     orthogonalised,
     reduced_basis,
     solve,
-    system_slope,
 )
 from palpate.errors import NotConvergedError
 
@@ -167,7 +167,7 @@ def make_reduced_model(
 
 
 def make_spring_model(
-    system: BoundarySystem,
+    slope: SystemSlope,
     factors: SpringFactors,
     right: RightHand,
     give: Float[np.ndarray, " e"],
@@ -181,7 +181,7 @@ def make_spring_model(
 
     Parameters
     ----------
-    system : BoundarySystem
+    slope : SystemSlope               of the system on a rigid support
     factors : SpringFactors           at the Poisson's ratio `CENTRE`
     right : RightHand                 c columns, for the object on a rigid support
     give : (e,) float                 dimensionless compliance of each spring (`bem.SpringFactors`)
@@ -201,9 +201,9 @@ def make_spring_model(
     NotConvergedError                 as `make_reduced_model`
     """
     solver = make_spring_system(factors, give, changes)
-    slope = SpringSlope(system_slope(system), factors.columns[1], 1 + len(changes))
+    on_springs = SpringSlope(slope, factors.columns[1], 1 + len(changes))
     right = right.on_springs(give, changes, known_traction)
-    return _krylov_model(solver.solve, slope.apply, right, poisson_range, tolerance)
+    return _krylov_model(solver.solve, on_springs.apply, right, poisson_range, tolerance)
 
 
 def _among_zeros(

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from palpate.bem import (
     Springs,
+    centred_system,
     factorise,
     make_spring_factors,
     make_spring_system,
@@ -71,11 +72,12 @@ def spring_responses(
             return full_spring_responses(solution, rows, blocks)
 
         return exact
-    centre = make_spring_factors(factorise(system, CENTRE), system, springs)
+    centred = centred_system(system, CENTRE)
+    factors = make_spring_factors(centred.factorised, system, springs)
 
     def reduced(shear_modulus: float) -> list[SpringResponse]:
         reduced_model = make_spring_model(
-            system, centre, model.right, springs.compliance(shear_modulus * each), changes,
+            centred.slope, factors, model.right, springs.compliance(shear_modulus * each), changes,
             known_traction=known_traction, poisson_range=settings.poisson_range,
         )  # fmt: skip
         return [reduced_spring_response(reduced_model, row, blocks) for row in rows]

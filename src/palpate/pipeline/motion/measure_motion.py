@@ -137,7 +137,7 @@ def measured_motions(
     rig = read_rig(session.rig)
     store = Parts(parts, "" if parts is None else motion_key(session, method, pose))
     done, total = 0, sum(len(later) for _, _, later in sequences)
-    notes: list[str] = []
+    notes: dict[str, None] = {}
     texture: tuple[str, ...] = ()
     order: tuple[str, ...] = ()
     starts: dict[str, _Start] = {}
@@ -147,7 +147,7 @@ def measured_motions(
             progress(f"{first.whose}: first pictures and pose", done / total)
             starts[first.pattern], remarks = _started(session, rig, first, method, pose)
             rig = starts[first.pattern][0] if first is sequences[0][1] else rig
-            notes += remarks
+            notes |= dict.fromkeys(remarks)
         start = starts[first.pattern]
         uses[first.pattern] -= 1
         if uses[first.pattern] == 0:
@@ -156,7 +156,7 @@ def measured_motions(
         sizes: dict[str, float] = {}
         for motion, remarks in _followed(session, probing, later, start, method, store):
             done += 1
-            notes += remarks
+            notes |= dict.fromkeys(remarks)
             if motion.flow is not None:
                 texture = texture or texture_notes(motion.name, motion.flow)
             if motion.flow is not None and probing is not None:

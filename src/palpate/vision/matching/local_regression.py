@@ -51,7 +51,7 @@ class LocalField:
     weight : (t, m) float [-]           weight of each in the fitted displacement; NaN where unused
                                         or undetermined
     bend : (t, m) float [1/m^2]         the same in the sum of the coefficients of xi^2 and eta^2;
-                                        zero for order 1
+                                        NaN for order 1
     """
 
     displacement: Float[np.ndarray, "t 3"]
@@ -203,10 +203,10 @@ def _fit_range(
         row[:] = 0.0
         row[0] = 1.0
         _weights_kernel(normal, row, design, base_weight, robust, m, weight[i])
-        row[:] = 0.0
         if terms == 6:
+            row[:] = 0.0
             row[3] = row[5] = 1.0 / size**2
-        _weights_kernel(normal, row, design, base_weight, robust, m, bend[i])
+            _weights_kernel(normal, row, design, base_weight, robust, m, bend[i])
         _covariance_kernel(weight[i], noise, trace, pixel, subset, nearest[i], m, covariance[i])
         for a in range(3):
             for b in range(3):

@@ -34,6 +34,7 @@ from palpate.campaign import (
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.figures import save_figure
+from palpate.pipeline import PoseChoice
 from palpate.records import check_free, disk_errors, modulus_unit
 
 # What several commands say of an argument that they share.
@@ -56,7 +57,7 @@ def run(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
-    pose: Literal["auto", "given", "register"] = "auto",
+    pose: PoseChoice = "auto",
 ) -> int:
     """Fit all sessions of a list or below a folder, several at a time, and make one table of them.
 
