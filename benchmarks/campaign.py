@@ -41,6 +41,7 @@ from palpate.campaign import (
     read_items,
     run_campaign,
     started_engine,
+    work_on_worker,
 )
 from palpate.campaign.package import pack_files
 from palpate.errors import PalpateError
@@ -168,12 +169,8 @@ def _engine_cost(items: tuple[CampaignItem, ...], folder: Path) -> list[Figure]:
         do_work(work, folder=folder / "refused")
     alone = (time.perf_counter() - start) / len(works)
     with started_engine(None, 1) as workers:
-        waiting, ended = list(works), 0
         start = time.perf_counter()
-        while ended < len(works):
-            while waiting and workers.has_room:
-                workers.submit(waiting.pop())
-            ended += len(workers.wait_for_ended())
+        list(workers.map(work_on_worker, works))
         through = (time.perf_counter() - start) / len(works)
     kept, size = _keeping(items[0], folder)
     sent = sum(map(len, works[0].session.package.files.values()))

@@ -16,7 +16,14 @@ from jaxtyping import Float
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.machine import CORES
 from benchmarks.options import Options
-from palpate.campaign import DONE, CampaignItem, FitOptions, Store, run_campaign
+from palpate.campaign import (
+    DONE,
+    CampaignItem,
+    FitOptions,
+    Store,
+    run_campaign,
+    started_engine,
+)
 from palpate.lab import Material, built_in, choose_variant, make_sessions, read_lab_config
 from palpate.paper import (
     CALIBRATION,
@@ -66,7 +73,9 @@ def measure(options: Options) -> list[Figure]:
         wanted = [(replace(config, seed=seed), Path(name) / str(seed)) for seed in seeds]
         for _, folder in wanted:
             folder.mkdir()
-        make_sessions(wanted, variant=choose_variant(), progress=_log_progress)
+        variant = choose_variant()
+        with started_engine(None, CORES) as workers:
+            make_sessions(wanted, variant=variant, progress=_log_progress, distribute=workers.map)
         folders = [folder for _, folder in wanted]
         return evaluated(folders, config.material, Path(name) / "campaign")
 

@@ -55,20 +55,41 @@ class Parts:
         -------
         the part                    bit for bit the same, whether computed or read
         """
-        if self.folder is None:
-            return make()
-        known = known or {}
-        path = self.folder / content_digest((self.key, name))
-        found = _read_part(path, known)
-        if found is None:
-            found = (make(),)
+        found: T | None = self.load(name, known)
+        return self.stored(name, make(), known) if found is None else found
+
+    def load(self, name: str, known: Mapping[str, Any] | None = None) -> Any:
+        """A part as stored by an earlier run; None if there is none.
+
+        Parameters
+        ----------
+        name, known                 as in `load_or_make`
+        """
+        return (
+            None if self.folder is None else _read_part(self._file(self.folder, name), known or {})
+        )
+
+    def stored(self, name: str, part: T, known: Mapping[str, Any] | None = None) -> T:
+        """Store a part, and give it back.
+
+        Parameters
+        ----------
+        name, known                 as in `load_or_make`
+        part : any                  not None
+        """
+        if self.folder is not None:
             content = io.BytesIO()
-            _Writer(content, known).dump(found)
+            _Writer(content, known or {}).dump(part)
             # A full disk must not stop the computation; the part is then simply not stored.
             with suppress(OSError, RecordError), created_folder(self.folder):
-                write_bytes(path, _checksum(content.getvalue()) + content.getvalue())
-        part: T = found[0]
+                write_bytes(
+                    self._file(self.folder, name),
+                    _checksum(content.getvalue()) + content.getvalue(),
+                )
         return part
+
+    def _file(self, folder: Path, name: str) -> Path:
+        return folder / content_digest((self.key, name))
 
 
 def is_intact_part(path: Path) -> bool:
@@ -172,14 +193,11 @@ def _verified_content(stored: bytes) -> bytes | None:
     return content if stored[:_CHECKSUM_BYTES] == _checksum(content) else None
 
 
-def _read_part(path: Path, known: Mapping[str, Any]) -> tuple[Any] | None:
+def _read_part(path: Path, known: Mapping[str, Any]) -> Any:
     """A stored part, or None if the file is missing or not intact."""
     try:
         content = _verified_content(read_bytes(path))
-        if content is None:
-            return None
-        found = _Reader(io.BytesIO(content), known).load()
+        return None if content is None else _Reader(io.BytesIO(content), known).load()
     except (RecordError, ValueError, LookupError, TypeError, AttributeError, ImportError, EOFError,
             pickle.UnpicklingError):  # fmt: skip
         return None
-    return found if isinstance(found, tuple) and len(found) == 1 else None

@@ -1,13 +1,18 @@
-"""Loops over independent items, run in several threads at once."""
+"""Loops over independent items, run in several threads or processes at once."""
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numba
 
 T = TypeVar("T")
+
+# Results of a function for independent items, in their order: the builtin `map`, or one that
+# computes several at a time, in other processes or on other machines, and pickles both.
+Distribute = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
 # Ranges per thread: items that take longer than others delay the end by one range at most.
 _RANGES_PER_THREAD = 4
@@ -70,3 +75,14 @@ def map_in_threads(function: Callable[..., T], *items: Iterable[Any]) -> Iterato
     """
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         yield from pool.map(function, *items)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Limit numba to one thread for the duration of the block."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)

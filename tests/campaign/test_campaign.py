@@ -20,6 +20,7 @@ from palpate.campaign.engine import Engine
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError, InUseError, RecordError
 from palpate.geometry import write_mesh
+from palpate.pipeline import MotionNotes, ProbingMotion, unread_probings
 from palpate.records import read_session, verify_result
 from palpate.records.files import results
 
@@ -29,9 +30,9 @@ def submitted(monkeypatch):
     """Works that were handed to workers, by kind and session."""
     works, submit = [], Engine.submit
 
-    def seen(self, work):
+    def seen(self, function, work):
         works.append((work.kind, work.session.session))
-        submit(self, work)
+        submit(self, function, work)
 
     monkeypatch.setattr(Engine, "submit", seen)
     return works
@@ -98,18 +99,18 @@ def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, submitte
     with_pictures(tmp_path / "seen" / "cube")
     asked = []
 
-    def with_pictures_measured(session, *, pose):
+    def measure_pictures(session, *, known=None, pose):
         """What the model says of the pictures, in the place of cameras."""
-        if all(one.displacement is not None for one in session.probings):
-            return session
+        if known or not unread_probings(session):
+            return known or {}
         asked.append(pose)
         field = read_session(cube).probings[0].displacement
         field = replace(field, vertex=np.flatnonzero(session.mesh.vertices[:, 2] > 0))
-        probing = replace(session.probings[0], displacement=field)
         note = f"{session.path.parent / 'rig.toml'}: was looked at"
-        return replace(session, probings=(probing,), notes=(*session.notes, note))
+        motion = ProbingMotion(field, MotionNotes(start=(note,)))
+        return {session.probings[0].name: motion}
 
-    monkeypatch.setattr(work_file, "with_pictures_measured", with_pictures_measured)
+    monkeypatch.setattr(work_file, "measure_pictures", measure_pictures)
     items, folder = read_items(tmp_path / "seen"), tmp_path / "campaign"
     (first,) = run_campaign(items, folder, scheduler=scheduler)
     assert first.state == "done"

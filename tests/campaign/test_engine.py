@@ -1,19 +1,22 @@
 """Workers that are not there, not the same, or die."""
 
+import contextlib
 import errno
 import gc
 import os
 import re
 import sys
+import time
+from types import SimpleNamespace
 
 import distributed
 import numba
 import pytest
 
 from palpate import __version__
-from palpate.campaign import FitOptions, Work, engine as engine_file, started_engine
-from palpate.campaign.engine import Engine
-from palpate.errors import InputError
+from palpate.campaign import engine as engine_file, started_engine
+from palpate.campaign.engine import Engine, WorkerError
+from palpate.errors import InputError, MeshError
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://here", "127.0.0.1:no"])
@@ -74,6 +77,25 @@ def test_without_dask_it_is_said_what_to_install(monkeypatch):
         pass
 
 
+class _Client:
+    """A client whose every piece of work ends with the next of some errors."""
+
+    status = "running"
+
+    def __init__(self, errors):
+        self.errors, self.submitted = list(errors), 0
+
+    def nthreads(self):
+        return {"worker": 1}
+
+    def submit(self, *_, **__):
+        self.submitted += 1
+        return _Ended(self.errors.pop(0))
+
+    def as_current(self):
+        return contextlib.nullcontext()
+
+
 class _Ended:
     """A future that has ended with an error."""
 
@@ -86,34 +108,92 @@ class _Ended:
         return self._error
 
 
-def _found(error, work):
-    return Engine(None, "tcp://there", distributed)._outcome(_Ended(error), work)
+class _Library:
+    """Dask, as far as an engine calls it."""
+
+    KilledWorker, CancelledError = distributed.KilledWorker, distributed.CancelledError
+
+    @staticmethod
+    def wait(futures, return_when):
+        return SimpleNamespace(done=set(futures))
 
 
-def test_a_worker_that_lost_the_package_ends_the_run(packed_cube):
-    work = Work("fit", packed_cube, FitOptions())
+def _engine(*errors):
+    return Engine(_Client(errors), "tcp://there", _Library)
+
+
+def _found(error):
+    """What a piece of work gives that ends with an error."""
+    workers = _engine(error)
+    workers.submit(abs, -1)
+    ((item, found),) = workers.wait_for_ended()
+    assert item == -1
+    return found
+
+
+def test_a_worker_that_lost_the_package_ends_the_run():
     with pytest.raises(InputError, match="a worker at tcp://there has no Palpate"):
-        _found(ModuleNotFoundError("No module named 'palpate'", name="palpate"), work)
+        _found(ModuleNotFoundError("No module named 'palpate'", name="palpate"))
 
 
-def test_work_that_kills_its_workers_is_given_up(packed_cube):
-    work = Work("fit", packed_cube, FitOptions())
-    workers = Engine(None, "tcp://there", distributed)
+def test_work_that_kills_its_workers_is_given_up():
     dead = distributed.KilledWorker("k", None, 3)
-    assert [workers._outcome(_Ended(dead), work) for _ in range(2)] == [None, None]
-    assert "every worker that took it died" in workers._outcome(_Ended(dead), work).failure
+    workers = _engine(dead, dead, dead)
+    workers.submit(abs, -1)
+    assert [workers.wait_for_ended() for _ in range(2)] == [[], []]
+    ((_, found),) = workers.wait_for_ended()
+    assert isinstance(found, WorkerError)
+    assert "every worker that took it died" in str(found)
+    assert workers.client.submitted == 3
+    assert not workers.is_busy
 
 
-def test_an_error_of_the_program_is_a_row(packed_cube):
-    outcome = _found(ZeroDivisionError("by\nzero"), Work("fit", packed_cube, FitOptions()))
-    assert outcome.failure == "an error of the program, not of yours (ZeroDivisionError: by zero)"
+def test_an_error_of_the_program_is_said_to_be_one():
+    found = _found(ZeroDivisionError("by\nzero"))
+    assert str(found) == "an error of the program, not of yours (ZeroDivisionError: by zero)"
 
 
-def test_a_worker_without_a_place_to_work_is_a_row(packed_cube):
-    full = OSError(errno.ENOSPC, "No space left on device", "worker/palpate")
-    outcome = _found(full, Work("fit", packed_cube, FitOptions()))
-    assert outcome.failure.startswith("an error of a worker's machine, not of yours (OSError: ")
-    assert "No space left on device: 'worker/palpate'" in outcome.failure
+def test_a_worker_without_a_place_to_work_is_said_to_be_one():
+    found = str(_found(OSError(errno.ENOSPC, "No space left on device", "worker/palpate")))
+    assert found.startswith("an error of a worker's machine, not of yours (OSError: ")
+    assert "No space left on device: 'worker/palpate'" in found
+
+
+def test_an_error_of_the_user_comes_as_it_is():
+    error = MeshError("it is open")
+    assert _found(error) is error
+    with pytest.raises(MeshError, match="it is open"):
+        list(_engine(error).map(abs, [-1]))
+
+
+def test_a_worker_that_died_once_is_no_excuse_for_another_error():
+    workers = _engine(distributed.KilledWorker("k", None, 3), MeshError("it is open"))
+    with pytest.raises(MeshError):
+        list(workers.map(abs, [-1]))
+    assert workers.client.submitted == 2
+
+
+@pytest.mark.slow
+def test_mapped_work_comes_in_order_a_few_items_at_a_time():
+    taken = []
+
+    def items():
+        for k in range(12):
+            taken.append(k)
+            yield 0.3 if k == 0 else -0.001 * k
+
+    with started_engine(None, 2) as workers:
+        results = workers.map(_slept, items())
+        assert next(results) == 0.3
+        # The others went on while the first one slept: four done and four to do, at the most.
+        assert 1 < len(taken) <= 9
+        assert list(results) == [-0.001 * k for k in range(1, 12)]
+        assert list(workers.map(_slept, [])) == []
+
+
+def _slept(item):
+    time.sleep(max(item, 0.0))
+    return item
 
 
 @pytest.mark.slow
@@ -148,5 +228,5 @@ def test_a_scheduler_that_goes_away_is_said(packed_cube):
     with pytest.raises(InputError, match=said):
         assert workers.threads
     with pytest.raises(InputError, match=said):
-        workers.submit(Work("fit", packed_cube, FitOptions()))
+        workers.submit(abs, -1)
     assert not workers.is_busy

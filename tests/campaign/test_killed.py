@@ -24,7 +24,7 @@ class _Serial:
     def is_busy(self) -> bool:
         return bool(self.submitted)
 
-    def submit(self, work: Work) -> None:
+    def submit(self, _: object, work: Work) -> None:
         self.submitted.append(work)
 
     def wait_for_ended(self) -> list[tuple[Work, Outcome]]:

@@ -169,7 +169,8 @@ def test_errors_are_against_the_truth():
 def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
     made, rigs = [], []
 
-    def make(wanted, *, variant, progress, parts):
+    def make(wanted, *, variant, progress, parts, distribute):
+        assert distribute is map
         progress("making", 1.0)
         for one, folder in wanted:
             made.append((one, folder.name))

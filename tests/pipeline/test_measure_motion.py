@@ -4,6 +4,7 @@ import gc
 import re
 import shutil
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ from palpate.errors import CalibrationError, InputError
 from palpate.geometry import closest_points
 from palpate.parts import content_digest
 from palpate.pipeline import (
-    SessionFlow,
+    MeasuredMotion,
+    MotionNotes,
     fit_session,
     measure_motion,
     measured_motions,
@@ -24,8 +26,8 @@ from palpate.pipeline import (
     with_measured_displacement,
     with_pictures_measured,
 )
-from palpate.records import DisplacementField, Session, read_rig, read_session
-from palpate.vision import JointFlow, Outcome, RangeFlow
+from palpate.records import DisplacementField, Rig, Session, read_rig, read_session
+from palpate.vision import JointFlow, Outcome, RangeFlow, VertexDisplacement
 from palpate.vision.joint import Scene
 
 GIVEN = {"method": JointFlow(step=8), "pose": "given"}
@@ -259,13 +261,16 @@ def test_only_what_has_no_displacement_is_measured(
     session = replace(half_ball, probings=(known, seen), notes=("first",))
     asked = []
 
-    def measure(session: Session, **given: Any) -> SessionFlow:
+    def measure(session: Session, **given: Any) -> Iterator[tuple[Rig, MeasuredMotion, Any]]:
         asked.append(([probing.name for probing in session.probings], given["pose"]))
-        camera_rig = read_rig(session.rig)
-        return SessionFlow(camera_rig, (), ("second",))
+        vertices = VertexDisplacement(
+            nothing, np.tile(1e-12 * np.eye(3), (len(nothing), 1, 1)), np.full(len(nothing), 9)
+        )
+        one = MeasuredMotion("n01", "n01", True, np.zeros((1, 1)), None, vertices, None)
+        yield read_rig(session.rig), replace(one, notes=MotionNotes(pictures=("second",))), ()
 
     module = sys.modules[with_pictures_measured.__module__]
-    monkeypatch.setattr(module, "measure_motion", measure)
+    monkeypatch.setattr(module, "measured_motions", measure)
     found = with_pictures_measured(session, pose="given")
     assert asked == [(["n01"], "given")]
     assert found.probings[0].displacement is field

@@ -5,12 +5,20 @@ import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 from estimate_samples import sample_result
+from pipeline.kept.picture_session import given_and_measured, measured_motion
 from surfaces import box
 
 from palpate.api import Result
 from palpate.errors import InputError, PalpateError, RecordError
 from palpate.geometry import write_mesh
-from palpate.records import Status, read_session
+from palpate.pipeline import keep_motion
+from palpate.records import (
+    Status,
+    read_session,
+    record_inputs,
+    result_folder,
+    session_files,
+)
 from palpate.viewer import read_subject
 from palpate.viewer.colours import FIELDS, RESIDUAL, coloured_field, colours_of, linear_light
 from palpate.viewer.server import free_port, heading
@@ -38,6 +46,24 @@ def test_a_result_shows_residuals_in_sigmas(cube_session, tmp_path):
     # Half of (3, 0, -4) tenths of a millimetre is left, sigma is one tenth.
     expected = np.sqrt((1.5**2 + 2.0**2) / 3.0)
     np.testing.assert_allclose(coloured_field(shown, RESIDUAL).values, expected, rtol=1e-9)
+
+
+def test_a_result_shows_the_motion_that_it_keeps_of_the_same_pictures(cube_session, tmp_path):
+    given, measured = given_and_measured(cube_session)
+    saved = Result(measured, sample_result(measured)).save(tmp_path / "saved")
+    with result_folder(tmp_path / "kept", kind="fit") as folder:
+        for name in ("estimate.json", "surface.npz"):
+            (folder / name).write_bytes((saved / name).read_bytes())
+        record_inputs(folder, session_files(cube_session))
+        keep_motion(folder, given, {"n01": measured_motion(given, given.probings[0])})
+    (seen,) = read_subject(tmp_path / "kept").session.probings
+    (expected,) = measured.probings
+    np.testing.assert_array_equal(
+        seen.displacement.displacement, expected.displacement.displacement
+    )
+    (cube_session / "loaded_c0.png").write_bytes(b"another picture")
+    (seen,) = read_subject(tmp_path / "kept").session.probings
+    assert seen.displacement is None
 
 
 def test_the_heading_has_no_number_of_what_the_data_do_not_determine(cube_session):

@@ -7,9 +7,13 @@ Depends on : `pipeline`, `estimation`, `bem`, `figures`, `records`.
 Read first : `campaign.py`, then `work.py`, then `engine.py`.
 """
 
-from palpate.campaign.campaign import run_campaign as run_campaign
+from palpate.campaign.campaign import (
+    run_campaign as run_campaign,
+    work_on_worker as work_on_worker,
+)
 from palpate.campaign.engine import (
     Engine as Engine,
+    check_workers as check_workers,
     cores as cores,
     started_engine as started_engine,
 )

@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from palpate.campaign.engine import Engine, started_engine
+from palpate.campaign.engine import Engine, started_engine, worker_share
 from palpate.campaign.items import CampaignItem
 from palpate.campaign.package import PackedSession, pack_files, pack_session
 from palpate.campaign.rows import DONE, Row
 from palpate.campaign.store import TABLE_TEXT, Store
 from palpate.campaign.table import table_text
-from palpate.campaign.work import FitOptions, Outcome, Work
+from palpate.campaign.work import FitOptions, Outcome, Work, do_work
 from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import InputError, PalpateError
 from palpate.progress import Progress, silent
@@ -95,8 +95,8 @@ class _Run:
             ended = len(items) - len(waiting) - in_progress
             progress(f"{ended} of {len(items)} sessions", ended / len(items))
             if self._engine is not None and self._engine.is_busy:
-                for work, outcome in self._engine.wait_for_ended():
-                    self._store_outcome(work, outcome)
+                for work, found in self._engine.wait_for_ended():
+                    self._store_outcome(work, _outcome(found))
         progress(f"{len(items)} of {len(items)} sessions", 1.0)
 
     def _start(self, item: CampaignItem) -> None:
@@ -125,7 +125,7 @@ class _Run:
     def _submit(self, work: Work) -> None:
         if self._engine is None:
             self._engine = self._start_engine()
-        self._engine.submit(work)
+        self._engine.submit(work_on_worker, work)
 
     def _store_outcome(self, work: Work, outcome: Outcome) -> None:
         """Store the outcome of a piece of work; a motion is followed by the fit."""
@@ -137,6 +137,26 @@ class _Run:
         fit = replace(work, kind="fit")
         for item in self._items_of.pop(fit.digest):
             self.store.set_row(self.store.row_of(item, fit, outcome))
+
+
+def work_on_worker(work: Work) -> Outcome:
+    """Do a piece of work on a worker, in its own folder and within its share of the memory.
+
+    Parameters
+    ----------
+    work : Work
+
+    Returns
+    -------
+    Outcome                         as in `do_work`
+    """
+    folder, memory = worker_share()
+    return do_work(work, folder=folder, memory=memory)
+
+
+def _outcome(found: Outcome | PalpateError) -> Outcome:
+    """What a worker gave, as an outcome."""
+    return found if isinstance(found, Outcome) else Outcome(pack_files({}), str(found), 0.0)
 
 
 def _inspect(path: Path, session: PackedSession) -> tuple[bool, str]:

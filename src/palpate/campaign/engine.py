@@ -7,18 +7,20 @@ one.
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 from palpate import __version__
-from palpate.campaign.package import pack_files
-from palpate.campaign.work import Outcome, Work, do_work
-from palpate.errors import InputError
+from palpate.errors import InputError, PalpateError
 from palpate.optional_imports import late_import
+from palpate.threads import one_thread
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 # Timeouts for a scheduler to answer, and for the first worker to appear [s].
 _CONNECT_TIMEOUT, _FIRST_WORKER_TIMEOUT = 10, 60
@@ -27,8 +29,12 @@ _QUEUED_PER_THREAD = 2
 # Number of times that Dask may give up on a piece of work, after several workers died, before it
 # counts as failed.
 _MAX_DEATHS = 3
-# Fraction of the memory that is divided among the workers.
+# Workers per core: they wait for pictures, not for each other; more of them only share the memory.
+_MAX_PER_CORE = 16
+# Fraction of the memory that is divided among the workers; smallest share of a worker [bytes] where
+# their number is not given: a fit of a fine mesh takes this much, a virtual probing less.
 _USABLE_SHARE = 0.9
+_LEAST_SHARE = 2 * 2**30
 # Environment of the workers, set before libraries are loaded: one thread each.
 _ONE_THREAD = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
@@ -40,6 +46,20 @@ _SETTINGS = {
     "distributed.comm.timeouts.connect": f"{_CONNECT_TIMEOUT}s",
 }
 _MATCHED_PACKAGES = ("python", "dask", "distributed")
+
+
+class WorkerError(PalpateError):
+    """A piece of work that ended with an error which is not the user's: workers died of it, their
+    machines failed, or the program has a defect."""
+
+
+@dataclass(slots=True, eq=False)
+class _Task:
+    """A function and its argument; `deaths`: how often Dask gave up on it."""
+
+    function: Callable[[Any], Any]
+    item: Any
+    deaths: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -54,14 +74,13 @@ class Engine:
 
     client: Any
     address: str
-    _library: ModuleType
-    _submitted: dict[Any, Work] = field(default_factory=dict)
-    _deaths: dict[str, int] = field(default_factory=dict)
+    _library: Any
+    _submitted: dict[Any, _Task] = field(default_factory=dict)
 
     @property
     def has_room(self) -> bool:
         """Whether more work may be submitted; work that waits takes memory."""
-        return len(self._submitted) < max(_QUEUED_PER_THREAD, _QUEUED_PER_THREAD * self.threads)
+        return len(self._submitted) < self._limit
 
     @property
     def is_busy(self) -> bool:
@@ -81,29 +100,33 @@ class Engine:
         except OSError as error:
             raise self._lost_scheduler() from error
 
-    def submit(self, work: Work) -> None:
+    @property
+    def _limit(self) -> int:
+        """Number of items that may wait, before or after they are done."""
+        return _QUEUED_PER_THREAD * max(1, self.threads)
+
+    def submit(self, function: Callable[[S], T], item: S) -> None:
         """Submit a piece of work.
 
         Parameters
         ----------
-        work : Work
+        function : callable         of a module of Palpate; runs on a worker, with one thread
+        item : any                  its argument, which is sent to the worker
 
         Raises
         ------
         InputError                  the scheduler is gone
         """
-        if self.client.status not in ("running", "connecting"):
-            raise self._lost_scheduler()
-        # Not pure: identical work of another client must get a key of its own.
-        future = self.client.submit(_work_on_worker, work, pure=False)
-        self._submitted[future] = work
+        self._submit(_Task(function, item))
 
-    def wait_for_ended(self) -> list[tuple[Work, Outcome]]:
+    def wait_for_ended(self) -> list[tuple[Any, Any]]:
         """Wait until at least one piece of work has ended.
 
         Returns
         -------
-        list of (Work, Outcome)     all that have ended, in any order
+        list of (item, result)      all that have ended, in any order; the result is what the
+                                    function returned, the PalpateError that it raised, or a
+                                    `WorkerError`
 
         Raises
         ------
@@ -116,36 +139,79 @@ class Engine:
             raise self._lost_scheduler() from error
         ended = []
         for future in found.done:
-            work = self._submitted.pop(future)
-            outcome = self._outcome(future, work)
-            if outcome is None:
-                self.submit(work)
+            task = self._submitted.pop(future)
+            if future.status == "error" and self._gave_up(future, task):
+                self._submit(task)
             else:
-                ended.append((work, outcome))
+                ended.append((task.item, self._result(future, task)))
         return ended
 
-    def _outcome(self, future: Any, work: Work) -> Outcome | None:
-        """Outcome of a piece of work; None if it is to be tried again."""
+    def map(self, function: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+        """Results of a function for independent items, in their order: `map`, on the workers.
+
+        Parameters
+        ----------
+        function : callable         as in `submit`
+        items : iterable            a few are taken at a time, so that they do not fill the memory
+
+        Yields
+        ------
+        any                         results in the order of the items
+
+        Raises
+        ------
+        PalpateError                the first that the function raised, in the order of the items
+        WorkerError                 as in `wait_for_ended`
+        """
+        waiting, results = enumerate(items), dict[int, Any]()
+        number, all_taken = 0, False
+        while not all_taken or self.is_busy or results:
+            while not all_taken and self.has_room and len(results) < self._limit:
+                task = next(waiting, None)
+                all_taken = task is None
+                if task is not None:
+                    self.submit(_numbered, (function, *task))
+            if self.is_busy:
+                results |= {item[1]: result for item, result in self.wait_for_ended()}
+            while number in results:
+                result = results.pop(number)
+                if isinstance(result, Exception):
+                    raise result
+                yield result
+                number += 1
+
+    def _submit(self, task: _Task) -> None:
+        if self.client.status not in ("running", "connecting"):
+            raise self._lost_scheduler()
+        # Not pure: identical work of another client must get a key of its own.
+        future = self.client.submit(_work_on_worker, task.function, task.item, pure=False)
+        self._submitted[future] = task
+
+    def _gave_up(self, future: Any, task: _Task) -> bool:
+        """Whether Dask gave up on a task because its workers died, and it is worth another try."""
+        killed = isinstance(future.exception(), self._library.KilledWorker)
+        task.deaths += killed
+        return killed and task.deaths < _MAX_DEATHS
+
+    def _result(self, future: Any, task: _Task) -> Any:
+        """What a task gave: a result, or an error."""
         if future.status == "finished":
-            found: Outcome = future.result()
-            return found
+            return future.result()
         if future.status != "error":
             raise self._lost_scheduler()
         error = future.exception()
         if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("palpate"):
             raise InputError(f"a worker at {self.address} has no Palpate; {_install_advice()}")
+        if isinstance(error, PalpateError):
+            return error
         if isinstance(error, self._library.KilledWorker):
-            self._deaths[work.digest] = self._deaths.get(work.digest, 0) + 1
-            if self._deaths[work.digest] < _MAX_DEATHS:
-                return None
-            text = (
+            return WorkerError(
                 "every worker that took it died, as when memory runs out; use a coarser mesh, or"
                 " workers with more memory"
             )
-            return Outcome(pack_files({}), text, 0.0)
         text = " ".join(f"{type(error).__name__}: {error}".split())[:400]
         source = "a worker's machine" if isinstance(error, OSError) else "the program"
-        return Outcome(pack_files({}), f"an error of {source}, not of yours ({text})", 0.0)
+        return WorkerError(f"an error of {source}, not of yours ({text})")
 
     def _lost_scheduler(self) -> InputError:
         return InputError(
@@ -154,13 +220,51 @@ class Engine:
         )
 
 
-def _work_on_worker(work: Work) -> Outcome:
-    """Do a piece of work in the worker's own folder, within its share of the memory."""
+def _numbered(task: tuple[Callable[[S], T], int, S]) -> T:
+    """Apply a function of `Engine.map` to its item; the number is for the engine."""
+    function, _, item = task
+    return function(item)
+
+
+def _work_on_worker(function: Callable[[S], T], item: S) -> T:
+    """Do a piece of work with one thread: one worker per core is more efficient than many threads
+    in one."""
+    with one_thread():
+        return function(item)
+
+
+def worker_share() -> tuple[Path, float | None]:
+    """Folder and share of the memory of the worker that runs this piece of work.
+
+    Returns
+    -------
+    folder : Path                   its own, which need not exist
+    memory : float or None [byte]   None: unlimited
+    """
     distributed = late_import("distributed", extra="batch", purpose="a campaign's worker")
     worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit
     share = None if not limit else limit / worker.state.nthreads
-    return do_work(work, folder=Path(worker.local_directory) / "palpate", memory=share)
+    return Path(worker.local_directory) / "palpate", share
+
+
+def check_workers(scheduler: str | None, workers: int | None) -> None:
+    """Refuse a number of workers that is out of range, or given for a running scheduler.
+
+    Parameters
+    ----------
+    scheduler, workers              as in `started_engine`
+
+    Raises
+    ------
+    InputError
+    """
+    limit = _MAX_PER_CORE * cores()
+    if workers is not None and (scheduler is not None or not 1 <= workers <= limit):
+        raise InputError(
+            f"--workers is {workers}; must be 1 to {limit}, {_MAX_PER_CORE} for every core, and is"
+            " for the cluster that the command starts itself, not for one with --scheduler"
+        )
 
 
 @contextmanager
@@ -171,7 +275,8 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
     ----------
     scheduler : str or None         address of a running scheduler, `tcp://HOST:PORT`; None: start a
                                     cluster on this machine, which ends with the block
-    workers : int or None           number of workers of that cluster; None: one per core
+    workers : int or None           number of workers of that cluster; None: one per core, fewer
+                                    where each would have less than 2 GiB of memory
 
     Yields
     ------
@@ -193,7 +298,7 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
             folder = stack.enter_context(
                 tempfile.TemporaryDirectory(prefix="palpate-workers-", ignore_cleanup_errors=True)
             )
-            client = stack.enter_context(_local_client(library, workers or cores(), folder))
+            client = stack.enter_context(_local_client(library, workers, folder))
         else:
             client = stack.enter_context(_connected_client(library, scheduler))
         address = scheduler or str(client.scheduler.address)
@@ -221,12 +326,13 @@ def cores() -> int:
 
 
 @contextmanager
-def _local_client(library: ModuleType, workers: int, folder: str) -> Iterator[Any]:
+def _local_client(library: ModuleType, workers: int | None, folder: str) -> Iterator[Any]:
     """A client of a local cluster of processes, each with one thread and an equal memory share."""
-    share = int(_USABLE_SHARE * library.system.MEMORY_LIMIT / workers)
+    usable = int(_USABLE_SHARE * library.system.MEMORY_LIMIT)
+    count = workers or max(1, min(cores(), usable // _LEAST_SHARE))
     with (
         library.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=share,
+            n_workers=count, threads_per_worker=1, processes=True, memory_limit=usable // count,
             dashboard_address="127.0.0.1:0", local_directory=folder, silence_logs=50,
         ) as cluster,
         library.Client(cluster, set_as_default=False) as client,

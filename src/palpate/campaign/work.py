@@ -25,10 +25,12 @@ from palpate.parts import content_digest
 from palpate.pipeline import (
     MOTION_FILE,
     PoseChoice,
+    ProbingMotion,
     fit_session,
     keep_motion,
-    with_kept_motion,
-    with_pictures_measured,
+    kept_motion,
+    measure_pictures,
+    with_motions,
     write_fitted_surface,
 )
 from palpate.records import (
@@ -53,7 +55,7 @@ class FitOptions:
     poisson_range : (float, float)      range in which Poisson's ratio is searched
     surface : "smooth" or "flat"        interpretation of the meshes: smooth or faceted surface
     strain : "small" or "finite"        finite: `finite_strain` of `fit_session`
-    pose : "auto", "given" or "register"    as in `with_pictures_measured`
+    pose : "auto", "given" or "register"    as in `measure_pictures`
     """
 
     poisson_range: tuple[float, float] = (0.0, 0.4999)
@@ -164,13 +166,11 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
     result = own_folder / "result"
     result.mkdir()
     if work.kind == "motion":
-        measured = with_pictures_measured(given, pose=work.options.pose)
-        keep_motion(
-            result,
-            given,
-            _with_original_notes(measured, work, own_folder),
-            pose=work.options.pose,
-        )
+        motions = measure_pictures(given, pose=work.options.pose)
+        original = {
+            name: _with_original_notes(motion, work, own_folder) for name, motion in motions.items()
+        }
+        keep_motion(result, given, original, pose=work.options.pose)
     else:
         _fit(
             work,
@@ -190,14 +190,12 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
 
 def _with_motion(work: Work, given: Session, own_folder: Path) -> Session:
     """The session with the displacements measured in its pictures."""
-    pose = work.options.pose
+    pose, kept = work.options.pose, dict[str, ProbingMotion]()
     if work.motion is not None:
         with result_folder(own_folder / "motion", kind="fit") as motion_folder:
             (motion_folder / MOTION_FILE).write_bytes(work.motion)
-        measured = with_kept_motion(given, own_folder / "motion", pose=pose)
-        if measured is not None:
-            return measured
-    return with_pictures_measured(given, pose=pose)
+        kept = kept_motion(given, own_folder / "motion", pose=pose)
+    return with_motions(given, measure_pictures(given, known=kept, pose=pose))
 
 
 def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Path | None) -> None:
@@ -227,9 +225,10 @@ def _trim_cache(oldest_first: Sequence[Path]) -> None:
             file.unlink(missing_ok=True)
 
 
-def _with_original_notes(session: Session, work: Work, own_folder: Path) -> Session:
+def _with_original_notes(motion: ProbingMotion, work: Work, own_folder: Path) -> ProbingMotion:
     return replace(
-        session, notes=tuple(_with_original_paths(note, work, own_folder) for note in session.notes)
+        motion,
+        notes=motion.notes.mapped(lambda note: _with_original_paths(note, work, own_folder)),
     )
 
 

@@ -46,6 +46,7 @@ from palpate.parts import Parts, content_digest
 from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, read_rig, read_session, write_rig
+from palpate.threads import Distribute
 
 # (exact session, generator, file for a perturbed rig) -> session that is fitted.
 Change = Callable[[Session, np.random.Generator, Path], Session]
@@ -98,6 +99,7 @@ def error_budget(
     draws: int = 5,
     progress: Progress = silent,
     parts: Path | None = None,
+    distribute: Distribute = map,
 ) -> tuple[SourceErrors, ...]:
     """Errors of the estimated constants, by source.
 
@@ -109,7 +111,7 @@ def error_budget(
     variant : Variant               of Mitsuba
     draws : int                     number of draws of sources that change no picture, >= 1
     progress : callable             called with the current step (text) and the fraction done, 0..1
-    parts : Path or None            folder in which finished parts are stored, as in `make_sessions`
+    parts, distribute               as in `make_sessions`
 
     Returns
     -------
@@ -131,6 +133,7 @@ def error_budget(
         variant=variant,
         progress=part_of(progress, 0.0, _MAKING),
         parts=parts,
+        distribute=distribute,
     )
     finished = Parts(parts, "" if parts is None else content_digest((config, variant.name)))
     # Its motion is reused by every source that changes neither pictures nor cameras.

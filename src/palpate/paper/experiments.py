@@ -47,6 +47,7 @@ from palpate.paper.sessions import (
 )
 from palpate.progress import Progress, part_of
 from palpate.records import CONSTANT_NAMES
+from palpate.threads import Distribute
 from palpate.vision import is_valid
 
 # Built-in configurations of the facility.
@@ -71,6 +72,7 @@ class Workplace:
     progress : callable             called with the current step (text) and the fraction done, 0..1
     parts : Path or None            folder, created if missing, in which finished parts are stored
                                     so that an interrupted run can be resumed
+    distribute : Distribute         measures the facility's probings and steps
     """
 
     folder: Path
@@ -78,6 +80,7 @@ class Workplace:
     quick: bool
     progress: Progress
     parts: Path | None = None
+    distribute: Distribute = map
 
     def config(self, name: str) -> LabConfig:
         """A built-in configuration, reduced (by `reduced`) if `quick`.
@@ -152,6 +155,7 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
             variant=work.variant,
             progress=part.progress,
             parts=work.parts,
+            distribute=work.distribute,
         )
     for k, name in enumerate(names, start=len(needed)):
         part = work.part(k / count, (k + 1) / count, name)
@@ -258,6 +262,7 @@ def _budget(_measured: Measured, work: Workplace) -> PaperResult:
         draws=1 if work.quick else _DRAWS,
         progress=work.progress,
         parts=work.parts,
+        distribute=work.distribute,
     )
     return PaperResult(
         "What limits table 3",

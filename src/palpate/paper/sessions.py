@@ -15,6 +15,7 @@ from palpate.pipeline import FLOW_METHODS, MeasuredMotion, SessionFlow, measure_
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, TomlTable, read_session, read_toml
 from palpate.shapes import Points
+from palpate.threads import Distribute
 from palpate.vision import RangeFlow
 
 Method = Literal["lang-pai", "joint"]
@@ -109,6 +110,7 @@ def measured_session(
     variant: Variant,
     progress: Progress = silent,
     parts: Path | None = None,
+    distribute: Distribute = map,
 ) -> PaperSession:
     """Make a session in the facility and measure its motion.
 
@@ -121,7 +123,7 @@ def measured_session(
     methods : sequence of Method
     variant : Variant               of Mitsuba
     progress : callable             called with the current step (text) and the fraction done, 0..1
-    parts : Path or None            folder in which finished parts are stored, as in `make_session`
+    parts, distribute               as in `make_session`
 
     Returns
     -------
@@ -132,7 +134,9 @@ def measured_session(
     PalpateError                    as in `make_session` and `measure_motion`
     """
     making = part_of(progress, 0.0, _MAKING)
-    make_session(config, folder, variant=variant, progress=making, parts=parts)
+    make_session(
+        config, folder, variant=variant, progress=making, parts=parts, distribute=distribute
+    )
     session, found = read_session(folder), {}
     for k, method in enumerate(methods):
         begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))

@@ -25,8 +25,8 @@ from palpate.pipeline.kept import (
     FittedProbing as FittedProbing,
     FittedSurface as FittedSurface,
     keep_motion as keep_motion,
+    kept_motion as kept_motion,
     read_fitted_surface as read_fitted_surface,
-    with_kept_motion as with_kept_motion,
     write_fitted_surface as write_fitted_surface,
 )
 from palpate.pipeline.model import (
@@ -42,11 +42,16 @@ from palpate.pipeline.motion import (
     FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,
     MotionFigures as MotionFigures,
+    MotionNotes as MotionNotes,
+    ProbingMotion as ProbingMotion,
     SessionFlow as SessionFlow,
     measure_motion as measure_motion,
+    measure_pictures as measure_pictures,
     measured_motions as measured_motions,
     motion_names as motion_names,
+    unread_probings as unread_probings,
     with_measured_displacement as with_measured_displacement,
+    with_motions as with_motions,
     with_pictures_measured as with_pictures_measured,
     write_flow_document as write_flow_document,
 )

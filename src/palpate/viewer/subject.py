@@ -11,8 +11,9 @@ from palpate.pipeline import (
     SURFACE_FILE,
     FittedProbing,
     FittedSurface,
+    kept_motion,
     read_fitted_surface,
-    with_kept_motion,
+    with_motions,
 )
 from palpate.records import Estimate, Probing, Rig, Session, read_rig, read_session
 from palpate.simulation import read_fit
@@ -63,7 +64,7 @@ def read_subject(path: Path, session: Path | None = None) -> Subject:
         raise RecordError(
             f"{path}: was fitted to another mesh than {found.path} names now; fit the session again"
         )
-    found = with_kept_motion(found, path) or found
+    found = with_motions(found, kept_motion(found, path))
     return Subject(found, source.estimate, surface, _rig(found))
 
 

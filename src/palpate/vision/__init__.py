@@ -29,6 +29,7 @@ from palpate.vision.images import (
     VIDEO_SUFFIXES as VIDEO_SUFFIXES,
     Pictures as Pictures,
     open_video as open_video,
+    picture_path as picture_path,
     prepare_pictures as prepare_pictures,
     read_grey as read_grey,
     read_pictures as read_pictures,

@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from pipeline.kept.picture_session import measured, with_pictures
+from pipeline.kept.picture_session import measured_motion, with_pictures
 
 from palpate.app.commands import fit as fit_command
 from palpate.errors import NotConvergedError, SingularSystemError
@@ -197,22 +197,34 @@ def test_default_folder_is_named_after_the_session(palpate, calls, cube_session,
 def test_motion_is_measured_once(palpate, calls, cube_session, tmp_path, monkeypatch):
     asked = []
 
-    def with_pictures_measured(session, **_):
-        asked.append(session)
-        return measured(session)
+    def measure_pictures(session, *, known, **_):
+        """Each probing's made-up motion, unless it is known."""
+        new = [probing for probing in session.probings if probing.name not in known]
+        asked.append([probing.name for probing in new])
+        return dict(known) | {probing.name: measured_motion(session, probing) for probing in new}
 
-    monkeypatch.setattr(fit_command, "with_pictures_measured", with_pictures_measured)
+    monkeypatch.setattr(fit_command, "measure_pictures", measure_pictures)
     with_pictures(cube_session)
     _, first, _ = palpate("fit", cube_session)
     _, second, err = palpate("fit", cube_session)
-    assert len(asked) == 1
+    assert asked == [["n01"], []]
     assert "the motion in the pictures" not in first
-    assert "Note: the motion in the pictures is the one that cube-result holds" in second
+    second = " ".join(second.split())
+    assert "Note: the motion in the pictures of 1 of 1 probings is the one that cube-res" in second
     # Its notes are said again.
     assert "note: the pictures are dark" in err
+    # One more push is measured alone, and kept beside the other.
+    file = cube_session / "session.toml"
+    text = file.read_text()
+    probe = text[text.index("[[probe]]") :].replace("n01", "n02").replace("loaded_", "more_")
+    file.write_text(f"{text}\n{probe}")
+    for camera in ("c0", "c1"):
+        (cube_session / f"more_{camera}.png").write_bytes(camera.encode())
+    _, third, _ = palpate("fit", cube_session)
+    assert "pictures of 1 of 2 probings is the one that cube-result" in " ".join(third.split())
     (cube_session / "loaded_c0.png").write_bytes(b"another picture")
     assert palpate("fit", cube_session)[0] == 0
-    assert len(asked) == 2
+    assert asked == [["n01"], [], ["n02"], ["n01"]]
 
 
 def test_the_log_and_the_report_lie_in_the_result(palpate, calls, cube_session, tmp_path):

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from lab.lab_configs import STAGE
 
 from palpate.app.commands.lab import _config_file
@@ -63,4 +64,24 @@ def test_nothing_is_left_where_a_probe_misses(palpate, tmp_path):
     code, _, err = palpate("lab", "off.toml", "made")
     assert code == 2
     assert "probe 'n01': its point is 50 mm away from the body" in err
+    assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.slow
+def test_workers_make_the_same_session(palpate, tmp_path):
+    (tmp_path / "toy.toml").write_text(SMALL)
+    assert palpate("lab", "toy.toml", "here")[0] == 0
+    assert palpate("lab", "toy.toml", "there", "--workers", 1)[0] == 0
+    here, there = tmp_path / "here", tmp_path / "there"
+    names = {path.relative_to(here) for path in here.rglob("*") if path.is_file()}
+    assert names == {path.relative_to(there) for path in there.rglob("*") if path.is_file()}
+    assert {
+        name for name in names if (here / name).read_bytes() != (there / name).read_bytes()
+    } == set()
+
+
+def test_a_wrong_number_of_workers_is_refused(palpate, tmp_path):
+    code, _, err = palpate("lab", "demo", "made", "--workers", 0)
+    assert code == 2
+    assert "--workers is 0; must be 1 to" in err
     assert not (tmp_path / "made").exists()

@@ -4,12 +4,16 @@ The sessions are replaced by known motions: what the experiments make of them is
 """
 
 import csv
+import sys
+from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from flow_samples import SHAPE, rig, sample
 
+from palpate.app import workers as workers_file
 from palpate.app.commands import reproduce as reproduce_command
 from palpate.app.commands.reproduce import reproduce
 from palpate.errors import InputError
@@ -81,6 +85,16 @@ def moved(name, vector):
     return MeasuredMotion(name, None, True, sampled.picture, flow, vertices, None)
 
 
+def MAP(*_):
+    """The engine's `map`, which nothing here calls."""
+
+
+@contextmanager
+def workers(scheduler, count):
+    """An engine that starts nothing."""
+    yield SimpleNamespace(map=MAP)
+
+
 @pytest.fixture
 def bench(monkeypatch, tmp_path):
     """An empty folder and no facility: sessions come at once. Gives what was asked for."""
@@ -89,8 +103,9 @@ def bench(monkeypatch, tmp_path):
     for name in ("table3", "budget", "figure4"):
         monkeypatch.delitem(EXPERIMENTS, name)
 
-    def measured_session(config, folder, *, variant, progress, parts):
+    def measured_session(config, folder, *, variant, progress, parts, distribute):
         asked.append(config)
+        assert distribute is MAP
         progress("doing [it]", 0.5)
         session, names = session_of(config, folder)
         found = {
@@ -107,6 +122,7 @@ def bench(monkeypatch, tmp_path):
     monkeypatch.setattr(
         reproduce_command, "choose_variant", lambda: Variant("none", "no [bench]", None)
     )
+    monkeypatch.setattr(workers_file, "started_engine", workers)
     monkeypatch.setattr("palpate.paper.figures.surface_map", lambda *_: sample().surface)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
@@ -205,6 +221,27 @@ def test_what_there_is_not_is_refused_with_what_there_is(bench, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "mine.md"]
 
 
+def test_without_dask_the_work_is_done_here(monkeypatch):
+    monkeypatch.setattr(workers_file, "find_spec", lambda name: None)
+    with workers_file.distribution(None, None, by_default=True) as distribute:
+        assert distribute is map
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    # Where workers were asked for, they are not left out in silence.
+    with (
+        pytest.raises(InputError, match=r"pip install 'palpate\[batch\]'"),
+        workers_file.distribution(None, 2),
+    ):
+        pass
+
+
+def test_workers_that_cannot_be_are_refused_first(bench, tmp_path):
+    with pytest.raises(InputError, match="--workers is 0; must be 1 to"):
+        reproduce("table1", workers=0)
+    with pytest.raises(InputError, match="not for one with --scheduler"):
+        reproduce("table1", scheduler="tcp://127.0.0.1:9", workers=2)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_nothing_is_left_of_a_run_that_fails(bench, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device", "table.md")
@@ -218,8 +255,9 @@ def test_nothing_is_left_of_a_run_that_fails(bench, tmp_path, monkeypatch):
 def test_the_budget_makes_its_own_sessions(monkeypatch, tmp_path, capsys):
     asked = []
 
-    def budget(config, folder, *, variant, draws, progress, parts):
+    def budget(config, folder, *, variant, draws, progress, parts, distribute):
         assert list(folder.iterdir()) == []
+        assert distribute is MAP
         progress("making", 0.5)
         asked.append((config, folder.name, draws))
         errors = np.full((1, 3), 0.01)
@@ -227,6 +265,7 @@ def test_the_budget_makes_its_own_sessions(monkeypatch, tmp_path, capsys):
 
     monkeypatch.setattr("palpate.paper.experiments.error_budget", budget)
     monkeypatch.setattr(reproduce_command, "choose_variant", lambda: Variant("none", "no", None))
+    monkeypatch.setattr(workers_file, "started_engine", workers)
     reproduce("budget", out=tmp_path / "b")
     reproduce("budget", out=tmp_path / "q", quick=True)
     (full, name, draws), (quick, _, few) = asked

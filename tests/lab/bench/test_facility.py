@@ -1,5 +1,6 @@
 """The facility: sessions that the rest of the program reads, with a truth that holds."""
 
+import pickle
 import tomllib
 from dataclasses import replace
 
@@ -19,7 +20,8 @@ from palpate.vision import project, read_pictures
 
 @pytest.fixture(scope="module")
 def together(tmp_path_factory):
-    """Folders of sessions that were made in one go, by name, and how many bodies that took."""
+    """Folders of sessions that were made in one go, by name, how many bodies that took, and the
+    configurations."""
     folders, configs, bodies = {}, {}, []
     for name, text in (("ball", HALF_BALL), ("toy", STAGE)):
         file = tmp_path_factory.mktemp(name) / "config.toml"
@@ -42,7 +44,7 @@ def together(tmp_path_factory):
         patch.setattr(facility, "make_body", counted)
         wanted = [(config, folders[name]) for name, config in configs.items()]
         make_sessions(wanted, variant=choose_variant())
-    return folders, len(bodies)
+    return folders, len(bodies), configs
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +90,27 @@ def test_an_interrupted_measurement_goes_on_to_the_same_bytes(tmp_path, monkeypa
     (tmp_path / "third").mkdir()
     make_session(replace(plan, seed=99), tmp_path / "third", variant=variant, parts=parts)
     assert len(taken) == 1 + plan.stage.steps + 1
+
+
+@pytest.mark.parametrize("kind", ["small", "toy"])
+def test_distributed_work_gives_the_same_bytes(made, together, tmp_path, kind):
+    """What travels to another process and back, in any order, is all that a session needs."""
+    taken = []
+
+    def sent(function, items):
+        sent_items = pickle.loads(pickle.dumps((function, list(items))))
+        function, items = sent_items
+        results = [function(item) for item in reversed(items)]
+        taken.extend(items)
+        return iter(pickle.loads(pickle.dumps(results[::-1])))
+
+    config = together[2][kind]
+    make_session(config, tmp_path, variant=choose_variant(), distribute=sent)
+    assert len(taken) == (len(config.probes) if config.stage is None else config.stage.steps + 1)
+    names = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*.*"))
+    assert len(names) > 6
+    for name in names:
+        assert (tmp_path / name).read_bytes() == (made[kind] / name).read_bytes()
 
 
 def _truth(folder):
@@ -211,7 +234,7 @@ def test_a_stage_moves_the_toy_rigidly(made):
 
 
 def test_sessions_made_together_have_the_bytes_of_those_made_alone(together, tmp_path):
-    made, bodies = together
+    made, bodies, _ = together
     # One body for all balls, and the one with the same configuration comes out the same.
     assert bodies == 1
     config = read_lab_config(made["ball"].parent / "config.toml")

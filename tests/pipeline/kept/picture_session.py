@@ -1,12 +1,11 @@
 """The cube's session with pictures in the place of its displacements, and what they gave."""
 
-from dataclasses import replace
-
 import numpy as np
 from flow_samples import rig
 from scipy.sparse import csr_array, dia_array, kron
 
 from palpate.geometry import closest_points
+from palpate.pipeline import MotionNotes, ProbingMotion, with_motions
 from palpate.records import (
     DisplacementField,
     PointCorrelation,
@@ -31,26 +30,27 @@ def with_pictures(folder):
     return folder
 
 
-def measured(session):
-    """The session with displacements of its upper vertices, one of them lost, and a note."""
-    (probing,) = session.probings
+def measured_motion(session, probing, *, seed=2, notes=("the pictures are dark",)):
+    """Displacements of the upper vertices of a probing, one of them lost, with notes."""
     rows = np.flatnonzero(session.mesh.vertices[:, 2] > 0.035)
     points = session.mesh.vertices[rows]
-    moved = 1e-4 * np.random.default_rng(2).normal(size=points.shape)
+    moved = 1e-4 * np.random.default_rng(seed).normal(size=points.shape)
     moved[3] = np.nan
     covariance = np.tile(4e-12 * np.array([[1, 0, 0.5], [0, 1, 0], [0.5, 0, 1]]), (len(rows), 1, 1))
     field = DisplacementField(
         points=points, displacement=moved, std=np.full(points.shape, 2e-6), vertex=rows,
-        surface=closest_points(session.mesh, points), source="images of n01", scale_error=0.007,
-        covariance=covariance,
+        surface=closest_points(session.mesh, points), source=f"images of {probing.name}",
+        scale_error=0.007, covariance=covariance,
         correlation=PointCorrelation(np.array([[0, 1], [1, 4]]), np.array([0.6, -0.1])),
         average=_averages(points),
     )  # fmt: skip
-    return replace(
-        session,
-        probings=(replace(probing, displacement=field),),
-        notes=(*session.notes, "the pictures are dark"),
-    )
+    return ProbingMotion(field, MotionNotes(pictures=tuple(notes)))
+
+
+def measured(session):
+    """The session with such displacements of its probing, and a note."""
+    (probing,) = session.probings
+    return with_motions(session, {probing.name: measured_motion(session, probing)})
 
 
 def _averages(points):

@@ -26,8 +26,10 @@ from palpate.pipeline import (
     PoseChoice,
     fit_session,
     keep_motion,
-    with_kept_motion,
-    with_pictures_measured,
+    kept_motion,
+    measure_pictures,
+    unread_probings,
+    with_motions,
 )
 from palpate.progress import Progress, part_of
 from palpate.records import (
@@ -48,7 +50,8 @@ from palpate.report import REPORT_FILE, write_report, write_result_files
 # Fractions of the work that are done when the fit and when the drawing begin.
 _FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.9
 _REUSED = (
-    "the motion in the pictures is the one that {} holds: pictures, cameras and mesh are the same"
+    "the motion in the pictures of {} of {} probings is the one that {} holds: their pictures, the"
+    " cameras and the mesh are the same"
 )
 
 
@@ -118,11 +121,9 @@ def fit(
         print_notes(given.notes)
         with progress_bar() as bar:
             progress = log.logged(bar)
-            has_pictures = any(
-                probing.displacement is None and probing.images for probing in given.probings
-            )
+            count = len(unread_probings(given))
             # Shares of the work, about: pictures, where there are some, take as long as the rest.
-            fit_begins = _FIT_BEGINS if has_pictures else 0.0
+            fit_begins = _FIT_BEGINS if count else 0.0
             measured, reused = _with_motion_measured(
                 given, target, folder, pose, part_of(progress, 0.0, fit_begins)
             )
@@ -143,7 +144,7 @@ def fit(
             estimate = _write(folder, measured, result, log)
     _print(estimate, measured)
     if reused:
-        print_text(f"Note: {_REUSED.format(target)}.")
+        print_text(f"Note: {_REUSED.format(reused, count, target)}.")
     print_text(
         f"Result in {target}, report in {target / REPORT_FILE} ({estimate.seconds['total']:.1f} s)"
     )
@@ -155,19 +156,16 @@ def fit(
 
 def _with_motion_measured(
     given: Session, target: Path, folder: Path, pose: PoseChoice, progress: Progress
-) -> tuple[Session, bool]:
-    """The session with the motion of its pictures, which the result keeps, and whether an earlier
-    result held it."""
-    has_pictures = any(
-        probing.displacement is None and probing.images for probing in given.probings
+) -> tuple[Session, int]:
+    """The session with the motion of its pictures, which the result keeps, and the number of
+    probings whose motion an earlier result held."""
+    kept = kept_motion(given, target, pose=pose)
+    motions = measure_pictures(
+        given, known=kept, pose=pose, progress=progress, parts=parts_folder(folder)
     )
-    kept = with_kept_motion(given, target, pose=pose) if has_pictures else None
-    measured = kept or with_pictures_measured(
-        given, pose=pose, progress=progress, parts=parts_folder(folder)
-    )
-    if measured is not given:
-        keep_motion(folder, given, measured, pose=pose)
-    return measured, kept is not None
+    if motions:
+        keep_motion(folder, given, motions, pose=pose)
+    return with_motions(given, motions), len(kept)
 
 
 def _with_provenance(

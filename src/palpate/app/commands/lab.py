@@ -8,6 +8,8 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.workers import distribution
+from palpate.campaign import check_workers
 from palpate.errors import InputError
 from palpate.lab import (
     SHAPES,
@@ -32,6 +34,8 @@ def lab(
     seed: int | None = None,
     list_: Annotated[bool, Parameter(name="--list")] = False,
     force: bool = False,
+    scheduler: str | None = None,
+    workers: int | None = None,
 ) -> int:
     """Measure a virtual specimen: its pictures, forces and the truth as a session folder.
 
@@ -48,6 +52,11 @@ def lab(
     force
         Write although something else than an unchanged result of this command is there; that is
         kept beside it as NAME.old.
+    scheduler
+        Address of a Dask scheduler whose workers make the probings, such as
+        tcp://192.168.1.7:8786. Default: one after the other in this process.
+    workers
+        Processes of this machine that make the probings, one thread each.
 
     Returns
     -------
@@ -62,6 +71,7 @@ def lab(
             "give a configuration and a folder: palpate lab CONFIG.toml OUT; --list shows the"
             f" built-in ones: {', '.join(built_in())}"
         )
+    check_workers(scheduler, workers)
     file = _config_file(config)
     plan = read_lab_config(file)
     plan = plan if seed is None else replace(plan, seed=seed)
@@ -71,9 +81,14 @@ def lab(
         record_inputs(folder, session_files(file))
         variant = choose_variant()
         print_notes([variant.why])
-        with progress_bar() as progress:
+        with progress_bar() as progress, distribution(scheduler, workers) as distribute:
             make_session(
-                plan, folder, variant=variant, progress=progress, parts=parts_folder(folder)
+                plan,
+                folder,
+                variant=variant,
+                progress=progress,
+                parts=parts_folder(folder),
+                distribute=distribute,
             )
     print_text(_closing_text(plan, out), wrapped=False)
     return 0

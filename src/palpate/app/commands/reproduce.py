@@ -3,6 +3,8 @@
 from pathlib import Path
 
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.workers import distribution
+from palpate.campaign import check_workers
 from palpate.errors import InputError
 from palpate.lab import choose_variant
 from palpate.paper import (
@@ -29,6 +31,8 @@ def reproduce(
     quick: bool = False,
     page: Path | None = None,
     force: bool = False,
+    scheduler: str | None = None,
+    workers: int | None = None,
 ) -> int:
     """Repeat an experiment of the paper on the virtual bench, its own numbers beside.
 
@@ -46,6 +50,11 @@ def reproduce(
     force
         Write although something else than an unchanged result of this command is there; that is
         kept beside it as NAME.old.
+    scheduler
+        Address of a Dask scheduler whose workers make the probings of the virtual bench, such as
+        tcp://192.168.1.7:8786. Default: a cluster of this machine's cores, where Dask is installed.
+    workers
+        Processes of that cluster, as in `palpate campaign`.
 
     Returns
     -------
@@ -53,15 +62,19 @@ def reproduce(
         0.
     """
     names = _chosen_experiments(experiment, page)
+    check_workers(scheduler, workers)
     target = out or Path(f"paper-{experiment}")
     # A folder each, unless an experiment is alone.
     subfolder = {name: name if len(names) > 1 else "" for name in names}
     with result_folder(target, kind="reproduce", force=force) as folder:
         variant = choose_variant()
         print_notes([variant.why])
-        with progress_bar() as progress:
+        with (
+            progress_bar() as progress,
+            distribution(scheduler, workers, by_default=True) as distribute,
+        ):
             parts = parts_folder(folder)
-            work = Workplace(folder / _SESSIONS, variant, quick, progress, parts)
+            work = Workplace(folder / _SESSIONS, variant, quick, progress, parts, distribute)
             results = run_experiments(names, work)
         for name, result in results.items():
             (folder / subfolder[name]).mkdir(exist_ok=True)

@@ -24,8 +24,8 @@ from palpate.lab.bench.session_text import (
     step_tables,
     write_session,
 )
-from palpate.lab.bodies import Body, Tip, held_nodes, make_body, surface_values
-from palpate.lab.config import LabConfig, Probe, Stage
+from palpate.lab.bodies import Body, Solid, held_nodes, make_body, surface_values
+from palpate.lab.config import LabConfig, Stage
 from palpate.lab.pictures import (
     Studio,
     Variant,
@@ -41,16 +41,19 @@ from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, read_rig, write_rig
 from palpate.shapes import Vertices
+from palpate.threads import Distribute
 from palpate.vision import project
 
 # One stream of random numbers for each purpose, so that adding a probing leaves the others as is.
 _TEXTURE, _ARM, _SENSORS, _CALIBRATION, _PICTURES = range(5)
 # Content of files by their names in the session's folder.
 _Files = dict[str, bytes]
+# What a probing or step gives a session: files, and tables for session.toml and truth.toml.
+_Measured = tuple[_Files, tuple[Table, Table]]
 # Share of the object's vertices that every camera must see in its picture.
 _MIN_SEEN = 0.9
-# Cost of the work before the first probing, in units of one probing, for the progress display.
-_BODY, _LIGHT = 0.7, 0.6
+# Cost of the studio in units of one probing, for the progress display.
+_STUDIO = 0.6
 
 
 class _Bench:
@@ -99,9 +102,9 @@ class _Bench:
             for camera, picture in zip(self.rig.cameras, pictures, strict=True)
         }
 
-    def record(self, name: str, measure: Callable[[], tuple[_Files, tuple[Table, Table]]]) -> None:
-        """Write a part of the measurement, computed now or stored by an interrupted run."""
-        files, tables = self.parts.load_or_make(name, measure)
+    def record(self, measured: _Measured) -> None:
+        """Write what a probing or step gave."""
+        files, tables = measured
         for file, content in files.items():
             (self.folder / file).write_bytes(content)
         self.measured.append(tables)
@@ -112,21 +115,23 @@ def make_session(
     folder: Path,
     *,
     variant: Variant,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     parts: Path | None = None,
+    distribute: Distribute = map,
 ) -> None:
     """Measure a virtual specimen: write pictures, forces and ground truth into a folder.
 
-    Input is checked before anything is rendered.
+    Cameras and probes are checked before anything is rendered.
 
     Parameters
     ----------
     config : LabConfig
     folder : Path                   an empty folder
     variant : Variant               of Mitsuba
-    progress : callable or None     called with the current step (text) and the fraction done, 0..1
+    progress : callable             called with the current step (text) and the fraction done, 0..1
     parts : Path or None            folder, created if missing, in which finished probings and steps
                                     are stored so that an interrupted run can be resumed
+    distribute : Distribute         measures the probings or steps, which are independent
 
     Raises
     ------
@@ -136,15 +141,18 @@ def make_session(
     SingularSystemError             the held nodes of the specimen are collinear
     NotConvergedError               as in `probe_body`
     """
-    make_sessions([(config, folder)], variant=variant, progress=progress, parts=parts)
+    make_sessions(
+        [(config, folder)], variant=variant, progress=progress, parts=parts, distribute=distribute
+    )
 
 
 def make_sessions(
     wanted: Sequence[tuple[LabConfig, Path]],
     *,
     variant: Variant,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     parts: Path | None = None,
+    distribute: Distribute = map,
 ) -> None:
     """Measure several virtual specimens, each into its own session folder.
 
@@ -155,25 +163,24 @@ def make_sessions(
     Parameters
     ----------
     wanted : sequence of (LabConfig, Path)      each with its own empty folder
-    variant, progress, parts        as in `make_session`
+    variant, progress, parts, distribute        as in `make_session`
 
     Raises
     ------
     PalpateError                    as in `make_session`
     """
-    say = progress or silent
     groups: dict[object, list[_Bench]] = {}
     for config, folder in wanted:
         groups.setdefault(_body_key(config), []).append(_Bench(config, folder, variant, parts))
     done = 0
     try:
         for benches in groups.values():
-            part = part_of(say, done / len(wanted), (done + len(benches)) / len(wanted))
+            part = part_of(progress, done / len(wanted), (done + len(benches)) / len(wanted))
             stage = benches[0].config.stage
             if stage is None:
-                _measure_probings(benches, variant, part)
+                _measure_probings(benches, variant, part, distribute)
             else:
-                _measure_steps(benches[0], stage, variant, part)
+                _measure_steps(benches[0], stage, variant, part, distribute)
             done += len(benches)
     except OSError as error:
         raise RecordError(
@@ -212,58 +219,71 @@ def _body_key(config: LabConfig) -> object:
     return (*same, below, arm.tip, arm.radius, material.young_modulus, material.poisson_ratio)
 
 
-def _measure_probings(benches: Sequence[_Bench], variant: Variant, say: Progress) -> None:
+def _measure_probings(
+    benches: Sequence[_Bench], variant: Variant, say: Progress, distribute: Distribute
+) -> None:
     """All probings of one body in several sessions: contact, pictures, readings, truth."""
-    config, tips = benches[0].config, benches[0].tips
-    whole = _BODY + _LIGHT + len(tips)
+    names = [f"probing {probe.name}" for probe in benches[0].config.probes]
+    begun = _STUDIO / (_STUDIO + len(names))
     say("finite elements", 0.0)
-    # Before any rendering: a body that cannot be meshed or held is refused here.
-    body = _body(config, config.probes[0], tips[0])
+    # Before any rendering: a body that cannot be meshed is refused here.
+    first = _solid(benches[0], 0)
     for bench in benches:
-        say("texture and light", _BODY / whole)
+        say("texture and light", 0.0)
         bench.set_up_studio(variant)
-        say("pictures at rest", (_BODY + 0.5 * _LIGHT) / whole)
+        say("pictures at rest", 0.5 * begun)
         for file, content in bench.photograph("rest", 0, [bench.studio.mesh.vertices]).items():
             (bench.folder / file).write_bytes(content)
-    for k, probe in enumerate(config.probes):
-        say(f"probing {probe.name}", (_BODY + _LIGHT + k) / whole)
-        # Refined under this tip only: a mesh for each probing costs less than one for all of them.
-        shared = _SharedBody(config, probe, tips[k], body if k == 0 else None)
-        for bench in benches:
-            bench.record(f"probing {probe.name}", partial(_measure_probing, bench, shared, k))
+    measure = partial(_measure_probing, first)
+    _record_all(benches, names, measure, distribute, part_of(say, begun, 1.0))
+
+
+def _record_all(
+    benches: Sequence[_Bench],
+    names: Sequence[str],
+    measure: Callable[[tuple[Sequence[_Bench], int]], Sequence[_Measured]],
+    distribute: Distribute,
+    say: Progress,
+) -> None:
+    """Record all probings, or all steps, in every session: as stored by an interrupted run, or
+    measured now; then write the sessions' texts."""
+    known = [[bench.parts.load(name) for bench in benches] for name in names]
+    missing = [
+        [bench for bench, part in zip(benches, parts, strict=True) if part is None]
+        for parts in known
+    ]
+    fresh = distribute(measure, [(some, k) for k, some in enumerate(missing) if some])
+    for k, name in enumerate(names):
+        say(name, k / len(names))
+        now = iter(next(fresh) if missing[k] else ())
+        for bench, part in zip(benches, known[k], strict=True):
+            bench.record(bench.parts.stored(name, next(now)) if part is None else part)
     for bench in benches:
         write_session(bench.folder, bench.config, bench.measured)
 
 
-class _SharedBody:
-    """The finite elements of one probing, shared by several benches and computed on demand."""
-
-    def __init__(self, config: LabConfig, probe: Probe, tip: Tip, body: Body | None) -> None:
-        self._config, self._probe, self._tip, self._body = config, probe, tip, body
-        self._interpolation: dict[bytes, csr_array] = {}
-
-    def body(self) -> Body:
-        """Finite element model, refined under the tip."""
-        if self._body is None:
-            self._body = _body(self._config, self._probe, self._tip)
-        return self._body
-
-    def interpolation(self, rest: Vertices) -> csr_array:
-        """Interpolation from nodes to rendered vertices, shared for equal cameras and mesh."""
-        if rest.tobytes() not in self._interpolation:
-            self._interpolation[rest.tobytes()] = surface_values(self.body().solid, rest)
-        return self._interpolation[rest.tobytes()]
+def _measure_probing(first: Solid, work: tuple[Sequence[_Bench], int]) -> list[_Measured]:
+    """Probing k in several sessions of one body, which share its finite elements, those of the
+    first probing given, and with equal cameras and mesh the interpolation to rendered vertices."""
+    benches, k = work
+    # Refined under this tip only: a mesh for each probing costs less than one for all of them.
+    body = _body(benches[0].config, first if k == 0 else _solid(benches[0], k))
+    interpolation: dict[bytes, csr_array] = {}
+    found = []
+    for bench in benches:
+        rest = bench.studio.mesh.vertices
+        if rest.tobytes() not in interpolation:
+            interpolation[rest.tobytes()] = surface_values(body.solid, rest)
+        found.append(_photographed(bench, k, body, interpolation[rest.tobytes()]))
+    return found
 
 
-def _measure_probing(
-    bench: _Bench, shared: _SharedBody, k: int
-) -> tuple[_Files, tuple[Table, Table]]:
-    """One probing in one session: pictures and truth map; tables for session.toml, truth.toml."""
+def _photographed(bench: _Bench, k: int, body: Body, interpolation: csr_array) -> _Measured:
+    """Probing k in one session: pictures, truth map and readings of its load steps."""
     config, rig, mesh = bench.config, bench.rig, bench.studio.mesh
-    probe, tip = config.probes[k], bench.tips[k]
+    probe, tip, before = config.probes[k], bench.tips[k], mesh.vertices
     finite = config.material.law == "neo-hookean"
-    states = probe_body(shared.body(), probe, tip, sticking=config.arm.sticking, finite=finite)
-    interpolation, before = shared.interpolation(mesh.vertices), mesh.vertices
+    states = probe_body(body, probe, tip, sticking=config.arm.sticking, finite=finite)
     files: _Files = {}
     for number, state in enumerate(states, start=1):
         after = mesh.vertices + interpolation @ state.displacement
@@ -278,32 +298,40 @@ def _measure_probing(
     return files, probe_tables(config, probe, tip, states, rng=bench.rng(_SENSORS, k))
 
 
-def _measure_steps(bench: _Bench, stage: Stage, variant: Variant, say: Progress) -> None:
+def _measure_steps(
+    bench: _Bench, stage: Stage, variant: Variant, say: Progress, distribute: Distribute
+) -> None:
     """All steps of a rigid object on a motion stage, in one session."""
     bench.set_up_studio(variant)
+    names = [f"step s{k}" for k in range(stage.steps + 1)]
+    _record_all([bench], names, partial(_measure_step, stage_motions(stage)), distribute, say)
+
+
+def _measure_step(
+    motions: Float[np.ndarray, "s 4 4"], work: tuple[Sequence[_Bench], int]
+) -> list[_Measured]:
+    """Step k of a rigid object in one session; between pictures the object moves."""
+    (bench,), k = work
     config, rest = bench.config, bench.studio.mesh.vertices
-    motions = stage_motions(stage)
-    places = [rest @ motion[:3, :3].T + motion[:3, 3] for motion in motions]
-
-    def measure(k: int) -> tuple[_Files, tuple[Table, Table]]:
-        exposed = exposure(config, places[k - 1] if k else rest, places[k])
-        tables = step_tables(config, f"s{k}", motions[k], rng=bench.rng(_SENSORS, k))
-        return bench.photograph(f"s{k}", k, exposed), tables
-
-    for k in range(len(motions)):
-        say(f"step s{k}", k / len(motions))
-        bench.record(f"step {k}", partial(measure, k))
-    write_session(bench.folder, config, bench.measured)
+    before, after = (
+        rest @ motion[:3, :3].T + motion[:3, 3] for motion in (motions[max(k - 1, 0)], motions[k])
+    )
+    tables = step_tables(config, f"s{k}", motions[k], rng=bench.rng(_SENSORS, k))
+    return [(bench.photograph(f"s{k}", k, exposure(config, before, after)), tables)]
 
 
-def _body(config: LabConfig, probe: Probe, tip: Tip) -> Body:
-    """Finite element model of the specimen, refined under the tip."""
+def _solid(bench: _Bench, k: int) -> Solid:
+    """The specimen's finite elements, refined under the tip of probing k."""
+    config = bench.config
+    return solid_under(config.specimen, bench.tips[k], config.probes[k], config.material)
+
+
+def _body(config: LabConfig, solid: Solid) -> Body:
+    """The specimen as a body, held where its configuration says."""
     material, specimen = config.material, config.specimen
-    solid = solid_under(specimen, tip, probe, material)
-    held = held_nodes(solid, specimen.held)
     return make_body(
-        solid, held, shear_modulus=material.shear_modulus, poisson_ratio=material.poisson_ratio,
-        support_stiffness=specimen.support_stiffness,
+        solid, held_nodes(solid, specimen.held), shear_modulus=material.shear_modulus,
+        poisson_ratio=material.poisson_ratio, support_stiffness=specimen.support_stiffness,
     )  # fmt: skip
 
 

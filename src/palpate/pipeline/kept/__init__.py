@@ -18,5 +18,5 @@ from palpate.pipeline.kept.fitted_surface import (
 from palpate.pipeline.kept.motion import (
     MOTION_FILE as MOTION_FILE,
     keep_motion as keep_motion,
-    with_kept_motion as with_kept_motion,
+    kept_motion as kept_motion,
 )

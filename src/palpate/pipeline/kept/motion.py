@@ -1,18 +1,25 @@
 """The motion measured in a session's pictures, kept in the result folder for the next fit."""
 
 import io
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array
 
 from palpate.disk import write_bytes
 from palpate.errors import InputError
 from palpate.files import stored_arrays
 from palpate.geometry import closest_points
-from palpate.pipeline.motion import SCALE_ERROR, motion_key
+from palpate.pipeline.motion import (
+    SCALE_ERROR,
+    MotionNotes,
+    ProbingMotion,
+    motion_keys,
+    unread_probings,
+)
 from palpate.pipeline.object_pose import PoseChoice
 from palpate.records import (
     DisplacementField,
@@ -24,55 +31,54 @@ from palpate.records import (
 from palpate.vision import JointFlow
 
 MOTION_FILE = "motion.npz"
-MOTION_FORMAT = "palpate-motion/4"
+MOTION_FORMAT = "palpate-motion/5"
 # Flow method that `palpate fit` uses.
 _METHOD = JointFlow()
 
 
 def keep_motion(
-    folder: Path, given: Session, measured: Session, *, pose: PoseChoice = "auto"
+    folder: Path,
+    session: Session,
+    motions: Mapping[str, ProbingMotion],
+    *,
+    pose: PoseChoice = "auto",
 ) -> None:
-    """Write the displacements measured in pictures, with a digest of everything they depend on.
+    """Write what pictures gave, each probing's with a digest of everything that it depends on.
 
     Parameters
     ----------
     folder : Path                   of the result
-    given : Session                 as it was read
-    measured : Session              the same, with the measured displacements
+    session : Session               as it was read
+    motions : mapping of str to ProbingMotion   of probings that have no file of displacements
     pose : PoseChoice               with which they were measured
 
     Raises
     ------
-    InputError                      a file of the session cannot be read
+    InputError                      the rig cannot be read
     RecordError                     the file cannot be written
     """
+    keys = _keys(session, pose)
     content: dict[str, Any] = {
         "format": np.array(MOTION_FORMAT),
-        "key": np.array(motion_key(given, _METHOD, pose)),
         "pose": np.array(pose),
-        "notes": np.array(measured.notes[len(given.notes) :], dtype=str),
+        # Probings are numbered: what they are called need not suit a file in an archive.
+        "keys": np.array([keys[name] for name in motions], dtype=str),
     }
-    for before, probing in zip(given.probings, measured.probings, strict=True):
-        field = probing.displacement
-        if before.displacement is None and field is not None and field.vertex is not None:
-            content[f"vertex {probing.name}"] = field.vertex
-            content[f"displacement {probing.name}"] = field.displacement
-            content[f"std {probing.name}"] = field.std
-            content[f"pairs {probing.name}"] = field.correlation.pair
-            content[f"correlation {probing.name}"] = field.correlation.value
-            if field.covariance is not None:
-                content[f"covariance {probing.name}"] = field.covariance
-            if field.average is not None:
-                content |= _average_parts(field.average, probing.name)
+    for k, motion in enumerate(motions.values()):
+        content |= _field_parts(motion.field, k)
+        content |= {
+            f"{part.name} notes {k}": np.array(getattr(motion.notes, part.name), dtype=str)
+            for part in fields(MotionNotes)
+        }
     packed = io.BytesIO()
     np.savez_compressed(packed, **content)
     write_bytes(folder / MOTION_FILE, packed.getvalue())
 
 
-def with_kept_motion(
+def kept_motion(
     session: Session, folder: Path, *, pose: PoseChoice | None = None
-) -> Session | None:
-    """The session with the displacements of its pictures from an earlier result.
+) -> dict[str, ProbingMotion]:
+    """What the pictures of a session gave in an earlier result, as far as they are the same.
 
     Parameters
     ----------
@@ -82,70 +88,96 @@ def with_kept_motion(
 
     Returns
     -------
-    Session or None                 None: nothing was kept, it was altered, or the session's files,
-                                    its probings, the pose's choice or Palpate itself have changed
+    dict of str to ProbingMotion    without the probings whose pictures, cameras or mesh have
+                                    changed; empty where nothing was kept, it was altered, or the
+                                    pose's choice or Palpate itself have changed
     """
     path = folder / MOTION_FILE
+    if not unread_probings(session):
+        return {}
     try:
         _, changed, sums = folder_changes(folder)
         if MOTION_FILE in changed or MOTION_FILE not in sums:
-            return None
+            return {}
         with stored_arrays(path, "") as kept:
-            form, key, used = (str(kept[name]) for name in ("format", "key", "pose"))
+            form, used = (str(kept[name]) for name in ("format", "pose"))
             if form != MOTION_FORMAT or pose not in (None, used):
-                return None
-            if key != motion_key(session, _METHOD, cast(PoseChoice, used)):
-                return None
-            return _with_fields(session, kept)
+                return {}
+            places = {str(key): k for k, key in enumerate(kept["keys"])}
+            return {
+                name: _kept_probing(session, name, kept, places[key])
+                for name, key in _keys(session, cast(PoseChoice, used)).items()
+                if key in places
+            }
     except InputError:
         # A file that cannot be read means that the motion is measured again.
-        return None
+        return {}
 
 
-def _average_parts(average: SurfaceAverage, name: str) -> dict[str, np.ndarray]:
-    """Arrays of a window average, with its weights in 3 x 3 blocks."""
-    blocks = bsr_array(average.weights, blocksize=(3, 3))
+def _keys(session: Session, pose: PoseChoice) -> dict[str, str]:
+    """Digests for the probings that have no file of displacements."""
+    unread = unread_probings(session)
+    keys = motion_keys(replace(session, probings=unread), _METHOD, pose) if unread else {}
+    return {name: key for name, key in keys.items() if name is not None}
+
+
+def _field_parts(field: DisplacementField, k: int) -> dict[str, Any]:
+    """Arrays of a displacement field."""
+    parts = {
+        f"vertex {k}": field.vertex,
+        f"displacement {k}": field.displacement,
+        f"std {k}": field.std,
+        f"pairs {k}": field.correlation.pair,
+        f"correlation {k}": field.correlation.value,
+        f"covariance {k}": field.covariance,
+    }
+    average = {} if field.average is None else _average_parts(field.average, k)
+    return {name: part for name, part in parts.items() if part is not None} | average
+
+
+def _average_parts(average: SurfaceAverage, k: int) -> dict[str, np.ndarray]:
+    """Arrays of a window average."""
+    weights = average.weights
+    # As they are: in another order, products with them would have other last digits.
     return {
-        f"average points {name}": average.points,
-        f"average blocks {name}": blocks.data,
-        f"average columns {name}": blocks.indices,
-        f"average rows {name}": blocks.indptr,
+        f"average points {k}": average.points,
+        f"average weights {k}": weights.data,
+        f"average columns {k}": weights.indices,
+        f"average rows {k}": weights.indptr,
     }
 
 
-def _kept_average(kept: dict[str, np.ndarray], name: str) -> SurfaceAverage | None:
+def _kept_average(kept: dict[str, np.ndarray], k: int) -> SurfaceAverage | None:
     """The window average from the arrays of `_average_parts`, if there are any."""
-    if f"average points {name}" not in kept:
+    if f"average points {k}" not in kept:
         return None
-    points, blocks, columns, rows = (
-        kept[f"average {part} {name}"] for part in ("points", "blocks", "columns", "rows")
+    points, weights, columns, rows = (
+        kept[f"average {part} {k}"] for part in ("points", "weights", "columns", "rows")
     )
-    shape = 3 * (len(rows) - 1), 3 * len(points)
-    weights = bsr_array((blocks, columns, rows), shape=shape)
-    return SurfaceAverage(points, csr_array(weights))
+    shape = len(rows) - 1, 3 * len(points)
+    return SurfaceAverage(points, csr_array((weights, columns, rows), shape=shape))
 
 
-def _with_fields(session: Session, kept: dict[str, np.ndarray]) -> Session:
-    probings = []
-    for probing in session.probings:
-        if probing.displacement is None and probing.images:
-            rows = kept[f"vertex {probing.name}"]
-            points = session.mesh.vertices[rows]
-            field = DisplacementField(
-                points=points,
-                displacement=kept[f"displacement {probing.name}"],
-                std=kept[f"std {probing.name}"],
-                vertex=rows,
-                surface=closest_points(session.mesh, points),
-                source=f"images of {probing.name}",
-                scale_error=SCALE_ERROR,
-                covariance=kept.get(f"covariance {probing.name}"),
-                correlation=PointCorrelation(
-                    kept[f"pairs {probing.name}"], kept[f"correlation {probing.name}"]
-                ),
-                average=_kept_average(kept, probing.name),
-            )
-            probing = replace(probing, displacement=field)
-        probings.append(probing)
-    notes = session.notes + tuple(str(note) for note in kept["notes"])
-    return replace(session, probings=tuple(probings), notes=notes)
+def _kept_probing(
+    session: Session, name: str, kept: dict[str, np.ndarray], k: int
+) -> ProbingMotion:
+    """What the pictures of a probing gave, from the arrays with a number."""
+    rows = kept[f"vertex {k}"]
+    points = session.mesh.vertices[rows]
+    field = DisplacementField(
+        points=points,
+        displacement=kept[f"displacement {k}"],
+        std=kept[f"std {k}"],
+        vertex=rows,
+        surface=closest_points(session.mesh, points),
+        source=f"images of {name}",
+        scale_error=SCALE_ERROR,
+        covariance=kept.get(f"covariance {k}"),
+        correlation=PointCorrelation(kept[f"pairs {k}"], kept[f"correlation {k}"]),
+        average=_kept_average(kept, k),
+    )
+    notes = {
+        part.name: tuple(str(note) for note in kept[f"{part.name} notes {k}"])
+        for part in fields(MotionNotes)
+    }
+    return ProbingMotion(field, MotionNotes(**notes))

@@ -2,16 +2,20 @@
 
 Purpose    : measure every motion of a session, one by one or all at once, and sum it up.
 Takes      : a `Session` with images, a `FlowMethod`.
-Gives      : `MeasuredMotion`, `SessionFlow`, the session with the measured displacements;
-             `MotionFigures`, flow.json.
+Gives      : `MeasuredMotion`, `SessionFlow`, `ProbingMotion`, the session with the measured
+             displacements; `MotionFigures`, flow.json.
 Depends on : `vision`, `records`, `geometry`.
-Read first : `measure_motion.py`, `displacement.py`, then `figures.py`.
+Read first : `sequences.py`, `measure_motion.py`, `displacement.py`, then `figures.py`.
 """
 
 from palpate.pipeline.motion.displacement import (
     SCALE_ERROR as SCALE_ERROR,
+    ProbingMotion as ProbingMotion,
+    measure_pictures as measure_pictures,
+    unread_probings as unread_probings,
     vertex_field as vertex_field,
     with_measured_displacement as with_measured_displacement,
+    with_motions as with_motions,
     with_pictures_measured as with_pictures_measured,
 )
 from palpate.pipeline.motion.figures import (
@@ -25,6 +29,9 @@ from palpate.pipeline.motion.measure_motion import (
     SessionFlow as SessionFlow,
     measure_motion as measure_motion,
     measured_motions as measured_motions,
-    motion_key as motion_key,
+)
+from palpate.pipeline.motion.notes import MotionNotes as MotionNotes
+from palpate.pipeline.motion.sequences import (
+    motion_keys as motion_keys,
     motion_names as motion_names,
 )

@@ -1,16 +1,19 @@
 """Measured motions as displacements of a session's probings, which the estimation takes."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points
-from palpate.pipeline.motion.measure_motion import MeasuredMotion, SessionFlow, measure_motion
+from palpate.pipeline.motion.measure_motion import MeasuredMotion, SessionFlow, measured_motions
+from palpate.pipeline.motion.notes import MotionNotes, SessionNotes, joined_notes
 from palpate.pipeline.object_pose import PoseChoice
 from palpate.progress import Progress, silent
-from palpate.records import DisplacementField, Session
+from palpate.records import DisplacementField, Probing, Session
 from palpate.shapes import Indices
 from palpate.vision import VertexDisplacement, measured_vertices
 
@@ -18,6 +21,20 @@ from palpate.vision import VertexDisplacement, measured_vertices
 # low-pass filter applied, by 0.1 % for speckles with a sigma of 1.7 px, by 0.5 to 1.2 % for 1 to
 # 0.6 px (analytic textures).
 SCALE_ERROR = 0.007
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbingMotion:
+    """What the pictures of one probing gave, whatever was measured along with it.
+
+    Attributes
+    ----------
+    field : DisplacementField       at full force
+    notes : MotionNotes             on all its pictures
+    """
+
+    field: DisplacementField
+    notes: MotionNotes
 
 
 def with_pictures_measured(
@@ -44,13 +61,92 @@ def with_pictures_measured(
     InputError                      a probing whose pictures could not be used or show no motion
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
-    unread = tuple(p for p in session.probings if p.displacement is None and p.images)
-    if not unread:
-        return session
-    flow = measure_motion(
-        replace(session, probings=unread), pose=pose, progress=progress, parts=parts
+    return with_motions(
+        session, measure_pictures(session, pose=pose, progress=progress, parts=parts)
     )
-    return with_measured_displacement(session, flow)
+
+
+def measure_pictures(
+    session: Session,
+    *,
+    known: Mapping[str, ProbingMotion] = MappingProxyType({}),
+    pose: PoseChoice = "auto",
+    progress: Progress = silent,
+    parts: Path | None = None,
+) -> dict[str, ProbingMotion]:
+    """Measure the motion in the pictures of the probings that have no file of displacements.
+
+    Parameters
+    ----------
+    session : Session
+    known : mapping of str to ProbingMotion     probings that need not be measured, with their
+                                    motions
+    pose, progress, parts           as in `measure_motion`
+
+    Returns
+    -------
+    dict of str to ProbingMotion    of all these probings, in the session's order, known or
+                                    measured; each is the same to the last bit whether measured
+                                    alone or along with others
+
+    Raises
+    ------
+    InputError                      a probing whose pictures could not be used or show no motion
+    RecordError, CalibrationError   the first pictures or the rig cannot be used
+    """
+    unread = unread_probings(session)
+    wanted = tuple(probing for probing in unread if probing.name not in known)
+    found = dict(known)
+    if wanted:
+        session = replace(session, probings=wanted)
+        notes: list[MotionNotes] = []
+        for _, motion, _ in measured_motions(session, pose=pose, progress=progress, parts=parts):
+            notes.append(motion.notes)
+            if motion.last and motion.probing is not None:
+                field = _displacement_field(session, motion)
+                found[motion.probing] = ProbingMotion(field, joined_notes(notes))
+                notes = []
+    return {probing.name: found[probing.name] for probing in unread}
+
+
+def with_motions(session: Session, motions: Mapping[str, ProbingMotion]) -> Session:
+    """The session, with the displacements of some probings.
+
+    Parameters
+    ----------
+    session : Session
+    motions : mapping of str to ProbingMotion   by probing
+
+    Returns
+    -------
+    Session                         with the notes on these after its own; unchanged if there are
+                                    none
+    """
+    if not motions:
+        return session
+    notes, probings = SessionNotes(), []
+    for probing in session.probings:
+        if probing.name in motions:
+            motion = motions[probing.name]
+            first = probing.name if probing.images is None else probing.images.rest
+            notes = notes.extended(first, motion.notes)
+            probing = replace(probing, displacement=motion.field)
+        probings.append(probing)
+    return replace(session, probings=tuple(probings), notes=session.notes + notes.all)
+
+
+def unread_probings(session: Session) -> tuple[Probing, ...]:
+    """Probings whose displacements are only in their pictures.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    tuple of Probing                those with images and no displacement
+    """
+    return tuple(p for p in session.probings if p.displacement is None and p.images is not None)
 
 
 def with_measured_displacement(session: Session, flow: SessionFlow) -> Session:

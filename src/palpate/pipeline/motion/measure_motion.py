@@ -1,11 +1,9 @@
 """Motion of the object's surface from a session's pictures, one motion at a time."""
 
-import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +12,23 @@ from jaxtyping import Float
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.parts import Parts, content_digest
-from palpate.pipeline.motion.notes import order_notes, texture_notes, typical_motion
+from palpate.parts import Parts
+from palpate.pipeline.motion.notes import (
+    MotionNotes,
+    SessionNotes,
+    order_notes,
+    texture_notes,
+    typical_motion,
+)
+from palpate.pipeline.motion.sequences import (
+    Instant,
+    PictureSequence,
+    motion_keys,
+    picture_sequences,
+)
 from palpate.pipeline.object_pose import PoseChoice, posed_rig
 from palpate.progress import Progress, silent
-from palpate.records import (
-    Images,
-    Rig,
-    Session,
-    file_sums,
-    read_rig,
-    session_files,
-)
+from palpate.records import Rig, Session, read_rig
 from palpate.vision import (
     FlowMethod,
     JointFlow,
@@ -56,6 +59,7 @@ class MeasuredMotion:
     flow : RangeFlow or None        None where the pictures could not be used
     vertices : VertexDisplacement or None
     failure : str or None           why there is no flow
+    notes : MotionNotes             on its pictures and those it starts from
     """
 
     name: str
@@ -65,6 +69,7 @@ class MeasuredMotion:
     flow: RangeFlow | None
     vertices: VertexDisplacement | None
     failure: str | None
+    notes: MotionNotes = field(default_factory=MotionNotes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,19 +88,32 @@ class SessionFlow:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Instant:
-    """An instant: name, owner of the pictures, their file pattern, whether at full force."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """Start of the sequences with the same first pictures.
 
-    name: str
+    Attributes
+    ----------
+    rig : Rig                       with the pose that was used
+    reference : (rows, columns) float   the reference camera's picture [grey levels]
+    state : Any                     of the method
+    whose : str                     sequence whose pictures they are, as the notes call it
+    notes : tuple of str            on the pictures and the pose
+    """
+
+    rig: Rig
+    reference: Float[np.ndarray, "_ _"]
+    state: Any
     whose: str
-    pattern: str
-    last: bool
+    notes: tuple[str, ...]
 
-
-# Start of sequences with the same first pictures: posed rig, the reference camera's picture, state
-# of the method.
-_Start = tuple[Rig, Float[np.ndarray, "_ _"], Any]
+    def notes_of(self, whose: str) -> tuple[str, ...]:
+        """The notes as another sequence with these pictures would have them."""
+        place = f"{self.whose}, "
+        return tuple(
+            f"{whose}, {note.removeprefix(place)}" if note.startswith(place) else note
+            for note in self.notes
+        )
 
 
 def measured_motions(
@@ -130,40 +148,33 @@ def measured_motions(
     InputError                      no images, no rig
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
-    sequences = _sequences(session)
+    sequences = picture_sequences(session)
     if session.rig is None:
         raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
     progress("cameras", 0.0)
     rig = read_rig(session.rig)
-    store = Parts(parts, "" if parts is None else motion_key(session, method, pose))
-    done, total = 0, sum(len(later) for _, _, later in sequences)
-    notes: dict[str, None] = {}
-    texture: tuple[str, ...] = ()
-    order: tuple[str, ...] = ()
+    keys = {} if parts is None else motion_keys(session, method, pose)
+    done, total = 0, sum(len(sequence.later) for sequence in sequences)
+    notes = SessionNotes()
     starts: dict[str, _Start] = {}
-    uses = Counter(first.pattern for _, first, _ in sequences)
-    for probing, first, later in sequences:
+    uses = Counter(sequence.first.pattern for sequence in sequences)
+    for sequence in sequences:
+        first = sequence.first
         if first.pattern not in starts:
             progress(f"{first.whose}: first pictures and pose", done / total)
-            starts[first.pattern], remarks = _started(session, rig, first, method, pose)
-            rig = starts[first.pattern][0] if first is sequences[0][1] else rig
-            notes |= dict.fromkeys(remarks)
+            starts[first.pattern] = _started(session, rig, first, method, pose)
+            rig = starts[first.pattern].rig if sequence is sequences[0] else rig
         start = starts[first.pattern]
         uses[first.pattern] -= 1
         if uses[first.pattern] == 0:
             # It holds pictures, and every probing may have its own.
             del starts[first.pattern]
-        sizes: dict[str, float] = {}
-        for motion, remarks in _followed(session, probing, later, start, method, store):
+        store = Parts(parts, keys.get(sequence.probing, ""))
+        for motion in _followed(session, sequence, start, method, store):
             done += 1
-            notes |= dict.fromkeys(remarks)
-            if motion.flow is not None:
-                texture = texture or texture_notes(motion.name, motion.flow)
-            if motion.flow is not None and probing is not None:
-                sizes[motion.name] = typical_motion(motion.flow)
-                order += order_notes(probing, sizes) if motion.last else ()
+            notes = notes.extended(first.pattern, motion.notes)
             progress(f"{motion.name}, {done} of {total} instants", done / total)
-            yield rig, motion, tuple(dict.fromkeys(chain(notes, texture, order)))
+            yield rig, motion, notes.all
 
 
 def measure_motion(
@@ -194,87 +205,44 @@ def measure_motion(
     return SessionFlow(rigs[-1], motions, notes[-1])
 
 
-def motion_names(session: Session) -> list[str]:
-    """Names of the motions of a session, in the order in which they are measured.
-
-    Parameters
-    ----------
-    session : Session               with steps, or with probings of which some have images
-
-    Returns
-    -------
-    list of str                     of every step but the first, or of every loaded image
-
-    Raises
-    ------
-    InputError                      no images
-    """
-    return [instant.name for _, _, later in _sequences(session) for instant in later]
-
-
-def _sequences(session: Session) -> Sequence[tuple[str | None, _Instant, list[_Instant]]]:
-    """The sequences to measure: probing, if any, first instant, later ones."""
-    if session.steps:
-        first, *later = (
-            _Instant(step.name, f"step '{step.name}'", step.images, True) for step in session.steps
-        )
-        return [(None, first, later)]
-    sequences = [
-        (probing.name, *_instants(probing.name, probing.images))
-        for probing in session.probings
-        if probing.images is not None
-    ]
-    if not sequences:
-        raise InputError(
-            f"{session.path}: none of its probings has images; give `images` and a [rig], or"
-            " estimate from its displacement files with `palpate fit`"
-        )
-    return sequences
-
-
-def _instants(name: str, images: Images) -> tuple[_Instant, list[_Instant]]:
-    """A probing at rest, and its later instants, the last of them at full force."""
-    whose, count = f"probing '{name}'", len(images.loaded)
-    later = [
-        _Instant(name if k == count else f"{name}_{k}", whose, pattern, k == count)
-        for k, pattern in enumerate(images.loaded, start=1)
-    ]
-    return _Instant("rest", whose, images.rest, False), later
-
-
 def _started(
-    session: Session, rig: Rig, first: _Instant, method: FlowMethod, pose: PoseChoice
-) -> tuple[_Start, tuple[str, ...]]:
-    """Start of the sequences with these first pictures, and notes on pictures and pose."""
+    session: Session, rig: Rig, first: Instant, method: FlowMethod, pose: PoseChoice
+) -> _Start:
+    """Start of the sequences with these first pictures."""
     pictures = _read(session, rig, first)
     posed, remarks = posed_rig(rig, pictures.grey, session.mesh, pose)
     state = method.start(posed, pictures.grey, session.mesh)
-    return (posed, pictures.grey[posed.reference], state), pictures.notes + remarks
+    reference = pictures.grey[posed.reference]
+    return _Start(posed, reference, state, first.whose, pictures.notes + remarks)
 
 
 def _followed(
-    session: Session,
-    probing: str | None,
-    later: Sequence[_Instant],
-    start: _Start,
-    method: FlowMethod,
-    parts: Parts,
-) -> Iterator[tuple[MeasuredMotion, tuple[str, ...]]]:
-    """Motions of one sequence in temporal order, with notes on their pictures."""
-    rig, reference, state = start
+    session: Session, sequence: PictureSequence, start: _Start, method: FlowMethod, parts: Parts
+) -> Iterator[MeasuredMotion]:
+    """Motions of one sequence in temporal order."""
+    rig, state, probing = start.rig, start.state, sequence.probing
     initial = {name: getattr(state, name) for name in getattr(state, "__dataclass_fields__", ())}
-    for instant in later:
-        head = instant.name, probing, instant.last, reference
+    notes = MotionNotes(start=start.notes_of(sequence.first.whose))
+    sizes: dict[str, float] = {}
+    for instant in sequence.later:
+        head = instant.name, probing, instant.last, start.reference
         try:
             pictures = _read(session, rig, instant)
         except InputError as error:
-            yield MeasuredMotion(*head, None, None, str(error)), ()
+            yield MeasuredMotion(*head, None, None, str(error), notes)
             continue
         inputs = initial | {f"picture {c}": grey for c, grey in enumerate(pictures.grey)}
         estimated = instant.last and probing is not None
         follow = partial(_follow, method, state, pictures, rig, session.mesh, estimated)
         state, flow, vertices = parts.load_or_make(f"{probing} {instant.name}", follow, inputs)
-        yield MeasuredMotion(*head, flow, vertices, None), pictures.notes
+        order: tuple[str, ...] = ()
+        if probing is not None:
+            sizes[instant.name] = typical_motion(flow)
+            order = order_notes(probing, sizes) if instant.last else ()
+        remarks = replace(
+            notes, pictures=pictures.notes, texture=texture_notes(instant.name, flow), order=order
+        )
+        yield MeasuredMotion(*head, flow, vertices, None, remarks)
 
 
 def _follow(
@@ -292,20 +260,6 @@ def _follow(
     return after, flow, method.averaged(moved, flow, rig, mesh) if estimated else moved
 
 
-def motion_key(session: Session, method: FlowMethod, pose: PoseChoice) -> str:
-    """Digest of everything that all instants depend on: method, pose, mesh, rig, pictures, and what
-    the session file says of these; forces, contacts and supports may change."""
-    folder = session.path.parent
-    files = [file for file in session_files(session.path) if file != session.path]
-    try:
-        sums = file_sums(files, start=folder)
-    except OSError as error:
-        raise InputError(f"{error.filename}: cannot be read ({error.strerror})") from error
-    rig = None if session.rig is None else os.path.relpath(session.rig, folder)
-    pictures = [(probing.name, probing.images) for probing in session.probings]
-    return content_digest((sums, session.mesh, rig, pictures, session.steps, method, pose))
-
-
-def _read(session: Session, rig: Rig, instant: _Instant) -> Pictures:
+def _read(session: Session, rig: Rig, instant: Instant) -> Pictures:
     folder = session.path.parent
     return read_pictures(rig, instant.pattern, folder=folder, what=instant.whose)

@@ -25,6 +25,7 @@ from palpate.vision.images.normalisation import (
 )
 from palpate.vision.images.pictures import (
     Pictures as Pictures,
+    picture_path as picture_path,
     read_grey as read_grey,
     read_pictures as read_pictures,
     read_stored as read_stored,

@@ -95,9 +95,25 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
     return Pictures(tuple(grey), tuple(saturated), tuple(notes))
 
 
+def picture_path(camera: Camera, pattern: str, folder: Path) -> Path:
+    """Path of one camera's picture, whether it exists or not.
+
+    Parameters
+    ----------
+    camera : Camera
+    pattern : str                   file name with `{camera}` in place of the camera's name
+    folder : Path                   folder that the pattern is relative to
+
+    Returns
+    -------
+    Path
+    """
+    return folder / pattern.replace(CAMERA_FIELD, camera.name)
+
+
 def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path:
     """Path of one camera's picture; if it is missing, the error names what is there instead."""
-    path = folder / pattern.replace(CAMERA_FIELD, camera.name)
+    path = picture_path(camera, pattern, folder)
     if os.path.exists(path):
         return path
     place = f"{what}, camera '{camera.name}': {path}: no such file"

@@ -24,7 +24,7 @@ from palpate.campaign import (
     Row,
     Store,
     campaign_figure,
-    cores,
+    check_workers,
     groups_of,
     outliers,
     read_items,
@@ -40,8 +40,6 @@ from palpate.records import check_free, disk_errors, modulus_unit
 # What several commands say of an argument that they share.
 _Campaign = Annotated[Path, Parameter(help="Folder of the campaign.")]
 _Force = Annotated[bool, Parameter(help="Replace a file of that name.")]
-# Workers wait for pictures, not for each other; more of them only share the memory.
-_MAX_PER_CORE = 16
 _LABELS = {"young_modulus": "Young's modulus", "poisson_ratio": "Poisson's ratio"}
 # A message in a table is for knowing what it is about; the files have all of it.
 _MAX_MESSAGE = 160
@@ -76,8 +74,8 @@ def run(
         Address of a Dask scheduler that is running, such as tcp://192.168.1.7:8786. Default: a
         cluster of this machine's cores, for as long as the command runs.
     workers
-        Processes of that cluster, one thread each. Default: one for every core. Fewer have more
-        memory each.
+        Processes of that cluster, one thread each. Default: one for every core, fewer where each
+        would have less than 2 GiB of memory.
     poisson_range
         As in `palpate fit`.
     surface
@@ -92,12 +90,7 @@ def run(
     int
         0, or 3 where a session has no result.
     """
-    limit = _MAX_PER_CORE * cores()
-    if workers is not None and (scheduler is not None or not 1 <= workers <= limit):
-        raise InputError(
-            f"--workers is {workers}; must be 1 to {limit}, {_MAX_PER_CORE} for every core, and is"
-            " for the cluster that the command starts itself, not for one with --scheduler"
-        )
+    check_workers(scheduler, workers)
     items = read_items(sessions)
     folder = out or Path(f"{sessions.resolve().stem}-campaign")
     options = FitOptions(poisson_range, surface, strain, pose)
