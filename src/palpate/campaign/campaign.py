@@ -4,12 +4,13 @@ import posixpath
 from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from palpate.campaign.engine import Engine, started_engine, worker_share
 from palpate.campaign.items import CampaignItem
+from palpate.campaign.motions import motion_works
 from palpate.campaign.package import PackedSession, pack_files, pack_session
 from palpate.campaign.rows import DONE, Row
 from palpate.campaign.store import TABLE_TEXT, Store
@@ -74,6 +75,22 @@ def run_campaign(
     return rows
 
 
+@dataclass(slots=True, eq=False)
+class _WaitingFit:
+    """A fit that waits for motions to be measured.
+
+    Attributes
+    ----------
+    work : Work                     the fit
+    keys : list of str              of all motions that it needs
+    missing : set of str            digests of the works that measure them and have not ended
+    """
+
+    work: Work
+    keys: list[str]
+    missing: set[str]
+
+
 class _Run:
     """One run of a campaign: the work in progress, and the sessions that it belongs to."""
 
@@ -82,15 +99,20 @@ class _Run:
         self._start_engine = start_engine
         self._engine: Engine | None = None
         self._items_of: dict[str, list[CampaignItem]] = {}
+        self._ready: deque[Work] = deque()
+        self._fits_after: dict[str, list[_WaitingFit]] = {}
         self._known_meshes: set[str] = set()
         self._known_rows = {row.session: row for row in store.rows()}
 
     def work_through(self, items: Sequence[CampaignItem], progress: Progress) -> None:
         """Process all sessions, until each has its row in the table."""
         waiting = deque(items)
-        while waiting or (self._engine is not None and self._engine.is_busy):
-            while waiting and (self._engine is None or self._engine.has_room):
-                self._start(waiting.popleft())
+        while waiting or self._ready or (self._engine is not None and self._engine.is_busy):
+            while (self._ready or waiting) and (self._engine is None or self._engine.has_room):
+                if self._ready:
+                    self._submit(self._ready.popleft())
+                else:
+                    self._start(waiting.popleft())
             in_progress = sum(map(len, self._items_of.values()))
             ended = len(items) - len(waiting) - in_progress
             progress(f"{ended} of {len(items)} sessions", ended / len(items))
@@ -100,27 +122,53 @@ class _Run:
         progress(f"{len(items)} of {len(items)} sessions", 1.0)
 
     def _start(self, item: CampaignItem) -> None:
-        """Start the work on a session, unless its result exists or it cannot be read."""
+        """Prepare the work on a session, unless its result exists or it cannot be read."""
         try:
             session = pack_session(item.path)
             needs_motion, mesh_sum = _inspect(item.path, session)
         except PalpateError as error:
-            failed = Outcome(pack_files({}), str(error), 0.0)
-            self.store.set_row(self.store.row_of(item, None, failed))
+            self._fail(item, error)
             return
-        work = Work("fit", session, self.options, shared_body=mesh_sum in self._known_meshes)
+        fit = Work("fit", session, self.options, shared_body=mesh_sum in self._known_meshes)
         self._known_meshes |= {mesh_sum} - {""}
-        if self.store.is_done(work):
+        if self.store.is_done(fit):
             row = self._known_rows[item.name]
-            if (row.state, row.address) != (DONE, work.digest):
-                self.store.set_row(self.store.row_of(item, work, None))
+            if (row.state, row.address) != (DONE, fit.digest):
+                self.store.set_row(self.store.row_of(item, fit, None))
             return
-        waiting = self._items_of.setdefault(work.digest, [])
-        waiting.append(item)
-        if len(waiting) == 1:
-            motion = replace(work, kind="motion")
-            known = self.store.motion(motion) if needs_motion else None
-            self._submit(motion if needs_motion and known is None else replace(work, motion=known))
+        if fit.digest not in self._items_of:
+            try:
+                motions = motion_works(item.path, session, self.options) if needs_motion else ()
+            except PalpateError as error:
+                self._fail(item, error)
+                return
+            self._prepare(fit, motions)
+        self._items_of.setdefault(fit.digest, []).append(item)
+
+    def _fail(self, item: CampaignItem, error: PalpateError) -> None:
+        """Write the row of a session that cannot be read."""
+        failed = Outcome(pack_files({}), str(error), 0.0)
+        self.store.set_row(self.store.row_of(item, None, failed))
+
+    def _prepare(self, fit: Work, motions: Sequence[Work]) -> None:
+        """Prepare a fit and the motions that it needs and that are not known yet."""
+        waiting = _WaitingFit(fit, [key for work in motions for key in work.keys.values()], set())
+        for work in motions:
+            unknown = {n: key for n, key in work.keys.items() if self.store.motion(key) is None}
+            work = replace(work, keys=unknown)
+            if unknown and work.digest not in self._fits_after:
+                self._ready.append(work)
+            if unknown:
+                self._fits_after.setdefault(work.digest, []).append(waiting)
+                waiting.missing.add(work.digest)
+        self._continue(waiting)
+
+    def _continue(self, fit: _WaitingFit) -> None:
+        """Let a fit begin whose motions are all known."""
+        if not fit.missing:
+            motions = [self.store.motion(key) for key in fit.keys]
+            known = tuple(motion for motion in motions if motion is not None)
+            self._ready.append(replace(fit.work, motions=known))
 
     def _submit(self, work: Work) -> None:
         if self._engine is None:
@@ -128,14 +176,22 @@ class _Run:
         self._engine.submit(work_on_worker, work)
 
     def _store_outcome(self, work: Work, outcome: Outcome) -> None:
-        """Store the outcome of a piece of work; a motion is followed by the fit."""
+        """Store the outcome of a piece of work; the last motion is followed by the fit."""
         if not outcome.failure:
             self.store.save_result(work, outcome.package)
-        if work.kind == "motion" and not outcome.failure:
-            self._submit(replace(work, kind="fit", motion=self.store.motion(work)))
+        if work.kind == "fit":
+            self._end(work, outcome)
             return
-        fit = replace(work, kind="fit")
-        for item in self._items_of.pop(fit.digest):
+        for fit in self._fits_after.pop(work.digest):
+            if outcome.failure:
+                self._end(fit.work, outcome)
+            else:
+                fit.missing.remove(work.digest)
+                self._continue(fit)
+
+    def _end(self, fit: Work, outcome: Outcome) -> None:
+        """Write the rows of a fit's sessions, unless another of its motions had failed before."""
+        for item in self._items_of.pop(fit.digest, ()):
             self.store.set_row(self.store.row_of(item, fit, outcome))
 
 

@@ -2,8 +2,8 @@
 
 import hashlib
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from palpate.errors import RecordError
@@ -78,6 +78,27 @@ def pack_session(path: Path) -> PackedSession:
     root = Path(os.path.commonpath([session.parent.parent, *(file.parent for file in files)]))
     content = {file.relative_to(root).as_posix(): read_bytes(file) for file in files}
     return PackedSession(pack_files(content), session.relative_to(root).as_posix(), str(root))
+
+
+def without_files(packed: PackedSession, files: Iterable[Path]) -> PackedSession:
+    """A packed session without some of its files.
+
+    Parameters
+    ----------
+    packed : PackedSession
+    files : iterable of Path        in their original places; others are ignored
+
+    Returns
+    -------
+    PackedSession
+    """
+    dropped = {Path(os.path.relpath(os.path.realpath(file), packed.root)) for file in files}
+    names = [name for name in packed.package.files if Path(name) not in dropped]
+    package = Package(
+        {name: packed.package.files[name] for name in names},
+        {name: packed.package.sums[name] for name in names},
+    )
+    return replace(packed, package=package)
 
 
 def unpack(package: Package, folder: Path) -> None:

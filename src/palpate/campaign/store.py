@@ -166,14 +166,14 @@ class Store:
         folder = self.result(work)
         return folder.is_dir() and folder_changes(folder)[:2] == ("fit", {})
 
-    def motion(self, work: Work) -> bytes | None:
-        """The stored motion of a session's pictures; None if it is not measured yet.
+    def motion(self, key: str) -> bytes | None:
+        """The stored motion of a probing; None if it is not measured yet.
 
         Parameters
         ----------
-        work : Work
+        key : str                   as in `Work.keys`
         """
-        path = self._motion_file(work)
+        path = self._motion_file(key)
         return read_bytes(path) if path.is_file() else None
 
     def save_result(self, work: Work, package: Package) -> None:
@@ -190,7 +190,8 @@ class Store:
         """
         check_package(package)
         if work.kind == "motion":
-            write_bytes(self._motion_file(work), package.files[MOTION_FILE])
+            for key in work.keys.values():
+                write_bytes(self._motion_file(key), package.files[f"{key}/{MOTION_FILE}"])
             return
         with result_folder(self.result(work), kind="fit", force=True) as folder:
             for name, content in package.files.items():
@@ -234,8 +235,8 @@ class Store:
         notes = " ".join(estimate.notes)
         return replace(head, state="done", status=estimate.status.value, message=notes, **constants)
 
-    def _motion_file(self, work: Work) -> Path:
-        return self.folder / _MOTIONS / f"{work.digest[:_DIGEST_DIGITS]}.npz"
+    def _motion_file(self, key: str) -> Path:
+        return self.folder / _MOTIONS / f"{key[:_DIGEST_DIGITS]}.npz"
 
     @contextmanager
     def _table(self) -> Iterator[sqlite3.Connection]:

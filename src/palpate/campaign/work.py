@@ -1,4 +1,4 @@
-"""One piece of a campaign's work: the motion in a session's pictures, or the fit of a session.
+"""One piece of a campaign's work: the motion in some of a session's pictures, or its fit.
 
 The result depends only on the input: not on the machine, the working folder or the time.
 """
@@ -7,14 +7,12 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
-
-import numba
 
 from palpate.bem import SurfaceSettings, check_memory
 from palpate.campaign.package import Package, PackedSession, pack_files, unpack
@@ -40,6 +38,7 @@ from palpate.records import (
     result_folder,
     write_estimate,
 )
+from palpate.threads import one_thread
 
 ESTIMATE_FILE = "estimate.json"
 # Size of a worker's cache of surface integrals [bytes]; the oldest are removed first.
@@ -71,24 +70,28 @@ class Work:
     Attributes
     ----------
     kind : "motion" or "fit"
-    session : PackedSession
+    session : PackedSession         of a motion: without the pictures of other probings
     options : FitOptions
-    motion : bytes or None          result of the work "motion" for the same session
+    keys : mapping of str to str    of a motion: the probings that are measured, with the digests
+                                    of what their motions depend on
+    motions : tuple of bytes        of a fit: results of the works "motion" for the same session
     shared_body : bool              other sessions have the same mesh, so its integrals are cached
     """
 
     kind: Literal["motion", "fit"]
     session: PackedSession
     options: FitOptions
-    motion: bytes | None = None
+    keys: Mapping[str, str] = field(default_factory=dict)
+    motions: tuple[bytes, ...] = ()
     shared_body: bool = False
 
     @property
     def digest(self) -> str:
         """Digest of everything that determines the outcome: files, options, version; 64 digits."""
+        if self.kind == "motion":
+            return content_digest((self.kind, dict(self.keys)))
         sums = dict(self.session.package.sums)
-        options = self.options if self.kind == "fit" else self.options.pose
-        return content_digest((self.kind, self.session.session, sums, options))
+        return content_digest((self.kind, self.session.session, sums, self.options))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +127,7 @@ def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome
     """
     start = time.perf_counter()
     package, failure = pack_files({}), ""
-    with _work_folder(folder) as own_folder, _one_thread():
+    with _work_folder(folder) as own_folder, one_thread():
         try:
             unpack(work.session.package, own_folder / "given")
             package = _make_result(work, own_folder, folder / "bodies", memory)
@@ -147,17 +150,6 @@ def _work_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(own_folder, ignore_errors=True)
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Limit numba to one thread: one worker per core is more efficient than many threads in one."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
-
-
 def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None) -> Package:
     """Do the work; gives the files of the result."""
     allow = partial(check_memory, available=memory)
@@ -166,11 +158,7 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
     result = own_folder / "result"
     result.mkdir()
     if work.kind == "motion":
-        motions = measure_pictures(given, pose=work.options.pose)
-        original = {
-            name: _with_original_notes(motion, work, own_folder) for name, motion in motions.items()
-        }
-        keep_motion(result, given, original, pose=work.options.pose)
+        _measure(work, given, result, own_folder)
     else:
         _fit(
             work,
@@ -188,14 +176,26 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
     )
 
 
+def _measure(work: Work, given: Session, result: Path, own_folder: Path) -> None:
+    """Measure the motion of some probings, and write each into the folder that its key names."""
+    chosen = [probing for probing in given.probings if probing.name in work.keys]
+    alone = replace(given, probings=tuple(chosen))
+    for name, motion in measure_pictures(alone, pose=work.options.pose).items():
+        folder = result / work.keys[name]
+        folder.mkdir()
+        original = _with_original_notes(motion, work, own_folder)
+        keep_motion(folder, given, {name: original}, pose=work.options.pose)
+
+
 def _with_motion(work: Work, given: Session, own_folder: Path) -> Session:
     """The session with the displacements measured in its pictures."""
-    pose, kept = work.options.pose, dict[str, ProbingMotion]()
-    if work.motion is not None:
-        with result_folder(own_folder / "motion", kind="fit") as motion_folder:
-            (motion_folder / MOTION_FILE).write_bytes(work.motion)
-        kept = kept_motion(given, own_folder / "motion", pose=pose)
-    return with_motions(given, measure_pictures(given, known=kept, pose=pose))
+    pose, known = work.options.pose, dict[str, ProbingMotion]()
+    for k, motion in enumerate(work.motions):
+        folder = own_folder / f"motion {k}"
+        with result_folder(folder, kind="fit") as motion_folder:
+            (motion_folder / MOTION_FILE).write_bytes(motion)
+        known |= kept_motion(given, folder, pose=pose)
+    return with_motions(given, measure_pictures(given, known=known, pose=pose))
 
 
 def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Path | None) -> None:

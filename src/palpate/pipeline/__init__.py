@@ -26,6 +26,7 @@ from palpate.pipeline.kept import (
     FittedSurface as FittedSurface,
     keep_motion as keep_motion,
     kept_motion as kept_motion,
+    kept_motion_keys as kept_motion_keys,
     read_fitted_surface as read_fitted_surface,
     write_fitted_surface as write_fitted_surface,
 )
@@ -49,6 +50,7 @@ from palpate.pipeline.motion import (
     measure_pictures as measure_pictures,
     measured_motions as measured_motions,
     motion_names as motion_names,
+    picture_files as picture_files,
     unread_probings as unread_probings,
     with_measured_displacement as with_measured_displacement,
     with_motions as with_motions,

@@ -19,4 +19,5 @@ from palpate.pipeline.kept.motion import (
     MOTION_FILE as MOTION_FILE,
     keep_motion as keep_motion,
     kept_motion as kept_motion,
+    kept_motion_keys as kept_motion_keys,
 )

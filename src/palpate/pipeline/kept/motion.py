@@ -57,7 +57,7 @@ def keep_motion(
     InputError                      the rig cannot be read
     RecordError                     the file cannot be written
     """
-    keys = _keys(session, pose)
+    keys = kept_motion_keys(session, pose)
     content: dict[str, Any] = {
         "format": np.array(MOTION_FORMAT),
         "pose": np.array(pose),
@@ -106,7 +106,7 @@ def kept_motion(
             places = {str(key): k for k, key in enumerate(kept["keys"])}
             return {
                 name: _kept_probing(session, name, kept, places[key])
-                for name, key in _keys(session, cast(PoseChoice, used)).items()
+                for name, key in kept_motion_keys(session, cast(PoseChoice, used)).items()
                 if key in places
             }
     except InputError:
@@ -114,8 +114,24 @@ def kept_motion(
         return {}
 
 
-def _keys(session: Session, pose: PoseChoice) -> dict[str, str]:
-    """Digests for the probings that have no file of displacements."""
+def kept_motion_keys(session: Session, pose: PoseChoice) -> dict[str, str]:
+    """Digests of what the motions depend on that `palpate fit` measures and keeps.
+
+    Parameters
+    ----------
+    session : Session
+    pose : PoseChoice               with which they are measured
+
+    Returns
+    -------
+    dict of str to str              probing -> 64 hexadecimal digits, of the probings whose
+                                    displacements are only in their pictures
+
+    Raises
+    ------
+    InputError                      pictures without a rig
+    RecordError, CalibrationError   the rig cannot be read
+    """
     unread = unread_probings(session)
     keys = motion_keys(replace(session, probings=unread), _METHOD, pose) if unread else {}
     return {name: key for name, key in keys.items() if name is not None}

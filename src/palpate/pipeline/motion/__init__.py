@@ -34,4 +34,5 @@ from palpate.pipeline.motion.notes import MotionNotes as MotionNotes
 from palpate.pipeline.motion.sequences import (
     motion_keys as motion_keys,
     motion_names as motion_names,
+    picture_files as picture_files,
 )

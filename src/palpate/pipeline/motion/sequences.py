@@ -119,12 +119,9 @@ def motion_keys(session: Session, method: FlowMethod, pose: PoseChoice) -> dict[
     InputError                      no images, no rig
     RecordError, CalibrationError   the rig cannot be read
     """
-    sequences = picture_sequences(session)
-    if session.rig is None:
-        raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
-    folder = session.path.parent
+    sequences, folder, rig = picture_sequences(session), session.path.parent, _rig(session)
     # Notes name the rig's file; a session that was moved as a whole is the same.
-    rig = replace(read_rig(session.rig), source=os.path.relpath(session.rig, folder))
+    rig = replace(rig, source=os.path.relpath(rig.source, folder))
     common = content_digest((rig, session.mesh, method, pose))
     patterns = {one.pattern for each in sequences for one in (each.first, *each.later)}
     # Once for each pattern: the pictures at rest may be those of all probings.
@@ -135,6 +132,40 @@ def motion_keys(session: Session, method: FlowMethod, pose: PoseChoice) -> dict[
         )
         for each in sequences
     }
+
+
+def picture_files(session: Session) -> dict[str | None, tuple[Path, ...]]:
+    """Picture files of each sequence.
+
+    Parameters
+    ----------
+    session : Session               with steps, or with probings of which some have images
+
+    Returns
+    -------
+    dict of str or None to tuple of Path    probing, or None for the steps -> files, whether they
+                                    exist or not
+
+    Raises
+    ------
+    InputError                      no images, no rig
+    RecordError, CalibrationError   the rig cannot be read
+    """
+    rig, folder = _rig(session), session.path.parent
+    return {
+        each.probing: tuple(
+            picture_path(camera, one.pattern, folder)
+            for one in (each.first, *each.later)
+            for camera in rig.cameras
+        )
+        for each in picture_sequences(session)
+    }
+
+
+def _rig(session: Session) -> Rig:
+    if session.rig is None:
+        raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
+    return read_rig(session.rig)
 
 
 def _probing_sequence(name: str, images: Images) -> PictureSequence:

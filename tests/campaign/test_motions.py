@@ -1,0 +1,130 @@
+"""The pictures of a session as pieces of work of their own."""
+
+import shutil
+
+import pytest
+from pipeline.kept.seen_session import write_seen_session
+
+from palpate.campaign import (
+    FitOptions,
+    Store,
+    Work,
+    do_work,
+    pack_session,
+    read_items,
+    run_campaign,
+)
+from palpate.campaign.campaign import _Run
+from palpate.campaign.motions import motion_works
+from palpate.errors import RecordError
+
+GIVEN = FitOptions(pose="given")
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """A session whose probings n01 and n02 share their pictures at rest, which n03 does not."""
+    return write_seen_session(tmp_path_factory.mktemp("parts") / "seen")
+
+
+@pytest.fixture
+def folder(seen, tmp_path):
+    """A copy of the session that may be changed, in a folder of its own."""
+    return shutil.copytree(seen, tmp_path / "parts" / "seen")
+
+
+@pytest.fixture
+def begun(monkeypatch):
+    """Works that a campaign hands to workers."""
+    works, submit = [], _Run._submit
+
+    def seen(self, work):
+        works.append(work)
+        submit(self, work)
+
+    monkeypatch.setattr(_Run, "_submit", seen)
+    return works
+
+
+def _pictures(work):
+    names = {name.rpartition("/")[2] for name in work.session.package.files}
+    return {name.rpartition("_c")[0] for name in names if name.endswith(".png")}
+
+
+def test_a_work_has_the_pictures_of_its_probings_alone(seen):
+    packed = pack_session(seen)
+    shared, own = motion_works(seen, packed, GIVEN)
+    assert list(shared.keys) == ["n01", "n02"]
+    assert _pictures(shared) == {"rest", "n01_1", "n01_2", "n02"}
+    assert list(own.keys) == ["n03"]
+    assert _pictures(own) == {"other", "n03"}
+    others = {name for name in packed.package.files if not name.endswith(".png")}
+    assert others <= set(own.session.package.files)
+    assert len({shared.digest, own.digest, Work("fit", packed, GIVEN).digest}) == 3
+
+
+def test_displacements_in_files_are_no_work(cube):
+    assert motion_works(cube, pack_session(cube), GIVEN) == ()
+
+
+def test_motions_apart_give_the_bytes_of_one_fit(seen, scheduler, tmp_path, begun):
+    campaign = tmp_path / "campaign"
+    (row,) = run_campaign(read_items(seen.parent), campaign, options=GIVEN, scheduler=scheduler)
+    assert (row.state, row.message != "") == ("done", True)
+    assert [(work.kind, list(work.keys)) for work in begun] == [
+        ("motion", ["n01", "n02"]), ("motion", ["n03"]), ("fit", []),
+    ]  # fmt: skip
+    assert len(begun[-1].motions) == 3
+    whole = do_work(Work("fit", pack_session(seen), GIVEN), folder=tmp_path / "alone")
+    assert whole.failure == ""
+    result = Store(campaign).result_at(row.address)
+    for name, content in whole.package.files.items():
+        assert (result / name).read_bytes() == content, name
+
+
+def test_what_is_measured_stays_so(folder, scheduler, tmp_path, begun):
+    items, campaign = read_items(folder.parent), tmp_path / "campaign"
+
+    def run():
+        begun.clear()
+        (row,) = run_campaign(items, campaign, options=GIVEN, scheduler=scheduler)
+        return row, [(work.kind, list(work.keys)) for work in begun]
+
+    # A picture that is no picture: the others are measured once for all.
+    picture = folder / "n03_c0.png"
+    good = picture.read_bytes()
+    picture.write_bytes(b"nothing")
+    row, works = run()
+    assert row.state == "failed"
+    assert str(picture) in row.message
+    assert [kind for kind, _ in works] == ["motion", "motion"]
+    picture.write_bytes(good)
+    row, works = run()
+    assert row.state == "done"
+    assert works == [("motion", ["n03"]), ("fit", [])]
+    # Another force asks for another fit alone.
+    file = folder / "session.toml"
+    file.write_text(file.read_text().replace("-1.2", "-1.3"))
+    row, works = run()
+    assert works == [("fit", [])]
+    # So does nothing that has not changed.
+    assert run() == (row, [])
+
+
+def test_a_session_without_its_rig_is_a_row(folder, scheduler, tmp_path, begun):
+    (folder / "rig.toml").unlink()
+    (row,) = run_campaign(
+        read_items(folder.parent), tmp_path / "campaign", options=GIVEN, scheduler=scheduler
+    )
+    assert row.state == "failed"
+    assert "rig.toml" in row.message
+    assert begun == []
+
+
+def test_a_full_disk_ends_the_campaign_and_is_no_row(folder, scheduler, tmp_path, monkeypatch):
+    def full(*_):
+        raise RecordError("table: the disk is full")
+
+    monkeypatch.setattr(Store, "is_done", full)
+    with pytest.raises(RecordError, match="the disk is full"):
+        run_campaign(read_items(folder.parent), tmp_path / "campaign", scheduler=scheduler)
