@@ -5,6 +5,7 @@ import errno
 import gc
 import os
 import re
+import signal
 import sys
 import time
 from types import SimpleNamespace
@@ -14,14 +15,14 @@ import numba
 import pytest
 
 from palpate import __version__
-from palpate.campaign import engine as engine_file, started_engine
+from palpate.campaign import cluster as cluster_file, started_engine
 from palpate.campaign.engine import Engine, WorkerError
 from palpate.errors import InputError, MeshError
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://here", "127.0.0.1:no"])
 def test_no_scheduler_at_that_address(address, monkeypatch):
-    monkeypatch.setattr(engine_file, "_CONNECT_TIMEOUT", 1)
+    monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
     expected = f"no scheduler answers at {re.escape(address)} .*start one with `dask scheduler`"
     with pytest.raises(InputError, match=expected), started_engine(address, None):
         pass
@@ -31,7 +32,7 @@ def test_no_scheduler_at_that_address(address, monkeypatch):
 
 
 def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr(engine_file, "_FIRST_WORKER_TIMEOUT", 0.2)
+    monkeypatch.setattr(cluster_file, "_FIRST_WORKER_TIMEOUT", 0.2)
     with (
         distributed.LocalCluster(
             n_workers=0, processes=False, protocol="tcp", dashboard_address=":0"
@@ -203,7 +204,11 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
         assert workers.threads == 2
         threads = workers.client.run(_threads)
         limits = [w["memory_limit"] for w in workers.client.scheduler_info()["workers"].values()]
+        blocked = workers.client.run(_blocked_signals)
     assert list(threads.values()) == [("1", "1", "1", 1)] * 2
+    # Ctrl-C reaches all processes; it is this one that stops the others.
+    assert list(blocked.values()) == [{signal.SIGINT}] * 2
+    assert signal.SIGINT not in _blocked_signals()
     assert dict(os.environ) == before
     assert sum(limits) <= 0.91 * distributed.system.MEMORY_LIMIT
 
@@ -211,6 +216,10 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
 def _threads():
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
     return (*(os.environ.get(name) for name in names), numba.get_num_threads())
+
+
+def _blocked_signals():
+    return signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 class _Gone:

@@ -4,19 +4,19 @@ Purpose    : fit every session of a list, resume after any interruption, and sum
 Takes      : a list of sessions, or a folder tree with sessions; workers.
 Gives      : a folder with a table in SQLite and CSV and every result; a summary figure.
 Depends on : `pipeline`, `estimation`, `bem`, `figures`, `records`.
-Read first : `campaign.py`, then `work.py`, then `engine.py`.
+Read first : `campaign.py`, then `work.py`, `engine.py`, then `cluster.py`.
 """
 
 from palpate.campaign.campaign import (
     run_campaign as run_campaign,
     work_on_worker as work_on_worker,
 )
-from palpate.campaign.engine import (
-    Engine as Engine,
+from palpate.campaign.cluster import (
     check_workers as check_workers,
     cores as cores,
     started_engine as started_engine,
 )
+from palpate.campaign.engine import Engine as Engine
 from palpate.campaign.figure import campaign_figure as campaign_figure
 from palpate.campaign.items import CampaignItem as CampaignItem, read_items as read_items
 from palpate.campaign.package import pack_session as pack_session

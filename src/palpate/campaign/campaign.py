@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from palpate.campaign.engine import Engine, started_engine, worker_share
+from palpate.campaign.cluster import started_engine
+from palpate.campaign.engine import Engine, worker_share
 from palpate.campaign.items import CampaignItem
 from palpate.campaign.motions import motion_works
 from palpate.campaign.package import PackedSession, pack_files, pack_session

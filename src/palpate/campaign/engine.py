@@ -1,17 +1,11 @@
-"""Workers of a campaign: a local cluster on this machine's cores, or a running Dask cluster.
+"""Work of a campaign: handed to workers, their results awaited.
 
-Dask distributed starts, feeds and monitors them; the work of a worker that dies is given to another
-one.
+Dask distributed feeds and monitors the workers; the work of one that dies is given to another one.
 """
 
-import os
-import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any, TypeVar
 
 from palpate import __version__
@@ -22,35 +16,11 @@ from palpate.threads import one_thread
 S = TypeVar("S")
 T = TypeVar("T")
 
-# Timeouts for a scheduler to answer, and for the first worker to appear [s].
-_CONNECT_TIMEOUT, _FIRST_WORKER_TIMEOUT = 10, 60
 # Pieces of work queued per worker thread, so that none is idle.
 _QUEUED_PER_THREAD = 2
 # Number of times that Dask may give up on a piece of work, after several workers died, before it
 # counts as failed.
 _MAX_DEATHS = 3
-# Workers per core: they wait for pictures, not for each other; more of them only share the memory.
-_MAX_PER_CORE = 16
-# Fraction of the memory that is divided among the workers; smallest share of a worker [bytes] where
-# their number is not given: a fit of a fine mesh takes this much, a virtual probing less.
-_USABLE_SHARE = 0.9
-_LEAST_SHARE = 2 * 2**30
-# Environment of the workers, set before libraries are loaded: one thread each.
-_ONE_THREAD = {
-    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
-}
-_SETTINGS = {
-    "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
-    # Pictures are sent with the work, so large messages are expected.
-    "distributed.admin.large-graph-warning-threshold": "4 GiB",
-    "distributed.comm.timeouts.connect": f"{_CONNECT_TIMEOUT}s",
-    # Dask looks after itself less often: by default it takes 6 % of a core on two idle workers.
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.system-monitor.interval": "5s",
-    "distributed.worker.memory.monitor-interval": "500ms",
-    "distributed.worker.profile.enabled": False,
-}
-_MATCHED_PACKAGES = ("python", "dask", "distributed")
 
 
 class WorkerError(PalpateError):
@@ -206,7 +176,7 @@ class Engine:
             raise self._lost_scheduler()
         error = future.exception()
         if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("palpate"):
-            raise InputError(f"a worker at {self.address} has no Palpate; {_install_advice()}")
+            raise InputError(f"a worker at {self.address} has no Palpate; {install_advice()}")
         if isinstance(error, PalpateError):
             return error
         if isinstance(error, self._library.KilledWorker):
@@ -253,151 +223,8 @@ def worker_share() -> tuple[Path, float | None]:
     return Path(worker.local_directory) / "palpate", share
 
 
-def check_workers(scheduler: str | None, workers: int | None) -> None:
-    """Refuse a number of workers that is out of range, or given for a running scheduler.
-
-    Parameters
-    ----------
-    scheduler, workers              as in `started_engine`
-
-    Raises
-    ------
-    InputError
-    """
-    limit = _MAX_PER_CORE * cores()
-    if workers is not None and (scheduler is not None or not 1 <= workers <= limit):
-        raise InputError(
-            f"--workers is {workers}; must be 1 to {limit}, {_MAX_PER_CORE} for every core, and is"
-            " for the cluster that the command starts itself, not for one with --scheduler"
-        )
-
-
-@contextmanager
-def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engine]:
-    """Connect to workers for the duration of the block.
-
-    Parameters
-    ----------
-    scheduler : str or None         address of a running scheduler, `tcp://HOST:PORT`; None: start a
-                                    cluster on this machine, which ends with the block
-    workers : int or None           number of workers of that cluster; None: one per core, fewer
-                                    where each would have less than 2 GiB of memory
-
-    Yields
-    ------
-    Engine
-
-    Raises
-    ------
-    InputError                      Dask is not installed; no scheduler at that address; no worker;
-                                    scheduler or worker with other versions, or without Palpate
-    """
-    library = late_import("distributed", extra="batch", purpose="a campaign")
-    with ExitStack() as stack:
-        stack.enter_context(_own_environment())
-        settings = late_import("dask.config", extra="batch", purpose="a campaign")
-        stack.enter_context(settings.set(_SETTINGS))
-        # Versions are compared below, with a message of our own.
-        stack.enter_context(warnings.catch_warnings(action="ignore"))
-        if scheduler is None:
-            folder = stack.enter_context(
-                tempfile.TemporaryDirectory(prefix="palpate-workers-", ignore_cleanup_errors=True)
-            )
-            client = stack.enter_context(_local_client(library, workers, folder))
-        else:
-            client = stack.enter_context(_connected_client(library, scheduler))
-        address = scheduler or str(client.scheduler.address)
-        _check_workers(client, address)
-        yield Engine(client, address, library)
-
-
-@contextmanager
-def _own_environment() -> Iterator[None]:
-    """Restore the environment variables after the block. Dask sets those of its workers in our own
-    process too, and numba refuses to compile once its number of threads has changed."""
-    before = dict(os.environ)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@contextmanager
-def _local_client(library: ModuleType, workers: int | None, folder: str) -> Iterator[Any]:
-    """A client of a local cluster of processes, each with one thread and an equal memory share."""
-    usable = int(_USABLE_SHARE * library.system.MEMORY_LIMIT)
-    count = workers or max(1, min(cores(), usable // _LEAST_SHARE))
-    with (
-        library.LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=True, memory_limit=usable // count,
-            dashboard_address="127.0.0.1:0", local_directory=folder, silence_logs=50,
-        ) as cluster,
-        library.Client(cluster, set_as_default=False) as client,
-    ):  # fmt: skip
-        yield client
-
-
-@contextmanager
-def _connected_client(library: ModuleType, address: str) -> Iterator[Any]:
-    """A client of a running scheduler."""
-    try:
-        # Check the address first: a client refuses it only when it is half constructed, and would
-        # then be finalised by the garbage collector, where it may deadlock on Dask's global lock.
-        library.comm.get_address_host_port(address)
-        client = library.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        why = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"no scheduler answers at {address} ({why}); start one with `dask scheduler` and give"
-            " the address that it prints, as in tcp://192.168.1.7:8786"
-        ) from error
-    with client:
-        yield client
-
-
-def _check_workers(client: Any, address: str) -> None:
-    """Refuse schedulers and workers whose versions differ from this machine's."""
-    try:
-        client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT)
-    except TimeoutError as error:
-        raise InputError(
-            f"the scheduler at {address} has no workers after {_FIRST_WORKER_TIMEOUT} s; start some"
-            f" with `dask worker {address} --nworkers auto --nthreads 1`"
-        ) from error
-    found = client.get_versions(check=False, packages=["palpate"])
-    ours = found["client"]["packages"]
-    others = {f"the scheduler at {address}": found["scheduler"]} | {
-        f"the worker at {name}": info for name, info in found["workers"].items()
-    }
-    for who, info in others.items():
-        theirs = info["packages"] if info else {}
-        wrong = [
-            f"{name} {theirs.get(name) or 'not at all'} instead of {ours[name]}"
-            for name in _MATCHED_PACKAGES
-            if _comparable_version(name, theirs.get(name)) != _comparable_version(name, ours[name])
-        ]
-        if theirs.get("palpate") != __version__:
-            wrong.append(
-                f"Palpate {theirs.get('palpate') or 'not at all'} instead of {__version__}"
-            )
-        if wrong:
-            raise InputError(f"{who} has {', '.join(wrong)}; {_install_advice()}")
-
-
-def _comparable_version(name: str, version: str | None) -> str:
-    """The part of a version that must agree: Python's without the last number, else all of it."""
-    return ".".join((version or "").split(".")[:2]) if name == "python" else version or ""
-
-
-def _install_advice() -> str:
+def install_advice() -> str:
+    """What to install on scheduler and workers, for messages."""
     return (
         "install the same everywhere, scheduler and workers: pip install"
         f" 'palpate[batch]=={__version__}'"
