@@ -1,6 +1,7 @@
 """Constructors of the records: what they make of good values and refuse of bad ones."""
 
 import dataclasses
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -223,6 +224,30 @@ def test_an_average_is_a_sum_over_points_or_the_point_itself():
     np.testing.assert_array_equal(found, np.kron([[0.75, 0.25], [0.0, 1.0]], np.eye(3)))
 
 
+def test_weights_of_points_that_are_not_there_are_refused():
+    # A product with them would end the process.
+    good = _average().weights
+    for parts in (
+        (good.data, good.indices + 10**6, good.indptr),
+        (good.data, good.indices, good.indptr[::-1].copy()),
+    ):
+        bad = csr_array(good.shape)
+        bad.data, bad.indices, bad.indptr = parts
+        with pytest.raises(InputError, match="weights are no matrix"):
+            SurfaceAverage(np.zeros((3, 3)), bad)
+
+
+def test_an_average_is_pickled_whole_and_checked():
+    average = _average()
+    found = pickle.loads(pickle.dumps(average))
+    np.testing.assert_array_equal(found.points, average.points)
+    for part in ("data", "indices", "indptr"):
+        np.testing.assert_array_equal(getattr(found.weights, part), getattr(average.weights, part))
+    points, data, *others = average.__getstate__()
+    with pytest.raises(InputError, match="add up to"):
+        found.__setstate__((points, 2 * data, *others))
+
+
 def test_some_of_the_averages_and_averages_among_others():
     average = _average()
     (second,) = average.subset(np.array([1])).weights.toarray().reshape(1, 3, 9)
@@ -240,6 +265,10 @@ def test_some_of_the_averages_and_averages_among_others():
         (lambda: _average(((0.5, 0.6, 0.0),)), "displacement 0 add up to"),
         (lambda: _average(((1.0, 0.0),)), "weights are 3 x 6; must have three columns for each"),
         (lambda: _field(average=_average(((1.0, 0.0, 0.0),))), "average has 3 rows; must be 6"),
+        (
+            lambda: _field(correlation=PointCorrelation(np.array([[0, 2]]), np.array([0.5]))),
+            "correlation names point 2; must be 0 to 1",
+        ),
     ],
 )
 def test_averages_that_are_none_are_refused(wrong, text):

@@ -91,7 +91,8 @@ class SurfaceAverage:
 
     Raises
     ------
-    InputError                      inconsistent shapes, blocks with another sum
+    InputError                      inconsistent shapes, blocks with another sum, an index out of
+                                    range
     """
 
     points: Points
@@ -99,7 +100,13 @@ class SurfaceAverage:
 
     def __post_init__(self) -> None:
         fix_fields(self, points=(None, 3))
-        object.__setattr__(self, "weights", csr_array(self.weights, dtype=np.float32))
+        try:
+            weights = csr_array(self.weights, dtype=np.float32)
+            # From a damaged file: a product with an index out of range would end the process.
+            weights.check_format(full_check=True)
+        except ValueError as error:
+            raise InputError(f"weights are no matrix: {error}") from error
+        object.__setattr__(self, "weights", weights)
         rows, columns = self.weights.shape
         if columns != 3 * len(self.points) or rows % 3:
             raise InputError(
@@ -123,6 +130,7 @@ class SurfaceAverage:
         points, *parts, shape = state
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "weights", csr_array(tuple(parts), shape=shape))
+        self.__post_init__()
 
     @property
     def has_weights(self) -> Flags:
@@ -231,6 +239,9 @@ class DisplacementField:
             raise InputError(f"surface has {len(self.surface.triangle)} points; must be {n}")
         if self.average is not None and self.average.weights.shape[0] != 3 * n:
             raise InputError(f"average has {self.average.weights.shape[0]} rows; must be {3 * n}")
+        if self.correlation.pair.max(initial=-1) >= n:
+            last = self.correlation.pair.max()
+            raise InputError(f"correlation names point {last}; must be 0 to {n - 1}")
 
     def __repr__(self) -> str:
         measured = observed_rows(self)
