@@ -91,8 +91,7 @@ class SurfaceAverage:
 
     Raises
     ------
-    InputError                      inconsistent shapes, blocks with another sum, an index out of
-                                    range
+    InputError                      inconsistent shapes or indices, blocks with another sum
     """
 
     points: Points
@@ -102,7 +101,7 @@ class SurfaceAverage:
         fix_fields(self, points=(None, 3))
         try:
             weights = csr_array(self.weights, dtype=np.float32)
-            # From a damaged file: a product with an index out of range would end the process.
+            # A product with an index out of range, as of a damaged file, would end the process.
             weights.check_format(full_check=True)
         except ValueError as error:
             raise InputError(f"weights are no matrix: {error}") from error
@@ -114,9 +113,8 @@ class SurfaceAverage:
                 f" {len(self.points)} points, and three rows for each displacement"
             )
         total = self._total()
-        wrong = np.abs(total - np.eye(3) * self.has_weights[:, None, None]).max(
-            axis=(1, 2), initial=0.0
-        )
+        off = np.abs(total - np.eye(3) * self.has_weights[:, None, None])
+        wrong = off.max(axis=(1, 2), initial=0.0)
         if (wrong > _ROUNDING).any():
             row = int(wrong.argmax())
             raise InputError(f"weights of displacement {row} add up to {total[row].tolist()}")
@@ -128,9 +126,7 @@ class SurfaceAverage:
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         points, *parts, shape = state
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "weights", csr_array(tuple(parts), shape=shape))
-        self.__post_init__()
+        self.__init__(points, csr_array(tuple(parts), shape=shape))  # type: ignore[misc]
 
     @property
     def has_weights(self) -> Flags:
@@ -239,8 +235,7 @@ class DisplacementField:
             raise InputError(f"surface has {len(self.surface.triangle)} points; must be {n}")
         if self.average is not None and self.average.weights.shape[0] != 3 * n:
             raise InputError(f"average has {self.average.weights.shape[0]} rows; must be {3 * n}")
-        if self.correlation.pair.max(initial=-1) >= n:
-            last = self.correlation.pair.max()
+        if (last := self.correlation.pair.max(initial=-1)) >= n:
             raise InputError(f"correlation names point {last}; must be 0 to {n - 1}")
 
     def __repr__(self) -> str:

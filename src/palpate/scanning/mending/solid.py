@@ -26,7 +26,8 @@ _EDGE = 2.5
 _MIN_DISTANCE = 0.02
 # Margin of the grid around the surface, in cells.
 _MARGIN = 3
-# Edges beside a cut that are shorter than this fraction of the diagonal are collapsed.
+# Vertices closer to a cut than this fraction of the diagonal are moved into it, and shorter edges
+# beside it are collapsed.
 _NEEDLE = 3e-4
 
 
@@ -142,9 +143,14 @@ def above(mesh: TriangleMesh, plane: Plane) -> TriangleMesh:
     ------
     MeshError                       several pieces remain
     """
-    cut = _solid(mesh).trim_by_plane(plane.normal.tolist(), float(plane.normal @ plane.point))
-    # Where the plane passes close to a vertex, it leaves needle-shaped triangles.
-    cut = cut.simplify(_NEEDLE * bounding_diagonal(mesh))
+    needle = _NEEDLE * bounding_diagonal(mesh)
+    height = plane.heights(mesh.vertices)
+    # The cut goes through vertices that are this close: else it would leave needles, and where the
+    # short edges of these are collapsed a corner of the cut could end above the plane.
+    moved = np.where(abs(height) < needle, height, 0.0)[:, None] * plane.normal
+    through = TriangleMesh(mesh.vertices - moved, mesh.triangles)
+    cut = _solid(through).trim_by_plane(plane.normal.tolist(), float(plane.normal @ plane.point))
+    cut = cut.simplify(needle)
     return checked_mesh(largest_piece(_mesh(cut)))[0]
 
 
