@@ -6,6 +6,7 @@ import pytest
 from lab.lab_configs import STAGE
 
 from palpate.app.commands.lab import _config_file
+from palpate.campaign import cluster as cluster_file
 from palpate.lab.config_files import built_in
 from palpate.records import read_session
 
@@ -84,4 +85,15 @@ def test_a_wrong_number_of_workers_is_refused(palpate, tmp_path):
     code, _, err = palpate("lab", "demo", "made", "--workers", 0)
     assert code == 2
     assert "--workers is 0; must be 1 to" in err
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_scheduler_that_is_not_there_is_no_error_of_the_configuration(
+    palpate, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
+    (tmp_path / "toy.toml").write_text(SMALL)
+    code, _, err = palpate("lab", "toy.toml", "made", "--scheduler", "tcp://127.0.0.1:9")
+    assert code == 2
+    assert "palpate: no scheduler answers at tcp://127.0.0.1:9" in err
     assert not (tmp_path / "made").exists()

@@ -77,11 +77,15 @@ def lab(
     plan = plan if seed is None else replace(plan, seed=seed)
     # What is found out while it is made is the configuration's, too.
     errors_named = TomlTable(file, "", {}).error_context()
-    with result_folder(out, kind="lab", force=force) as folder, errors_named:
+    with result_folder(out, kind="lab", force=force) as folder:
         record_inputs(folder, session_files(file))
         variant = choose_variant()
         print_notes([variant.why])
-        with progress_bar() as progress, distribution(scheduler, workers) as distribute:
+        with (
+            progress_bar() as progress,
+            distribution(scheduler, workers) as distribute,
+            errors_named,
+        ):
             make_session(
                 plan,
                 folder,
