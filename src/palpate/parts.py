@@ -65,9 +65,9 @@ class Parts:
         ----------
         name, known                 as in `load_or_make`
         """
-        return (
-            None if self.folder is None else _read_part(self._file(self.folder, name), known or {})
-        )
+        if self.folder is None:
+            return None
+        return _read_part(self._file(self.folder, name), known or {})
 
     def stored(self, name: str, part: T, known: Mapping[str, Any] | None = None) -> T:
         """Store a part, and give it back.
@@ -78,14 +78,12 @@ class Parts:
         part : any                  not None
         """
         if self.folder is not None:
-            content = io.BytesIO()
-            _Writer(content, known or {}).dump(part)
+            stream = io.BytesIO()
+            _Writer(stream, known or {}).dump(part)
+            content = stream.getvalue()
             # A full disk must not stop the computation; the part is then simply not stored.
             with suppress(OSError, RecordError), created_folder(self.folder):
-                write_bytes(
-                    self._file(self.folder, name),
-                    _checksum(content.getvalue()) + content.getvalue(),
-                )
+                write_bytes(self._file(self.folder, name), _checksum(content) + content)
         return part
 
     def _file(self, folder: Path, name: str) -> Path:

@@ -84,5 +84,7 @@ def test_a_body_that_memory_cannot_hold_is_refused_before_any_work(packed_cube, 
 
 def test_motion_that_was_measured_is_taken(packed_cube, tmp_path):
     # What is no motion of these pictures is measured again, not believed: here there are none.
-    work = Work("fit", packed_cube, FitOptions(), motions=(np.random.default_rng(0).bytes(100),))
+    work = Work(
+        "fit", packed_cube, FitOptions(), motions={"n01": np.random.default_rng(0).bytes(100)}
+    )
     assert do_work(work, folder=tmp_path).failure == ""

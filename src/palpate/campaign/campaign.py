@@ -83,12 +83,12 @@ class _WaitingFit:
     Attributes
     ----------
     work : Work                     the fit
-    keys : list of str              of all motions that it needs
+    keys : dict of str to str       of all motions that it needs, by probing
     missing : set of str            digests of the works that measure them and have not ended
     """
 
     work: Work
-    keys: list[str]
+    keys: dict[str, str]
     missing: set[str]
 
 
@@ -153,7 +153,8 @@ class _Run:
 
     def _prepare(self, fit: Work, motions: Sequence[Work]) -> None:
         """Prepare a fit and the motions that it needs and that are not known yet."""
-        waiting = _WaitingFit(fit, [key for work in motions for key in work.keys.values()], set())
+        keys = {name: key for work in motions for name, key in work.keys.items()}
+        waiting = _WaitingFit(fit, keys, set())
         for work in motions:
             unknown = {n: key for n, key in work.keys.items() if self.store.motion(key) is None}
             work = replace(work, keys=unknown)
@@ -167,8 +168,8 @@ class _Run:
     def _continue(self, fit: _WaitingFit) -> None:
         """Let a fit begin whose motions are all known."""
         if not fit.missing:
-            motions = [self.store.motion(key) for key in fit.keys]
-            known = tuple(motion for motion in motions if motion is not None)
+            motions = {name: self.store.motion(key) for name, key in fit.keys.items()}
+            known = {name: motion for name, motion in motions.items() if motion is not None}
             self._ready.append(replace(fit.work, motions=known))
 
     def _submit(self, work: Work) -> None:

@@ -74,7 +74,7 @@ class Work:
     options : FitOptions
     keys : mapping of str to str    of a motion: the probings that are measured, with the digests
                                     of what their motions depend on
-    motions : tuple of bytes        of a fit: results of the works "motion" for the same session
+    motions : mapping of str to bytes   of a fit: what the works "motion" gave, by probing
     shared_body : bool              other sessions have the same mesh, so its integrals are cached
     """
 
@@ -82,7 +82,7 @@ class Work:
     session: PackedSession
     options: FitOptions
     keys: Mapping[str, str] = field(default_factory=dict)
-    motions: tuple[bytes, ...] = ()
+    motions: Mapping[str, bytes] = field(default_factory=dict)
     shared_body: bool = False
 
     @property
@@ -183,19 +183,24 @@ def _measure(work: Work, given: Session, result: Path, own_folder: Path) -> None
     for name, motion in measure_pictures(alone, pose=work.options.pose).items():
         folder = result / work.keys[name]
         folder.mkdir()
-        original = _with_original_notes(motion, work, own_folder)
-        keep_motion(folder, given, {name: original}, pose=work.options.pose)
+        original = {name: _with_original_notes(motion, work, own_folder)}
+        keep_motion(folder, _only(given, name), original, pose=work.options.pose)
 
 
 def _with_motion(work: Work, given: Session, own_folder: Path) -> Session:
     """The session with the displacements measured in its pictures."""
     pose, known = work.options.pose, dict[str, ProbingMotion]()
-    for k, motion in enumerate(work.motions):
+    for k, (name, motion) in enumerate(work.motions.items()):
         folder = own_folder / f"motion {k}"
         with result_folder(folder, kind="fit") as motion_folder:
             (motion_folder / MOTION_FILE).write_bytes(motion)
-        known |= kept_motion(given, folder, pose=pose)
+        known |= kept_motion(_only(given, name), folder, pose=pose)
     return with_motions(given, measure_pictures(given, known=known, pose=pose))
+
+
+def _only(session: Session, name: str) -> Session:
+    """The session with one probing: the pictures of the others are not read for its digest."""
+    return replace(session, probings=tuple(p for p in session.probings if p.name == name))
 
 
 def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Path | None) -> None:

@@ -25,10 +25,11 @@ from palpate.pipeline.motion.sequences import (
     PictureSequence,
     motion_keys,
     picture_sequences,
+    session_rig,
 )
 from palpate.pipeline.object_pose import PoseChoice, posed_rig
 from palpate.progress import Progress, silent
-from palpate.records import Rig, Session, read_rig
+from palpate.records import Rig, Session
 from palpate.vision import (
     FlowMethod,
     JointFlow,
@@ -149,10 +150,8 @@ def measured_motions(
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
     sequences = picture_sequences(session)
-    if session.rig is None:
-        raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
     progress("cameras", 0.0)
-    rig = read_rig(session.rig)
+    rig = session_rig(session)
     keys = {} if parts is None else motion_keys(session, method, pose)
     done, total = 0, sum(len(sequence.later) for sequence in sequences)
     notes = SessionNotes()

@@ -119,7 +119,7 @@ def motion_keys(session: Session, method: FlowMethod, pose: PoseChoice) -> dict[
     InputError                      no images, no rig
     RecordError, CalibrationError   the rig cannot be read
     """
-    sequences, folder, rig = picture_sequences(session), session.path.parent, _rig(session)
+    sequences, folder, rig = picture_sequences(session), session.path.parent, session_rig(session)
     # Notes name the rig's file; a session that was moved as a whole is the same.
     rig = replace(rig, source=os.path.relpath(rig.source, folder))
     common = content_digest((rig, session.mesh, method, pose))
@@ -151,7 +151,7 @@ def picture_files(session: Session) -> dict[str | None, tuple[Path, ...]]:
     InputError                      no images, no rig
     RecordError, CalibrationError   the rig cannot be read
     """
-    rig, folder = _rig(session), session.path.parent
+    rig, folder = session_rig(session), session.path.parent
     return {
         each.probing: tuple(
             picture_path(camera, one.pattern, folder)
@@ -162,7 +162,22 @@ def picture_files(session: Session) -> dict[str | None, tuple[Path, ...]]:
     }
 
 
-def _rig(session: Session) -> Rig:
+def session_rig(session: Session) -> Rig:
+    """The cameras of a session with images.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    InputError                      no rig
+    RecordError, CalibrationError   the rig cannot be read
+    """
     if session.rig is None:
         raise InputError(f"{session.path}: has images and no [rig] table; name the camera file")
     return read_rig(session.rig)
