@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from benchmarks.figure import ESTIMATION, Figure
-from benchmarks.machine import ROOT
+from benchmarks.machine import ROOT, SHARED
 from benchmarks.options import Options
 
 START = "import sys; from palpate.app.cli import main; sys.exit(main())"
@@ -16,13 +16,19 @@ NOT_OK = 3  # the beam's Poisson's ratio is not identifiable
 
 
 def measure(options: Options) -> list[Figure]:
-    """`palpate fit` of the shipped beam with empty and with filled caches; `palpate --help`."""
+    """`palpate fit` of the beam and of pictures, caches empty and filled; `palpate --help`."""
     repeats = 2 if options.quick else 3
     beam = str(ROOT / "examples" / "beam")
     with tempfile.TemporaryDirectory() as folder:
         out = str(Path(folder) / "result")
         first = _seconds(["fit", beam, "--out", out], folder)
         later = [_seconds(["fit", beam, "--out", f"{out}-{k}"], folder) for k in range(repeats)]
+        seen = str(SHARED / "halfball_images")
+        caches = Path(folder) / "caches"
+        caches.mkdir()
+        with_pictures = [
+            _seconds(["fit", seen, "--out", f"{out}-seen-{k}"], str(caches)) for k in range(repeats)
+        ]
         help_times = [_seconds(["--help"], folder) for _ in range(repeats + 2)]
     return [
         Figure(
@@ -43,6 +49,24 @@ def measure(options: Options) -> list[Figure]:
             must=2.0,
             reach=1.0,
             note=f"shortest of {len(later)}, plots written",
+        ),
+        Figure(
+            ESTIMATION,
+            "`palpate fit`: compilation, beam",
+            first - min(later),
+            "s",
+            must=8.0,
+            reach=0.0,
+            note="first process less the shortest later one; the list of fonts is made in it, too",
+        ),
+        Figure(
+            ESTIMATION,
+            "`palpate fit`: compilation, half ball from pictures",
+            with_pictures[0] - min(with_pictures[1:]),
+            "s",
+            must=12.0,
+            reach=0.0,
+            note=f"first process {with_pictures[0]:.1f} s less the shortest later one",
         ),
         Figure(
             ESTIMATION,
