@@ -64,7 +64,7 @@ class Result:
     ----------
     session : Session               session that was fitted, with the displacements used
     fitted : FitResult              all numbers: estimate, likelihood, predictions
-    cache : Path or None            folder in which surface integrals are cached
+    cache : Path or None            folder in which what is computed of the body is kept
     """
 
     session: Session

@@ -1,21 +1,21 @@
 """Checkpoints: finished parts of a long computation, stored on disk by a digest of their inputs."""
 
 import hashlib
-import io
+import os
 import pickle
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 
 import palpate
-from palpate.disk import created_folder, write_bytes
+from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import RecordError
-from palpate.files import read_bytes
+from palpate.files import checked_file, read_bytes
 
 T = TypeVar("T")
 # Length of the checksum that precedes a part [bytes].
@@ -78,12 +78,13 @@ class Parts:
         part : any                  not None
         """
         if self.folder is not None:
-            stream = io.BytesIO()
-            _Writer(stream, known or {}).dump(part)
-            content = stream.getvalue()
             # A full disk must not stop the computation; the part is then simply not stored.
-            with suppress(OSError, RecordError), created_folder(self.folder):
-                write_bytes(self._file(self.folder, name), _checksum(content) + content)
+            with (
+                suppress(OSError, RecordError),
+                created_folder(self.folder),
+                atomic_replacement([self._file(self.folder, name)]) as (staged,),
+            ):
+                _write_part(staged, part, known or {})
         return part
 
     def _file(self, folder: Path, name: str) -> Path:
@@ -105,7 +106,9 @@ def is_intact_part(path: Path) -> bool:
     ------
     RecordError                     not readable
     """
-    return _verified_content(read_bytes(path)) is not None
+    read_bytes(path, 0)
+    with path.open("rb") as file:
+        return _is_intact(file)
 
 
 def content_digest(value: Any) -> str:
@@ -147,7 +150,7 @@ def _update_digest(digest: "hashlib._Hash", value: Any) -> None:
 class _Writer(pickle.Pickler):
     """Pickler that writes known objects by name."""
 
-    def __init__(self, file: io.BytesIO, known: Mapping[str, Any]) -> None:
+    def __init__(self, file: IO[bytes], known: Mapping[str, Any]) -> None:
         super().__init__(file, protocol=5)
         self.names = {id(item): name for name, item in known.items() if item is not None}
 
@@ -162,7 +165,7 @@ class _Reader(pickle.Unpickler):
     A forged file can therefore change values, but not run code.
     """
 
-    def __init__(self, file: io.BytesIO, known: Mapping[str, Any]) -> None:
+    def __init__(self, file: IO[bytes], known: Mapping[str, Any]) -> None:
         super().__init__(file)
         self.known = known
 
@@ -181,21 +184,34 @@ class _Reader(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is nothing that a part is made of")
 
 
-def _checksum(content: bytes) -> bytes:
-    return hashlib.sha256(content).digest()
+def _write_part(path: Path, part: Any, known: Mapping[str, Any]) -> None:
+    """Write a part, then its checksum before it: large arrays are not copied."""
+    with path.open("w+b") as file:
+        file.seek(_CHECKSUM_BYTES)
+        _Writer(file, known).dump(part)
+        file.seek(_CHECKSUM_BYTES)
+        checksum = hashlib.file_digest(file, "sha256").digest()
+        file.seek(0)
+        file.write(checksum)
 
 
-def _verified_content(stored: bytes) -> bytes | None:
-    """Content of a stored part, after its checksum; None if the checksum does not match."""
-    content = stored[_CHECKSUM_BYTES:]
-    return content if stored[:_CHECKSUM_BYTES] == _checksum(content) else None
+def _is_intact(file: IO[bytes]) -> bool:
+    """Whether what follows the checksum matches it; the file is then at the start of the part."""
+    checksum = file.read(_CHECKSUM_BYTES)
+    found = hashlib.file_digest(file, "sha256").digest()  # type: ignore[arg-type]
+    file.seek(_CHECKSUM_BYTES)
+    return checksum == found
 
 
 def _read_part(path: Path, known: Mapping[str, Any]) -> Any:
     """A stored part, or None if the file is missing or not intact."""
     try:
-        content = _verified_content(read_bytes(path))
-        return None if content is None else _Reader(io.BytesIO(content), known).load()
-    except (RecordError, ValueError, LookupError, TypeError, AttributeError, ImportError, EOFError,
-            pickle.UnpicklingError):  # fmt: skip
+        with checked_file(path).open("rb") as file:
+            if not _is_intact(file):
+                return None
+            # A cache removes what has not been used for longest.
+            os.utime(path)
+            return _Reader(file, known).load()
+    except (RecordError, OSError, ValueError, LookupError, TypeError, AttributeError, ImportError,
+            EOFError, pickle.UnpicklingError):  # fmt: skip
         return None

@@ -1,6 +1,7 @@
 """What a piece of work gives depends on what it is given, and on nothing else."""
 
 import errno
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import pytest
 from palpate.bem import check_memory
 from palpate.campaign import FitOptions, Work, do_work, pack_session
 from palpate.campaign.package import pack_files
+from palpate.campaign.work import _trim_cache
 from palpate.errors import InputError
+from palpate.parts import Parts
 from palpate.pipeline import fit_session
 from palpate.records import read_estimate, read_session
 
@@ -46,8 +49,22 @@ def test_only_what_others_can_use_stays_behind(fitted):
     folder, _, _ = fitted
     assert list((folder / "one").iterdir()) == []
     assert [path.name for path in (folder / "two").iterdir()] == ["bodies"]
-    # The given mesh, the same with wider fits between its vertices, with finer sharp edges, graded.
-    assert len(list((folder / "two" / "bodies").glob("*.npz"))) == 4
+    # The given mesh, the same with wider fits between its vertices, with finer sharp edges, graded:
+    # integrals, factors (but those of the last, which depends on the contacts), reduced models.
+    assert len(list((folder / "two" / "bodies").iterdir())) == 4 + 3 + 4
+
+
+def test_what_was_not_used_for_longest_is_removed(tmp_path):
+    for age, name in enumerate(["new", "older", "oldest"]):
+        (tmp_path / name).write_bytes(bytes(10))
+        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
+    # Reading a part is using it (its time is now); these are no parts.
+    Parts(tmp_path, "a").load_or_make("part", lambda: 1)
+    (part,) = (path for path in tmp_path.iterdir() if len(path.name) == 64)
+    os.utime(part, (1e9 - 9, 1e9 - 9))
+    assert Parts(tmp_path, "a").load("part") == 1
+    _trim_cache(tmp_path, most=part.stat().st_size + 20)
+    assert {path.name for path in tmp_path.iterdir()} == {part.name, "new", "older"}
 
 
 def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_path):

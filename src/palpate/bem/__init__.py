@@ -64,7 +64,6 @@ from palpate.bem.system import (
     SystemSlope as SystemSlope,
     assemble_system as assemble_system,
     cached_system as cached_system,
-    centred_system as centred_system,
     check_memory as check_memory,
     factorise as factorise,
     make_spring_factors as make_spring_factors,

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -41,8 +41,10 @@ from palpate.records import (
 from palpate.threads import one_thread
 
 ESTIMATE_FILE = "estimate.json"
-# Size of a worker's cache of surface integrals [bytes]; the oldest are removed first.
-_MAX_CACHE_BYTES = 4 * 2**30
+# Size of a worker's cache of bodies [bytes], and its largest fraction of the free space on the disk;
+# what has not been used for longest is removed first. All of a body of 5000 vertices, the largest
+# that is solved with dense matrices, takes 10 GB.
+_MAX_CACHE_BYTES, _MAX_CACHE_FRACTION = 16 * 2**30, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,8 @@ class Work:
     keys : mapping of str to str    of a motion: the probings that are measured, with the digests
                                     of what their motions depend on
     motions : mapping of str to bytes   of a fit: what the works "motion" gave, by probing
-    shared_body : bool              other sessions have the same mesh, so its integrals are cached
+    shared_body : bool              other sessions have the same mesh, so what is computed of it
+                                    is cached: integrals, factors, reduced models
     """
 
     kind: Literal["motion", "fit"]
@@ -219,14 +222,17 @@ def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Pa
     # This file also holds the residuals: fewer files are stored faster.
     write_fitted_surface(result, session, fitted)
     if cache is not None:
-        _trim_cache(sorted(cache.glob("*.npz"), key=lambda file: file.stat().st_mtime))
+        free = shutil.disk_usage(cache).free
+        _trim_cache(cache, most=min(_MAX_CACHE_BYTES, int(_MAX_CACHE_FRACTION * free)))
 
 
-def _trim_cache(oldest_first: Sequence[Path]) -> None:
-    """Remove the oldest files beyond the size of the cache."""
-    sizes = [file.stat().st_size for file in oldest_first]
-    for k, file in enumerate(oldest_first):
-        if sum(sizes[k:]) > _MAX_CACHE_BYTES:
+def _trim_cache(cache: Path, *, most: int) -> None:
+    """Remove what has not been used for longest, beyond a size in bytes."""
+    found = [(file.stat(), file) for file in cache.iterdir()]
+    total = 0
+    for one, file in sorted(found, key=lambda each: each[0].st_mtime, reverse=True):
+        total += one.st_size
+        if total > most:
             file.unlink(missing_ok=True)
 
 

@@ -87,7 +87,7 @@ def fit_session(
     session : Session                 every probing with a displacement
     settings : FitSettings            method, noise model and range of Poisson's ratio
     surface : SurfaceSettings         interpolation of the surface between the vertices
-    cache : Path or None              folder in which the integrals are kept for reuse
+    cache : Path or None              folder in which what is computed of the body is kept for reuse
     finite_strain : bool              True: correct for finite strain
     progress : callable               called with the current step (text) and the fraction done
 

@@ -90,7 +90,7 @@ def poke_session(
     interior : (n, 3) float [m]         points inside the object, at least 5 % of a triangle's
                                         radius from its surface
     surface : SurfaceSettings           interpolation of the surface between the vertices
-    cache : Path or None                folder in which the surface integrals are kept
+    cache : Path or None                folder in which what is computed of the body is kept
     progress : callable                 called with the current step (text) and the fraction done
 
     Returns
@@ -156,7 +156,7 @@ def held_object(
     ----------
     session : Session
     surface : SurfaceSettings           interpolation of the surface between the vertices
-    cache : Path or None                folder in which the surface integrals are kept
+    cache : Path or None                folder in which what is computed of the body is kept
     dense : bool                        True: dense matrices for a mesh of any size
 
     Returns

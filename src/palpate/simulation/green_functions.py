@@ -21,9 +21,9 @@ from scipy.linalg.lapack import dpotrf
 from palpate.arrays import fix_fields
 from palpate.bem import (
     BoundarySystem,
+    CentredSystem,
     SurfaceLoad,
     SurfaceSettings,
-    centred_system,
     load_right_hand,
     solve,
 )
@@ -315,7 +315,7 @@ def _responses(
     """Displacement of the first vertices per newton, [j, b, i, a], and its slope at the nodes."""
     ratio = material.poisson_ratio
     say("factorisation", 0.3)
-    centred = centred_system(system, ratio)
+    centred = CentredSystem(system, ratio)
     everywhere = np.zeros((len(nodes), 3, count, 3))
     slope = np.zeros((len(nodes), 3, len(nodes), 3))
     free = system.unknowns.free_vertices

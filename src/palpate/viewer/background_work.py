@@ -32,7 +32,7 @@ class BackgroundWork:
     Parameters
     ----------
     subject : Subject
-    cache : Path or None            folder in which surface integrals are cached
+    cache : Path or None            folder in which what is computed of the body is kept
     """
 
     def __init__(self, subject: Subject, cache: Path | None) -> None:

@@ -114,7 +114,7 @@ class Viewer:
     ----------
     subject : Subject
     port : int or None              None: 8080, or the next free one
-    cache : Path or None            folder in which surface integrals are cached
+    cache : Path or None            folder in which what is computed of the body is kept
 
     Raises
     ------

@@ -1,12 +1,11 @@
 """A system factorised at one Poisson's ratio: single precision where it is good enough, alone."""
 
-import sys
-
 import numpy as np
 import pytest
 from surfaces import box, sphere
 
-from palpate.bem import assemble_system, centred_system, face_columns, make_surface, solve
+from palpate.bem import CentredSystem, assemble_system, face_columns, make_surface, solve
+from palpate.bem.system import centred_system as module
 
 NU = 0.3
 
@@ -14,7 +13,7 @@ NU = 0.3
 @pytest.fixture
 def for_small_bodies(monkeypatch):
     """Single precision at any size."""
-    monkeypatch.setattr(sys.modules["palpate.bem.system.centred_system"], "_SMALLEST_SINGLE", 0)
+    monkeypatch.setattr(module, "_SMALLEST_SINGLE", 0)
 
 
 def held_at_low(mesh, axis, share):
@@ -28,7 +27,7 @@ def held_at_low(mesh, axis, share):
 
 def test_single_precision_is_good_to_a_hundred_thousandth(for_small_bodies):
     system, right = held_at_low(sphere(2), 2, 0.2)
-    single, double = (centred_system(system, NU, single=each) for each in (True, False))
+    single, double = (CentredSystem(system, NU, single=each) for each in (True, False))
     assert single.factorised.lu.dtype == np.float32
     assert single.slope.flux.dtype == np.float32
     found, wanted = (solve(each.factorised, right) for each in (single, double))
@@ -44,12 +43,12 @@ def test_single_precision_is_good_to_a_hundred_thousandth(for_small_bodies):
 
 def test_a_thin_plate_is_solved_in_double_precision(for_small_bodies):
     system, right = held_at_low(box(size=(1.0, 0.6, 0.01), cells=6), 0, 0.25)
-    chosen = centred_system(system, NU, single=True)
+    chosen = CentredSystem(system, NU, single=True)
     assert chosen.factorised.lu.dtype == chosen.slope.flux.dtype == float
-    double = centred_system(system, NU)
+    double = CentredSystem(system, NU)
     np.testing.assert_array_equal(solve(chosen.factorised, right), solve(double.factorised, right))
 
 
 def test_small_bodies_are_solved_in_double_precision():
     system, _ = held_at_low(sphere(1), 2, 0.4)
-    assert centred_system(system, NU, single=True).factorised.lu.dtype == float
+    assert CentredSystem(system, NU, single=True).factorised.lu.dtype == float

@@ -1,11 +1,14 @@
 """The reduced model against new factorisations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from elastic_bodies import bump_load, held_part
 from surfaces import box, sphere
 
 from palpate.bem import (
+    CentredSystem,
     SurfaceLoad,
     body_force_columns,
     factorise,
@@ -15,8 +18,14 @@ from palpate.bem import (
     support_columns,
 )
 from palpate.errors import NotConvergedError, SingularSystemError
-from palpate.estimation.responses.reduced_model import DENSE_RESIDUAL, make_reduced_model
+from palpate.estimation.responses import reduced_model as module
+from palpate.estimation.responses.reduced_model import (
+    CENTRE,
+    DENSE_RESIDUAL,
+    make_reduced_model,
+)
 from palpate.geometry import TriangleMesh
+from palpate.parts import Parts
 
 RATIOS = (-0.2, 0.0, 0.15, 0.3, 0.45, 0.4999)
 
@@ -149,3 +158,25 @@ def test_an_object_that_is_not_held_is_refused():
         make_reduced_model(system, load_right_hand(system, [load]))
     system = held_part(both, low, smooth=False)
     assert len(make_reduced_model(system, load_right_hand(system, [load])).directions) >= 10
+
+
+def test_a_reduced_model_is_kept_for_its_loads(problem, tmp_path, monkeypatch):
+    system, right = problem
+    kept = replace(system, parts=Parts(tmp_path, "the body"))
+    factors = CentredSystem(kept, CENTRE)
+    first = make_reduced_model(factors, right)
+    # What the system alone determines serves other loads; factors of one model alone are not kept.
+    other = replace(right, terms=2.0 * right.terms)
+    make_reduced_model(kept, other)
+    assert len(list(tmp_path.iterdir())) == 3
+    monkeypatch.setattr(module, "solve", None)
+    for read, loads in ((make_reduced_model(CentredSystem(kept, CENTRE), right), 1.0),
+                        (make_reduced_model(kept, other), 2.0)):  # fmt: skip
+        for nu in RATIOS:
+            found, wanted = solution(read, nu)[0], solution(first, nu)[0]
+            np.testing.assert_array_equal(found, loads * wanted)
+    for changes in ({"tolerance": 1e-5}, {"poisson_range": (0.0, 0.4)}):
+        with pytest.raises(TypeError):
+            make_reduced_model(kept, right, **changes)
+    with pytest.raises(TypeError):
+        make_reduced_model(CentredSystem(kept, CENTRE, single=True), right)

@@ -97,7 +97,7 @@ def fit(
         Where the object is in pictures: as the camera file says (given), as the pictures at rest
         show (register), or registered only where they contradict the file (auto).
     cache
-        Folder that keeps the surface integrals of this object for the next fit.
+        Folder that keeps what is computed of this object for the next fit: integrals and factors.
     force
         Write although something else than an unchanged result of this command is there; that is
         kept beside it as NAME.old.

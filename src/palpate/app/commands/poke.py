@@ -77,7 +77,7 @@ def poke(
         What the mesh means: points of a smooth object (with edges where triangles turn by more than
         40 degrees), or flat facets.
     cache
-        Folder that keeps the surface integrals of this object for the next time.
+        Folder that keeps what is computed of this object for the next time.
 
     Returns
     -------

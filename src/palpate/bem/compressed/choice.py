@@ -34,8 +34,8 @@ def held_system(
 
     Raises
     ------
-    InputError                    the cache cannot be written; a support of an object solved
-                                  compressed holds some directions only
+    InputError                    a support of an object solved compressed holds some directions
+                                  only
     """
     large = len(surface.mesh.vertices) > LARGEST_DENSE
     rolls = not np.allclose(surface.held_directions[surface.held], np.eye(3))

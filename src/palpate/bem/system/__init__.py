@@ -14,10 +14,7 @@ from palpate.bem.system.boundary import (
     place_collocation as place_collocation,
 )
 from palpate.bem.system.cache import cached_system as cached_system
-from palpate.bem.system.centred_system import (
-    CentredSystem as CentredSystem,
-    centred_system as centred_system,
-)
+from palpate.bem.system.centred_system import CentredSystem as CentredSystem
 from palpate.bem.system.memory import (
     LARGEST_DENSE as LARGEST_DENSE,
     check_memory as check_memory,

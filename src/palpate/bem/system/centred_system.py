@@ -1,12 +1,19 @@
 """A system factorised at one Poisson's ratio, from which its solutions at all ratios follow."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from palpate.bem.system.large_lu import LARGEST_WHOLE
 from palpate.bem.system.slope import SystemSlope, system_slope
-from palpate.bem.system.system import BoundarySystem, FactorisedSystem, factorise
+from palpate.bem.system.system import (
+    BoundarySystem,
+    FactorisedSystem,
+    factorise,
+    system_elimination,
+)
+from palpate.parts import content_digest
 
 # Unknowns above which factors in single precision, half the work, save time worth mentioning.
 _SMALLEST_SINGLE = 3000
@@ -16,43 +23,51 @@ _SMALLEST_SINGLE = 3000
 _SMALLEST_SINGLE_RCOND = 1e-8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CentredSystem:
-    """A dense system factorised at one Poisson's ratio, with the derivative of its matrix.
+    """A dense system with its factors at one Poisson's ratio and the derivative of its matrix, both
+    computed when they are first needed, or read from the system's `parts`.
 
     Attributes
     ----------
-    factorised : FactorisedSystem
-    slope : SystemSlope
-    """
-
-    factorised: FactorisedSystem
-    slope: SystemSlope
-
-
-def centred_system(
-    system: BoundarySystem, poisson_ratio: float, *, single: bool = False
-) -> CentredSystem:
-    """Factorise a system at one Poisson's ratio, and derive it there.
-
-    Parameters
-    ----------
     system : BoundarySystem
-    poisson_ratio : float     -1 < nu <= 0.5
-    single : bool             True: solutions may have relative errors of 1e-4; in single precision,
-                              then, where that is faster and the condition of the system allows it
-
-    Returns
-    -------
-    CentredSystem
+    poisson_ratio : float       -1 < nu <= 0.5
+    single : bool               True: solutions may have relative errors of 1e-4; in single
+                                precision, then, where that is faster and the condition of the
+                                system allows it
 
     Raises
     ------
-    SingularSystemError       as `factorise`
+    SingularSystemError         as `factorise`, when the factors are first needed
     """
-    if single and _SMALLEST_SINGLE < system.size <= LARGEST_WHOLE:
-        factorised = factorise(system, poisson_ratio, precision=np.float32)
-        if factorised.reciprocal_condition > _SMALLEST_SINGLE_RCOND:
-            return CentredSystem(factorised, system_slope(system, precision=np.float32))
-        del factorised
-    return CentredSystem(factorise(system, poisson_ratio), system_slope(system))
+
+    system: BoundarySystem
+    poisson_ratio: float
+    single: bool = False
+
+    @property
+    def factorised(self) -> FactorisedSystem:
+        """The factors."""
+        return self._factors_and_slope[0]
+
+    @property
+    def slope(self) -> SystemSlope:
+        """The derivative of the matrix with respect to Poisson's ratio."""
+        return self._factors_and_slope[1]
+
+    @cached_property
+    def _factors_and_slope(self) -> tuple[FactorisedSystem, SystemSlope]:
+        name = content_digest(("factors", self.poisson_ratio, self.single))
+        factorised, slope = self.system.parts.load_or_make(name, self._compute)
+        return replace(factorised, elimination=system_elimination(self.system)), slope
+
+    def _compute(self) -> tuple[FactorisedSystem, SystemSlope]:
+        """Both, without the elimination, which holds sparse matrices and is made in no time."""
+        system, ratio = self.system, self.poisson_ratio
+        if self.single and _SMALLEST_SINGLE < system.size <= LARGEST_WHOLE:
+            factorised = factorise(system, ratio, precision=np.float32)
+            if factorised.reciprocal_condition > _SMALLEST_SINGLE_RCOND:
+                slope = system_slope(system, precision=np.float32)
+                return replace(factorised, elimination=None), slope
+            del factorised
+        return replace(factorise(system, ratio), elimination=None), system_slope(system)

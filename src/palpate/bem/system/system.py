@@ -1,6 +1,6 @@
 """The linear system of a held object, linear in Poisson's ratio, and its factorisation."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,6 +25,7 @@ from palpate.bem.system.large_lu import LARGEST_WHOLE, lu_by_panels
 from palpate.bem.system.rollers import Elimination, make_elimination
 from palpate.errors import SingularSystemError
 from palpate.geometry import QuadraticNodes
+from palpate.parts import Parts
 from palpate.threads import in_threads
 
 # Type of the entries of a matrix.
@@ -55,6 +56,7 @@ class BoundarySystem:
     displacement_kernel : FieldBlocks     multiplies the traction of every held side
     traction_length : float [m]           scales tractions to displacements, so that all columns
                                           have similar norms
+    parts : Parts                         where what follows from these matrices alone is kept
     """
 
     surface: BoundarySurface
@@ -62,6 +64,7 @@ class BoundarySystem:
     collocation: Collocation
     traction_kernel: FieldBlocks
     displacement_kernel: FieldBlocks
+    parts: Parts = field(default=Parts(None), kw_only=True)
 
     @property
     def traction_length(self) -> float:
@@ -225,6 +228,17 @@ def _fill_rows(
         entries[free.size :, :, :, rows] = displacement.transpose(2, 1, 0, 3)
 
 
+def system_elimination(system: BoundarySystem) -> Elimination | None:
+    """Reduction to the square system that is factorised; None where supports hold all directions.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    """
+    order = system.traction_kernel.rows.ravel()[: system.traction_kernel.n_rows]
+    return make_elimination(system.surface, system.unknowns, system.collocation, order)
+
+
 def factorise(
     system: BoundarySystem, poisson_ratio: float, *, precision: Precision = np.float64
 ) -> FactorisedSystem:
@@ -246,8 +260,7 @@ def factorise(
                               coinciding or degenerate parts of the mesh
     """
     matrix = system_matrix(system, poisson_ratio, precision=precision)
-    order = system.traction_kernel.rows.ravel()[: system.traction_kernel.n_rows]
-    elimination = make_elimination(system.surface, system.unknowns, system.collocation, order)
+    elimination = system_elimination(system)
     if elimination is not None:
         matrix = elimination.matrix(matrix)
     gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))

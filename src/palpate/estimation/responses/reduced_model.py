@@ -16,7 +16,8 @@ Saad, Iterative Methods for Sparse Linear Systems (2003), algorithm 6.2 with reo
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -30,13 +31,13 @@ from palpate.bem import (
     SpringFactors,
     SpringSlope,
     SystemSlope,
-    centred_system,
     make_spring_system,
     orthogonalised,
     reduced_basis,
     solve,
 )
 from palpate.errors import NotConvergedError
+from palpate.parts import Parts, content_digest
 
 CENTRE = 0.3
 MOST_DIRECTIONS = 80
@@ -158,12 +159,18 @@ def make_reduced_model(
             system, right.terms, poisson_range=poisson_range,
             tolerance=max(float(np.min(tolerance)), _SNAPSHOT_RESIDUAL),
         )  # fmt: skip
-    if isinstance(system, BoundarySystem):
-        system = centred_system(system, CENTRE)
-    return _krylov_model(
-        lambda terms: solve(system.factorised, terms), system.slope.apply, right, poisson_range,
-        tolerance,
-    )  # fmt: skip
+    if isinstance(system, CentredSystem):
+        parts, centred = system.system.parts, system
+    else:
+        # Factors that are not shared serve this model alone, which is kept itself.
+        parts, centred = system.parts, CentredSystem(replace(system, parts=Parts(None)), CENTRE)
+    given = centred.single, right.terms, poisson_range, tolerance
+
+    def make() -> ReducedModel:
+        solve_at_centre = partial(solve, centred.factorised)
+        return _krylov_model(solve_at_centre, centred.slope.apply, right, poisson_range, tolerance)
+
+    return parts.load_or_make(content_digest(("reduced model", given)), make)
 
 
 def make_spring_model(

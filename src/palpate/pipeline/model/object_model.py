@@ -150,7 +150,8 @@ def make_object_model(
     ----------
     session : Session
     surface : SurfaceSettings
-    cache : Path or None              folder in which dense integrals are kept for reuse
+    cache : Path or None              folder in which what is computed of the body is kept for
+                                      reuse
     perturbed : bool                  False: without perturbed contacts, and without the error of
                                       the mesh about contacts
     like : ObjectModel or None        of the same mesh on the same supports with other contacts: its

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.bem import (
+    CentredSystem,
     Springs,
-    centred_system,
     factorise,
     make_spring_factors,
     make_spring_system,
@@ -72,7 +72,7 @@ def spring_responses(
             return full_spring_responses(solution, rows, blocks)
 
         return exact
-    centred = centred_system(system, CENTRE)
+    centred = CentredSystem(system, CENTRE)
     factors = make_spring_factors(centred.factorised, system, springs)
 
     def reduced(shear_modulus: float) -> list[SpringResponse]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from palpate.bem import LARGEST_DENSE, CompressedSystem, SurfaceSettings, centred_system
+from palpate.bem import LARGEST_DENSE, CentredSystem, CompressedSystem, SurfaceSettings
 from palpate.estimation import CENTRE, FitMethod, FitSettings, ModelStep, ProbeObservations
 from palpate.pipeline.model import (
     ObjectModel,
@@ -43,7 +43,7 @@ def ungraded_observations(
     session : Session                     k probings, each with displacements
     settings : FitSettings
     surface : SurfaceSettings
-    cache : Path or None                  folder in which the integrals are kept
+    cache : Path or None                  folder in which what is computed of the body is kept
     like : ObjectModel or None            as `make_object_model`
     with_surface : bool                   True: with responses of all vertices
     progress : callable                   called with the current step (text) and the fraction done
@@ -56,7 +56,6 @@ def ungraded_observations(
     Raises
     ------
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
-    RecordError                           the cache cannot be written
     """
     plain = replace(session, errors=EXACT)
     progress("integrals", 0.0)
@@ -67,7 +66,7 @@ def ungraded_observations(
     progress("reduced model", _SOLVED)
     if _can_be_centred(model, settings) and model.centred is None:
         # In solutions, a residual of 1e-5 allows for errors at least as large as single precision.
-        model = replace(model, centred=centred_system(model.system, CENTRE, single=True))
+        model = replace(model, centred=CentredSystem(model.system, CENTRE, single=True))
     return model, converged_observations(
         plain, model, settings=settings, with_surface=with_surface, residual=_UNGRADED_RESIDUAL
     )
@@ -97,7 +96,7 @@ def with_considered_errors(
     observations : sequence of k ProbeObservations    `ungraded_observations` of it, in this order
     settings : FitSettings
     surface : SurfaceSettings
-    cache : Path or None                  folder in which the integrals are kept
+    cache : Path or None                  folder in which what is computed of the body is kept
     progress : callable                   called with the current step (text) and the fraction done
 
     Returns

@@ -49,7 +49,7 @@ def export(
     session
         Where the session of the result is now, if it was moved.
     cache
-        Folder that keeps the surface integrals of this object for the next time.
+        Folder that keeps what is computed of this object for the next time.
     force
         Write although something else than an unchanged export to this simulator is there; that is
         kept beside it as NAME.old.

@@ -43,7 +43,7 @@ def view(
     probe
         Probing that a picture or film shows. Default: the first.
     cache
-        Folder that keeps the surface integrals of this object for the next time.
+        Folder that keeps what is computed of this object for the next time.
     force
         Replace a picture or film of that name.
 
