@@ -44,7 +44,7 @@ $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/run.stamp
 	$(PIP) install -r requirements-dev.lock
 	touch $@
 
-demo: $(VENV)/lab.stamp
+demo: $(VENV)/lab.stamp $(VENV)/kernels.stamp
 	$(BIN)/palpate lab demo demo-session
 	$(BIN)/palpate fit demo-session --out demo-result || [ $$? -eq 3 ]
 
@@ -74,6 +74,7 @@ tests: $(VENV)/dev.stamp $(VENV)/kernels.stamp
 # disk that are older than any source of theirs may hold old code.
 $(VENV)/kernels.stamp: $(KERNEL_SOURCES) | $(VENV)/run.stamp
 	find src -name '*.nb[ic]' -delete
+	$(BIN)/palpate compile
 	touch $@
 
 fuzz: $(VENV)/dev.stamp

@@ -2,7 +2,7 @@
 
 Purpose    : the commands `palpate fit`, `check`, `flow`, `import`, `poke`, `compression`, `lab`,
              `calibrate`, `mesh`, `scan`, `record`, `init`, `view`, `export`, `report`, `verify`,
-             `completion`, `campaign` and `reproduce`.
+             `completion`, `compile`, `campaign` and `reproduce`.
 Takes      : arguments of a shell.
 Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok, 70 an
              error of the program, 128 and a signal's number).

@@ -74,8 +74,12 @@ _COMMANDS = {
         "Write an estimated object for a simulator: MuJoCo, CalculiX, FEBio, SOFA, OpenUSD, ...",
     ),
     "verify": (
-        "verify:verify",
+        "outcome.verify:verify",
         "Say whether a result is as it was written, and made from what is there now.",
+    ),
+    "compile": (
+        "compile:compile_kernels",
+        "Compile the kernels of the flow and the fit for this machine, once after installing.",
     ),
     "reproduce": (
         "reproduce:reproduce",

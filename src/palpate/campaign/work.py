@@ -41,7 +41,7 @@ from palpate.records import (
 from palpate.threads import one_thread
 
 ESTIMATE_FILE = "estimate.json"
-# Size of a worker's cache of bodies [bytes], and its largest fraction of the free space on the disk;
+# Size of a worker's cache of bodies [bytes], and its largest fraction of what is free on the disk;
 # what has not been used for longest is removed first. All of a body of 5000 vertices, the largest
 # that is solved with dense matrices, takes 10 GB.
 _MAX_CACHE_BYTES, _MAX_CACHE_FRACTION = 16 * 2**30, 0.25

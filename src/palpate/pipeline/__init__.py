@@ -1,7 +1,7 @@
 """From files to results: the one place where vision, probe, boundary elements and estimation meet.
 
 Purpose    : measure the motion of a session's object from its pictures, estimate its constants,
-             poke it.
+             poke it; rehearse all that, so that kernels are compiled.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model that links them, and the files that hold them.
 Depends on : `lab`, `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
@@ -75,6 +75,10 @@ from palpate.pipeline.poke import (
     poke_session as poke_session,
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
+)
+from palpate.pipeline.rehearsal import (
+    rehearse_fit as rehearse_fit,
+    rehearse_flow as rehearse_flow,
 )
 from palpate.pipeline.rejections import (
     Rejections as Rejections,

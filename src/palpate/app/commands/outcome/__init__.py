@@ -1,4 +1,4 @@
-"""Commands about what other commands left: reports of results.
+"""Commands about what other commands left: reports of results, and whether results are unchanged.
 
 Purpose    : read what a command needs, have it made, say where it is.
 Takes      : arguments of the command line, already of the right types.
