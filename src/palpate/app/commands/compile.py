@@ -1,9 +1,7 @@
 """`palpate compile`: the kernels of this machine, before they are needed."""
 
 import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from importlib import import_module
 
 from numba.core import event
 
@@ -21,27 +19,18 @@ def compile_kernels() -> int:
     int
     """
     start = time.perf_counter()
-    rehearsals = (rehearse_flow, rehearse_fit)
-    # Each in a process of its own: a compiler has one lock.
-    with (
-        progress_bar() as progress,
-        ProcessPoolExecutor(len(rehearsals), mp_context=get_context("spawn")) as processes,
-    ):
-        progress("kernels of the flow and the fit", 0.0)
-        compiled = sum(processes.map(_compiled, rehearsals))
+    with progress_bar() as progress, event.install_recorder("numba:compile") as recorder:
+        progress("the flow", 0.0)
+        rehearse_flow()
+        progress("the fit", 0.7)
+        rehearse_fit()
+        progress("the list of fonts", 0.99)
+        # The figures of a result need it; it takes seconds, once, too.
+        import_module("matplotlib.font_manager")
+    compiled = sum(each.is_start for _, each in recorder.buffer)
     seconds = time.perf_counter() - start
     if compiled:
         print_text(f"{compiled} kernels compiled in {seconds:.0f} s: the first fit need not wait")
     else:
         print_text("all kernels of the flow and the fit were up to date")
     return 0
-
-
-def _compiled(rehearsal: Callable[[], None]) -> int:
-    """Number of kernels that a rehearsal had to compile."""
-    # Once: the list of fonts, which the pictures of a result are drawn with, takes seconds, too.
-    import matplotlib.font_manager  # noqa: F401, PLC0415
-
-    with event.install_recorder("numba:compile") as recorder:
-        rehearsal()
-    return sum(each.is_start for _, each in recorder.buffer)
