@@ -10,12 +10,13 @@ from palpate.campaign import (
     Store,
     Work,
     do_work,
+    motions,
     pack_session,
     read_items,
     run_campaign,
 )
 from palpate.campaign.campaign import _Run
-from palpate.campaign.motions import motion_works
+from palpate.campaign.motions import _pieces, motion_works
 from palpate.errors import RecordError
 
 GIVEN = FitOptions(pose="given")
@@ -61,6 +62,43 @@ def test_a_work_has_the_pictures_of_its_probings_alone(seen):
     others = {name for name in packed.package.files if not name.endswith(".png")}
     assert others <= set(own.session.package.files)
     assert len({shared.digest, own.digest, Work("fit", packed, GIVEN).digest}) == 3
+
+
+@pytest.mark.parametrize(
+    ("instants", "pieces"),
+    [
+        ([1, 2], [[0, 1]]),
+        ([300], [[0]]),
+        ([300, 1, 300], [[0], [1, 2]]),
+        ([300, 300, 1], [[0], [1, 2]]),
+        ([10] * 7, [[0, 1, 2], [3, 4, 5, 6]]),
+        ([25, 24], [[0, 1]]),
+        ([24, 1, 25], [[0, 1], [2]]),
+    ],
+)
+def test_probings_with_many_instants_are_several_works(instants, pieces):
+    found = [
+        [int(name) for name in piece]
+        for piece in _pieces(dict(zip(map(str, range(9)), instants, strict=False)))
+    ]
+    assert found == pieces
+    assert all(sum(instants[k] for k in piece) >= min(25, sum(instants)) for piece in found)
+
+
+def test_one_session_s_pictures_are_measured_by_several_workers(
+    seen, scheduler, tmp_path, begun, monkeypatch
+):
+    """The same bytes as in one piece: a start from the same pictures is the same start."""
+    monkeypatch.setattr(motions, "_LEAST_INSTANTS", 1)
+    (row,) = run_campaign(
+        read_items(seen.parent), tmp_path / "campaign", options=GIVEN, scheduler=scheduler
+    )
+    measured = [list(work.keys) for work in begun if work.kind == "motion"]
+    assert (row.state, measured) == ("done", [["n01"], ["n02"], ["n03"]])
+    whole = do_work(Work("fit", pack_session(seen), GIVEN), folder=tmp_path / "alone")
+    result = Store(tmp_path / "campaign").result_at(row.address)
+    for name, content in whole.package.files.items():
+        assert (result / name).read_bytes() == content, name
 
 
 def test_displacements_in_files_are_no_work(cube):
