@@ -10,10 +10,10 @@ This replaces the commercial stereo library of the source, which is not describe
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numba import njit
 
 from palpate.errors import InputError
 from palpate.threads import in_threads
@@ -21,8 +21,9 @@ from palpate.threads import in_threads
 # Axis of the picture along which a camera's disparity lies.
 COLUMNS = 0
 ROWS = 1
-# Side of the window [px].
+# Side of the window [px]; half of it, its pixels.
 WINDOW = 7
+_HALF, _PIXELS = WINDOW // 2, WINDOW * WINDOW
 # Smallest standard deviation in a window [grey levels]: the noise of an 8-bit camera is 1 to 2;
 # below that, noise would be matched with noise.
 MIN_CONTRAST = 2.0
@@ -32,7 +33,7 @@ _MAX_RIVAL = 0.95
 # the size of the texture, and the parabola uses one on each side.
 _SAME_MAXIMUM = 2
 # Rows matched together: a band and its trial disparities stay in the processor's cache.
-_BAND = 32
+_BAND = 8
 # Rounding error in the sum of squares of a window without contrast stays below this [grey
 # levels^2]: double precision leaves 1e-8 of grey levels up to 1e3; a contrast of 0.01 gives 5e-3.
 _MIN_SQUARES = 1e-6
@@ -106,7 +107,10 @@ def disparity_map(
     disparity, score = np.full((2, *stack.shape[1:]), np.nan)
     rows = stack.shape[1] - WINDOW + 1
     trials = _trials(views, limits)
-    in_threads(_match_rows, rows, stack, views, trials, disparity, score, min_items=_BAND)
+    in_threads(
+        _match_rows, rows, stack, views.along, views.ratio, views.offset, trials, disparity, score,
+        min_items=_BAND,
+    )  # fmt: skip
     kept = np.isfinite(disparity)
     for i in range(1, len(pictures)):
         shift = views.offset[i] + views.ratio[i] * disparity
@@ -123,97 +127,124 @@ def _trials(views: Views, limits: tuple[float, float]) -> Float[np.ndarray, " t"
     return np.arange(low - 1.0, high + 1.5) - beyond
 
 
-def _match_rows(
-    begin: int,
-    end: int,
-    pictures: Float[np.ndarray, "c rows columns"],
-    views: Views,
-    trials: Float[np.ndarray, " t"],
-    disparity: Float[np.ndarray, "rows columns"],
-    best: Float[np.ndarray, "rows columns"],
-) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _match_rows(begin, end, pictures, along, ratio, offset, trials, disparity, best):
     """Fill in disparity and correlation sum for windows whose first row is in a range."""
-    half = WINDOW // 2
+    columns = pictures.shape[2]
+    score = np.empty((len(trials), _BAND, columns - 2 * _HALF))
     for top in range(begin, end, _BAND):
-        rows = np.arange(top, min(top + _BAND, end) + 2 * half)
-        score = _scores(pictures, views, trials, rows)
-        y, x, t = _unambiguous_maxima(score)
-        before, peak, after = (score[t + k, y, x] for k in (-1, 0, 1))
-        place = (top + half + y, half + x)
-        disparity[place] = trials[t] + 0.5 * (before - after) / (before - 2.0 * peak + after)
-        best[place] = peak
+        count = min(_BAND, end - top)
+        _fill_scores(pictures, along, ratio, offset, trials, top, count, score)
+        for row in range(count):
+            _refine_maxima(
+                score[:, row], trials, disparity[top + _HALF + row, _HALF:],
+                best[top + _HALF + row, _HALF:],
+            )  # fmt: skip
 
 
-def _scores(
-    pictures: Float[np.ndarray, "c rows columns"],
-    views: Views,
-    trials: Float[np.ndarray, " t"],
-    rows: Int[np.ndarray, " k"],
-) -> Float[np.ndarray, "t h w"]:
-    """Correlation with the reference's windows in some rows, summed over the other cameras."""
-    pixel_count = WINDOW * WINDOW
-    here = pictures[0][rows]
-    mean = _window_sums(here) / pixel_count
-    squares = _window_sums(here * here) - pixel_count * mean * mean
-    norm = np.sqrt(np.where(squares > MIN_CONTRAST**2 * pixel_count, squares, np.nan))
-    score = np.zeros((len(trials), *norm.shape))
-    for t, trial in enumerate(trials):
-        for i in range(1, len(pictures)):
-            shift = views.offset[i] + views.ratio[i] * trial
-            there = _shifted(pictures[i], rows, shift, int(views.along[i]))
-            total = _window_sums(there)
-            squares = _window_sums(there * there) - total * total / pixel_count
-            squares[squares < _MIN_SQUARES] = np.nan
-            score[t] += (_window_sums(here * there) - mean * total) / (norm * np.sqrt(squares))
-    return score
+@njit(cache=True, error_model="numpy")
+def _fill_scores(pictures, along, ratio, offset, trials, top, count, score):
+    """Correlation with the reference's windows in a band of rows from `top` on, summed over the
+    other cameras."""
+    columns = pictures.shape[2]
+    here = pictures[0, top : top + count + 2 * _HALF]
+    there = np.empty_like(here)
+    mean, norm, total, square, product = np.empty((5, count, columns - 2 * _HALF))
+    down = np.empty((3, columns))
+    _sum_windows(here, here, down, mean, norm, product)
+    for y in range(count):
+        for x in range(columns - 2 * _HALF):
+            mean[y, x] /= _PIXELS
+            square_sum = norm[y, x] - _PIXELS * mean[y, x] * mean[y, x]
+            is_textured = square_sum > MIN_CONTRAST**2 * _PIXELS
+            norm[y, x] = np.sqrt(square_sum) if is_textured else np.nan
+    score[:] = 0.0
+    for t in range(len(trials)):
+        for c in range(1, len(pictures)):
+            _fill_shifted(pictures[c], top, offset[c] + ratio[c] * trials[t], along[c], there)
+            _sum_windows(there, here, down, total, square, product)
+            for y in range(count):
+                for x in range(columns - 2 * _HALF):
+                    squares = square[y, x] - total[y, x] * total[y, x] / _PIXELS
+                    squares = np.nan if squares < _MIN_SQUARES else squares
+                    covariance = product[y, x] - mean[y, x] * total[y, x]
+                    score[t, y, x] += covariance / (norm[y, x] * np.sqrt(squares))
 
 
-def _window_sums(values: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "h w"]:
-    """Sums over all windows that lie within an array."""
-    high, wide = len(values) - WINDOW + 1, values.shape[1] - WINDOW + 1
-    down = reduce(np.add, (values[k : k + high] for k in range(WINDOW)))
-    return reduce(np.add, (down[:, k : k + wide] for k in range(WINDOW)))
+@njit(cache=True, error_model="numpy")
+def _sum_windows(values, others, down, total, square, product):
+    """Sums over all windows within an array: of its values, of their squares, and of their products
+    with those of another array. `down` is work space."""
+    columns = values.shape[1]
+    for y in range(len(total)):
+        down[:] = 0.0
+        for k in range(WINDOW):
+            value, other = values[y + k], others[y + k]
+            for x in range(columns):
+                down[0, x] += value[x]
+                down[1, x] += value[x] * value[x]
+                down[2, x] += value[x] * other[x]
+        _sum_across(down[0], total[y])
+        _sum_across(down[1], square[y])
+        _sum_across(down[2], product[y])
 
 
-def _shifted(
-    grey: Float[np.ndarray, "rows columns"], rows: Int[np.ndarray, " k"], shift: float, along: int
-) -> Float[np.ndarray, "k columns"]:
-    """Some rows shifted, with linear interpolation; NaN outside the picture."""
+@njit(cache=True, error_model="numpy")
+def _sum_across(values, sums):
+    """Sums over `WINDOW` neighbours in a row."""
+    for x in range(len(sums)):
+        total = 0.0
+        for k in range(WINDOW):
+            total += values[x + k]
+        sums[x] = total
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_shifted(grey, top, shift, along, shifted):
+    """Rows from `top` on, shifted, with linear interpolation; NaN outside the picture."""
     whole = int(np.floor(shift))
     part = shift - whole
-    near = _taken(grey, rows, whole, along)
-    return (
-        near if part == 0.0 else (1.0 - part) * near + part * _taken(grey, rows, whole + 1, along)
-    )
+    right, below = whole * (1 - along), whole * along
+    more_right, more_below = (0, 0) if part == 0.0 else (1 - along, along)
+    rows, columns = grey.shape
+    first = max(0, -right)
+    last = min(columns, columns - right - more_right)
+    for y in range(len(shifted)):
+        row = top + y + below
+        if row < 0 or row + more_below >= rows or last <= first:
+            shifted[y] = np.nan
+            continue
+        near = grey[row, first + right : last + right]
+        far = grey[row + more_below, first + right + more_right : last + right + more_right]
+        shifted[y, :first] = np.nan
+        shifted[y, last:] = np.nan
+        for x in range(last - first):
+            shifted[y, first + x] = (1.0 - part) * near[x] + part * far[x]
 
 
-def _taken(
-    grey: Float[np.ndarray, "rows columns"], rows: Int[np.ndarray, " k"], shift: int, along: int
-) -> Float[np.ndarray, "k columns"]:
-    """Some rows shifted by a whole number of pixels; NaN outside the picture."""
-    row = rows + shift * along
-    column = np.arange(grey.shape[1]) + shift * (1 - along)
-    down = (row >= 0) & (row < grey.shape[0])
-    right = (column >= 0) & (column < grey.shape[1])
-    result = np.full((len(row), len(column)), np.nan)
-    result[np.ix_(down, right)] = grey[np.ix_(row[down], column[right])]
-    return result
-
-
-def _unambiguous_maxima(
-    score: Float[np.ndarray, "t h w"],
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Row, column and trial index of each pixel's highest interior maximum, where unambiguous."""
-    middle = score[1:-1]
-    # Comparisons with NaN are false.
-    interior = (middle > score[:-2]) & (middle >= score[2:]) & (middle > 0.0)
-    height = np.where(interior, middle, -np.inf)
-    top, best = height.argmax(axis=0) + 1, height.max(axis=0)
-    separate = np.abs(np.arange(len(score))[:, None, None] - top) > _SAME_MAXIMUM
-    doubt = (separate & (score > _MAX_RIVAL * best)).any(axis=0)
-    doubt |= (score[0] > best) | (score[-1] > best)
-    y, x = np.nonzero(np.isfinite(best) & ~doubt)
-    return y, x, top[y, x]
+@njit(cache=True, error_model="numpy")
+def _refine_maxima(score, trials, disparity, best):
+    """Disparity and score of each pixel's highest interior maximum in a row, where unambiguous."""
+    count, columns = score.shape
+    for x in range(columns):
+        highest, place = -np.inf, 0
+        for t in range(1, count - 1):
+            value = score[t, x]
+            # Comparisons with NaN are false.
+            is_maximum = value > score[t - 1, x] and value >= score[t + 1, x] and value > 0.0
+            if is_maximum and value > highest:
+                highest, place = value, t
+        if place == 0 or score[0, x] > highest or score[count - 1, x] > highest:
+            continue
+        is_alone = True
+        for t in range(count):
+            is_rival = score[t, x] > _MAX_RIVAL * highest
+            is_alone &= not (is_rival and abs(t - place) > _SAME_MAXIMUM)
+        if is_alone:
+            before, after = score[place - 1, x], score[place + 1, x]
+            curvature = before - 2.0 * highest + after
+            disparity[x] = trials[place] + 0.5 * (before - after) / curvature
+            best[x] = highest
 
 
 def _is_mutual(

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from palpate.shapes import Flags, Points, PointScalars, Triangles, Vertices
+from palpate.threads import map_in_threads
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 
 # Radius of the flow used for a vertex [m]; the source's 1 cm.
@@ -59,10 +60,11 @@ def lang_pai_vertices(
         point, motion, bias = flow.point[valid], flow.displacement[valid], flow.bias[valid]
         tree = cKDTree(point)
         overlap = max(1.0, (flow.subset / flow.step) ** 2)
-        for v in np.unique(triangles):
+
+        def estimate(v: int) -> None:
             near = np.array(tree.query_ball_point(vertices[v], _REACH, return_sorted=True), int)
             if len(near) < _MIN_MOTIONS:
-                continue
+                return
             near = near[_agreeing(motion[near])]
             count[v] = len(near)
             if len(near) >= _MIN_MOTIONS:
@@ -71,6 +73,9 @@ def lang_pai_vertices(
                 displacement[v], covariance[v] = _weighted_mean(
                     motion[near], bias[near], weight / weight.sum(), overlap
                 )
+
+        for _ in map_in_threads(estimate, np.unique(triangles).tolist()):
+            pass
     return VertexDisplacement(displacement, covariance, count)
 
 

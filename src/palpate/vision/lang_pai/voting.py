@@ -106,9 +106,14 @@ def vote(
         np.zeros(n, dtype=np.int64),
         np.empty(n, dtype=np.int64),
     )
+    shifts, half = (views.along, views.ratio, views.offset), subset // 2
+    scale = np.full(after.pictures.shape, np.nan)
     in_threads(
-        _vote_range, n, before.pictures, after.pictures, before.disparity, after.disparity,
-        views.along, views.ratio, views.offset, subset // 2, search // 2,
+        _fill_scales, len(after.disparity), after.pictures, after.disparity, *shifts, half, scale
+    )
+    in_threads(
+        _vote_range, n, before.pictures, after.pictures, before.disparity, after.disparity, scale,
+        *shifts, half, search // 2,
         found.pixel, found.score, found.distance, found.agreed, found.outcome,
     )  # fmt: skip
     return found
@@ -116,10 +121,11 @@ def vote(
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _vote_range(
-    begin, end, before, after, near, far, along, ratio, offset, half, reach, found, score, distance,
-    agreed, outcome,
+    begin, end, before, after, near, far, scale, along, ratio, offset, half, reach, found, score,
+    distance, agreed, outcome,
 ):  # fmt: skip
-    """Vote for the pixels from `begin` to `end`; `near` and `far`: disparities before and after."""
+    """Vote for the pixels from `begin` to `end`; `near` and `far`: disparities before and after;
+    `scale`: of the windows after (`_fill_scales`)."""
     cameras, side = len(before), 2 * reach + 1
     window = np.empty((cameras, (2 * half + 1) ** 2))
     table = np.empty((cameras, side, side))
@@ -131,7 +137,7 @@ def _vote_range(
         if outcome[i] != VALID:
             continue
         outcome[i] = _fill_table(
-            after, far, along, ratio, offset, column, row, half, reach, window, table
+            after, far, scale, along, ratio, offset, column, row, half, reach, window, table
         )
         if outcome[i] != VALID:
             continue
@@ -179,14 +185,31 @@ def _start_windows(pictures, disparity, along, ratio, offset, column, row, half,
     return VALID
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_scales(begin, end, pictures, disparity, along, ratio, offset, half, scale):
+    """Fill in what takes the windows of some rows of pixels, in all cameras, to a norm of one; it
+    stays NaN where there is no window."""
+    window = np.empty((2 * half + 1) ** 2)
+    for i in range(begin, end):
+        for j in range(disparity.shape[1]):
+            for c in range(len(pictures)):
+                # The reference is not shifted, and its disparity may be NaN.
+                shift = offset[c] + ratio[c] * disparity[i, j] if c > 0 else 0.0
+                if not np.isnan(shift) and _interpolate(
+                    pictures[c], j, i, shift, along[c], half, window
+                ):
+                    scale[c, i, j] = _normalise(window)
+
+
 @njit(cache=True, error_model="numpy")
-def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, reach, window, table):
+def _fill_table(
+    pictures, disparity, scale, along, ratio, offset, column, row, half, reach, window, table
+):  # fmt: skip
     """Fill `table` with every camera's correlation at every candidate, -inf where undefined.
 
     Returns LOST if no candidate has a disparity, otherwise VALID.
     """
     rows, columns = disparity.shape
-    other = np.empty(window.shape[1])
     outcome = _LOST
     table[:] = -np.inf
     for y in range(2 * reach + 1):
@@ -198,14 +221,14 @@ def _fill_table(pictures, disparity, along, ratio, offset, column, row, half, re
             known = not np.isnan(disparity[i, j])
             outcome = VALID if known else outcome
             for c in range(len(pictures) if known else 1):
-                # The reference is not shifted, and its disparity may be NaN.
-                shift = offset[c] + ratio[c] * disparity[i, j] if c > 0 else 0.0
-                if window_kernel(pictures[c], j, i, shift, along[c], half, other) == VALID:
-                    table[c, y, x] = dot_kernel(window[c], other)
+                if not np.isnan(scale[c, i, j]):
+                    shift = offset[c] + ratio[c] * disparity[i, j] if c > 0 else 0.0
+                    product = _shifted_dot(pictures[c], j, i, shift, along[c], half, window[c])
+                    table[c, y, x] = scale[c, i, j] * product
     return outcome
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def window_kernel(grey, column, row, shift, along, half, window):
     """Fill `window` with zero mean and unit norm; returns `VALID`, `OUTSIDE` or `TEXTURE`.
 
@@ -214,6 +237,14 @@ def window_kernel(grey, column, row, shift, along, half, window):
     Its centre is `shift` pixels from (column, row), along columns (`along` = 0) or rows (1). The
     inner product of two such windows (`dot_kernel`) is equation 6 of the source.
     """
+    if not _interpolate(grey, column, row, shift, along, half, window):
+        return OUTSIDE
+    return TEXTURE if np.isnan(_normalise(window)) else VALID
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _interpolate(grey, column, row, shift, along, half, window):
+    """Fill `window` with a window between pixels; False where it reaches beyond known ones."""
     whole = int(np.floor(shift))
     fraction = shift - whole
     right = 1 - along
@@ -221,9 +252,9 @@ def window_kernel(grey, column, row, shift, along, half, window):
     row += whole * along
     reach = half + 1 if fraction > 0.0 else half
     if column < half or column + half + (reach - half) * right >= grey.shape[1]:
-        return OUTSIDE
+        return False
     if row < half or row + half + (reach - half) * along >= grey.shape[0]:
-        return OUTSIDE
+        return False
     side = 2 * half + 1
     total = 0.0
     rest = 1.0 - fraction
@@ -236,20 +267,49 @@ def window_kernel(grey, column, row, shift, along, half, window):
                 value = rest * value + fraction * grey[i + along, j + right]
             window[k * side + m] = value
             total += value
-    mean = total / (side * side)
+    return not np.isnan(total)
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _normalise(window):
+    """Take the mean away and make the norm one; returns the factor, NaN without contrast."""
+    mean = window.sum() / len(window)
     square = 0.0
-    for k in range(side * side):
+    for k in range(len(window)):
         window[k] -= mean
         square += window[k] * window[k]
-    if np.isnan(square):
-        return OUTSIDE
     # A window without contrast leaves less than this by rounding.
-    if square < 1e-20 * (1.0 + mean * mean) * side * side:
-        return TEXTURE
+    if square < 1e-20 * (1.0 + mean * mean) * len(window):
+        return np.nan
     scale = 1.0 / np.sqrt(square)
-    for k in range(side * side):
+    for k in range(len(window)):
         window[k] *= scale
-    return VALID
+    return scale
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _shifted_dot(grey, column, row, shift, along, half, window):
+    """Inner product of a window of zero mean with one between known pixels."""
+    whole = int(np.floor(shift))
+    fraction = shift - whole
+    top = row + whole * along - half
+    left = column + whole * (1 - along) - half
+    here = _dot(grey, top, left, half, window)
+    if fraction == 0.0:
+        return here
+    beyond = _dot(grey, top + along, left + 1 - along, half, window)
+    return (1.0 - fraction) * here + fraction * beyond
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
+def _dot(grey, top, left, half, window):
+    """Inner product of a window with the pixels from (top, left) on."""
+    side = 2 * half + 1
+    total = 0.0
+    for k in range(side):
+        for m in range(side):
+            total += window[k * side + m] * grey[top + k, left + m]
+    return total
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
