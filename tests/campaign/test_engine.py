@@ -202,10 +202,10 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
     before = dict(os.environ)
     with started_engine(None, 2) as workers:
         assert workers.threads == 2
-        threads = workers.client.run(_threads)
+        threads = list(workers.map(_threads, range(4)))
         limits = [w["memory_limit"] for w in workers.client.scheduler_info()["workers"].values()]
         blocked = workers.client.run(_blocked_signals)
-    assert list(threads.values()) == [("1", "1", "1", 1)] * 2
+    assert threads == [("1", "1", 1)] * 4
     # Ctrl-C reaches all processes; it is this one that stops the others.
     assert list(blocked.values()) == [{signal.SIGINT}] * 2
     assert signal.SIGINT not in _blocked_signals()
@@ -213,9 +213,24 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
     assert sum(limits) <= 0.91 * distributed.system.MEMORY_LIMIT
 
 
-def _threads():
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+def _threads(_):
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
     return (*(os.environ.get(name) for name in names), numba.get_num_threads())
+
+
+@pytest.mark.slow
+def test_this_process_compiles_beside_its_workers_and_after_them():
+    """It measures pictures while workers render others, maybe for the first time: numba refuses to
+    compile where the environment asks for another number of threads than were launched."""
+    before = numba.get_num_threads()
+    kernel = numba.njit(lambda x: x + 1)
+    with started_engine(None, 1) as workers:
+        assert kernel(1) == 2
+        assert list(workers.map(abs, [-1])) == [1]
+        assert kernel(1.0) == 2.0
+        assert numba.get_num_threads() == before
+    assert kernel(1j) == 1 + 1j
+    assert numba.get_num_threads() == before
 
 
 def _blocked_signals():

@@ -23,10 +23,9 @@ _MAX_PER_CORE = 16
 # their number is not given: a fit of a fine mesh takes this much, a virtual probing less.
 _USABLE_SHARE = 0.9
 _LEAST_SHARE = 2 * 2**30
-# Environment of the workers, set before libraries are loaded: one thread each.
-_ONE_THREAD = {
-    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
-}
+# Environment of the workers, set before libraries are loaded: one thread each. Dask sets it in this
+# process, too, where numba would not compile any more: the engine limits numba in the workers.
+_ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")}
 _SETTINGS = {
     "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
     # Pictures are sent with the work, so large messages are expected.
@@ -101,8 +100,8 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
 
 @contextmanager
 def _own_environment() -> Iterator[None]:
-    """Restore the environment variables after the block. Dask sets those of its workers in our own
-    process too, and numba refuses to compile once its number of threads has changed."""
+    """Restore the environment variables after the block: Dask sets those of its workers in our own
+    process too."""
     before = dict(os.environ)
     try:
         yield
