@@ -57,6 +57,32 @@ def release_lock(path: Path, handle: int) -> None:
     os.close(handle)
 
 
+def is_abandoned(path: Path) -> bool:
+    """Whether a lock file is there whose process has ended without removing it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool                            False also where the system or the file system knows no locks
+    """
+    if fcntl is None:
+        return False
+    try:
+        handle = os.open(path, os.O_RDWR | _NO_FOLLOW)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
+    return True
+
+
 def _open_and_lock(path: Path, final: Path) -> int:
     """Open and lock a lock file, and make sure that it is still the one under that name."""
     while True:

@@ -7,7 +7,9 @@ import os
 import re
 import signal
 import sys
+import tempfile
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import distributed
@@ -18,6 +20,7 @@ from palpate import __version__
 from palpate.campaign import cluster as cluster_file, started_engine
 from palpate.campaign.engine import Engine, WorkerError
 from palpate.errors import InputError, MeshError
+from palpate.locks import take_lock
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://here", "127.0.0.1:no"])
@@ -254,3 +257,30 @@ def test_a_scheduler_that_goes_away_is_said(packed_cube):
     with pytest.raises(InputError, match=said):
         workers.submit(abs, -1)
     assert not workers.is_busy
+
+
+def test_folders_of_workers_whose_command_was_killed_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    killed, alive, new, others = (
+        tmp_path / name for name in ("palpate-workers-a", "palpate-workers-b", "palpate-workers-c",
+                                     "other-workers-a")
+    )  # fmt: skip
+    for folder in (killed, alive, new, others):
+        (folder / "bodies").mkdir(parents=True)
+        (folder / "bodies" / "part").write_bytes(b"x")
+    handle = take_lock(alive / ".lock", alive)
+    for folder in (killed, others):
+        os.close(take_lock(folder / ".lock", folder))
+    with cluster_file._workers_folder() as own:
+        assert Path(own).parent == tmp_path
+        assert not killed.exists()
+        # Neither one in use, nor one that is just being made, nor another program's.
+        assert all((folder / "bodies" / "part").exists() for folder in (alive, new, others))
+        # Another command leaves this one's alone.
+        with cluster_file._workers_folder() as another:
+            assert Path(own).is_dir()
+            assert Path(another).is_dir()
+    assert not Path(own).exists()
+    os.close(handle)
+    with cluster_file._workers_folder():
+        assert not alive.exists()

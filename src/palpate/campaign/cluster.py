@@ -1,22 +1,27 @@
 """Workers of a campaign: a local cluster on this machine's cores, or a running Dask cluster."""
 
 import os
+import shutil
 import signal
 import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from multiprocessing import resource_tracker
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from palpate import __version__
 from palpate.campaign.engine import Engine, install_advice
 from palpate.errors import InputError
+from palpate.locks import is_abandoned, release_lock, take_lock
 from palpate.optional_imports import late_import
 
 # Timeouts for a scheduler to answer, and for the first worker to appear [s].
 _CONNECT_TIMEOUT, _FIRST_WORKER_TIMEOUT = 10, 60
+# Temporary folders of local workers, which hold gigabytes, and the lock of the command they are of.
+_FOLDER_PREFIX, _LOCK_NAME = "palpate-workers-", ".lock"
 # Workers per core: they wait for pictures, not for each other; more of them only share the memory.
 _MAX_PER_CORE = 16
 # Fraction of the memory that is divided among the workers; smallest share of a worker [bytes] where
@@ -87,9 +92,7 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
         # Versions are compared below, with a message of our own.
         stack.enter_context(warnings.catch_warnings(action="ignore"))
         if scheduler is None:
-            folder = stack.enter_context(
-                tempfile.TemporaryDirectory(prefix="palpate-workers-", ignore_cleanup_errors=True)
-            )
+            folder = stack.enter_context(_workers_folder())
             client = stack.enter_context(_local_client(library, workers, folder))
         else:
             client = stack.enter_context(_connected_client(library, scheduler))
@@ -108,6 +111,21 @@ def _own_environment() -> Iterator[None]:
     finally:
         os.environ.clear()
         os.environ.update(before)
+
+
+@contextmanager
+def _workers_folder() -> Iterator[str]:
+    """A temporary folder for the workers; those of commands that were killed are removed."""
+    for other in Path(tempfile.gettempdir()).glob(f"{_FOLDER_PREFIX}*"):
+        if is_abandoned(other / _LOCK_NAME):
+            shutil.rmtree(other, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=_FOLDER_PREFIX, ignore_cleanup_errors=True) as folder:
+        lock = Path(folder) / _LOCK_NAME
+        handle = take_lock(lock, Path(folder))
+        try:
+            yield folder
+        finally:
+            release_lock(lock, handle)
 
 
 def cores() -> int:
