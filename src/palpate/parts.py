@@ -14,7 +14,7 @@ import numpy as np
 
 import palpate
 from palpate.disk import atomic_replacement, created_folder
-from palpate.errors import RecordError
+from palpate.errors import InUseError, RecordError
 from palpate.files import checked_file, read_bytes
 
 T = TypeVar("T")
@@ -78,9 +78,10 @@ class Parts:
         part : any                  not None
         """
         if self.folder is not None:
-            # A full disk must not stop the computation; the part is then simply not stored.
+            # A full disk must not stop the computation, nor another process that stores the part:
+            # it is then simply not stored.
             with (
-                suppress(OSError, RecordError),
+                suppress(OSError, RecordError, InUseError),
                 created_folder(self.folder),
                 atomic_replacement([self._file(self.folder, name)]) as (staged,),
             ):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from palpate.disk import atomic_replacement
 from palpate.parts import Parts, content_digest
 from palpate.records import Constant, Status
 
@@ -75,6 +76,17 @@ def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
 def test_a_disk_that_keeps_nothing_is_no_reason_to_stop(tmp_path):
     (tmp_path / "file").write_text("")
     assert Parts(tmp_path / "file" / "parts", "key").load_or_make("one", lambda: "new") == "new"
+
+
+def test_a_part_that_another_process_is_storing_is_left_to_it(tmp_path):
+    parts = Parts(tmp_path, "key")
+    parts.load_or_make("one", lambda: PART)
+    (file,) = tmp_path.iterdir()
+    file.unlink()
+    with atomic_replacement([file]) as (other,):
+        other.write_bytes(b"the other's")
+        assert parts.load_or_make("one", lambda: "own") == "own"
+    assert file.read_bytes() == b"the other's"
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from palpate.errors import InputError
 
 # Fewer columns show no table at all.
 _MIN_COLUMNS = 20
+# How the name of a temporary folder for kernels begins.
+_KERNEL_FOLDER = "palpate-kernels-"
 
 
 @contextmanager
@@ -41,7 +43,7 @@ def kernel_cache() -> Iterator[None]:
         yield
         return
     try:
-        folder = tempfile.mkdtemp(prefix="palpate-kernels-")
+        folder = tempfile.mkdtemp(prefix=_KERNEL_FOLDER)
     except OSError as error:
         raise InputError(
             "compiled kernels cannot be kept anywhere: the installation, the user's cache and the"
@@ -60,6 +62,20 @@ def kernel_cache() -> Iterator[None]:
     finally:
         del os.environ["NUMBA_CACHE_DIR"]
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def check_kernel_cache() -> None:
+    """Refuse to compile kernels that would go with this process.
+
+    Raises
+    ------
+    InputError                      see `kernel_cache`
+    """
+    if Path(os.environ.get("NUMBA_CACHE_DIR", "")).name.startswith(_KERNEL_FOLDER):
+        raise InputError(
+            "compiled kernels cannot be kept: neither the installation nor the user's cache can be"
+            " written; set NUMBA_CACHE_DIR to a folder that can, for this command and the others"
+        )
 
 
 def check_cache(folder: Path | None) -> None:

@@ -3,6 +3,7 @@ the rehearsals (`tests/pipeline/test_rehearsal.py`)."""
 
 import numba
 
+from palpate.app import environment
 from palpate.app.commands import compile as module
 
 
@@ -16,3 +17,12 @@ def test_what_is_compiled_is_counted(palpate, monkeypatch):
     code, out, _ = palpate("compile")
     assert code == 0
     assert "were up to date" in out
+
+
+def test_kernels_that_would_not_stay_are_not_compiled(palpate, monkeypatch):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(environment, "_is_writable", lambda folder: False)
+    monkeypatch.setattr(module, "rehearse_flow", None)
+    code, out, err = palpate("compile")
+    assert (code, out) == (2, "")
+    assert "set NUMBA_CACHE_DIR to a folder that can" in err

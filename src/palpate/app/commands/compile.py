@@ -5,6 +5,7 @@ from importlib import import_module
 
 from numba.core import event
 
+from palpate.app.environment import check_kernel_cache
 from palpate.app.terminal import print_text, progress_bar
 from palpate.pipeline import rehearse_fit, rehearse_flow
 
@@ -18,6 +19,7 @@ def compile_kernels() -> int:
     -------
     int
     """
+    check_kernel_cache()
     start = time.perf_counter()
     with progress_bar() as progress, event.install_recorder("numba:compile") as recorder:
         progress("the flow", 0.0)
