@@ -4,7 +4,6 @@ It is used on request only: the files are large (80 MB of integrals for 1000 ver
 factors, four times that for 2000), and to compute the integrals again takes a second or two.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 from palpate.bem.integrals import BoundarySurface, FieldBlocks
@@ -30,15 +29,12 @@ def cached_system(surface: BoundarySurface, folder: Path) -> BoundarySystem:
                                   folder
     """
     parts = Parts(folder, _digest(surface))
-    computed: list[BoundarySystem] = []
 
-    def kernels() -> tuple[FieldBlocks, FieldBlocks]:
-        computed.append(assemble_system(surface))
-        return computed[0].traction_kernel, computed[0].displacement_kernel
+    def compute() -> tuple[FieldBlocks, FieldBlocks]:
+        system = assemble_system(surface)
+        return system.traction_kernel, system.displacement_kernel
 
-    traction, displacement = parts.load_or_make("integrals", kernels)
-    if computed:
-        return replace(computed[0], parts=parts)
+    traction, displacement = parts.load_or_make("integrals", compute)
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
     return BoundarySystem(surface, unknowns, collocation, traction, displacement, parts=parts)
