@@ -102,8 +102,29 @@ def test_a_tool_touches_what_follows_from_force_and_constants(session):
     # Half the radius of the ball, as where a search begins, is another depth.
     known = tool_contact(tooled, TOP, circle.radius)
     assert known.tool is None
+    known = replace(known, outward=circle.outward)
     alike = poke_session(tooled, PRESS, known, **constants)
     np.testing.assert_allclose(found.displacement, alike.displacement, rtol=1e-6, atol=1e-12)
+
+
+def test_the_outward_traction_of_a_tool_lifts_the_surface_under_it(session):
+    """A traction -dQ/dr along a half space lifts it by (1 - 2 nu) / (2 G) Q; in the middle of
+    Hertz's circle Q is 5 / (4 pi a) of force times `outward`."""
+    radius, outward = 6e-3, 0.2
+    plain = replace(tool_contact(session, TOP, radius), profile="hertz")
+    options = {"shear_modulus": SHEAR, "poisson_ratio": NU, "interior": CENTRE}
+    without = poke_session(session, PRESS, plain, **options)
+    found = poke_session(session, PRESS, replace(plain, outward=outward), **options)
+    lifted = found.displacement[2] - without.displacement[2]
+    expected = (1 - 2 * NU) / (2 * SHEAR) * 5 / (4 * np.pi * radius) * outward
+    # The edges of the triangles are as long as the radius, the cube is seven radii wide.
+    assert lifted == pytest.approx(expected, rel=0.06)
+    np.testing.assert_allclose(found.reaction, without.reaction, atol=1e-9)
+    # Three radii below it is felt by its square: no resultant.
+    deep = np.abs(found.interior.displacement - without.interior.displacement).max()
+    assert 0.0 < deep < 0.15 * lifted
+    stress = np.abs(found.interior.stress - without.interior.stress).max()
+    assert 0.0 < stress < 0.15 * np.abs(without.interior.stress).max()
 
 
 def test_a_vertex_is_no_tool(session):

@@ -15,7 +15,7 @@ import pytest
 from exported_result import RADIUS, SIDE, written_result
 
 from palpate.errors import InputError, RecordError
-from palpate.geometry import enclosed_volume, read_mesh
+from palpate.geometry import enclosed_volume, read_mesh, unit_normals
 from palpate.records import Constant, Status
 from palpate.simulation import FORMATS, export_fit, read_fit, read_green_functions
 from palpate.simulation.formats import npz, registry
@@ -83,6 +83,23 @@ def test_the_push_is_the_force_at_its_place_in_both_forms(model):
         # of the force times its radius.
         assert np.abs(moment).max() < 1e-3 * np.linalg.norm(push.force) * RADIUS
     np.testing.assert_allclose(model.share @ model.nodes[model.node], push.point, atol=1e-12)
+
+
+def test_the_push_has_the_outward_traction_of_its_tool(model):
+    mesh, push = model.body.session.mesh, model.body.push
+    contact = replace(push.patch.contact, profile="hertz", outward=0.2)
+    turned = replace(push, patch=replace(push.patch, contact=contact))
+    body = replace(model.body, push=turned)
+    loaded = make_solid_model(body, edge=0.01)
+    normal = unit_normals(mesh)[push.patch.triangle]
+    for load in (loaded.load, loaded.linear_load):
+        np.testing.assert_allclose(load.sum(axis=0), push.force, atol=1e-12)
+        # By the definition of `Contact.outward`; of the push itself, which may lean, there is none.
+        offset = (loaded.nodes - push.point) @ (np.eye(3) - np.outer(normal, normal))
+        moment = np.einsum("ni,ni->", offset, load)
+        pressed = -push.force @ normal
+        # Points a sixth of the radius apart, a difference over a tenth of it.
+        assert moment == pytest.approx(0.2 * contact.radius * pressed, rel=0.03)
 
 
 def test_facts_and_readme_say_what_was_written(source, exported):

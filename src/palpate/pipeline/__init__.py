@@ -34,6 +34,7 @@ from palpate.pipeline.model import (
     graded_session as graded_session,
     make_object_model as make_object_model,
     moving_supports as moving_supports,
+    outward_pushes as outward_pushes,
     require_given_motions as require_given_motions,
     resolved_session as resolved_session,
     sliding_motion as sliding_motion,

@@ -18,13 +18,14 @@ from palpate.bem import (
     make_surface,
 )
 from palpate.errors import InputError
-from palpate.geometry import bounding_diagonal, interpolation_matrix
+from palpate.geometry import bounding_diagonal, interpolation_matrix, unit_normals
 from palpate.pipeline.model import (
     check_balance,
     compliances,
     compliant_supports,
     graded_session,
     held_directions,
+    outward_pushes,
     resolved_session,
     session_springs,
     settled_contact,
@@ -125,20 +126,30 @@ def poke_session(
         system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio,
         springs=session_springs(session, system), compliance=compliances(session),
     )  # fmt: skip
-    load = surface_load(patch)
-    (state,) = elastic_map.respond([load], force[None])
+    # The outward traction under the tool is made of loads of its own.
+    normal = unit_normals(session.mesh)[patch.triangle]
+    pushes = [(surface_load(patch), force), *outward_pushes(patch, normal, force)]
+    loads, forces = zip(*pushes, strict=True)
+    states = elastic_map.respond(loads, np.array(forces))
+    displacement = np.sum([state.displacement for state in states], axis=0)
     report("interior points", 0.8)
-    inside = None if interior is None else interior_state(elastic_map, load, force, interior)
+    inside = None
+    if interior is not None:
+        parts = [interior_state(elastic_map, load, each, interior) for load, each in pushes]
+        inside = InteriorState(
+            np.sum([part.displacement for part in parts], axis=0),
+            np.sum([part.stress for part in parts], axis=0),
+        )
     at_contact = interpolation_matrix(
         system.surface.displacement, np.array([patch.triangle]), patch.barycentric[None]
     )
-    farthest = int(np.argmax(np.linalg.norm(state.displacement, axis=1)))
+    farthest = int(np.argmax(np.linalg.norm(displacement, axis=1)))
     return PokedState(
         contact=contact,
-        displacement=(at_contact @ state.displacement)[0],
-        largest=state.displacement[farthest],
+        displacement=(at_contact @ displacement)[0],
+        largest=displacement[farthest],
         largest_point=session.mesh.vertices[farthest],
-        reaction=state.reaction,
+        reaction=np.sum([state.reaction for state in states], axis=0),
         interior=inside,
     )
 

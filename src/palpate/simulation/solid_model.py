@@ -15,12 +15,13 @@ from palpate.geometry import (
     enclosed_volume,
     quartered,
     triangle_areas,
+    unit_normals,
 )
 from palpate.lab import Solid, held_nodes, make_solid, surface_values
-from palpate.pipeline import poke_session
+from palpate.pipeline import outward_pushes, poke_session
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Estimate, Probing, Session
-from palpate.shapes import Points, PointScalars, Vector3
+from palpate.shapes import Points, Vector3
 from palpate.simulation.material import Material
 
 # Density of a body whose session gives none: that of water [kg/m^3].
@@ -336,28 +337,25 @@ def _make_push(
 
 def _loaded(model: SolidModel, push: Push) -> SolidModel:
     """The model with the push's force distributed to its nodes."""
-    points, weight = _pressure_points(model.body.session.mesh, push.patch)
-    curved = surface_values(model.solid, points).T @ weight
+    points, forces = _point_forces(model.body.session.mesh, push)
     boundary_surface = model.boundary_surface
     closest = closest_points(boundary_surface, points)
-    share = closest.barycentric * weight[:, None]
-    flat = np.bincount(
-        boundary_surface.triangles[closest.triangle].ravel(),
-        share.ravel(),
-        minlength=len(model.nodes),
-    )
+    share = closest.barycentric[:, :, None] * forces[:, None]
+    flat = np.zeros((len(model.nodes), 3))
+    np.add.at(flat, boundary_surface.triangles[closest.triangle], share)
     at = surface_values(model.solid, push.point[None])
     return replace(
         model,
-        load=curved[:, None] * push.force,
-        linear_load=flat[:, None] * push.force,
+        load=surface_values(model.solid, points).T @ forces,
+        linear_load=flat,
         node=at.indices.astype(np.int64),
         share=at.data,
     )
 
 
-def _pressure_points(mesh: TriangleMesh, patch: ContactPatch) -> tuple[Points, PointScalars]:
-    """Points on the patch with their fractions of the force, which sum to 1."""
+def _point_forces(mesh: TriangleMesh, push: Push) -> tuple[Points, Float[np.ndarray, "n 3"]]:
+    """Points on the patch with their parts of the push, those of the outward traction included."""
+    patch = push.patch
     triangle = np.asarray(patch.triangles, dtype=np.int64)
     corners = np.tile(np.eye(3), (triangle.size, 1, 1))
     for _ in range(_LEVELS):
@@ -365,7 +363,13 @@ def _pressure_points(mesh: TriangleMesh, patch: ContactPatch) -> tuple[Points, P
     middle = corners.mean(axis=1)
     position = np.einsum("nv,nva->na", middle, mesh.vertices[mesh.triangles[triangle]])
     area = triangle_areas(mesh)[triangle]
-    uniform = patch.contact.triangles is not None
-    pressure = area if uniform else area * patch.density(triangle, middle, position)
-    loaded = pressure > 0.0
-    return position[loaded], pressure[loaded] / pressure.sum()
+    if patch.contact.triangles is not None:
+        return position, area[:, None] / area.sum() * push.force
+    normal = unit_normals(mesh)[patch.triangle]
+    outward = [(load.density, force) for load, force in outward_pushes(patch, normal, push.force)]
+    forces = np.zeros_like(position)
+    for density, force in [(patch.density, push.force), *outward]:
+        pressure = area * density(triangle, middle, position)
+        forces += pressure[:, None] / pressure.sum() * force
+    loaded = forces.any(axis=1)
+    return position[loaded], forces[loaded]

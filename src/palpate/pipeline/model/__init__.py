@@ -19,6 +19,7 @@ from palpate.pipeline.model.contacts import (
     displaced_contacts as displaced_contacts,
     has_tools as has_tools,
     largest_change as largest_change,
+    outward_pushes as outward_pushes,
     settled_contact as settled_contact,
     surface_load as surface_load,
     with_contact_radii as with_contact_radii,

@@ -21,6 +21,7 @@ from palpate.pipeline.model.contacts.outward import (
     outward_columns as outward_columns,
     outward_load as outward_load,
     outward_perturbations as outward_perturbations,
+    outward_pushes as outward_pushes,
 )
 from palpate.pipeline.model.contacts.perturbations import (
     DIP_ERROR as DIP_ERROR,

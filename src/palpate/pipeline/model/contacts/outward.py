@@ -83,17 +83,41 @@ def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
     ------
     InputError                      no outward traction, or none on the free surface
     """
-    contact = patch.contact
+    normal = unit_normals(system.surface.mesh)[patch.triangle]
+    pushes = outward_pushes(patch, normal, -normal)
+    if not pushes:
+        raise InputError("the traction of the contact has no outward part")
+    loads, forces = zip(*pushes, strict=True)
+    shapes = indentation_corrections(system.surface, loads)
+    parts = load_right_hand(
+        system, loads, shapes, forces=np.array(forces), cells=PERTURBATION_CELLS
+    )
+    return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
+
+
+def outward_pushes(
+    patch: ContactPatch, normal: Vector3, force: Vector3
+) -> list[tuple[SurfaceLoad, Vector3]]:
+    """Loads that together are the outward traction, with the force of each.
+
+    Parameters
+    ----------
+    patch : ContactPatch
+    normal : (3,) float [-]         outward unit normal of the surface under the tool
+    force : (3,) float [N]          of the tool on the object
+
+    Returns
+    -------
+    list of (SurfaceLoad, (3,) float [N])   empty where the traction has no outward part
+    """
+    contact, pressed = patch.contact, float(-normal @ force)
     potential = _potential(contact)
     if potential is None:
-        raise InputError("the traction of the contact has no outward part")
-    normal = unit_normals(system.surface.mesh)[patch.triangle]
-    shifts = _shifts(contact, normal)
-    loads = [_potential_load(patch, centre, potential) for centre, _ in shifts]
-    forces = np.array([force for _, force in shifts])
-    shapes = indentation_corrections(system.surface, loads)
-    parts = load_right_hand(system, loads, shapes, forces=forces, cells=PERTURBATION_CELLS)
-    return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
+        return []
+    return [
+        (_potential_load(patch, centre, potential), pressed * share)
+        for centre, share in _shifts(contact, normal)
+    ]
 
 
 def outward_perturbations(
