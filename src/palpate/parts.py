@@ -210,8 +210,9 @@ def _read_part(path: Path, known: Mapping[str, Any]) -> Any:
         with checked_file(path).open("rb") as file:
             if not _is_intact(file):
                 return None
-            # A cache removes what has not been used for longest.
-            os.utime(path)
+            # A cache removes what has not been used for longest; one of somebody else, nothing.
+            with suppress(OSError):
+                os.utime(path)
             return _Reader(file, known).load()
     except (RecordError, OSError, ValueError, LookupError, TypeError, AttributeError, ImportError,
             EOFError, pickle.UnpicklingError):  # fmt: skip

@@ -78,6 +78,16 @@ def test_a_disk_that_keeps_nothing_is_no_reason_to_stop(tmp_path):
     assert Parts(tmp_path / "file" / "parts", "key").load_or_make("one", lambda: "new") == "new"
 
 
+def test_a_part_of_somebody_else_is_read(tmp_path, monkeypatch):
+    def refused(path):
+        raise PermissionError(1, "Operation not permitted", str(path))
+
+    parts = Parts(tmp_path, "key")
+    parts.load_or_make("one", lambda: 1)
+    monkeypatch.setattr(os, "utime", refused)
+    assert parts.load("one") == 1
+
+
 def test_a_part_that_another_process_is_storing_is_left_to_it(tmp_path):
     parts = Parts(tmp_path, "key")
     parts.load_or_make("one", lambda: PART)
