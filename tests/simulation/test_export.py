@@ -16,6 +16,7 @@ from exported_result import RADIUS, SIDE, written_result
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import enclosed_volume, read_mesh, unit_normals
+from palpate.lab import make_body, solve_load
 from palpate.records import Constant, Status
 from palpate.simulation import FORMATS, export_fit, read_fit, read_green_functions
 from palpate.simulation.formats import npz, registry
@@ -100,6 +101,23 @@ def test_the_push_has_the_outward_traction_of_its_tool(model):
         pressed = -push.force @ normal
         # Points a sixth of the radius apart, a difference over a tenth of it.
         assert moment == pytest.approx(0.2 * contact.radius * pressed, rel=0.03)
+
+
+@pytest.mark.parametrize("outward", [0.0, 0.3])
+def test_the_push_moves_finite_elements_as_it_says(source, cache, outward):
+    """Boundary elements computed it, and its tool's outward traction counts a tenth."""
+    probings = [
+        replace(probing, contact=replace(probing.contact, profile="hertz", outward=outward))
+        for probing in source.session.probings
+    ]
+    session = replace(source.session, probings=tuple(probings))
+    body = make_estimated_object(session, source.estimate, exact_material(2e4, 0.3), cache=cache)
+    model = make_solid_model(body, edge=0.008)
+    elements = make_body(model.solid, model.held, shear_modulus=2e4, poisson_ratio=0.3)
+    moved = model.share @ solve_load(elements, model.load)[model.node]
+    force = body.push.force
+    # Triangles of the mesh are as wide as the touched circle.
+    assert moved @ force == pytest.approx(body.push.displacement @ force, rel=0.01)
 
 
 def test_facts_and_readme_say_what_was_written(source, exported):
