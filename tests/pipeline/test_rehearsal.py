@@ -8,7 +8,7 @@ SCRIPT = """\
 import sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
-from palpate.pipeline import fit_session, measure_pictures, rehearse_fit, rehearse_flow
+from palpate.pipeline import fit_session, measure_pictures, rehearse
 from palpate.records import read_session
 
 def compiled():
@@ -19,8 +19,7 @@ def compiled():
         for signature in value.signatures
     }
 
-rehearse_flow()
-rehearse_fit()
+rehearse()
 rehearsed = compiled()
 fit_session(read_session(sys.argv[1]))
 session = read_session(sys.argv[2])

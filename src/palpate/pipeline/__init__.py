@@ -77,10 +77,7 @@ from palpate.pipeline.poke import (
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
 )
-from palpate.pipeline.rehearsal import (
-    rehearse_fit as rehearse_fit,
-    rehearse_flow as rehearse_flow,
-)
+from palpate.pipeline.rehearsal import rehearse as rehearse
 from palpate.pipeline.rejections import (
     Rejections as Rejections,
     rejection_note as rejection_note,

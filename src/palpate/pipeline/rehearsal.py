@@ -5,9 +5,6 @@ rehearsal no measurement waits for that.
 """
 
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,10 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from palpate.geometry import TriangleMesh, closest_points, refined_surface, write_mesh
+from palpate.geometry import TriangleMesh, refined_surface, welded, write_mesh
 from palpate.pipeline.fit_session import fit_session
-from palpate.pipeline.motion import measure_pictures
-from palpate.records import Camera, DisplacementField, Rig, Session, read_session, write_rig
+from palpate.pipeline.motion import measure_pictures, with_motions
+from palpate.progress import Progress, silent
+from palpate.records import Camera, Rig, Session, read_session, write_rig
 
 # A block held at its foot, pushed in the middle of its top [m], and the parts of its edges.
 _SIZE, _PIECES = (0.04, 0.03, 0.012), 5
@@ -50,43 +48,31 @@ _SHAPE, _FOCAL, _DISTANCE, _ANGLES = (300, 400), 1400.0, 0.25, (-0.2, 0.2)
 _WAVES, _WAVE_NUMBER = 60, 3e3
 
 
-def rehearse_flow() -> None:
-    """Measure the made-up motion in its pictures."""
-    with _made_up_session() as session:
-        measure_pictures(session)
+def rehearse(progress: Progress = silent) -> None:
+    """Measure the made-up motion in its pictures, and fit constants to it.
 
-
-def rehearse_fit() -> None:
-    """Fit constants to the made-up motion."""
-    with _made_up_session() as session:
-        (push,) = session.probings
-        points = session.mesh.vertices[np.isclose(session.mesh.vertices[:, 2], _SIZE[2])]
-        moved = np.array([0.0, 0.0, -1.0]) * _dip(points)[:, None]
-        measured = DisplacementField(
-            points,
-            moved,
-            np.full_like(points, 1e-5),
-            None,
-            closest_points(session.mesh, points),
-            "",
-        )
-        push = replace(push, images=None, displacement=measured)
-        fit_session(replace(session, probings=(push,)))
-
-
-@contextmanager
-def _made_up_session() -> Iterator[Session]:
-    """A session with pictures of a push, in a folder that goes with the block."""
+    Parameters
+    ----------
+    progress : callable             called with the current step (text) and the fraction done
+    """
     with tempfile.TemporaryDirectory(prefix="palpate-rehearsal-") as name:
-        folder = Path(name)
-        rig = Rig(tuple(_camera(f"c{k}", angle) for k, angle in enumerate(_ANGLES)), 0, "rehearsal")
-        write_rig(folder / "rig.toml", rig)
-        write_mesh(folder / "mesh.ply", _block())
-        (folder / "session.toml").write_text(_SESSION, encoding="utf-8")
-        for camera in rig.cameras:
-            for state, depth in (("rest", 0.0), ("loaded", 1.0)):
-                cv2.imwrite(str(folder / f"{state}_{camera.name}.png"), _picture(camera, depth))
-        yield read_session(folder)
+        session = _made_up_session(Path(name))
+        progress("the flow", 0.0)
+        session = with_motions(session, measure_pictures(session))
+        progress("the fit", 0.7)
+        fit_session(session)
+
+
+def _made_up_session(folder: Path) -> Session:
+    """A session with pictures of a push, written into a folder."""
+    rig = Rig(tuple(_camera(f"c{k}", angle) for k, angle in enumerate(_ANGLES)), 0, "rehearsal")
+    write_rig(folder / "rig.toml", rig)
+    write_mesh(folder / "mesh.ply", _block())
+    (folder / "session.toml").write_text(_SESSION, encoding="utf-8")
+    for camera in rig.cameras:
+        for state, depth in (("rest", 0.0), ("loaded", 1.0)):
+            cv2.imwrite(str(folder / f"{state}_{camera.name}.png"), _picture(camera, depth))
+    return read_session(folder)
 
 
 def _block() -> TriangleMesh:
@@ -94,11 +80,8 @@ def _block() -> TriangleMesh:
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0, 1)])
     faces = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     halves = [half for a, b, c, d in faces for half in ((a, b, c), (a, c, d))]
-    pieces, triangles = refined_surface(
-        TriangleMesh(corners * _SIZE, np.array(halves)), pieces=_PIECES
-    )
-    vertices, number = np.unique(np.round(pieces, 9), axis=0, return_inverse=True)
-    return TriangleMesh(vertices, number[triangles])
+    coarse = TriangleMesh(corners * _SIZE, np.array(halves))
+    return welded(TriangleMesh(*refined_surface(coarse, pieces=_PIECES)))
 
 
 def _camera(name: str, angle: float) -> Camera:

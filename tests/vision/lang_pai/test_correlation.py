@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from palpate.vision.lang_pai.disparity import COLUMNS, ROWS
-from palpate.vision.lang_pai.voting import VALID, dot_kernel, window_kernel
+from palpate.vision.lang_pai.voting import (
+    VALID,
+    _interpolate,
+    _normalise,
+    _shifted_dot,
+    window_kernel,
+)
 
 HALF = 3
 ROWS_COLUMNS = (24, 31)
@@ -21,8 +27,11 @@ def correlation(one, two, a, p, b, q, *, window=7, along=COLUMNS):
     first, second = np.empty(window**2), np.empty(window**2)
     for (ca, ra), pa, (cb, rb), qb in zip(a, p, b, q, strict=True):
         known = window_kernel(one, ca, ra, float(pa), along, half, first) == VALID
-        known &= window_kernel(two, cb, rb, float(qb), along, half, second) == VALID
-        found.append(dot_kernel(first, second) if known else np.nan)
+        known &= _interpolate(two, cb, rb, float(qb), along, half, second)
+        scale = _normalise(second) if known else np.nan
+        if not np.isnan(scale):
+            scale *= _shifted_dot(two, cb, rb, float(qb), along, half, first)
+        found.append(scale)
     return np.array(found)
 
 

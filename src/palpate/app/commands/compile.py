@@ -7,7 +7,7 @@ from numba.core import event
 
 from palpate.app.environment import check_kernel_cache
 from palpate.app.terminal import print_text, progress_bar
-from palpate.pipeline import rehearse_fit, rehearse_flow
+from palpate.pipeline import rehearse
 
 
 def compile_kernels() -> int:
@@ -22,10 +22,7 @@ def compile_kernels() -> int:
     check_kernel_cache()
     start = time.perf_counter()
     with progress_bar() as progress, event.install_recorder("numba:compile") as recorder:
-        progress("the flow", 0.0)
-        rehearse_flow()
-        progress("the fit", 0.7)
-        rehearse_fit()
+        rehearse(progress)
         progress("the list of fonts", 0.99)
         # The figures of a result need it; it takes seconds, once, too.
         import_module("matplotlib.font_manager")

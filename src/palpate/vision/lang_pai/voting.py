@@ -235,7 +235,7 @@ def window_kernel(grey, column, row, shift, along, half, window):
     `grey` is (rows, columns) [grey levels], `window` ((2 half + 1)^2,), row by row.
 
     Its centre is `shift` pixels from (column, row), along columns (`along` = 0) or rows (1). The
-    inner product of two such windows (`dot_kernel`) is equation 6 of the source.
+    inner product of two such windows is equation 6 of the source.
     """
     if not _interpolate(grey, column, row, shift, along, half, window):
         return OUTSIDE
@@ -309,13 +309,4 @@ def _dot(grey, top, left, half, window):
     for k in range(side):
         for m in range(side):
             total += window[k * side + m] * grey[top + k, left + m]
-    return total
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
-def dot_kernel(a, b):
-    """Inner product of two windows of `window_kernel`, of equal shape (n,): -1 to 1."""
-    total = 0.0
-    for k in range(len(a)):
-        total += a[k] * b[k]
     return total
