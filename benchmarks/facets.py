@@ -11,7 +11,7 @@ from palpate.bem import (
     PressureDisc,
     SurfaceLoad,
     SurfaceSettings,
-    assemble_system,
+    boundary_system,
     make_elastic_map,
     make_surface,
 )
@@ -72,7 +72,7 @@ def facet_error(case: str, *, quadratic: bool = True) -> float:
     load = SurfaceLoad(np.flatnonzero(near), pressure.of_place, disc)
     nu, young = float(data["nu"]), float(data["E"])
     elastic = make_elastic_map(
-        assemble_system(surface), shear_modulus=young / (2 * (1 + nu)), poisson_ratio=nu
+        boundary_system(surface), shear_modulus=young / (2 * (1 + nu)), poisson_ratio=nu
     )
     (state,) = elastic.respond([load], float(data["force"]) * data["direction"][None])
     truth = data["uV"]

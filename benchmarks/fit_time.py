@@ -9,7 +9,7 @@ from benchmarks.ball_session import write_ball_session
 from benchmarks.clock import shortest
 from benchmarks.figure import ESTIMATION, Figure
 from benchmarks.options import Options
-from palpate.bem import BoundarySurface, assemble_system, make_surface
+from palpate.bem import BoundarySurface, boundary_system, make_surface
 from palpate.pipeline import fit_session
 from palpate.records import Session, read_session
 
@@ -36,7 +36,7 @@ def _figures(level: int, asked: _Asked) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         session = read_session(write_ball_session(Path(folder), level))
     surface = make_surface(session.mesh, session.held_triangles)
-    size = assemble_system(surface).size
+    size = boundary_system(surface).size
     fit_session(session)
     # In turns: whatever else the machine does then disturbs both sides of the ratio alike.
     rounds = [_round(session, surface, size) for _ in range(3)]
@@ -65,5 +65,5 @@ def _round(
 ) -> tuple[dict[str, float], float, float]:
     """Stages of one fit, one assembly, one factorisation [s]."""
     stages = fit_session(session).estimate.seconds
-    assembly = shortest(lambda: assemble_system(surface), repeats=1, warm=False)
+    assembly = shortest(lambda: boundary_system(surface), repeats=1, warm=False)
     return stages, assembly, lu_time(size, repeats=1)

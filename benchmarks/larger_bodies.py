@@ -29,7 +29,7 @@ from palpate.bem import (
     BoundarySystem,
     CompressedSystem,
     RightHand,
-    assemble_system,
+    boundary_system,
     compressed_system,
     face_columns,
     factorise,
@@ -108,7 +108,7 @@ def measured(way: str, frequency: int, folder: Path) -> dict[str, Any]:
 def _solved(way: str, frequency: int) -> tuple[BoundarySystem, RightHand, tuple[np.ndarray, int]]:
     """The integrals of the body, its right-hand sides, their solutions and what these took."""
     mesh = body(frequency)
-    make = assemble_system if way == "dense" else compressed_system
+    make = boundary_system if way == "dense" else compressed_system
     system = make(make_surface(mesh, held(mesh)))
     right = joined([face_columns(system, patch) for patch in patches(mesh)])
     return system, right, _solution(system, right, POISSON_RATIO)

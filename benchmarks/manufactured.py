@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from palpate.bem import (
     BoundarySurface,
     Quadrature,
-    assemble_system,
+    boundary_system,
     factorise,
     solve,
     support_columns,
@@ -178,13 +178,13 @@ def solved(
     -------
     Outcome
     """
-    system = assemble_system(surface, quadrature=quadrature)
+    system = boundary_system(surface, quadrature=quadrature)
     known = field.displacement(surface.mesh.vertices)
     free = np.flatnonzero(~surface.held)
     place = surface.element_nodes[free].reshape(-1, 3)
     given = field.traction(place, normals(np.repeat(free, 6), place)).reshape(-1, 6, 3)
     right = traction_column(system, free, given / field.shear_modulus, quadrature=quadrature)
-    right = right + support_columns(system, known)
+    right = right + support_columns(system, known[:, :, None])
     nu = field.poisson_ratio
     found = solve(factorise(system, nu), right.at(nu))[:, 0]
     state = sorted_state(system, found, field.shear_modulus)

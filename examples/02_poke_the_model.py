@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.bem import assemble_system, make_elastic_map, make_surface
+from palpate.bem import boundary_system, make_elastic_map, make_surface
 from palpate.pipeline import surface_load
 from palpate.probe import find_contact_patch
 from palpate.records import Contact, read_session
@@ -19,7 +19,7 @@ FORCE = np.array([0.3, 0.0, -0.8])
 def main() -> float:
     """Push the half ball at its pole; gives the largest displacement [m]."""
     session = read_session(HERE / "half_ball")
-    system = assemble_system(make_surface(session.mesh, session.held_triangles))
+    system = boundary_system(make_surface(session.mesh, session.held_triangles))
     body = make_elastic_map(system, shear_modulus=60e3 / 2.6, poisson_ratio=0.30)
 
     pole = session.mesh.vertices[np.argmax(session.mesh.vertices[:, 2])]

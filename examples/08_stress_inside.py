@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.bem import assemble_system, interior_state, make_elastic_map, make_surface
+from palpate.bem import boundary_system, interior_state, make_elastic_map, make_surface
 from palpate.pipeline import surface_load
 from palpate.probe import find_contact_patch
 from palpate.records import read_session
@@ -27,7 +27,7 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
 def main() -> float:
     """Press the half ball at its pole; gives the largest stress of von Mises on the axis [Pa]."""
     session = read_session(HERE / "half_ball")
-    system = assemble_system(make_surface(session.mesh, session.held_triangles))
+    system = boundary_system(make_surface(session.mesh, session.held_triangles))
     body = make_elastic_map(system, shear_modulus=60e3 / 2.6, poisson_ratio=0.30)
     contact = session.probings[0].contact
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="pole")

@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from palpate.bem import (
-    assemble_system,
+    boundary_system,
     indentation_corrections,
     load_right_hand,
     make_elastic_map,
@@ -28,7 +28,7 @@ SHEAR_MODULUS = 20e3
 def main() -> float:
     """Dip of the pole for many ratios; gives the largest departure from a full solution [-]."""
     session = read_session(HERE / "half_ball")
-    system = assemble_system(make_surface(session.mesh, session.held_triangles))
+    system = boundary_system(make_surface(session.mesh, session.held_triangles))
     contact = session.probings[0].contact
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name="pole")
     load = surface_load(patch)

@@ -12,7 +12,7 @@ from palpate.bem import (
     Quadrature,
     SurfaceLoad,
     SurfaceSettings,
-    assemble_system,
+    boundary_system,
     factorise,
     make_surface,
     solve,
@@ -106,7 +106,7 @@ def solve_known(
     traction = element_traction(surface, free, field) / material.shear
     exact = field.displacement(vertices)
     right = traction_column(system, free, traction, quadrature=quadrature).at(material.poisson)
-    right = right + support_columns(system, exact).at(material.poisson)
+    right = right + support_columns(system, exact[:, :, None]).at(material.poisson)
     x = solve(factorise(system, material.poisson), right)[:, 0]
     count = 3 * system.unknowns.free_vertices.size
     displacement = exact.copy()
@@ -120,7 +120,7 @@ def held_part(mesh: TriangleMesh, chosen: np.ndarray, **options) -> BoundarySyst
     quadrature = options.pop("quadrature", Quadrature())
     held = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
     surface = make_surface(mesh, held, settings=SurfaceSettings(**options))
-    return assemble_system(surface, quadrature=quadrature)
+    return boundary_system(surface, quadrature=quadrature)
 
 
 def bump_load(mesh: TriangleMesh, centre: np.ndarray, radius: float) -> SurfaceLoad:

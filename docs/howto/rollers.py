@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from palpate.bem import (
-    assemble_system,
+    boundary_system,
     factorise,
     integral_weights,
     make_surface,
@@ -43,7 +43,7 @@ def pressed(mesh: TriangleMesh, directions: np.ndarray) -> tuple[np.ndarray, flo
     ends = np.flatnonzero((np.ptp(height, axis=1) < 1e-9) & (abs(height[:, 0] - 0.015) > 0.0149))
     projector = directions.T @ directions
     surface = make_surface(mesh, ends, directions=np.tile(projector, (ends.size, 1, 1)))
-    system = assemble_system(surface)
+    system = boundary_system(surface)
     plates = np.zeros_like(mesh.vertices)
     plates[mesh.vertices[:, 2] > 0.0299, 2] = -DOWN
     x = solve(factorise(system, NU), support_columns(system, plates).at(NU))[:, 0]

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 
 import palpate
-from palpate.bem import assemble_system, make_elastic_map, make_surface
+from palpate.bem import boundary_system, make_elastic_map, make_surface
 from palpate.pipeline import surface_load
 from palpate.probe import find_contact_patch
 
@@ -46,7 +46,7 @@ displacement = "top.csv"
 # %%
 before = palpate.read_session(folder, observations=False)
 push = before.probings[0]
-system = assemble_system(make_surface(before.mesh, before.held_triangles))
+system = boundary_system(make_surface(before.mesh, before.held_triangles))
 body = make_elastic_map(system, shear_modulus=50e3 / 2.6, poisson_ratio=0.3)
 patch = find_contact_patch(before.mesh, push.contact, before.held_triangles, name="top")
 (state,) = body.respond([surface_load(patch)], push.force[None])

@@ -76,7 +76,7 @@ def test_a_support_that_moves_rigidly_takes_the_object_along(system):
     turn = np.array([0.2, -0.5, 0.3])
     rigid = np.cross(turn, vertices) + np.array([0.4, 0.1, -0.2])
     nu = 0.45
-    x = solve(factorise(system, nu), support_columns(system, rigid).at(nu))[:, 0]
+    x = solve(factorise(system, nu), support_columns(system, rigid[:, :, None]).at(nu))[:, 0]
     count = 3 * system.unknowns.free_vertices.size
     # Translations are exact by the rigid-body sum; a rotation is linear, held by the curved
     # elements as well as their positions are: what is left is the integrals' tolerance.

@@ -6,7 +6,7 @@ from cube_green import SHEAR, TOP, top_functions
 from surfaces import box
 
 from palpate.bem import factorise, load_right_hand
-from palpate.bem.system.system import system_matrix
+from palpate.bem.system import system_matrix
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import held_object

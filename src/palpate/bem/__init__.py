@@ -3,7 +3,7 @@
 Purpose    : compute how every point of an object moves under a load; one assembly serves all
              elastic constants.
 Takes      : a closed triangle mesh, the triangles of its support, tractions on its free surface.
-Gives      : `BoundarySystem` (material-independent matrices, compressed for large bodies),
+Gives      : `BoundarySystem` (equations for all materials, compressed for large bodies),
              right-hand sides, `ElasticMap` (one material), interior displacement and stress.
 Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
@@ -62,8 +62,7 @@ from palpate.bem.system import (
     SpringSlope as SpringSlope,
     SpringSystem as SpringSystem,
     SystemSlope as SystemSlope,
-    assemble_system as assemble_system,
-    cached_system as cached_system,
+    boundary_system as boundary_system,
     check_memory as check_memory,
     factorise as factorise,
     make_spring_factors as make_spring_factors,

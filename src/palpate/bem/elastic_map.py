@@ -148,7 +148,7 @@ def make_elastic_map(
 
     Parameters
     ----------
-    system : BoundarySystem           from `assemble_system`
+    system : BoundarySystem           from `boundary_system`
     shear_modulus : float [Pa]        > 0
     poisson_ratio : float [-]         -1 < nu <= 0.5
     springs : Springs or None         of the compliant supports
@@ -213,9 +213,9 @@ def load_right_hand(
     InputError                        a load covers no part of the free surface
     """
     balance = -np.eye(3) / system.traction_length
-    kernel, parts = system.traction_kernel, []
+    parts = []
     for k, load in enumerate(loads):
-        fields = integrate_load(system.surface, load, system.collocation, kernel, cells=cells)
+        fields = integrate_load(system.surface, load, system.collocation, system.rows, cells=cells)
         columns = load_columns(fields, balance)
         parts.append(columns if forces is None else columns.under(forces[k]))
     right = joined(parts)

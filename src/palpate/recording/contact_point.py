@@ -16,7 +16,7 @@ from palpate.bem import (
     FactorisedSystem,
     PressureDisc,
     SurfaceLoad,
-    assemble_system,
+    boundary_system,
     check_memory,
     factorise,
     indentation_corrections,
@@ -97,7 +97,7 @@ def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
     SingularSystemError             the support does not hold the object
     """
     check_memory(len(mesh.vertices), dense=True)
-    system = assemble_system(make_surface(mesh, held))
+    system = boundary_system(make_surface(mesh, held))
     return ContactModel(mesh, held, system, tuple(factorise(system, nu) for nu in _POISSON_RATIOS))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.meshes import sheet
-from palpate.bem import Compression, assemble_system, compressed_system, make_surface
+from palpate.bem import Compression, boundary_system, compressed_system, make_surface
 
 SIZE, CELLS = np.array([5.0, 1.0, 1.0]), (20, 4, 4)
 # Small clusters, close together: as much as can be is far at this size.
@@ -22,7 +22,7 @@ def long_surface():
 
 @pytest.fixture(scope="package")
 def dense(long_surface):
-    return assemble_system(long_surface)
+    return boundary_system(long_surface)
 
 
 @pytest.fixture(scope="package")

@@ -1,12 +1,19 @@
 """Assembled fields: rigid-body sums, threads, blocks, and rows against plain sums."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
 from surfaces import sphere
 
 from palpate.bem import make_surface
-from palpate.bem.integrals.assembly import Collocation, assemble, with_rigid_body_sum
+from palpate.bem.integrals.assembly import (
+    Collocation,
+    add_rigid_body_sum,
+    assemble,
+    kernel_integrals,
+)
 from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION
 from palpate.bem.integrals.quadrature import Quadrature, triangle_rule
 from palpate.geometry import element_points, quadratic_shapes, quartered
@@ -49,9 +56,17 @@ def by_row(blocks):
     return out
 
 
+def completed(surface, collocation, blocks):
+    """The blocks of the traction kernel with the rigid-body sum."""
+    values = blocks.values.copy()
+    for block, rows in zip(values, blocks.rows, strict=True):
+        add_rigid_body_sum(block, rows, collocation, surface.displacement)
+    return replace(blocks, values=values)
+
+
 def test_a_translation_gives_no_traction(surface, collocation):
     blocks = assembled(surface, collocation, TRACTION)
-    total = with_rigid_body_sum(blocks, collocation, surface.displacement).values.sum(axis=1)
+    total = completed(surface, collocation, blocks).values.sum(axis=1)
     # Round-off of 66 nodes with entries up to 2 pi.
     assert np.abs(total).max() < 1e-12
 
@@ -88,7 +103,7 @@ def test_the_sum_puts_the_solid_angle_on_the_diagonal(surface, collocation):
     # chords, whose error falls with the square and is extrapolated.
     coarse, fine = (solid_angles_of_others(surface, levels) for levels in (2, 3))
     np.testing.assert_allclose(flux / 3, fine + (fine - coarse) / 3, rtol=2e-5)
-    whole = by_row(with_rigid_body_sum(blocks, collocation, surface.displacement))
+    whole = by_row(completed(surface, collocation, blocks))
     np.testing.assert_allclose(
         whole[own, own, 3:6].sum(axis=1), raw[own, own, 3:6].sum(axis=1) - flux, atol=1e-12
     )
@@ -104,6 +119,14 @@ def test_threads_do_not_change_a_bit(surface, collocation):
     finally:
         numba.set_num_threads(before)
     assert np.array_equal(one, several)
+
+
+@pytest.mark.parametrize("kernel", [TRACTION, DISPLACEMENT])
+def test_one_block_is_as_among_all(surface, collocation, kernel):
+    every = assembled(surface, collocation, kernel).values
+    by_block = kernel_integrals(surface, collocation, surface.displacement, kernel)
+    for number, block in enumerate(every):
+        assert np.array_equal(by_block.block(number), block)
 
 
 def test_blocks_hold_every_row_and_pad_with_the_last(surface, collocation):

@@ -37,7 +37,7 @@ def test_a_block_that_stands_under_its_weight(block, nu):
     weight = 7.0
     body = body_force_columns(block, np.array([0.0, 0.0, -weight]), quadrature=FINE)
     exact = standing_block(block.surface.mesh.vertices, weight, material)
-    bed = support_columns(block, material.shear * exact)
+    bed = support_columns(block, material.shear * exact[:, :, None])
     x = solve(factorise(block, nu), np.hstack([body.right.at(nu), bed.at(nu)]))
     factor = dilation_factor(nu)
     count = 3 * block.unknowns.free_vertices.size

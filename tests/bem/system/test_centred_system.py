@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from surfaces import box, sphere
 
-from palpate.bem import CentredSystem, assemble_system, face_columns, make_surface, solve
+from palpate.bem import CentredSystem, boundary_system, face_columns, make_surface, solve
 from palpate.bem.system import centred_system as module
 
 NU = 0.3
@@ -20,7 +20,7 @@ def held_at_low(mesh, axis, share):
     """The system of a body held where it is low along an axis, with a load at its other end."""
     x = mesh.vertices[mesh.triangles][:, :, axis]
     held = np.flatnonzero(x.max(axis=1) < x.min() + share * np.ptp(x))
-    system = assemble_system(make_surface(mesh, held))
+    system = boundary_system(make_surface(mesh, held))
     loaded = np.argsort(x.mean(axis=1))[-4:]
     return system, face_columns(system, loaded).at(NU)
 

@@ -6,7 +6,7 @@ from elastic_bodies import cube_with_faces, held_part
 from scipy.linalg import lu_factor, lu_solve
 
 from palpate.bem import factorise, solve
-from palpate.bem.system import system as module
+from palpate.bem.system import factors as module
 from palpate.bem.system.large_lu import lu_by_panels
 
 

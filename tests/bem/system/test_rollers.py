@@ -6,8 +6,8 @@ from elastic_bodies import Material, cube_with_faces, element_traction, linear_f
 
 from palpate.bem import (
     Quadrature,
-    assemble_system,
     body_force_columns,
+    boundary_system,
     dilation_factor,
     factorise,
     make_surface,
@@ -17,7 +17,7 @@ from palpate.bem import (
     traction_column,
     unrestrained_motions,
 )
-from palpate.bem.system.system import system_matrix
+from palpate.bem.system import system_matrix
 
 FINE = Quadrature(tolerance=1e-9)
 MESH, FACE = cube_with_faces(2)
@@ -49,7 +49,7 @@ def rolling(request):
     faces, left = SUPPORTS[request.param]
     held = np.flatnonzero(np.isin(FACE, list(faces)))
     surface = make_surface(MESH, held, directions=np.array([faces[f] for f in FACE[held]]))
-    return assemble_system(surface, quadrature=FINE), left
+    return boundary_system(surface, quadrature=FINE), left
 
 
 def boundary_data(system, field, material):
@@ -62,7 +62,7 @@ def boundary_data(system, field, material):
     traction = np.einsum("kij,kqj->kqi", given[loaded], traction)
     right = traction_column(system, loaded, traction, quadrature=FINE).at(material.poisson)
     moved = field.displacement(surface.mesh.vertices)
-    return right + support_columns(system, moved).at(material.poisson)
+    return right + support_columns(system, moved[:, :, None]).at(material.poisson)
 
 
 @pytest.mark.parametrize("kind", ["tension", "general"])
@@ -154,12 +154,12 @@ def test_a_block_that_stands_on_rollers_under_its_weight(nu):
     young = 2 * material.shear * (1 + nu)
     held = np.flatnonzero(FACE == 4)
     surface = make_surface(MESH, held, directions=np.tile(Z, (held.size, 1, 1)))
-    system = assemble_system(surface, quadrature=FINE)
+    system = boundary_system(surface, quadrature=FINE)
     body = body_force_columns(system, np.array([0.0, 0.0, -weight]), quadrature=FINE)
     x, y, z = (MESH.vertices - [0.5, 0.5, 0.0]).T
     down = -(z - 0.5 * z**2) + 0.5 * nu * (x**2 + y**2)
     exact = weight / young * np.column_stack([nu * (1 - z) * x, nu * (1 - z) * y, down])
-    bed = support_columns(system, material.shear * exact)
+    bed = support_columns(system, material.shear * exact[:, :, None])
     parts = solve(factorise(system, nu), np.hstack([body.right.at(nu), bed.at(nu)]))
     factor, count = dilation_factor(nu), 3 * system.unknowns.free_vertices.size
     found = (parts[:count] @ [1.0, factor, 1.0]).reshape(-1, 3) / material.shear

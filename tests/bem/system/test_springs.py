@@ -6,7 +6,7 @@ import pytest
 from surfaces import box
 
 from palpate.bem import (
-    assemble_system,
+    boundary_system,
     face_columns,
     factorise,
     make_elastic_map,
@@ -33,7 +33,7 @@ def system_of(directions=None):
     given = None
     if directions is not None:
         given = np.tile(directions.T @ directions, (len(BOTTOM), 1, 1))
-    return assemble_system(make_surface(MESH, BOTTOM, directions=given))
+    return boundary_system(make_surface(MESH, BOTTOM, directions=given))
 
 
 @pytest.fixture(scope="module")

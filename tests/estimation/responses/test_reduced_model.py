@@ -36,7 +36,7 @@ def problem():
     system = held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3)
     load = bump_load(mesh, np.array([0.0, 0.0, 1.0]), 0.5)
     weight = body_force_columns(system, np.array([0.0, 0.0, -3.0]))
-    lifted = support_columns(system, np.ones_like(mesh.vertices) * [0.0, 0.0, 1.0])
+    lifted = support_columns(system, np.tile([[0.0], [0.0], [1.0]], (len(mesh.vertices), 1, 1)))
     quadratic = type(lifted)(np.stack([*lifted.terms[:2], 0.3 * weight.right.terms[0, :, :1]]))
     return system, joined([load_right_hand(system, [load]), weight.right, quadratic])
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.bem.compressed.system import compressed_system
 from palpate.bem.integrals import BoundarySurface
-from palpate.bem.system import LARGEST_DENSE, BoundarySystem, assemble_system, cached_system
+from palpate.bem.system import LARGEST_DENSE, BoundarySystem, boundary_system
 from palpate.progress import Progress, silent
 
 
@@ -17,13 +17,13 @@ def held_system(
     cache: Path | None = None,
     progress: Progress = silent,
 ) -> BoundarySystem:
-    """The integrals of an object on its support, dense or compressed depending on its size.
+    """The equations of an object on its support, dense or compressed depending on its size.
 
     Parameters
     ----------
     surface : BoundarySurface
     dense : bool                  True: dense matrices at any size
-    cache : Path or None          cache folder of dense integrals
+    cache : Path or None          see `boundary_system`; not used for a compressed system
     progress : callable           called with the current step and the fraction of the compression
                                   that is done, 0 to 1
 
@@ -41,4 +41,4 @@ def held_system(
     rolls = not np.allclose(surface.held_directions[surface.held], np.eye(3))
     if large and not dense and not rolls:
         return compressed_system(surface, progress=progress)
-    return assemble_system(surface) if cache is None else cached_system(surface, cache)
+    return boundary_system(surface, cache=cache)

@@ -3,25 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.sparse import csr_array
+from jaxtyping import Float
 
 from palpate.bem.compressed.moments import KernelWeights
 from palpate.bem.compressed.operator import CompressedOperator, Compression, compress
-from palpate.bem.integrals import (
-    DISPLACEMENT,
-    TRACTION,
-    BoundarySurface,
-    Collocation,
-    FieldBlocks,
-    FieldLayout,
-    Quadrature,
-    assemble,
-    integral_weights,
-)
+from palpate.bem.integrals import BoundarySurface, Quadrature, integral_weights, point_blocks
 from palpate.bem.system import BoundarySystem, find_unknowns, place_collocation
 from palpate.errors import InputError
-from palpate.geometry import QuadraticNodes
 from palpate.progress import Progress, silent
 
 # Coefficient of the slack in every integral equation (`system_matrix`).
@@ -30,9 +18,7 @@ SLACK = 8 * np.pi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompressedSystem(BoundarySystem):
-    """A `BoundarySystem` whose integrals are a `CompressedOperator`.
-
-    Its kernels have no nodes; their rows define the order of all right-hand sides.
+    """A `BoundarySystem` whose matrix is a `CompressedOperator`.
 
     Attributes
     ----------
@@ -40,11 +26,6 @@ class CompressedSystem(BoundarySystem):
     """
 
     operator: CompressedOperator
-
-    @property
-    def order(self) -> Int[np.ndarray, " r"]:
-        """Collocation point of each row of one component."""
-        return self.traction_kernel.rows.ravel()[: self.traction_kernel.n_rows]
 
     def product(
         self, poisson_ratio: float, unknowns: Float[np.ndarray, "k c"]
@@ -183,17 +164,8 @@ def compressed_system(
         surface, unknowns, collocation, compression=compression, quadrature=quadrature,
         progress=progress,
     )  # fmt: skip
-    h, g = (_row_layout(surface, collocation, kernel) for kernel in (TRACTION, DISPLACEMENT))
     return CompressedSystem(
-        surface=surface, unknowns=unknowns, collocation=collocation, traction_kernel=h,
-        displacement_kernel=g, operator=operator,
+        surface=surface, unknowns=unknowns, collocation=collocation,
+        rows=point_blocks(collocation.point), quadrature=quadrature, rigid_body_sum=True,
+        operator=operator,
     )  # fmt: skip
-
-
-def _row_layout(
-    surface: BoundarySurface, collocation: Collocation, kernel: FieldLayout
-) -> FieldBlocks:
-    """The row layout of a kernel's integrals, without any node."""
-    nodes = QuadraticNodes(np.zeros((0, 6), dtype=np.int64), 0, csr_array((0, 0)))
-    nothing = np.zeros(0, dtype=np.int64)
-    return assemble(surface, collocation, nodes, kernel, triangles=nothing)

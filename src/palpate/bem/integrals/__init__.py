@@ -2,7 +2,7 @@
 
 Purpose    : compute the material-independent matrices of the boundary element method.
 Takes      : a mesh and its held triangles, collocation points, the quadrature tolerance.
-Gives      : `BoundarySurface`, `FieldBlocks`; the layout and meaning of a kernel's fields.
+Gives      : `BoundarySurface`, `KernelIntegrals`; the layout and meaning of a kernel's fields.
 Depends on : geometry; errors, threads.
 Read first : `kelvin.py`, `assembly.py`.
 """
@@ -10,10 +10,13 @@ Read first : `kelvin.py`, `assembly.py`.
 from palpate.bem.integrals.assembly import (
     Collocation as Collocation,
     FieldBlocks as FieldBlocks,
+    KernelIntegrals as KernelIntegrals,
+    add_rigid_body_sum as add_rigid_body_sum,
     all_rules as all_rules,
     assemble as assemble,
+    kernel_integrals as kernel_integrals,
     lanes_of as lanes_of,
-    with_rigid_body_sum as with_rigid_body_sum,
+    point_blocks as point_blocks,
 )
 from palpate.bem.integrals.element_integrals import (
     next_part as next_part,

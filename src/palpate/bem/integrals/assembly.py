@@ -4,26 +4,21 @@ The rows come in blocks of LANES collocation points that lie close together, so 
 a block vectorise and one quadrature rule suits all of its points. A block is computed by one
 thread, which adds its triangles in order, patch by patch: the result does not depend on the number
 of threads.
+
+The integrals of all points together are larger than the matrix that they serve, and take a second:
+who needs few numbers of each computes one block after the other (`KernelIntegrals`).
 """
 
 import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals.element_integrals import (
-    SHAPES,
-    add_near,
-    add_shape_moments,
-    add_singular,
-    add_weighted,
-    shapes_at,
-)
-from palpate.bem.integrals.kelvin import LANES, TRACTION, FieldLayout, lane_fields
-from palpate.bem.integrals.patches import make_patches
+from palpate.bem.integrals.block_kernel import integrate_blocks
+from palpate.bem.integrals.kelvin import LANES, FieldLayout
+from palpate.bem.integrals.patches import Patches, make_patches
 from palpate.bem.integrals.quadrature import Quadrature, triangle_rule, unit_gauss
 from palpate.bem.integrals.surface import BoundarySurface
 from palpate.geometry import (
@@ -35,10 +30,6 @@ from palpate.geometry import (
     quadratic_shapes,
 )
 from palpate.threads import in_threads
-
-_N_TRACTION = TRACTION.count
-# Quadrature points that are evaluated before they are summed: their fields stay in the first cache.
-_BATCH = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +123,54 @@ class Rules(NamedTuple):
     polar: np.ndarray
 
 
-def assemble(
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelIntegrals:
+    """Integrals of a kernel's fields times nodal shape functions, computed when they are asked for.
+
+    Attributes
+    ----------
+    n_nodes : int
+    n_fields : int
+    points, elements, rules, patches      inputs of the compiled kernel
+    """
+
+    n_nodes: int
+    n_fields: int
+    points: _Points
+    elements: _Elements
+    rules: Rules
+    patches: Patches
+
+    def block(self, number: int) -> Float[np.ndarray, "nodes fields lanes"]:
+        """The integrals of one block of collocation points.
+
+        Parameters
+        ----------
+        number : int              see `point_blocks`
+
+        Returns
+        -------
+        (n_nodes, n_fields, LANES) float
+        """
+        one = slice(number, number + 1)
+        points = self.points._replace(lanes=self.points.lanes[one], rows=self.points.rows[one])
+        return self._computed(points)[0]
+
+    def all_blocks(self) -> "FieldBlocks":
+        """Those of all blocks, computed in threads."""
+        return FieldBlocks(
+            self._computed(self.points), self.points.rows, self.points.point.shape[0]
+        )
+
+    def _computed(self, points: _Points) -> Float[np.ndarray, "blocks nodes fields lanes"]:
+        count = points.rows.shape[0]
+        values = np.empty((count, self.n_nodes * self.n_fields * LANES))
+        prepared = points, self.elements, self.rules, self.patches
+        in_threads(integrate_blocks, count, self.n_fields, *prepared, values)
+        return values.reshape(count, self.n_nodes, self.n_fields, LANES)
+
+
+def kernel_integrals(
     surface: BoundarySurface,
     collocation: Collocation,
     nodes: QuadraticNodes,
@@ -140,8 +178,8 @@ def assemble(
     *,
     triangles: Int[np.ndarray, " m"] | None = None,
     quadrature: Quadrature = Quadrature(),
-) -> FieldBlocks:
-    """Integrate a kernel's fields times shape functions over triangles of a surface.
+) -> KernelIntegrals:
+    """Prepare the integrals of a kernel's fields times shape functions over triangles of a surface.
 
     Near-singular and singular integrals are included.
 
@@ -157,13 +195,12 @@ def assemble(
 
     Returns
     -------
-    FieldBlocks                           for the traction kernel without the value at the
+    KernelIntegrals                       for the traction kernel without the value at the
                                           collocation point on the triangles that contain it;
-                                          `with_rigid_body_sum` completes it
+                                          `add_rigid_body_sum` completes it
     """
     if triangles is None:
         triangles = np.arange(len(surface.held))
-    points = _points_in_blocks(collocation)
     rules = all_rules(quadrature)
     patches = make_patches(element_spheres(surface.element_nodes[triangles])[0], nodes)
     triangles = triangles[patches.order]
@@ -172,46 +209,64 @@ def assemble(
         triangles, surface.mesh.triangles[triangles], element_nodes,
         _sources(element_nodes, rules), *element_spheres(element_nodes),
     )  # fmt: skip
-    n_blocks = points.rows.shape[0]
-    values = np.empty((n_blocks, nodes.n_nodes * kernel.count * LANES))
-    in_threads(_integrate_blocks, n_blocks, kernel.count, points, elements, rules, patches, values)
-    shape = (n_blocks, nodes.n_nodes, kernel.count, LANES)
-    return FieldBlocks(values.reshape(shape), points.rows, collocation.point.shape[0])
+    points = _points_in_blocks(collocation)
+    return KernelIntegrals(nodes.n_nodes, kernel.count, points, elements, rules, patches)
 
 
-def with_rigid_body_sum(
-    blocks: FieldBlocks, collocation: Collocation, nodes: QuadraticNodes
+def assemble(
+    surface: BoundarySurface,
+    collocation: Collocation,
+    nodes: QuadraticNodes,
+    kernel: FieldLayout,
+    *,
+    triangles: Int[np.ndarray, " m"] | None = None,
+    quadrature: Quadrature = Quadrature(),
 ) -> FieldBlocks:
-    """Complete the traction kernel by the rigid-body sum: each field by itself gives zero for a
-    rigid translation.
+    """Integrate a kernel's fields times shape functions over triangles of a surface.
 
     Parameters
     ----------
-    blocks : FieldBlocks          of the traction kernel, changed in place
-    collocation : Collocation
-    nodes : QuadraticNodes        of the displacement
+    surface, collocation, nodes, kernel, triangles, quadrature    as in `kernel_integrals`
 
     Returns
     -------
-    FieldBlocks                   free term and Cauchy principal value included
+    FieldBlocks
+    """
+    return kernel_integrals(
+        surface, collocation, nodes, kernel, triangles=triangles, quadrature=quadrature
+    ).all_blocks()
+
+
+def add_rigid_body_sum(
+    values: Float[np.ndarray, "v fields lanes"],
+    points: Int[np.ndarray, " lanes"],
+    collocation: Collocation,
+    nodes: QuadraticNodes,
+) -> None:
+    """Complete the traction kernel by the rigid-body sum: each field by itself gives zero for a
+    rigid translation. Free term and Cauchy principal value are then included.
+
+    Parameters
+    ----------
+    values : (v, fields, LANES) float     of one block, changed in place
+    points : (LANES,) int                 collocation points of the block
+    collocation : Collocation
+    nodes : QuadraticNodes                of the displacement
 
     Source
     ------
     Lang and Pai (2001), eq. 4: C, for A and B separately
     """
-    total = blocks.values.sum(axis=1)
-    vertex = collocation.vertex[blocks.rows]
-    block, lane = np.nonzero(vertex >= 0)
-    blocks.values[block, vertex[block, lane], :, lane] -= total[block, :, lane]
-    for b, i in zip(*np.nonzero(vertex < 0), strict=True):
-        row = blocks.rows[b, i, None]
+    total = values.sum(axis=0)
+    vertex = collocation.vertex[points]
+    (lane,) = np.nonzero(vertex >= 0)
+    values[vertex[lane], :, lane] -= total[:, lane].T
+    for i in np.flatnonzero(vertex < 0):
+        row = points[i, None]
         interpolation = interpolation_matrix(
             nodes, collocation.triangle[row], collocation.barycentric[row]
         )
-        blocks.values[b, interpolation.indices, :, i] -= (
-            interpolation.data[:, None] * total[b, :, i]
-        )
-    return blocks
+        values[interpolation.indices, :, i] -= interpolation.data[:, None] * total[:, i]
 
 
 def all_rules(quadrature: Quadrature) -> Rules:
@@ -253,10 +308,23 @@ def lanes_of(point: Float[np.ndarray, "r 3"], rows: Int[np.ndarray, "b lanes"]) 
     return point[rows].transpose(0, 2, 1).reshape(rows.shape[0], 3 * LANES).copy()
 
 
+def point_blocks(point: Float[np.ndarray, "r 3"]) -> Int[np.ndarray, "b lanes"]:
+    """Points grouped along a Morton curve, padded with the last one.
+
+    Parameters
+    ----------
+    point : (r, 3) float [m]
+
+    Returns
+    -------
+    (b, LANES) int            points of each block
+    """
+    order = morton_order(point)
+    return np.concatenate([order, np.repeat(order[-1:], -order.size % LANES)]).reshape(-1, LANES)
+
+
 def _points_in_blocks(collocation: Collocation) -> _Points:
-    """Points grouped along a Morton curve, padded with the last one."""
-    order = morton_order(collocation.point)
-    rows = np.concatenate([order, np.repeat(order[-1:], -order.size % LANES)]).reshape(-1, LANES)
+    rows = point_blocks(collocation.point)
     return _Points(
         lanes_of(collocation.point, rows), rows, np.array(collocation.point), collocation.vertex,
         collocation.triangle, collocation.barycentric,
@@ -271,111 +339,3 @@ def _sources(element_nodes: Float[np.ndarray, "m 6 3"], rules: Rules) -> np.ndar
         part[:, :, 3:] *= rules.points[first:last, 3:]
         sources[first * len(element_nodes) : last * len(element_nodes)] = part.reshape(-1, 6)
     return sources
-
-
-@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-def _integrate_blocks(begin, end, n_fields, points, elements, rules, patches, out):
-    """Integrals of the blocks from begin to end, patch by patch."""
-    width = n_fields * LANES
-    start, farthest_near = rules.start, rules.ratios[-1]
-    largest = 0
-    for patch in range(patches.size.size):
-        largest = max(largest, patches.size[patch])
-    accumulated = np.empty(largest * width)
-    buffer = np.empty(_BATCH * width)
-    ratio = np.empty(LANES)
-    for b in range(begin, end):
-        for i in range(out.shape[1]):
-            out[b, i] = 0.0
-        for patch in range(patches.size.size):
-            for i in range(patches.size[patch] * width):
-                accumulated[i] = 0.0
-            for e in range(patches.triangles[patch], patches.triangles[patch + 1]):
-                rule, nearest = _choose_rule(
-                    points.lanes[b], elements.centre[e], elements.radius[e], rules.ratios, ratio
-                )
-                n_points = start[rule + 1] - start[rule]
-                own = start[rule] * elements.nodes.shape[0] + e * n_points
-                for first in range(0, n_points, _BATCH):
-                    last = min(first + _BATCH, n_points)
-                    fields = buffer[: (last - first) * width]
-                    sources = elements.sources[own + first : own + last]
-                    shapes = rules.shapes[:, start[rule] + first : start[rule] + last]
-                    lane_fields(n_fields, points.lanes[b], sources, fields)
-                    if nearest < farthest_near:
-                        _clear_near_lanes(ratio, farthest_near, fields)
-                    add_shape_moments(fields, shapes, patches.number[e], accumulated)
-                if nearest < farthest_near:
-                    for i in range(LANES):
-                        if ratio[i] < farthest_near:
-                            _add_near_lane(
-                                n_fields, points, b, i, elements, e, rules, patches.number[e],
-                                accumulated,
-                            )  # fmt: skip
-            for s in range(patches.sums[patch], patches.sums[patch + 1]):
-                first, last = patches.terms[s], patches.terms[s + 1]
-                add_weighted(
-                    accumulated, patches.own[first:last], patches.weight[first:last],
-                    out[b, patches.node[s] * width : (patches.node[s] + 1) * width],
-                )  # fmt: skip
-
-
-@numba.njit(fastmath=True, error_model="numpy", cache=True)
-def _choose_rule(lanes, centre, radius, ratios, ratio):
-    """Rule for a block of points, and the smallest distance over radius; fills in that of each
-    lane."""
-    smallest, nearest = np.inf, np.inf
-    for i in range(LANES):
-        x = lanes[i] - centre[0]
-        y = lanes[LANES + i] - centre[1]
-        z = lanes[2 * LANES + i] - centre[2]
-        ratio[i] = np.sqrt(x * x + y * y + z * z) / radius
-    for i in range(LANES):
-        nearest = min(nearest, ratio[i])
-        if ratio[i] >= ratios[-1]:
-            smallest = min(smallest, ratio[i])
-    rule = 0
-    while rule < ratios.size - 1 and smallest < ratios[rule]:
-        rule += 1
-    return rule, nearest
-
-
-@numba.njit(error_model="numpy", cache=True)
-def _clear_near_lanes(ratio, limit, fields):
-    for i in range(LANES):
-        if ratio[i] < limit:
-            for k in range(i, fields.size, LANES):
-                fields[k] = 0.0
-
-
-@numba.njit(error_model="numpy", cache=True)
-def _add_near_lane(n_fields, points, b, i, elements, e, rules, number, accumulated):
-    """Add the near or singular integrals of one load point over one triangle."""
-    row = points.rows[b, i]
-    point, nodes, vertices = points.point[row], elements.nodes[e], elements.vertices[e]
-    local, subtracted, corners = np.zeros((SHAPES, n_fields)), np.zeros(SHAPES), np.zeros((3, 3))
-    corner = -1
-    for k in range(3):
-        if vertices[k] == points.vertex[row]:
-            corner = k
-    if points.triangle[row] == elements.triangle[e]:
-        b0, b1, b2 = points.barycentric[row]
-        if n_fields == _N_TRACTION:
-            shapes_at(b0, b1, b2, subtracted)
-        for k in range(3):
-            corners[:] = 0.0
-            corners[0, 0], corners[0, 1], corners[0, 2] = b0, b1, b2
-            corners[1, k] = corners[2, (k + 1) % 3] = 1.0
-            add_singular(n_fields, point, nodes, corners, rules.polar, subtracted, local)
-    elif corner >= 0:
-        if n_fields == _N_TRACTION:
-            subtracted[corner] = 1.0
-        for j in range(3):
-            corners[j, (corner + j) % 3] = 1.0
-        add_singular(n_fields, point, nodes, corners, rules.polar, subtracted, local)
-    else:
-        add_near(n_fields, point, nodes, rules.points, rules.start, rules.ratios, local)
-    for a in range(SHAPES):
-        offset = number[a] * n_fields * LANES + i
-        for f in range(n_fields):
-            accumulated[offset + f * LANES] += local[a, f]

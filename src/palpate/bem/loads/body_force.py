@@ -87,7 +87,9 @@ def body_force_columns(
     traction_part = traction_column(system, free, traction, quadrature=quadrature)
     held_traction = _at_sides(system, force_density, origin)
     return BodyForce(
-        joined([traction_part, support_columns(system, -particular)]), particular, held_traction
+        joined([traction_part, support_columns(system, -particular[:, :, None])]),
+        particular,
+        held_traction,
     )
 
 

@@ -12,7 +12,6 @@ from palpate.bem.integrals import (
     LANES,
     BoundarySurface,
     Collocation,
-    FieldBlocks,
     add_point_fields,
     lane_fields,
     lanes_of,
@@ -42,7 +41,7 @@ def integrate_load(
     surface: BoundarySurface,
     load: SurfaceLoad,
     collocation: Collocation,
-    blocks: FieldBlocks,
+    rows: Int[np.ndarray, "b lanes"],
     *,
     cells: LoadCells = LOAD_CELLS,
 ) -> Float[np.ndarray, "r 6"]:
@@ -53,7 +52,7 @@ def integrate_load(
     surface : BoundarySurface
     load : SurfaceLoad
     collocation : Collocation
-    blocks : FieldBlocks          of that collocation, for the order of its rows
+    rows : (b, LANES) int         collocation points of each block (`point_blocks`)
     cells : LoadCells             see `load_points`, also for its errors
 
     Returns
@@ -62,13 +61,13 @@ def integrate_load(
     """
     load = placed_load(surface, load)
     points = placed_points(surface, load, cells=cells)
-    rows = blocks.rows
-    order = rows.ravel()[: blocks.n_rows]
+    n_rows = collocation.point.shape[0]
+    order = rows.ravel()[:n_rows]
     sources = _as_sources(points.position, points.weight)
     out = np.zeros((rows.shape[0], DISPLACEMENT.count * LANES))
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
     fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
-    fields = fields.reshape(-1, DISPLACEMENT.count)[: blocks.n_rows].copy()
+    fields = fields.reshape(-1, DISPLACEMENT.count)[:n_rows].copy()
     _recompute_rows_on_patch(
         surface, load, points, sources, collocation, order, fields, cells.polar_points
     )

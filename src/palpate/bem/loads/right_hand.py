@@ -9,14 +9,13 @@ from scipy.sparse import csr_array
 from palpate.bem.compressed import CompressedSystem
 from palpate.bem.integrals import (
     DISPLACEMENT,
-    LANES,
     Quadrature,
     assemble,
     displacement_parts,
     traction_parts,
     triangle_rule,
 )
-from palpate.bem.system import BoundarySystem
+from palpate.bem.system import BoundarySystem, for_each_block
 from palpate.geometry import ELEMENT_NODES, QuadraticNodes, element_points, quadratic_shapes
 
 
@@ -118,45 +117,48 @@ def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3
     return RightHand(terms)
 
 
-def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3"]) -> RightHand:
-    """One column for a prescribed displacement of the held vertices.
+def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3 c"]) -> RightHand:
+    """One column for each of some prescribed displacements of the held vertices.
 
     Parameters
     ----------
     system : BoundarySystem
-    displacement : (v, 3) float [m]   of every vertex; only that of held vertices is used, along the
-                                      directions in which they are held
+    displacement : (v, 3, c) float [m]    of every vertex; only that of held vertices is used, along
+                                          the directions in which they are held
 
     Returns
     -------
-    RightHand                         3 r + 3 rows, one column, for a shear modulus of one pascal
+    RightHand                         3 r + 3 rows, c columns, for a shear modulus of one pascal
     """
-    held = system.unknowns.held_vertices
-    given = np.einsum("hij,hj->hi", system.unknowns.vertex_directions, displacement[held])
+    held, columns = system.unknowns.held_vertices, displacement.shape[2]
+    terms = np.zeros((3, 3 * system.n_points + 3, columns))
+    if not columns:
+        return RightHand(terms)
+    given = np.einsum("hij,hjc->hic", system.unknowns.vertex_directions, displacement[held])
     if isinstance(system, CompressedSystem):
         return _compressed_columns(system, held, given)
-    blocks = system.traction_kernel
-    terms = np.zeros((3, 3 * blocks.n_rows + 3, 1))
-    equations = terms[:, :-3].reshape(3, 3, blocks.n_rows)
-    for b, values in enumerate(blocks.values):
-        rows = slice(b * LANES, min((b + 1) * LANES, blocks.n_rows))
-        fields = np.moveaxis(values[held][..., : rows.stop - rows.start], 1, 0)
+    equations = terms[:, :-3].reshape(3, 3, system.n_points, columns)
+
+    def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
         scaled, constant = (
-            np.einsum("ijvl,vj->il", part, given) for part in traction_parts(fields)
+            np.einsum("ijvl,vjc->ilc", part, given, optimize=True)
+            for part in traction_parts(np.moveaxis(traction[held], 1, 0))
         )
         equations[0, :, rows] = -(scaled + constant)
         equations[1, :, rows] = 2 * scaled
+
+    for_each_block(system, add)
     return RightHand(terms)
 
 
 def _compressed_columns(
-    system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3"]
+    system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3 c"]
 ) -> RightHand:
-    """The same column by products with the operator."""
-    displacement = np.zeros((len(system.surface.mesh.vertices), 3, 1))
-    displacement[held, :, 0] = given
+    """The same columns by products with the operator."""
+    displacement = np.zeros((len(system.surface.mesh.vertices), 3, given.shape[2]))
+    displacement[held] = given
     scaled, constant = system.given_products(displacement)
-    terms = np.zeros((3, len(scaled) + 3, 1))
+    terms = np.zeros((3, len(scaled) + 3, given.shape[2]))
     terms[0, :-3] = -(scaled + constant)
     terms[1, :-3] = 2 * scaled
     return RightHand(terms)

@@ -2,8 +2,8 @@
 
 Purpose    : set up and solve the boundary integral equations for the unknowns of an object.
 Takes      : a `BoundarySurface`.
-Gives      : `BoundarySystem`, its factorisation, its derivative with respect to Poisson's ratio,
-             equations at further surface points, compliant supports; an optional disk cache.
+Gives      : `BoundarySystem`, its matrix, factorisation and derivative with respect to Poisson's
+             ratio, equations at further surface points, compliant supports.
 Depends on : `bem.integrals`, `geometry`.
 Read first : `system.py`, `boundary.py`.
 """
@@ -13,8 +13,16 @@ from palpate.bem.system.boundary import (
     find_unknowns as find_unknowns,
     place_collocation as place_collocation,
 )
-from palpate.bem.system.cache import cached_system as cached_system
 from palpate.bem.system.centred_system import CentredSystem as CentredSystem
+from palpate.bem.system.factors import (
+    FactorisedSystem as FactorisedSystem,
+    factorise as factorise,
+    solve as solve,
+)
+from palpate.bem.system.matrix import (
+    matrix_and_slope as matrix_and_slope,
+    system_matrix as system_matrix,
+)
 from palpate.bem.system.memory import (
     LARGEST_DENSE as LARGEST_DENSE,
     check_memory as check_memory,
@@ -38,9 +46,8 @@ from palpate.bem.system.surface_point import (
 )
 from palpate.bem.system.system import (
     BoundarySystem as BoundarySystem,
-    FactorisedSystem as FactorisedSystem,
-    assemble_system as assemble_system,
-    factorise as factorise,
+    boundary_system as boundary_system,
+    equations_at as equations_at,
+    for_each_block as for_each_block,
     restricted_nodes as restricted_nodes,
-    solve as solve,
 )

@@ -5,14 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
+from palpate.bem.system.factors import FactorisedSystem, factorise_matrix, system_elimination
 from palpate.bem.system.large_lu import LARGEST_WHOLE
-from palpate.bem.system.slope import SystemSlope, system_slope
-from palpate.bem.system.system import (
-    BoundarySystem,
-    FactorisedSystem,
-    factorise,
-    system_elimination,
-)
+from palpate.bem.system.matrix import matrix_and_slope
+from palpate.bem.system.slope import SystemSlope
+from palpate.bem.system.system import BoundarySystem, Precision
 from palpate.parts import content_digest
 
 # Unknowns above which factors in single precision, half the work, save time worth mentioning.
@@ -63,11 +60,14 @@ class CentredSystem:
 
     def _compute(self) -> tuple[FactorisedSystem, SystemSlope]:
         """Both, without the elimination, which holds sparse matrices and is made in no time."""
-        system, ratio = self.system, self.poisson_ratio
-        if self.single and _SMALLEST_SINGLE < system.size <= LARGEST_WHOLE:
-            factorised = factorise(system, ratio, precision=np.float32)
-            if factorised.reciprocal_condition > _SMALLEST_SINGLE_RCOND:
-                slope = system_slope(system, precision=np.float32)
-                return replace(factorised, elimination=None), slope
-            del factorised
-        return replace(factorise(system, ratio), elimination=None), system_slope(system)
+        if self.single and _SMALLEST_SINGLE < self.system.size <= LARGEST_WHOLE:
+            found = self._compute_in(np.float32)
+            if found[0].reciprocal_condition > _SMALLEST_SINGLE_RCOND:
+                return found
+            del found
+        return self._compute_in(np.float64)
+
+    def _compute_in(self, precision: Precision) -> tuple[FactorisedSystem, SystemSlope]:
+        matrix, slope = matrix_and_slope(self.system, self.poisson_ratio, precision=precision)
+        factorised = factorise_matrix(self.system, self.poisson_ratio, matrix)
+        return replace(factorised, elimination=None), slope

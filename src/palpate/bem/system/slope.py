@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.blas import get_blas_funcs
 
-from palpate.bem.integrals import DISPLACEMENT, TRACTION, FieldBlocks
-from palpate.bem.system.system import BoundarySystem, Precision
+from palpate.bem.integrals import DISPLACEMENT, TRACTION
+from palpate.bem.system.system import BlockUse, BoundarySystem, Precision, for_each_block
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,22 +76,36 @@ def system_slope(system: BoundarySystem, *, precision: Precision = np.float64) -
     -------
     SystemSlope
     """
-    free = system.unknowns.free_vertices
-    traction, displacement = system.traction_kernel, system.displacement_kernel
-    # In place: together these are half as large as the matrix itself.
-    skew = np.empty((3, traction.n_rows, free.size), dtype=precision)
-    for k, part in enumerate(skew):
-        np.multiply(2.0, _rows(traction, slice(k, k + 1))[:, free], out=part, casting="same_kind")
-    flux = _rows(traction, TRACTION.diagonal)[:, free]
-    flux *= 2.0 / 3
-    trace = _rows(displacement, DISPLACEMENT.diagonal)
-    trace = 2.0 / system.traction_length * trace
-    return SystemSlope(
-        skew, flux.astype(precision, copy=False), trace.astype(precision, copy=False)
-    )
+    slope, fill = slope_to_fill(system, precision)
+    for_each_block(system, fill)
+    return slope
 
 
-def _rows(blocks: FieldBlocks, fields: slice) -> Float[np.ndarray, "r n"]:
-    """Sum of some fields for every node, one row per collocation point."""
-    total = blocks.values[:, :, fields].sum(axis=2).transpose(0, 2, 1)
-    return total.reshape(-1, total.shape[2])[: blocks.n_rows]
+def slope_to_fill(
+    system: BoundarySystem, precision: Precision = np.float64
+) -> tuple[SystemSlope, BlockUse]:
+    """A derivative without values, and what fills in those of each block.
+
+    Parameters
+    ----------
+    system, precision         as in `system_slope`
+
+    Returns
+    -------
+    SystemSlope
+    callable                  for `for_each_block`
+    """
+    free, n_sides = system.unknowns.free_vertices, system.unknowns.held_sides.size
+    skew = np.empty((3, system.n_points, free.size), dtype=precision)
+    flux = np.empty((system.n_points, free.size), dtype=precision)
+    trace = np.empty((system.n_points, n_sides), dtype=precision)
+    scale = 2.0 / system.traction_length
+
+    def fill(rows: slice, traction: np.ndarray, displacement: np.ndarray) -> None:
+        # By row, then by node, as they are multiplied.
+        turned = np.ascontiguousarray(traction[free].transpose(1, 2, 0))
+        skew[:, rows] = 2.0 * turned[:3]
+        flux[rows] = 2.0 / 3 * turned[TRACTION.diagonal].sum(axis=0)
+        trace[rows] = scale * displacement[:, DISPLACEMENT.diagonal].sum(axis=1).T
+
+    return SystemSlope(skew, flux, trace), fill

@@ -23,10 +23,11 @@ from jaxtyping import Float, Int
 from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse import csr_array
 
-from palpate.bem.integrals import LANES, integral_weights, traction_parts
+from palpate.bem.integrals import integral_weights, traction_parts
+from palpate.bem.system.factors import FactorisedSystem, solve
 from palpate.bem.system.rollers import bases
 from palpate.bem.system.slope import SystemSlope
-from palpate.bem.system.system import BoundarySystem, FactorisedSystem, solve
+from palpate.bem.system.system import BoundarySystem, for_each_block
 from palpate.geometry import triangle_areas
 
 
@@ -150,22 +151,22 @@ def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray
     -------
     (2, r, e) float               constant and slope in nu, for a shear modulus of one pascal
     """
-    blocks = system.traction_kernel
     held = system.unknowns.held_vertices
-    rows = (3 * held[:, None] + np.arange(3)).ravel()
-    basis = springs.displacement_basis[rows]
-    terms = np.zeros((2, 3 * blocks.n_rows + 3, basis.shape[1]))
-    for b, values in enumerate(blocks.values):
-        part = slice(b * LANES, min((b + 1) * LANES, blocks.n_rows))
-        fields = np.moveaxis(values[held][..., : part.stop - part.start], 1, 0)
+    basis = springs.displacement_basis[(3 * held[:, None] + np.arange(3)).ravel()]
+    terms = np.zeros((2, 3 * system.n_points + 3, basis.shape[1]))
+    equations = terms[:, :-3].reshape(2, 3, system.n_points, -1)
+
+    def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
         scaled, constant = (
-            x.transpose(0, 3, 2, 1).reshape(-1, basis.shape[0]) @ basis
-            for x in traction_parts(fields)
+            (x.transpose(0, 3, 2, 1).reshape(-1, basis.shape[0]) @ basis).reshape(
+                3, -1, basis.shape[1]
+            )
+            for x in traction_parts(np.moveaxis(traction[held], 1, 0))
         )
-        shape = (3, part.stop - part.start, basis.shape[1])
-        equations = terms[:, :-3].reshape(2, 3, blocks.n_rows, -1)
-        equations[0, :, part] = -(scaled + constant).reshape(shape)
-        equations[1, :, part] = 2 * scaled.reshape(shape)
+        equations[0, :, rows] = -(scaled + constant)
+        equations[1, :, rows] = 2 * scaled
+
+    for_each_block(system, add)
     return terms
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.bem.integrals import TRACTION, BoundarySurface, Collocation, Quadrature, traction_parts
-from palpate.bem.system.system import BoundarySystem, integral_equations, system_matrix
+from palpate.bem.system.matrix import matrix_to_fill
+from palpate.bem.system.system import BoundarySystem, equations_at, for_each_block
 from palpate.geometry import quadratic_shapes
 
 # A point with a barycentric coordinate above this is treated as the vertex.
@@ -74,15 +75,17 @@ def point_equations(
     PointEquations
     """
     collocation = _collocation_at(system.surface, triangle, barycentric)
-    equations = integral_equations(
-        system.surface, system.unknowns, collocation, quadrature=quadrature
-    )
-    at_zero, at_one = (_sorted_rows(equations, system_matrix(equations, nu)) for nu in (0.0, 1.0))
-    total = (
-        equations.traction_kernel.values.sum(axis=1).transpose(1, 0, 2).reshape(TRACTION.count, -1)
-    )
+    equations = equations_at(system.surface, system.unknowns, collocation, quadrature=quadrature)
+    to_fill = [matrix_to_fill(equations, nu) for nu in (0.0, 1.0)]
     fields = np.empty((TRACTION.count, triangle.size))
-    fields[:, equations.traction_kernel.rows.ravel()] = total
+
+    def fill(rows: slice, traction: np.ndarray, displacement: np.ndarray) -> None:
+        for _, fill_matrix in to_fill:
+            fill_matrix(rows, traction, displacement)
+        fields[:, equations.order[rows]] = traction.sum(axis=0)
+
+    for_each_block(equations, fill)
+    at_zero, at_one = (_sorted_rows(equations, matrix) for matrix, _ in to_fill)
     a, b = (part.transpose(2, 0, 1) for part in traction_parts(fields))
     return PointEquations(
         equations, np.stack([at_zero, at_one - at_zero]), np.stack([a + b, -2 * a])
@@ -111,8 +114,7 @@ def _collocation_at(
 def _sorted_rows(
     system: BoundarySystem, rows: Float[np.ndarray, "r c"]
 ) -> Float[np.ndarray, "p 3 c"]:
-    count = system.collocation.point.shape[0]
-    order = system.traction_kernel.rows.ravel()[:count]
+    count = system.n_points
     out = np.empty((count, 3, rows.shape[1]))
-    out[order] = rows[: 3 * count].reshape(3, count, -1).transpose(1, 0, 2)
+    out[system.order] = rows[: 3 * count].reshape(3, count, -1).transpose(1, 0, 2)
     return out

@@ -240,7 +240,7 @@ def _right_hand(
     body = None if weight is None else body_force_columns(system, weight)
     if body is not None:
         parts.append(body.right)
-    parts += [support_columns(system, shape) for shape in np.moveaxis(shapes, 2, 0)]
+    parts.append(support_columns(system, shapes))
     nominal = [parts[each.patch_index] for each in perturbations]
     outward = {
         k: outward_columns(system, patch)

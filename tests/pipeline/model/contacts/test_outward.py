@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from surfaces import box
 
-from palpate.bem import BoundarySystem, assemble_system, make_surface, traction_column
+from palpate.bem import BoundarySystem, boundary_system, make_surface, traction_column
 from palpate.lab import make_solid
 from palpate.pipeline.model.contacts import has_outward_traction, outward_columns, outward_load
 from palpate.probe import ContactPatch, find_contact_patch
@@ -23,7 +23,7 @@ def system() -> BoundarySystem:
     """A cube whose triangles are less than a third of the touched radius."""
     mesh = box((SIDE, SIDE, SIDE), 12)
     held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
-    return assemble_system(make_surface(mesh, held))
+    return boundary_system(make_surface(mesh, held))
 
 
 def _patch(system: BoundarySystem, profile: str = "hertz") -> ContactPatch:
