@@ -96,7 +96,7 @@ def make_contact_model(mesh: TriangleMesh, held: Indices) -> ContactModel:
     InputError                      the matrices do not fit into memory
     SingularSystemError             the support does not hold the object
     """
-    check_memory(len(mesh.vertices), dense=True)
+    check_memory(len(mesh.vertices), dense=True, n_factors=len(_POISSON_RATIOS))
     system = boundary_system(make_surface(mesh, held))
     return ContactModel(mesh, held, system, tuple(factorise(system, nu) for nu in _POISSON_RATIOS))
 

@@ -41,6 +41,19 @@ def test_single_precision_is_good_to_a_hundred_thousandth(for_small_bodies):
     assert np.abs(found - wanted).max() > 1e-12 * np.abs(wanted).max()
 
 
+def test_rollers_are_eliminated_in_single_precision(for_small_bodies):
+    mesh = sphere(2)
+    low = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.5)
+    upwards = np.tile(np.diag([0.0, 0.0, 1.0]), (low.size, 1, 1))
+    system = boundary_system(make_surface(mesh, low, directions=upwards))
+    right = face_columns(system, np.arange(4)).at(NU)
+    single, double = (CentredSystem(system, NU, single=each).factorised for each in (True, False))
+    assert single.elimination is not None
+    assert single.lu.dtype == np.float32
+    found, wanted = (solve(each, right) for each in (single, double))
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
+
+
 def test_a_thin_plate_is_solved_in_double_precision(for_small_bodies):
     system, right = held_at_low(box(size=(1.0, 0.6, 0.01), cells=6), 0, 0.25)
     chosen = CentredSystem(system, NU, single=True)

@@ -49,7 +49,7 @@ def test_factors_are_read_by_the_next_system_of_the_same_body(
     body = rolling(surface.mesh) if rolls else surface
     first = CentredSystem(boundary_system(body, cache=tmp_path), NU)
     assert (first.factorised.elimination is not None) == rolls
-    monkeypatch.setattr(centred_system, "matrix_and_slope", None)
+    monkeypatch.setattr(centred_system, "factorise_with_slope", None)
     again = CentredSystem(boundary_system(body, cache=tmp_path), NU)
     vector = np.random.default_rng(0).normal(size=(first.system.size, 3))
     moved = system_slope(first.system).apply(vector)

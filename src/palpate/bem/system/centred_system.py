@@ -5,9 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from palpate.bem.system.factors import FactorisedSystem, factorise_matrix, system_elimination
+from palpate.bem.system.factors import FactorisedSystem, factorise_with_slope, system_elimination
 from palpate.bem.system.large_lu import LARGEST_WHOLE
-from palpate.bem.system.matrix import matrix_and_slope
 from palpate.bem.system.slope import SystemSlope
 from palpate.bem.system.system import BoundarySystem, Precision
 from palpate.parts import content_digest
@@ -68,6 +67,5 @@ class CentredSystem:
         return self._compute_in(np.float64)
 
     def _compute_in(self, precision: Precision) -> tuple[FactorisedSystem, SystemSlope]:
-        matrix, slope = matrix_and_slope(self.system, self.poisson_ratio, precision=precision)
-        factorised = factorise_matrix(self.system, self.poisson_ratio, matrix)
-        return replace(factorised, elimination=None), slope
+        found, slope = factorise_with_slope(self.system, self.poisson_ratio, precision=precision)
+        return replace(found, elimination=None), slope

@@ -7,8 +7,9 @@ from jaxtyping import Float, Int
 from scipy.linalg import get_lapack_funcs, lu_factor, lu_solve
 
 from palpate.bem.system.large_lu import LARGEST_WHOLE, lu_by_panels
-from palpate.bem.system.matrix import system_matrix
+from palpate.bem.system.matrix import matrix_and_slope, system_matrix
 from palpate.bem.system.rollers import Elimination, make_elimination
+from palpate.bem.system.slope import SystemSlope
 from palpate.bem.system.system import BoundarySystem, Precision
 from palpate.errors import SingularSystemError
 
@@ -66,33 +67,42 @@ def factorise(
     SingularSystemError       the reciprocal condition is below 1e-13, most often because of
                               coinciding or degenerate parts of the mesh
     """
-    return factorise_matrix(
-        system, poisson_ratio, system_matrix(system, poisson_ratio, precision=precision)
-    )
+    matrix = system_matrix(system, poisson_ratio, precision=precision)
+    elimination = system_elimination(system)
+    if elimination is not None:
+        matrix = elimination.matrix(matrix)
+    return _factors(matrix, poisson_ratio, elimination)
 
 
-def factorise_matrix(
-    system: BoundarySystem, poisson_ratio: float, matrix: Float[np.ndarray, "r k"]
-) -> FactorisedSystem:
-    """`factorise` for a matrix that is there already.
+def factorise_with_slope(
+    system: BoundarySystem, poisson_ratio: float, *, precision: Precision = np.float64
+) -> tuple[FactorisedSystem, SystemSlope]:
+    """`factorise` and the derivative of the matrix (`system_slope`), from the same integrals.
 
     Parameters
     ----------
-    system : BoundarySystem
-    poisson_ratio : float
-    matrix : (r, k) float     from `system_matrix`; overwritten
+    system, poisson_ratio, precision    as in `factorise`
 
     Returns
     -------
     FactorisedSystem
+    SystemSlope
 
     Raises
     ------
     SingularSystemError       as `factorise`
     """
+    matrix, slope = matrix_and_slope(system, poisson_ratio, precision=precision)
     elimination = system_elimination(system)
     if elimination is not None:
         matrix = elimination.matrix(matrix)
+    return _factors(matrix, poisson_ratio, elimination), slope
+
+
+def _factors(
+    matrix: Float[np.ndarray, "k k"], poisson_ratio: float, elimination: Elimination | None
+) -> FactorisedSystem:
+    """LU factors of a square matrix, which they overwrite."""
     gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
     norm = lange("1", matrix)
     if len(matrix) > LARGEST_WHOLE:
@@ -102,7 +112,7 @@ def factorise_matrix(
     rcond = float(gecon(lu, norm)[0])
     if not rcond > SMALLEST_RCOND:
         raise SingularSystemError(
-            f"the system of {system.size} equations is singular (reciprocal condition {rcond:.1e}, "
+            f"the system of {len(matrix)} equations is singular (reciprocal condition {rcond:.1e}, "
             f"at least {SMALLEST_RCOND:.0e} is needed); the mesh has coinciding or degenerate "
             "parts: run `palpate check`"
         )

@@ -1,7 +1,9 @@
 """Memory that the model of an object needs, dense or compressed, checked before it is built."""
 
 import os
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from palpate.errors import InputError
@@ -13,9 +15,10 @@ except ModuleNotFoundError:  # Windows has no such limits
 
 # The program and its libraries [bytes].
 _PROGRAM = 0.4e9
-# Doubles per pair of vertices: nine fields, the matrix of three by three, four fields of its
-# slope; for rollers the matrix twice, before there is a slope.
-_DOUBLES_PER_PAIR, _DOUBLES_PER_PAIR_WITH_ROLLERS = 22, 27
+# Doubles per pair of vertices: nine of the matrix and four of its slope, and a fifth more for a
+# support on an eighth of the surface, whose vertices have several unknowns; for rollers the matrix
+# twice. Each further factorisation that is held at the same time takes another matrix.
+_DOUBLES_PER_PAIR, _DOUBLES_PER_PAIR_WITH_ROLLERS, _DOUBLES_PER_FACTORS = 16, 27, 11
 # Vectors of unknowns that are kept for each of a probing's three directions of force and three
 # changes of its contact: at most 80 basis vectors of the reduced model, and as many again while it
 # is assembled.
@@ -44,6 +47,7 @@ def check_memory(
     *,
     rollers: bool = False,
     dense: bool = False,
+    n_factors: int = 1,
     available: float | None = None,
 ) -> None:
     """Refuse a mesh whose model does not fit into memory.
@@ -55,6 +59,7 @@ def check_memory(
     rollers : bool                    whether a support holds some directions only
     dense : bool                      whether dense matrices are required at any size: for compliant
                                       supports, for Green's functions
+    n_factors : int                   factorisations held at the same time
     available : float [byte]          memory of the machine; None: that reported by the operating
                                       system, unlimited if it reports none
 
@@ -62,13 +67,16 @@ def check_memory(
     ------
     InputError                        more than 90 % of the available memory is needed
     """
-    needed = memory_needed(n_vertices, n_probings, rollers=rollers, dense=dense)
+    needed_for = partial(
+        memory_needed, n_probings=n_probings, rollers=rollers, dense=dense, n_factors=n_factors
+    )
+    needed = needed_for(n_vertices)
     usable = _USABLE_FRACTION * (_machine_memory() if available is None else available)
     if needed > usable:
         model = "model needs"
         if rollers or dense:
             model = "dense matrices (as supports that roll or give take them) need"
-        max_vertices = _max_vertices(n_probings, rollers, dense, usable)
+        max_vertices = _max_vertices(needed_for, usable)
         cure = (
             f"simplify the surface to at most {max_vertices} vertices in a mesh program (decimate,"
             " remesh; 1000 to 3000 serve most objects)"
@@ -83,7 +91,12 @@ def check_memory(
 
 
 def memory_needed(
-    n_vertices: int, n_probings: int, *, rollers: bool = False, dense: bool = False
+    n_vertices: int,
+    n_probings: int,
+    *,
+    rollers: bool = False,
+    dense: bool = False,
+    n_factors: int = 1,
 ) -> float:
     """Peak memory of a fit of some probings.
 
@@ -91,7 +104,7 @@ def memory_needed(
     ----------
     n_vertices : int
     n_probings : int
-    rollers, dense : bool             see `check_memory`
+    rollers, dense, n_factors         see `check_memory`
 
     Returns
     -------
@@ -105,6 +118,7 @@ def memory_needed(
             + 8.0 * _COMPRESSED_VECTORS_PER_COLUMN * columns
         )
     doubles = _DOUBLES_PER_PAIR_WITH_ROLLERS if rollers else _DOUBLES_PER_PAIR
+    doubles += (n_factors - 1) * _DOUBLES_PER_FACTORS
     return _PROGRAM + 8.0 * (doubles * float(n_vertices) ** 2 + _VECTORS_PER_COLUMN * columns)
 
 
@@ -112,7 +126,7 @@ def _for(n_probings: int) -> str:
     return "for one probing" if n_probings == 1 else f"for {n_probings} probings"
 
 
-def _max_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) -> int:
+def _max_vertices(needed_for: Callable[[int], float], usable: float) -> int:
     """The largest number of vertices that fits, in hundreds; zero: none.
 
     Memory grows up to the largest dense mesh, drops there, and grows again.
@@ -121,8 +135,7 @@ def _max_vertices(n_probings: int, rollers: bool, dense: bool, usable: float) ->
         first = low
         while high - low > 1:
             middle = (low + high) // 2
-            fits = memory_needed(middle, n_probings, rollers=rollers, dense=dense) <= usable
-            low, high = (middle, high) if fits else (low, middle)
+            low, high = (middle, high) if needed_for(middle) <= usable else (low, middle)
         if low > first:
             return low // 100 * 100
     return 0

@@ -50,7 +50,7 @@ class Elimination:
     constraints: Float[np.ndarray, "q k"]
 
     def matrix(self, full: Float[np.ndarray, "r k"]) -> Float[np.ndarray, "s s"]:
-        """The square matrix, in Fortran order.
+        """The square matrix, in Fortran order and in the precision of the full one.
 
         Parameters
         ----------
@@ -61,11 +61,13 @@ class Elimination:
         (s, s) float
         """
         m, n = self.rows.shape[0], self.columns.shape[1]
-        square = np.zeros((n + self.slack.shape[1], m + len(self.constraints))).T
+        size = n + self.slack.shape[1], m + len(self.constraints)
+        square = np.zeros(size, dtype=full.dtype).T
+        rows, columns = self.rows.astype(full.dtype), self.columns.astype(full.dtype)
         # By blocks of columns: the product as a whole would double the memory.
         for first in range(0, n, _CHUNK):
             part = slice(first, min(first + _CHUNK, n))
-            square[:m, part] = self.rows @ (self.columns[:, part].T @ full.T).T
+            square[:m, part] = rows @ (columns[:, part].T @ full.T).T
         square[:m, n:] = self.slack
         square[m:, :n] = (self.columns.T @ self.constraints.T).T
         return square
