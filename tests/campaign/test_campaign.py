@@ -187,7 +187,7 @@ def test_a_body_beyond_memory_does_not_keep_the_others_from_their_results(cubes,
     }  # fmt: skip
     refused = rows[-1].message
     assert refused.startswith(f"{cubes}/large/mesh.ply: the mesh has 1946 vertices")
-    assert "needs 1.1 GB of memory for one probing; 0.8 GB can be used here" in refused
+    assert "needs 0.9 GB of memory for one probing; 0.8 GB can be used here" in refused
 
 
 def test_only_one_process_works_on_a_campaign(cubes, tmp_path):

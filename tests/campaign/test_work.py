@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.bem import check_memory
+from palpate.bem.compressed import choice
 from palpate.campaign import FitOptions, Work, do_work, pack_session
 from palpate.campaign.package import pack_files
 from palpate.campaign.work import _trim_cache
@@ -50,8 +51,17 @@ def test_only_what_others_can_use_stays_behind(fitted):
     assert list((folder / "one").iterdir()) == []
     assert [path.name for path in (folder / "two").iterdir()] == ["bodies"]
     # The given mesh, the same with wider fits between its vertices, with finer sharp edges, graded:
-    # integrals, factors (but those of the last, which depends on the contacts), reduced models.
-    assert len(list((folder / "two" / "bodies").iterdir())) == 4 + 3 + 4
+    # factors (but those of the last, which depends on the contacts), reduced models.
+    assert len(list((folder / "two" / "bodies").iterdir())) == 3 + 4
+
+
+def test_a_shared_body_that_is_solved_compressed_leaves_nothing(packed_cube, tmp_path, monkeypatch):
+    monkeypatch.setattr(choice, "LARGEST_DENSE", 0)
+    work = Work("fit", packed_cube, FitOptions(), shared_body=True)
+    outcome = do_work(work, folder=tmp_path / "one")
+    assert outcome.failure == ""
+    assert "estimate.json" in outcome.package.files
+    assert list((tmp_path / "one").iterdir()) == []
 
 
 def test_what_was_not_used_for_longest_is_removed(tmp_path):

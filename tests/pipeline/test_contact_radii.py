@@ -94,7 +94,7 @@ def test_all_radii_are_tried_with_the_same_factors(
     """The radius changes the load, not the equations: each model is factorised once."""
     factorised, asked = [], []
     for module, name, calls in (
-        ("palpate.bem.system.centred_system", "factorise", factorised),
+        ("palpate.bem.system.centred_system", "factorise_with_slope", factorised),
         ("palpate.pipeline.fit_session", "best_constants_of", asked),
     ):
         monkeypatch.setattr(sys.modules[module], name, _counted(sys.modules[module], name, calls))

@@ -92,7 +92,7 @@ def test_what_the_data_promise_is_said_in_words(session):
 
 @pytest.mark.parametrize(
     ("vertices", "cost"),
-    [(4999, "about 4 minutes and 4.9 GB"), (20_000, "about 18 minutes and 4.1 GB")],
+    [(4999, "about 4 minutes and 3.7 GB"), (20_000, "about 18 minutes and 4.1 GB")],
 )
 def test_what_a_large_mesh_costs_is_said(session, vertices, cost):
     assert size_notes(session) == []

@@ -78,7 +78,7 @@ class Work:
                                     of what their motions depend on
     motions : mapping of str to bytes   of a fit: what the works "motion" gave, by probing
     shared_body : bool              other sessions have the same mesh, so what is computed of it
-                                    is cached: integrals, factors, reduced models
+                                    is cached: factors, reduced models
     """
 
     kind: Literal["motion", "fit"]
@@ -221,7 +221,8 @@ def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Pa
     write_estimate(result / ESTIMATE_FILE, replace(fitted.estimate, notes=notes, seconds={}))
     # This file also holds the residuals: fewer files are stored faster.
     write_fitted_surface(result, session, fitted)
-    if cache is not None:
+    # A body that is solved without dense matrices leaves nothing.
+    if cache is not None and cache.is_dir():
         free = shutil.disk_usage(cache).free
         _trim_cache(cache, most=min(_MAX_CACHE_BYTES, int(_MAX_CACHE_FRACTION * free)))
 

@@ -23,11 +23,14 @@ def test_the_same_factors_as_lapack(size, panel, chunk):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
-def test_what_it_gives_solves():
+@pytest.mark.parametrize(("kind", "error"), [(np.float64, 1e-11), (np.float32, 1e-3)])
+def test_what_it_gives_solves(kind, error):
     rng = np.random.default_rng(1)
-    matrix, right = rng.normal(size=(90, 90)), rng.normal(size=(90, 3))
-    pair = lu_by_panels(np.asfortranarray(matrix), panel=32, chunk=20)
-    np.testing.assert_allclose(matrix @ lu_solve(pair, right), right, atol=1e-11)
+    matrix, right = rng.normal(size=(90, 90)).astype(kind), rng.normal(size=(90, 3)).astype(kind)
+    lu, pivots = lu_by_panels(np.asfortranarray(matrix), panel=32, chunk=20)
+    assert lu.dtype == kind
+    # Rounding (1e-16, 6e-8) times 90 terms and the condition of the matrix, some hundreds.
+    np.testing.assert_allclose(matrix @ lu_solve((lu, pivots), right), right, atol=error)
 
 
 def test_large_systems_take_it(monkeypatch):

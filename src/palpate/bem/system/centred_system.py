@@ -6,13 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from palpate.bem.system.factors import FactorisedSystem, factorise_with_slope, system_elimination
-from palpate.bem.system.large_lu import LARGEST_WHOLE
 from palpate.bem.system.slope import SystemSlope
 from palpate.bem.system.system import BoundarySystem, Precision
 from palpate.parts import content_digest
 
-# Unknowns above which factors in single precision, half the work, save time worth mentioning.
-_SMALLEST_SINGLE = 3000
+# Unknowns above which factors in single precision, half the work, save time worth mentioning, and
+# up to which the condition usually allows them: that of a lump of 31 000 did not.
+_SMALLEST_SINGLE, _LARGEST_SINGLE = 3000, 15_000
 # Reciprocal condition above which their solutions have errors below 1e-4. A beam of 24 by 24 by
 # 120 mm has 5e-8 and an error of 6e-6; plates of 60 by 40 mm that are held at an end have 3e-8 and
 # 4e-5 (5 mm thick), 6e-10 and 6e-4 (2 mm).
@@ -59,7 +59,7 @@ class CentredSystem:
 
     def _compute(self) -> tuple[FactorisedSystem, SystemSlope]:
         """Both, without the elimination, which holds sparse matrices and is made in no time."""
-        if self.single and _SMALLEST_SINGLE < self.system.size <= LARGEST_WHOLE:
+        if self.single and _SMALLEST_SINGLE < self.system.size <= _LARGEST_SINGLE:
             found = self._compute_in(np.float32)
             if found[0].reciprocal_condition > _SMALLEST_SINGLE_RCOND:
                 return found

@@ -13,8 +13,7 @@ pivoting.
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dgetrf, dlaswp
+from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
 # Unknowns up to which LAPACK's own is used; on two threads or more it is safe up to 21 800.
 LARGEST_WHOLE = 15_000
@@ -28,7 +27,7 @@ def lu_by_panels(
 
     Parameters
     ----------
-    matrix : (k, k) float         in Fortran order; overwritten
+    matrix : (k, k) float         in Fortran order, in single or double precision; overwritten
     panel : int                   columns that are factorised together
     chunk : int                   columns that are updated together
 
@@ -37,26 +36,28 @@ def lu_by_panels(
     lu : (k, k) float             the same array: L below its diagonal of ones, U above
     pivots : (k,) int             row with which each row was exchanged
     """
+    getrf, laswp = get_lapack_funcs(("getrf", "laswp"), (matrix,))
+    trsm, gemm = get_blas_funcs(("trsm", "gemm"), (matrix,))
     size = len(matrix)
     pivots = np.empty(size, dtype=np.int32)
+
+    def exchange(columns: Float[np.ndarray, "k c"], begin: int, end: int) -> None:
+        """Exchange rows of some columns in place by the pivots from begin to end."""
+        if columns.size:
+            laswp(columns, pivots[:end], k1=begin, k2=end - 1, overwrite_a=True)
+
     for begin in range(0, size, panel):
         end = min(begin + panel, size)
-        block, order, _ = dgetrf(matrix[begin:, begin:end].copy(order="F"), overwrite_a=True)
+        block, order, _ = getrf(matrix[begin:, begin:end].copy(order="F"), overwrite_a=True)
         matrix[begin:, begin:end] = block
         pivots[begin:end] = begin + order
-        _exchange(matrix[:, :begin], pivots, begin, end)
+        exchange(matrix[:, :begin], begin, end)
+        unit, lower = (np.asfortranarray(part) for part in np.split(block, [end - begin]))
         for first in range(end, size, chunk):
             columns = matrix[:, first : first + chunk]
-            _exchange(columns, pivots, begin, end)
-            upper = dtrsm(1.0, block[: end - begin], columns[begin:end], lower=True, diag=True)
+            exchange(columns, begin, end)
+            upper = trsm(1.0, unit, columns[begin:end], lower=True, diag=True)
             columns[begin:end] = upper
-            columns[end:] -= block[end - begin :] @ upper
+            # By the library that solves: idle threads of numpy's would take its processors.
+            columns[end:] -= gemm(1.0, lower, upper)
     return matrix, pivots
-
-
-def _exchange(
-    columns: Float[np.ndarray, "k c"], pivots: Int[np.ndarray, " k"], begin: int, end: int
-) -> None:
-    """Exchange rows of some columns in place by the pivots from begin to end."""
-    if columns.size:
-        dlaswp(columns, pivots[:end], k1=begin, k2=end - 1, overwrite_a=True)
