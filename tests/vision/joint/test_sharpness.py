@@ -13,10 +13,13 @@ from vision.scenes import (
     followed,
     make_rig,
     noisy_views,
+    rigid,
 )
 
-from palpate.vision.joint.sharpness import _SMOOTHING, equally_sharp
-from palpate.vision.range_flow import is_valid
+from palpate.vision.images import spline_pictures
+from palpate.vision.joint.refinement import Match
+from palpate.vision.joint.sharpness import _SMOOTHING, _window_variances, equally_sharp
+from palpate.vision.range_flow import Outcome, is_valid
 
 MOTION = bump((3e-4, -2e-4, 4e-4), 0.02)
 NOISE = 1.5
@@ -71,3 +74,35 @@ def test_blur_costs_contrast_and_nothing_else(first, later):
     square = np.einsum("ni,nij,nj->n", error, np.linalg.inv(flow.covariance[good]), error)
     assert 0.8 < np.sqrt(square.mean() / 3.0) < 1.2
     assert np.sqrt((error[:, :2] ** 2).mean()) < 0.03 * PITCH
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.1])
+def test_a_window_tells_by_how_much_it_was_blurred(turn):
+    """A slight blur adds half its variance times the Laplacian; light that is added, shading along
+    the rows, and a turn that the match has found are no blur."""
+    spin = rigid((0.0, 0.0, turn), (0.0, 0.0, 0.0))
+    scene = first_instant(STAGE, STAGE.views()).scene
+    rows = np.flatnonzero(scene.seen.all(axis=1))[::40]
+    motion = np.zeros((len(rows), 6, 3))
+    motion[:, 0] = spin(scene.point[rows])
+    ahead = scene.half_window[rows, None, None] * scene.tangent[rows]
+    motion[:, 1:3] = spin(ahead)
+    variance = 0.2
+    slight = np.array([variance / 2, 1.0 - variance, variance / 2])
+    plain = STAGE.views(spin)
+    blurred = [cv2.sepFilter2D(view, -1, slight, slight) for view in plain]
+    shaded = [view + 12.0 + np.linspace(0.0, 30.0, view.shape[1]) for view in blurred]
+    for views, wanted in ((plain, 0.0), (blurred, variance), (shaded, variance)):
+        for camera, later in enumerate(spline_pictures(views, scene.smoothing)):
+            found = _window_variances(scene, later, rows, matched(motion), camera)
+            # The mean of both Laplacians leaves the third order; a picture that was rendered turned
+            # is as sharp as the first to a hundredth of a square pixel.
+            np.testing.assert_allclose(np.median(found), wanted, rtol=0.03, atol=0.01)
+
+
+def matched(motion):
+    """All windows found, in all cameras."""
+    count = len(motion)
+    return Match(
+        motion, *[None] * 6, np.ones((count, 3), dtype=bool), np.full(count, Outcome.VALID)
+    )

@@ -11,17 +11,17 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from palpate.vision.cameras import project
-from palpate.vision.images import (
-    SplinePicture,
-    interpolate,
-    make_spline_picture,
-    spline_pictures,
-)
+from palpate.threads import in_threads
+from palpate.vision.images import SplinePicture, make_spline_picture, spline_pictures
 from palpate.vision.joint.refinement import Limits, Match, refine_joint
 from palpate.vision.joint.scene import Scene
+from palpate.vision.joint.window_blur import (
+    CameraInstants,
+    MovedWindows,
+    window_variances_kernel,
+)
 from palpate.vision.range_flow import Outcome
 
 # Number of windows used: enough for the blur to 0.1 px, few compared with those of the flow.
@@ -123,48 +123,20 @@ def _window_variances(
     scene: Scene, later: SplinePicture, rows: Int[np.ndarray, " k"], match: Match, camera: int
 ) -> Float[np.ndarray, " w"]:
     """Relative blur variance in one camera, estimated from each window found [px^2]."""
-    first = scene.pictures[camera]
-    # A spline's Laplacian at the pixel centres has the Laplacian of its coefficients.
-    theirs = replace(later, coefficients=cv2.Laplacian(later.coefficients, cv2.CV_32F))
     kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.cameras[:, camera])
-    column, row, seen = _window_pixels(scene, rows[kept], camera)
-    there = _moved(scene, rows[kept], match.motion[kept], scene.surface[camera][row, column])
-    target = project(scene.rig.cameras[camera], there[seen])
-    rest = first.grey[row, column]
-    illumination = np.stack([np.ones(rest.shape), rest, column, row], axis=2) * seen[..., None]
-    basis = np.linalg.qr(illumination)[0]
-    ours = cv2.Laplacian(first.grey, cv2.CV_32F)[row, column][seen]
-    left = []
-    for values in (0.5 * (ours + interpolate(theirs, target)), interpolate(later, target)):
-        window = np.zeros(seen.shape)
-        window[seen] = values
-        window -= np.einsum("wpi,wi->wp", basis, np.einsum("wpi,wp->wi", basis, window))
-        left.append(window)
-    laplacian, difference = left
-    return np.asarray(2.0 * (laplacian * difference).sum(axis=1) / (laplacian**2).sum(axis=1))
-
-
-def _window_pixels(
-    scene: Scene, rows: Int[np.ndarray, " w"], camera: int
-) -> tuple[Int[np.ndarray, "w p"], Int[np.ndarray, "w p"], Bool[np.ndarray, "w p"]]:
-    """Columns and rows of the pixels of a camera's windows, and which of them show the surface."""
-    half, size = scene.subset // 2, np.array(scene.grey[camera].shape[::-1])
-    line = np.arange(-half, half + 1)
-    offset = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    place = project(scene.rig.cameras[camera], scene.point[rows])
-    pixel = np.rint(place).astype(np.int64)[:, None] + offset
-    inside = ((pixel >= 0) & (pixel < size)).all(axis=2)
-    column, row = np.moveaxis(np.clip(pixel, 0, size - 1), 2, 0)
-    return column, row, inside & (scene.interior[camera][row, column] > 0.0)
-
-
-def _moved(
-    scene: Scene,
-    rows: Int[np.ndarray, " w"],
-    motion: Float[np.ndarray, "w 6 3"],
-    point: Float[np.ndarray, "w p 3"],
-) -> Float[np.ndarray, "w p 3"]:
-    """Displaced surface points of windows, from their motions and first derivatives [m]."""
-    offset = (point - scene.point[rows, None]) @ scene.tangent[rows].swapaxes(1, 2)
-    offset /= scene.half_window[rows, None, None]
-    return point + motion[:, None, 0] + offset @ motion[:, 1:3]
+    grey, chosen = scene.pictures[camera].grey, rows[kept]
+    instants = CameraInstants(
+        scene.packed[camera], grey, cv2.Laplacian(grey, cv2.CV_32F), scene.surface[camera],
+        scene.interior[camera], later.coefficients,
+        # A spline's Laplacian at the pixel centres has the Laplacian of its coefficients.
+        cv2.Laplacian(later.coefficients, cv2.CV_32F),
+    )  # fmt: skip
+    windows = MovedWindows(
+        scene.point[chosen], scene.tangent[chosen], scene.half_window[chosen], match.motion[kept]
+    )
+    found = np.empty(len(kept))
+    in_threads(
+        window_variances_kernel, len(kept), instants, windows, scene.subset // 2, found,
+        min_items=_MIN_WINDOWS,
+    )  # fmt: skip
+    return found
