@@ -289,7 +289,8 @@ def fit(
     pose : "auto", "given" or "register"    where the object is in pictures: as the rig says, or as
                                     the pictures at rest show; auto: the latter only where they
                                     contradict the rig
-    cache : path or None            folder in which surface integrals are cached for later runs
+    cache : path or None            folder in which what is computed of the body is kept for later
+                                    runs
     progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns

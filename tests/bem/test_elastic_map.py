@@ -5,8 +5,16 @@ import pytest
 from elastic_bodies import bump_load, held_part
 from surfaces import sphere
 
-from palpate.bem import factorise, make_elastic_map, solve, support_columns
+from palpate.bem import (
+    boundary_system,
+    factorise,
+    make_elastic_map,
+    make_surface,
+    solve,
+    support_columns,
+)
 from palpate.bem.loads import load_points
+from palpate.bem.system import centred_system
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, interpolation_matrix
 
@@ -103,3 +111,15 @@ def test_the_frame_does_not_matter(elastic_map):
 def test_impossible_constants_are_refused(system, shear, nu):
     with pytest.raises(InputError, match="must be"):
         make_elastic_map(system, shear_modulus=shear, poisson_ratio=nu)
+
+
+def test_the_next_map_of_the_same_object_and_material_factorises_nothing(tmp_path, monkeypatch):
+    mesh = sphere(1)
+    surface = make_surface(mesh, np.flatnonzero(low(mesh)))
+    system = boundary_system(surface, cache=tmp_path)
+    first = make_elastic_map(system, shear_modulus=2e4, poisson_ratio=0.3)
+    monkeypatch.setattr(centred_system, "factorise_with_slope", None)
+    again = boundary_system(surface, cache=tmp_path)
+    # Another modulus scales the same factors.
+    other = make_elastic_map(again, shear_modulus=4e4, poisson_ratio=0.3)
+    assert np.array_equal(other.factorised.lu, first.factorised.lu)

@@ -30,10 +30,10 @@ from palpate.bem.loads import (
 )
 from palpate.bem.system import (
     BoundarySystem,
+    CentredSystem,
     FactorisedSystem,
     Springs,
     SpringSystem,
-    factorise,
     make_spring_factors,
     make_spring_system,
     solve,
@@ -174,7 +174,7 @@ def make_elastic_map(
             )
         inverse = cluster_inverse(system, poisson_ratio)
         return ElasticMap(system, inverse, shear_modulus, poisson_ratio)
-    factorised = factorise(system, poisson_ratio)
+    factorised = CentredSystem(system, poisson_ratio).factorised
     on_springs = None
     if springs is not None and compliance is not None:
         spring_compliance = springs.compliance(compliance * shear_modulus / system.traction_length)

@@ -173,7 +173,7 @@ def export_fit(
                                     the estimate, else the first
     edge : float or None [m]        edge length of the tetrahedra away from the contact; None: see
                                     `make_solid_model`
-    cache : Path or None            cache folder of the surface integrals
+    cache : Path or None            folder in which what is computed of the body is kept
     progress : callable             called with the current step (text) and the fraction done (0 to
                                     1)
 

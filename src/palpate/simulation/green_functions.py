@@ -130,7 +130,7 @@ def make_green_functions(
     most : int                          largest number of nodes where `nodes` is None: the free
                                         vertices nearest to the contacts; None: all
     surface : SurfaceSettings           interpolation between the vertices
-    cache : Path                        cache folder of the surface integrals; None: no cache
+    cache : Path or None                folder in which what is computed of the body is kept
     progress : callable                 called with the current step (text) and the fraction done
                                         (0 to 1)
 

@@ -163,7 +163,7 @@ def make_estimated_object(
     material : Material             constants to be written
     probe : str or None             probing to repeat; None: the first that was held out from the
                                     estimate, else the first
-    cache : Path or None            cache folder of the surface integrals
+    cache : Path or None            folder in which what is computed of the body is kept
 
     Returns
     -------

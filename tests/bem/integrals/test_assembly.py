@@ -11,7 +11,6 @@ from palpate.bem import make_surface
 from palpate.bem.integrals.assembly import (
     Collocation,
     add_rigid_body_sum,
-    assemble,
     kernel_integrals,
 )
 from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION
@@ -45,7 +44,9 @@ def collocation(surface):
 
 
 def assembled(surface, collocation, kernel, quadrature=DEFAULT):
-    return assemble(surface, collocation, surface.displacement, kernel, quadrature=quadrature)
+    nodes = surface.displacement
+    integrals = kernel_integrals(surface, collocation, nodes, kernel, quadrature=quadrature)
+    return integrals.all_blocks()
 
 
 def by_row(blocks):

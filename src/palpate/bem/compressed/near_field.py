@@ -19,7 +19,7 @@ from palpate.bem.integrals import (
     FieldBlocks,
     FieldLayout,
     Quadrature,
-    assemble,
+    kernel_integrals,
 )
 from palpate.geometry import QuadraticNodes
 from palpate.progress import Progress, silent
@@ -171,8 +171,10 @@ def _fields(
     used, own = _own_nodes(nodes, elements)
     if not elements.size:
         return used, np.zeros((kernel.count, len(collocation.point), 0), dtype=np.float32)
-    blocks = assemble(surface, collocation, own, kernel, triangles=triangles, quadrature=quadrature)
-    return used, _by_point(blocks)
+    integrals = kernel_integrals(
+        surface, collocation, own, kernel, triangles=triangles, quadrature=quadrature
+    )
+    return used, _by_point(integrals.all_blocks())
 
 
 def _by_point(blocks: FieldBlocks) -> Float[np.ndarray, "f m n"]:

@@ -13,7 +13,6 @@ from palpate.bem.integrals.assembly import (
     KernelIntegrals as KernelIntegrals,
     add_rigid_body_sum as add_rigid_body_sum,
     all_rules as all_rules,
-    assemble as assemble,
     kernel_integrals as kernel_integrals,
     lanes_of as lanes_of,
     point_blocks as point_blocks,

@@ -213,30 +213,6 @@ def kernel_integrals(
     return KernelIntegrals(nodes.n_nodes, kernel.count, points, elements, rules, patches)
 
 
-def assemble(
-    surface: BoundarySurface,
-    collocation: Collocation,
-    nodes: QuadraticNodes,
-    kernel: FieldLayout,
-    *,
-    triangles: Int[np.ndarray, " m"] | None = None,
-    quadrature: Quadrature = Quadrature(),
-) -> FieldBlocks:
-    """Integrate a kernel's fields times shape functions over triangles of a surface.
-
-    Parameters
-    ----------
-    surface, collocation, nodes, kernel, triangles, quadrature    as in `kernel_integrals`
-
-    Returns
-    -------
-    FieldBlocks
-    """
-    return kernel_integrals(
-        surface, collocation, nodes, kernel, triangles=triangles, quadrature=quadrature
-    ).all_blocks()
-
-
 def add_rigid_body_sum(
     values: Float[np.ndarray, "v fields lanes"],
     points: Int[np.ndarray, " lanes"],

@@ -14,7 +14,13 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from palpate.arrays import lengths
-from palpate.bem.integrals import TRACTION, BoundarySurface, Quadrature, assemble, traction_parts
+from palpate.bem.integrals import (
+    TRACTION,
+    BoundarySurface,
+    Quadrature,
+    kernel_integrals,
+    traction_parts,
+)
 from palpate.bem.loads.half_space import (
     DiscPotentials,
     PressureDisc,
@@ -157,9 +163,9 @@ def correction_columns(
     """
     surface, forces = system.surface, corrections[0].correction.shape[3]
     nodes, triangles = _correction_nodes(surface.displacement, corrections)
-    blocks = assemble(
+    blocks = kernel_integrals(
         surface, system.collocation, nodes, TRACTION, triangles=triangles, quadrature=quadrature
-    )
+    ).all_blocks()
     n_blocks, _, n_fields, lanes = blocks.values.shape
     # Both parts of the kernel: component i of a row from component j of the correction and a field.
     kernel = np.stack(traction_parts(np.eye(n_fields))).reshape(6, 3 * n_fields)

@@ -10,8 +10,8 @@ from palpate.bem.compressed import CompressedSystem
 from palpate.bem.integrals import (
     DISPLACEMENT,
     Quadrature,
-    assemble,
     displacement_parts,
+    kernel_integrals,
     traction_parts,
     triangle_rule,
 )
@@ -190,9 +190,9 @@ def traction_column(
     # Three auxiliary nodes, one per axis, whose shape functions are the traction's components.
     element = 3 + np.arange(6 * triangles.size).reshape(-1, 6)
     nodes = QuadraticNodes(element, 3, csr_array(traction.reshape(-1, 3)))
-    blocks = assemble(
+    blocks = kernel_integrals(
         surface, system.collocation, nodes, DISPLACEMENT, triangles=triangles, quadrature=quadrature
-    )
+    ).all_blocks()
     total = total_traction(surface.element_nodes[triangles], traction)
     balance = np.diag(-total / system.traction_length)
     columns = [load_columns(blocks.by_row(axis), balance).terms for axis in range(3)]
@@ -217,7 +217,9 @@ def face_columns(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> Ri
     density = 1.0 / total_traction(nodes, ones)[0]
     element = 1 + np.arange(6 * triangles.size).reshape(-1, 6)
     field = QuadraticNodes(element, 1, csr_array(np.full((element.size, 1), density)))
-    blocks = assemble(surface, system.collocation, field, DISPLACEMENT, triangles=triangles)
+    blocks = kernel_integrals(
+        surface, system.collocation, field, DISPLACEMENT, triangles=triangles
+    ).all_blocks()
     return load_columns(blocks.by_row(0), -np.eye(3) / system.traction_length)
 
 
