@@ -18,7 +18,7 @@ import pytest
 
 from palpate import __version__
 from palpate.campaign import cluster as cluster_file, started_engine
-from palpate.campaign.engine import Engine, WorkerError
+from palpate.campaign.engine import Engine, WorkerError, worker_share
 from palpate.errors import InputError, MeshError
 from palpate.locks import take_lock
 
@@ -208,12 +208,29 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
         threads = list(workers.map(_threads, range(4)))
         limits = [w["memory_limit"] for w in workers.client.scheduler_info()["workers"].values()]
         blocked = workers.client.run(_blocked_signals)
+        folders = list(workers.map(_folder, range(4)))
+        # What is computed of a body serves the other worker, too, and goes with the cluster.
+        assert len(set(folders)) == 1
+        assert all(f"{tempfile.gettempdir()}/palpate-workers-" in each for each in folders)
     assert threads == [("1", "1", 1)] * 4
     # Ctrl-C reaches all processes; it is this one that stops the others.
     assert list(blocked.values()) == [{signal.SIGINT}] * 2
     assert signal.SIGINT not in _blocked_signals()
     assert dict(os.environ) == before
     assert sum(limits) <= 0.91 * distributed.system.MEMORY_LIMIT
+
+
+def test_workers_of_another_cluster_have_a_folder_each(scheduler):
+    with started_engine(scheduler, None) as workers:
+        folders = set(workers.map(_folder, range(8)))
+        own = {
+            each["local_directory"] for each in workers.client.scheduler_info()["workers"].values()
+        }
+    assert {str(Path(each).parent) for each in folders} <= own
+
+
+def _folder(_):
+    return str(worker_share()[0])
 
 
 def _threads(_):

@@ -73,8 +73,13 @@ def test_what_was_not_used_for_longest_is_removed(tmp_path):
     (part,) = (path for path in tmp_path.iterdir() if len(path.name) == 64)
     os.utime(part, (1e9 - 9, 1e9 - 9))
     assert Parts(tmp_path, "a").load("part") == 1
+    # What another worker is writing is not complete, and what it removes is gone: a broken link
+    # stands for that.
+    (tmp_path / ".oldest.part").write_bytes(bytes(1000))
+    (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
     _trim_cache(tmp_path, most=part.stat().st_size + 20)
-    assert {path.name for path in tmp_path.iterdir()} == {part.name, "new", "older"}
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {part.name, "new", "older", ".oldest.part", "gone"}
 
 
 def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_path):

@@ -13,15 +13,15 @@ from types import ModuleType
 from typing import Any
 
 from palpate import __version__
-from palpate.campaign.engine import Engine, install_advice
+from palpate.campaign.engine import LOCAL_FOLDER_PREFIX, Engine, install_advice
 from palpate.errors import InputError
 from palpate.locks import is_abandoned, release_lock, take_lock
 from palpate.optional_imports import late_import
 
 # Timeouts for a scheduler to answer, and for the first worker to appear [s].
 _CONNECT_TIMEOUT, _FIRST_WORKER_TIMEOUT = 10, 60
-# Temporary folders of local workers, which hold gigabytes, and the lock of the command they are of.
-_FOLDER_PREFIX, _LOCK_NAME = "palpate-workers-", ".lock"
+# In the folder of local workers, which holds gigabytes: the lock of the command they are of.
+_LOCK_NAME = ".lock"
 # Workers per core: they wait for pictures, not for each other; more of them only share the memory.
 _MAX_PER_CORE = 16
 # Fraction of the memory that is divided among the workers; smallest share of a worker [bytes] where
@@ -116,10 +116,12 @@ def _own_environment() -> Iterator[None]:
 @contextmanager
 def _workers_folder() -> Iterator[str]:
     """A temporary folder for the workers; those of commands that were killed are removed."""
-    for other in Path(tempfile.gettempdir()).glob(f"{_FOLDER_PREFIX}*"):
+    for other in Path(tempfile.gettempdir()).glob(f"{LOCAL_FOLDER_PREFIX}*"):
         if is_abandoned(other / _LOCK_NAME):
             shutil.rmtree(other, ignore_errors=True)
-    with tempfile.TemporaryDirectory(prefix=_FOLDER_PREFIX, ignore_cleanup_errors=True) as folder:
+    with tempfile.TemporaryDirectory(
+        prefix=LOCAL_FOLDER_PREFIX, ignore_cleanup_errors=True
+    ) as folder:
         lock = Path(folder) / _LOCK_NAME
         handle = take_lock(lock, Path(folder))
         try:

@@ -18,6 +18,9 @@ T = TypeVar("T")
 
 # Pieces of work queued per worker thread, so that none is idle.
 _QUEUED_PER_THREAD = 2
+# Name of the temporary folder of a local cluster, in which Dask has one for all workers, and in
+# that one for each; all of it is removed with the cluster.
+LOCAL_FOLDER_PREFIX = "palpate-workers-"
 # Number of times that Dask may give up on a piece of work, after several workers died, before it
 # counts as failed.
 _MAX_DEATHS = 3
@@ -213,14 +216,17 @@ def worker_share() -> tuple[Path, float | None]:
 
     Returns
     -------
-    folder : Path                   its own, which need not exist
+    folder : Path                   its own, or that of all workers of a local cluster; need not
+                                    exist
     memory : float or None [byte]   None: unlimited
     """
     distributed = late_import("distributed", extra="batch", purpose="a campaign's worker")
     worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit
     share = None if not limit else limit / worker.state.nthreads
-    return Path(worker.local_directory) / "palpate", share
+    own = Path(worker.local_directory)
+    is_local = own.parents[1].name.startswith(LOCAL_FOLDER_PREFIX)
+    return (own.parent if is_local else own) / "palpate", share
 
 
 def install_advice() -> str:

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -121,7 +121,8 @@ def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome
     Parameters
     ----------
     work : Work
-    folder : Path                   working folder, which also holds the cache for later work
+    folder : Path                   working folder, which also holds the cache of bodies for later
+                                    work; several workers may share it
     memory : float or None [byte]   memory limit; None: all of the machine's
 
     Returns
@@ -228,13 +229,22 @@ def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Pa
 
 
 def _trim_cache(cache: Path, *, most: int) -> None:
-    """Remove what has not been used for longest, beyond a size in bytes."""
-    found = [(file.stat(), file) for file in cache.iterdir()]
+    """Remove what has not been used for longest, beyond a size in bytes.
+
+    Another worker may read, write and remove at the same time: what it has locked or removed is
+    left to it, and so are hidden files, which are not complete yet.
+    """
+    found = []
+    for file in cache.iterdir():
+        with suppress(OSError):
+            if not file.name.startswith("."):
+                found.append((file.stat(), file))
     total = 0
     for one, file in sorted(found, key=lambda each: each[0].st_mtime, reverse=True):
         total += one.st_size
         if total > most:
-            file.unlink(missing_ok=True)
+            with suppress(OSError):
+                file.unlink()
 
 
 def _with_original_notes(motion: ProbingMotion, work: Work, own_folder: Path) -> ProbingMotion:
