@@ -277,7 +277,7 @@ def draw(folder: Path) -> None:
             (panels[1], "memory", 1e9, "Memory [GB]", 2),
         ):
             for way, colour, shift, side in (
-                ("dense", ORANGE, (6, -6), "left"), ("compressed", BLUE, (-14, 4), "right"),
+                ("dense", ORANGE, (-8, 2), "right"), ("compressed", BLUE, (-14, 4), "right"),
             ):  # fmt: skip
                 sizes, values = _series(folder, way, key)
                 axes.loglog(sizes, values / unit, "o-", color=colour, ms=3.5, lw=1.2)
