@@ -156,7 +156,7 @@ class KernelIntegrals:
         points = self.points._replace(lanes=self.points.lanes[one], rows=self.points.rows[one])
         return self._computed(points)[0]
 
-    def all_blocks(self) -> "FieldBlocks":
+    def all_blocks(self) -> FieldBlocks:
         """Those of all blocks, computed in threads."""
         return FieldBlocks(
             self._computed(self.points), self.points.rows, self.points.point.shape[0]
