@@ -55,7 +55,7 @@ class Parts:
 
     Attributes
     ----------
-    dense_start : float [s]     OpenCV's dense search
+    dense_start : float [s]     dense search, most of it OpenCV's
     refinement : float [s]
     grey_levels : int           pixels of all windows that were refined
     """
@@ -68,7 +68,7 @@ class Parts:
         """Each part, and the refinement's floor."""
         floor = FEWEST_SAMPLES * self.grey_levels / interpolation_rate() / CORES
         return (
-            f"of it the dense start, a library's, {self.dense_start:.2f} s, the refinement"
+            f"of it the dense start, most of it OpenCV's, {self.dense_start:.2f} s, the refinement"
             f" {self.refinement:.2f} s; floor of the refinement: to interpolate the"
             f" {1e-6 * self.grey_levels:.0f} million grey levels of its windows twice takes"
             f" {CORES} cores {floor:.2f} s"

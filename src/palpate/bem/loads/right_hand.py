@@ -12,10 +12,9 @@ from palpate.bem.integrals import (
     Quadrature,
     displacement_parts,
     kernel_integrals,
-    traction_parts,
     triangle_rule,
 )
-from palpate.bem.system import BoundarySystem, for_each_block
+from palpate.bem.system import BoundarySystem, held_columns
 from palpate.geometry import ELEMENT_NODES, QuadraticNodes, element_points, quadratic_shapes
 
 
@@ -137,17 +136,7 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
     given = np.einsum("hij,hjc->hic", system.unknowns.vertex_directions, displacement[held])
     if isinstance(system, CompressedSystem):
         return _compressed_columns(system, held, given)
-    equations = terms[:, :-3].reshape(3, 3, system.n_points, columns)
-
-    def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
-        scaled, constant = (
-            np.einsum("ijvl,vjc->ilc", part, given, optimize=True)
-            for part in traction_parts(np.moveaxis(traction[held], 1, 0))
-        )
-        equations[0, :, rows] = -(scaled + constant)
-        equations[1, :, rows] = 2 * scaled
-
-    for_each_block(system, add)
+    terms[:2] = held_columns(system, given.reshape(-1, columns))
     return RightHand(terms)
 
 

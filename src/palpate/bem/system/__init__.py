@@ -20,6 +20,7 @@ from palpate.bem.system.factors import (
     solve as solve,
 )
 from palpate.bem.system.matrix import (
+    held_columns as held_columns,
     matrix_and_slope as matrix_and_slope,
     system_matrix as system_matrix,
 )

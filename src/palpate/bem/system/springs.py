@@ -23,11 +23,12 @@ from jaxtyping import Float, Int
 from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse import csr_array
 
-from palpate.bem.integrals import integral_weights, traction_parts
+from palpate.bem.integrals import integral_weights
 from palpate.bem.system.factors import FactorisedSystem, solve
+from palpate.bem.system.matrix import held_columns
 from palpate.bem.system.rollers import bases
 from palpate.bem.system.slope import SystemSlope
-from palpate.bem.system.system import BoundarySystem, for_each_block
+from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import triangle_areas
 
 
@@ -153,21 +154,7 @@ def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray
     """
     held = system.unknowns.held_vertices
     basis = springs.displacement_basis[(3 * held[:, None] + np.arange(3)).ravel()]
-    terms = np.zeros((2, 3 * system.n_points + 3, basis.shape[1]))
-    equations = terms[:, :-3].reshape(2, 3, system.n_points, -1)
-
-    def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
-        scaled, constant = (
-            (x.transpose(0, 3, 2, 1).reshape(-1, basis.shape[0]) @ basis).reshape(
-                3, -1, basis.shape[1]
-            )
-            for x in traction_parts(np.moveaxis(traction[held], 1, 0))
-        )
-        equations[0, :, rows] = -(scaled + constant)
-        equations[1, :, rows] = 2 * scaled
-
-    for_each_block(system, add)
-    return terms
+    return held_columns(system, basis)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
