@@ -3,18 +3,21 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from unittest.mock import patch
 
 import numpy as np
+from numba import cuda
 
 from benchmarks.figure import FLOW, Figure
 from benchmarks.floors import interpolation_rate
 from benchmarks.machine import CORES, SHARED
 from benchmarks.options import Options
 from palpate.records import read_rig, read_session
-from palpate.vision import JointFlow, read_pictures
-from palpate.vision.joint import flow, match
+from palpate.vision import JointFlow, RangeFlow, is_valid, read_pictures
+from palpate.vision.cameras import pixel_sizes
+from palpate.vision.joint import flow
+from palpate.vision.joint.flow import JointState
 
 # A window is sampled at its start and where the iteration ends, at least.
 FEWEST_SAMPLES = 2
@@ -23,30 +26,76 @@ NAMES = ("n01", "n02", "n03", "n04")
 
 
 def measure(options: Options) -> list[Figure]:
-    """Frames per second of 640 x 480 x 3, some two thousand points, both cores, warm."""
+    """Frames per second of 640 x 480 x 3, some two thousand points, all cores, warm."""
+    on_cpu = _followed(JointFlow())
+    return [
+        Figure(
+            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / on_cpu.seconds,
+            "1/s", must=4.0, reach=10.0, higher=True,
+            note=f"{len(on_cpu.flow.point)} points in the reference camera, {on_cpu.vertices}"
+            " vertices measured; dense start, refinement with retries, judgement and vertices; best"
+            f" of three, the first left aside; {on_cpu.parts.described()}",
+        ),
+        _on_device(on_cpu),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Some instants, one after the other.
+
+    Attributes
+    ----------
+    seconds : float             the quickest instant but the first, vertices included
+    parts : Parts               of the last instant
+    flow : RangeFlow            of the last instant
+    vertices : int              measured in it
+    """
+
+    seconds: float
+    parts: "Parts"
+    flow: RangeFlow
+    vertices: int
+
+
+def _followed(method: JointFlow) -> Followed:
     session, rig = read_session(FOLDER), read_rig(FOLDER / "rig.toml")
     patterns = ["images/rest_{camera}.png", *(f"images/{name}_{{camera}}.png" for name in NAMES)]
     grey = [read_pictures(rig, pattern, folder=FOLDER, what=pattern).grey for pattern in patterns]
-    method = JointFlow()
-    state = method.start(rig, grey[0], session.mesh)
-    seconds = []
+    state, seconds = method.start(rig, grey[0], session.mesh), []
     for pictures in grey[1:]:
         begun = time.perf_counter()
         _, ranges = method.follow(state, pictures)
         found = method.vertices(ranges, rig, session.mesh)
         seconds.append(time.perf_counter() - begun)
-    count = int(np.isfinite(found.displacement[:, 0]).sum())
-    with timed_parts() as parts:
-        method.follow(state, grey[-1])
-    return [
-        Figure(
-            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / float(np.min(seconds[1:])),
-            "1/s", must=4.0, reach=10.0, higher=True,
-            note=f"{len(ranges.point)} points in the reference camera, {count} vertices measured;"
-            " dense start, refinement with retries, judgement and vertices; best of three, the"
-            f" first left aside; {parts.described()}",
-        )
-    ]  # fmt: skip
+    with timed_parts(state) as (parts, timed):
+        method.follow(timed, grey[-1])
+    measured = int(np.isfinite(found.displacement[:, 0]).sum())
+    return Followed(float(np.min(seconds[1:])), parts, ranges, measured)
+
+
+def _on_device(on_cpu: Followed) -> Figure:
+    """The refinement on a CUDA device, where there is one."""
+    name = "640 x 480 x 3 cameras, joint refinement of an instant on a CUDA device"
+    limits = {"must": 30.0, "higher": True}
+    if not cuda.is_available():
+        return Figure(FLOW, name, None, "1/s", **limits, note="no CUDA device here")
+    on_device = _followed(JointFlow(device="cuda"))
+    valid = is_valid(on_cpu.flow) & is_valid(on_device.flow)
+    rig = read_rig(FOLDER / "rig.toml")
+    size = pixel_sizes(rig.cameras[rig.reference], on_cpu.flow.point[valid])
+    off = on_device.flow.displacement[valid] - on_cpu.flow.displacement[valid]
+    off = np.linalg.norm(off, axis=1) / size
+    other = int((on_device.flow.outcome != on_cpu.flow.outcome).sum())
+    return Figure(
+        FLOW, name, 1.0 / on_device.parts.refinement, "1/s", **limits,
+        note=f"{cuda.get_current_device().name}: {1e3 * on_device.parts.refinement:.1f} ms"
+        f" for {on_device.parts.calls} calls; {CORES} cores {1e3 * on_cpu.parts.refinement:.0f} ms;"
+        f" {len(valid)} points, {other} of which end otherwise; the others are off by"
+        f" {off.max():.1e} px at most, {np.median(off):.1e} px in the median; the whole instant"
+        f" {on_device.seconds:.2f} s instead of {on_cpu.seconds:.2f} s, of it the dense start"
+        f" {on_device.parts.dense_start:.2f} s",
+    )  # fmt: skip
 
 
 @dataclass
@@ -57,11 +106,13 @@ class Parts:
     ----------
     dense_start : float [s]     dense search, most of it OpenCV's
     refinement : float [s]
+    calls : int                 of the refinement
     grey_levels : int           pixels of all windows that were refined
     """
 
     dense_start: float = 0.0
     refinement: float = 0.0
+    calls: int = 0
     grey_levels: int = 0
 
     def described(self) -> str:
@@ -76,16 +127,17 @@ class Parts:
 
 
 @contextmanager
-def timed_parts() -> Iterator[Parts]:
-    """Times the parts of the instants that are followed while the block runs."""
-    parts, refine, search = Parts(), match.refine_joint, flow.dense_start
+def timed_parts(state: JointState) -> Iterator[tuple[Parts, JointState]]:
+    """Times the parts of the instants that follow a state while the block runs."""
+    parts, search = Parts(), flow.dense_start
 
     def refined(scene, rows, moved, start, cameras, noise, limits):
         begun = time.perf_counter()
-        found = refine(scene, rows, moved, start, cameras, noise, limits)
+        found = state.refine(scene, rows, moved, start, cameras, noise, limits)
         parts.refinement += time.perf_counter() - begun
         windows = cameras[np.isfinite(start).all(axis=(1, 2))].sum()
         parts.grey_levels += int(windows) * (2 * limits.half + 1) ** 2
+        parts.calls += 1
         return found
 
     def searched(first, second):
@@ -94,5 +146,5 @@ def timed_parts() -> Iterator[Parts]:
         parts.dense_start += time.perf_counter() - begun
         return found
 
-    with patch.object(match, "refine_joint", refined), patch.object(flow, "dense_start", searched):
-        yield parts
+    with patch.object(flow, "dense_start", searched):
+        yield parts, replace(state, refine=refined)

@@ -22,7 +22,7 @@ def _is_unchecked(decorator: Any) -> bool:
     """True for decorators of functions that the shape checker must leave alone."""
     called = getattr(decorator, "func", decorator)
     name = getattr(called, "attr", getattr(called, "id", ""))
-    return name in ("njit", "vectorize", "guvectorize") or _marked_unchecked(decorator)
+    return name in ("njit", "jit", "vectorize", "guvectorize") or _marked_unchecked(decorator)
 
 
 _import_hook._is_no_type_check = _is_unchecked

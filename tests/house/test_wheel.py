@@ -56,6 +56,7 @@ def test_what_it_says_of_itself(wheel):
         "bags",
         "batch",
         "cad",
+        "cuda",
         "e57",
         "fem",
         "hdf5",

@@ -38,8 +38,6 @@ from palpate.vision.images import (
 )
 from palpate.vision.joint import (
     JointFlow as JointFlow,
-    Scene as Scene,
-    make_scene as make_scene,
     vertex_displacement as vertex_displacement,
 )
 from palpate.vision.lang_pai import (
@@ -57,6 +55,11 @@ from palpate.vision.range_flow import (
     dense_maps as dense_maps,
     is_valid as is_valid,
     measured_vertices as measured_vertices,
+)
+from palpate.vision.refinement import (
+    Device as Device,
+    Scene as Scene,
+    make_scene as make_scene,
 )
 from palpate.vision.stereo import (
     MIN_POSE_POINTS as MIN_POSE_POINTS,

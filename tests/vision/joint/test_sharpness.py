@@ -17,9 +17,9 @@ from vision.scenes import (
 )
 
 from palpate.vision.images import spline_pictures
-from palpate.vision.joint.refinement import Match
 from palpate.vision.joint.sharpness import _SMOOTHING, _window_variances, equally_sharp
 from palpate.vision.range_flow import Outcome, is_valid
+from palpate.vision.refinement import Match
 
 MOTION = bump((3e-4, -2e-4, 4e-4), 0.02)
 NOISE = 1.5
@@ -41,7 +41,7 @@ def _instants(first, later, motion=MOTION):
 def test_the_sharper_picture_is_blurred_as_the_other_is(first, later):
     rest, moved = _instants(first, later, STILL)
     state = first_instant(STAGE, rest)
-    there, pictures = equally_sharp(state.scene, moved, state.motion)
+    there, pictures = equally_sharp(state.scene, moved, state.motion, state.refine)
     # Both show the view behind 1.2 px and the usual low-pass.
     for ours, theirs, plain in zip(there.pictures, pictures, STAGE.views(), strict=True):
         wanted = cv2.GaussianBlur(plain, (0, 0), float(np.hypot(1.2, _SMOOTHING)))
@@ -56,7 +56,7 @@ def test_the_sharper_picture_is_blurred_as_the_other_is(first, later):
 def test_pictures_that_are_equally_sharp_stay_as_they_are():
     rest, moved = _instants(0.8, 0.8)
     state = first_instant(STAGE, rest)
-    there, pictures = equally_sharp(state.scene, moved, state.motion)
+    there, pictures = equally_sharp(state.scene, moved, state.motion, state.refine)
     for ours, before in zip(there.pictures, state.scene.pictures, strict=True):
         # A hundredth of a pixel is found where there is none.
         np.testing.assert_allclose(ours.grey, before.grey, atol=0.5)

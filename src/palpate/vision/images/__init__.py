@@ -31,6 +31,7 @@ from palpate.vision.images.pictures import (
     read_stored as read_stored,
 )
 from palpate.vision.images.spline import (
+    PADDING as PADDING,
     SplinePicture as SplinePicture,
     interpolate as interpolate,
     make_spline_picture as make_spline_picture,
@@ -39,6 +40,7 @@ from palpate.vision.images.spline import (
     slope_gain as slope_gain,
     smoothing_gain as smoothing_gain,
     spline_pictures as spline_pictures,
+    spline_weights_kernel as spline_weights_kernel,
 )
 from palpate.vision.images.video import (
     VIDEO_SUFFIXES as VIDEO_SUFFIXES,

@@ -152,8 +152,17 @@ def interpolate(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _weights_kernel(t):
-    """B-spline weights of four coefficients in a row, at a fraction t beyond the second."""
+def spline_weights_kernel(t):
+    """B-spline weights of four coefficients in a row, at a fraction t beyond the second.
+
+    Parameters
+    ----------
+    t : float32 [px]                0 to 1
+
+    Returns
+    -------
+    tuple of four float32           they add up to one
+    """
     one, sixth = np.float32(1.0), np.float32(1.0 / 6.0)
     t2 = t * t
     r = one - t
@@ -185,7 +194,7 @@ def sample_kernel(coefficients, columns, rows, sampled):
         y = min(max(rows[p] + lead, zero), last_row)
         ix, iy = np.int32(x), np.int32(y)
         first[0, p], first[1, p] = ix, iy
-        a, b = _weights_kernel(x - np.float32(ix)), _weights_kernel(y - np.float32(iy))
+        a, b = spline_weights_kernel(x - np.float32(ix)), spline_weights_kernel(y - np.float32(iy))
         weight[0, p], weight[1, p], weight[2, p], weight[3, p] = a
         weight[4, p], weight[5, p], weight[6, p], weight[7, p] = b
     for p in range(len(sampled)):
@@ -216,8 +225,10 @@ def noise_fraction_kernel(column, row):
     """
     one = np.float32(1.0)
     drop = np.float32(16.0 * (1.0 - _FRACTION_HALF_WAY))
-    t = column - np.floor(column)
-    s = row - np.floor(row)
+    # The same on both sides of a pixel centre, so the sign does not matter.
+    t, s = abs(column), abs(row)
+    t -= np.float32(np.int32(t))
+    s -= np.float32(np.int32(s))
     t = t * (one - t)
     s = s * (one - s)
     return (one - drop * t * t) * (one - drop * s * s)

@@ -4,11 +4,10 @@ Purpose    : track points of the surface from picture to picture to a hundredth 
              with its covariance.
 Takes      : a `Rig`, the pictures of its cameras at each instant, a triangle surface.
 Gives      : `JointFlow`, a `FlowMethod`; `JointState`, its state between instants.
-Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `vision.range_flow`,
-             `vision.small_systems`, `geometry`, `records`.
-Read first : `flow.py`, then `match.py`, then `refinement.py`.
+Depends on : `vision.refinement`, `vision.matching`, `vision.range_flow`, `vision.cameras`,
+             `vision.images`, `geometry`, `records`.
+Read first : `flow.py`, then `match.py`.
 """
 
 from palpate.vision.joint.flow import JointFlow as JointFlow
-from palpate.vision.joint.scene import Scene as Scene, make_scene as make_scene
 from palpate.vision.joint.vertices import vertex_displacement as vertex_displacement

@@ -13,10 +13,9 @@ from palpate.vision.joint.match import (
     predicted_motion,
     used_cameras,
 )
-from palpate.vision.joint.refinement import BLOCKS, Match
-from palpate.vision.joint.scene import Scene
 from palpate.vision.matching import median_around
 from palpate.vision.range_flow import Outcome, RangeFlow
+from palpate.vision.refinement import BLOCKS, Match, Scene
 
 # Largest standard deviation by noise [px]; a usual match is ten times better. Bias is not included,
 # because errors of the rig have nothing to do with the texture.

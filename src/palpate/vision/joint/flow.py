@@ -23,11 +23,19 @@ from palpate.vision.cameras import project, triangulate
 from palpate.vision.images import spline_pictures
 from palpate.vision.joint.acceptance import accepted_flow
 from palpate.vision.joint.match import match_scene
-from palpate.vision.joint.scene import Scene, advanced_scene, make_scene, scene_rows
 from palpate.vision.joint.sharpness import equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching import BASES, Scatter, dense_start, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
+from palpate.vision.refinement import (
+    Device,
+    Refine,
+    Scene,
+    advanced_scene,
+    make_scene,
+    refinement_on,
+    scene_rows,
+)
 
 # Median displacement gradient (Frobenius norm) above which pictures are matched unsmoothed: the
 # low-pass is fixed to the pixels and does not rotate or stretch with the surface.
@@ -54,12 +62,14 @@ class JointState:
                                         where rejected, NaN where unknown
     flow : RangeFlow or None            range flow from the first instant to the last; None at the
                                         first instant
+    refine : Refine                     refinement of windows, on the device of choice
     """
 
     scene: Scene
     grey: tuple[Float[np.ndarray, "_ _"], ...]
     motion: Float[np.ndarray, "n 6 3"]
     flow: RangeFlow | None
+    refine: Refine
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +86,7 @@ class JointFlow:
                                     where the surface stretches, rotates or bends
     smoothing : float [px]          standard deviation of the Gaussian low-pass of every picture,
                                     against the bias from aliased structure; 0: none
+    device : "cpu" or "cuda"        where the windows are matched; "cuda" needs the extra `cuda`
 
     Raises
     ------
@@ -86,6 +97,7 @@ class JointFlow:
     step: int = 5
     shape: Literal["shift", "affine", "quadratic"] = "affine"
     smoothing: float = 1.0
+    device: Device = "cpu"
 
     def __post_init__(self) -> None:
         if self.subset < 5 or self.subset % 2 == 0:
@@ -144,7 +156,8 @@ class JointFlow:
             rig, pictures, vertices, triangles, subset=self.subset, step=self.step,
             smoothing=self.smoothing,
         )  # fmt: skip
-        return JointState(scene, scene.grey, np.zeros((len(scene.point), 6, 3)), None)
+        still = np.zeros((len(scene.point), 6, 3))
+        return JointState(scene, scene.grey, still, None, refinement_on(self.device))
 
     def follow(
         self, state: JointState, pictures: Sequence[Float[np.ndarray, "_ _"]]
@@ -167,13 +180,12 @@ class JointFlow:
         """
         scene, now = state.scene, tuple(pictures)
         start = _flow_start(state, now)
-        flow, matched = self._flow(_unsmoothed_where_turned(scene, start), now, start)
+        unsmoothed = _unsmoothed_where_turned(scene, start)
+        flow, matched = self._flow(unsmoothed, now, start, state.refine)
         motion = np.where(is_valid(flow)[:, None, None], matched, start)
         if state.flow is not None and (is_valid(state.flow) & ~is_valid(flow)).any():
-            flow, motion = self._through_last(
-                scene, state.flow, state.grey, now, start, flow, motion
-            )
-        return JointState(scene, now, motion, flow), flow
+            flow, motion = self._through_last(state, state.flow, now, start, flow, motion)
+        return JointState(scene, now, motion, flow, state.refine), flow
 
     def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
         """Displacement of the mesh's vertices by robust local quadratics.
@@ -215,33 +227,33 @@ class JointFlow:
         scene: Scene,
         now: tuple[Float[np.ndarray, "_ _"], ...],
         start: Float[np.ndarray, "n 6 3"],
+        refine: Refine,
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
         """Range flow from a scene to later pictures, and the motion of every window."""
-        scene, later = equally_sharp(scene, now, start)
-        match, noise = match_scene(scene, later, start, shape=self.shape)
+        scene, later = equally_sharp(scene, now, start, refine)
+        match, noise = match_scene(scene, later, start, shape=self.shape, refine=refine)
         return accepted_flow(scene, match, noise), match.motion
 
     def _through_last(
         self,
-        scene: Scene,
+        state: JointState,
         last: RangeFlow,
-        before: tuple[Float[np.ndarray, "_ _"], ...],
         now: tuple[Float[np.ndarray, "_ _"], ...],
         start: Float[np.ndarray, "n 6 3"],
         direct: RangeFlow,
         motion: Float[np.ndarray, "n 6 3"],
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
         """Complete the direct flow and motion by those via the last instant."""
-        followed, missing = is_valid(last), ~is_valid(direct)
+        scene, followed, missing = state.scene, is_valid(last), ~is_valid(direct)
         sample = np.arange(len(missing)) % _DRIFT_SAMPLE == 0
         rows = np.flatnonzero(followed & (missing | sample))
         earlier = np.zeros_like(motion)
         earlier[:, 0] = last.displacement
         earlier[:, 1:3] = last.gradient * scene.half_window[:, None, None]
-        there = scene_rows(advanced_scene(scene, before, earlier, followed), rows)
+        there = scene_rows(advanced_scene(scene, state.grey, earlier, followed), rows)
         ahead = np.zeros((len(rows), 6, 3))
         ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
-        further, after = self._flow(there, now, ahead)
+        further, after = self._flow(there, now, ahead, state.refine)
         half_window = scene.half_window[rows]
         whole = composed_motion(
             earlier[rows], after, scene.tangent[rows], there.tangent, half_window

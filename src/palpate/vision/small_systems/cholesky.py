@@ -1,6 +1,7 @@
 """Symmetric positive definite systems of up to about twenty unknowns, for use inside kernels."""
 
-import numpy as np
+import math
+
 from numba import njit
 
 # A pivot below this fraction of its diagonal entry is rounding error: the system is singular.
@@ -23,7 +24,7 @@ def cholesky_kernel(a, min_pivot=_MIN_PIVOT):
             pivot -= a[j, k] * a[j, k]
         if not pivot > min_pivot * a[j, j]:
             return False
-        root = np.sqrt(pivot)
+        root = math.sqrt(pivot)
         a[j, j] = root
         for i in range(j + 1, n):
             total = a[i, j]

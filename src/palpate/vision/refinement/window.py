@@ -1,5 +1,7 @@
 """Kernels for one camera's window: surface points of its pixels, and their later projections."""
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -11,8 +13,8 @@ _SPLINE_MARGIN_PX = 8
 
 
 @njit(cache=True, error_model="numpy")
-def _normal_kernel(t, s):
-    """Cross product of two tangents: the normal, as a tuple."""
+def normal_kernel(t, s):
+    """Cross product of two tangents, (3,) each: the normal, as a tuple."""
     return (
         t[1] * s[2] - t[2] * s[1],
         t[2] * s[0] - t[0] * s[2],
@@ -36,34 +38,23 @@ def load_camera_kernel(
     the pictures.
     """
     x, y = project_kernel(camera, point[0], point[1], point[2])
-    rows, columns = grey.shape
-    if not (half <= x < columns - half - 1 and half <= y < rows - half - 1):
+    if not fits_kernel(x, y, grey.shape, half):
         return False
     column = int(np.rint(x))
     row = int(np.rint(y))
     scale = 1.0 / half_window
-    t, s = tangent[0], tangent[1]
-    n0, n1, n2 = _normal_kernel(t, s)
-    # Beyond three extents (squared) a pixel shows another part of the object, behind a silhouette.
-    far = 9.0
+    frame = rest_frame_kernel(tangent)
     count = 0.0
     height = len(basis) - 1
     basis[0] = 1.0
     for r in range(2 * half + 1):
         for k in range(2 * half + 1):
             p = r * (2 * half + 1) + k
-            xi = eta = zeta = 0.0
-            weight = interior[row - half + r, column - half + k]
-            if weight > 0.0:
-                d0 = (surface[row - half + r, column - half + k, 0] - point[0]) * scale
-                d1 = (surface[row - half + r, column - half + k, 1] - point[1]) * scale
-                d2 = (surface[row - half + r, column - half + k, 2] - point[2]) * scale
-                if d0 * d0 + d1 * d1 + d2 * d2 > far:
-                    weight = np.float32(0.0)
-                else:
-                    xi = d0 * t[0] + d1 * t[1] + d2 * t[2]
-                    eta = d0 * s[0] + d1 * s[1] + d2 * s[2]
-                    zeta = d0 * n0 + d1 * n1 + d2 * n2
+            i, j = row - half + r, column - half + k
+            weight, xi, eta, zeta = surface_coordinates_kernel(
+                (surface[i, j, 0] - point[0]) * scale, (surface[i, j, 1] - point[1]) * scale,
+                (surface[i, j, 2] - point[2]) * scale, interior[i, j], frame,
+            )  # fmt: skip
             window[3, p] = weight
             count += weight
             basis[1, p], basis[2, p], basis[height, p] = xi, eta, zeta
@@ -81,6 +72,44 @@ def load_camera_kernel(
 
 
 @njit(cache=True, error_model="numpy")
+def fits_kernel(x, y, shape, half):
+    """True where the window around the pixel nearest to (x, y) [px] lies within the picture.
+
+    `shape` is the picture's (rows, columns), `half` half the side of the window [px]. A point of
+    the grid lies on a pixel's centre, but for rounding, which must not decide.
+    """
+    return half - 0.5 < x < shape[1] - half - 0.5 and half - 0.5 < y < shape[0] - half - 0.5
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def rest_frame_kernel(tangent):
+    """Two orthonormal tangents (2, 3) and their normal as tuples."""
+    t, s = tangent[0], tangent[1]
+    return (t[0], t[1], t[2]), (s[0], s[1], s[2]), normal_kernel(t, s)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def surface_coordinates_kernel(x, y, z, weight, frame):
+    """Weight of a pixel in a window, and its point in the window's coordinates xi, eta, zeta.
+
+    `x`, `y`, `z` is the offset of the point behind the pixel from the window's, in half sides,
+    `weight` 1 where it may be used, `frame` from `rest_frame_kernel`.
+    """
+    # Beyond three extents (squared) a pixel shows another part of the object, behind a silhouette.
+    far = 9.0
+    xi = eta = zeta = 0.0
+    if weight > 0.0:
+        if x * x + y * y + z * z > far:
+            weight = np.float32(0.0)
+        else:
+            t, s, n = frame
+            xi = x * t[0] + y * t[1] + z * t[2]
+            eta = x * s[0] + y * s[1] + z * s[2]
+            zeta = x * n[0] + y * n[1] + z * n[2]
+    return weight, xi, eta, zeta
+
+
+@njit(cache=True, error_model="numpy")
 def mapping_kernel(camera, point, tangent, bases, jacobian, mapping):
     """Matrix from coefficients of the surface motion to those of the pixel motion in a window.
 
@@ -92,7 +121,7 @@ def mapping_kernel(camera, point, tangent, bases, jacobian, mapping):
     Source: the derivative of `sample_surface_kernel`'s motion at rest.
     """
     jacobian_kernel(camera, point[0], point[1], point[2], jacobian)
-    normal = _normal_kernel(tangent[0], tangent[1])
+    normal = normal_kernel(tangent[0], tangent[1])
     mapping[:] = 0.0
     for a in range(2):
         for b in range(3):
@@ -122,7 +151,7 @@ def deformed_frame_kernel(q, tangent, half_window, frame):
     frame[2, 0] = frame[0, 1] * frame[1, 2] - frame[0, 2] * frame[1, 1]
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[0, 0] * frame[1, 2]
     frame[2, 2] = frame[0, 0] * frame[1, 1] - frame[0, 1] * frame[1, 0]
-    length = np.sqrt(frame[2, 0] ** 2 + frame[2, 1] ** 2 + frame[2, 2] ** 2)
+    length = math.sqrt(frame[2, 0] ** 2 + frame[2, 1] ** 2 + frame[2, 2] ** 2)
     for a in range(3):
         frame[2, a] /= length
 
@@ -135,7 +164,7 @@ def update_kernel(q, frame, tangent, step, bases):
     (2, 3) those at rest, `step` (3 bases,) [m] the coefficients component by component.
     """
     t, s = tangent[0], tangent[1]
-    normal = _normal_kernel(t, s)
+    normal = normal_kernel(t, s)
     for k in range(bases):
         d0, d1, d2 = step[k], step[bases + k], step[2 * bases + k]
         along = d0 * t[0] + d1 * t[1] + d2 * t[2]

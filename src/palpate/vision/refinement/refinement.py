@@ -12,7 +12,6 @@ assembled once per point. Gain, offset and shading of every camera are eliminate
 
 from collections import namedtuple
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,16 +19,6 @@ from numba import njit
 
 from palpate.threads import in_threads
 from palpate.vision.images import SplinePicture
-from palpate.vision.joint.sampling import sample_surface_kernel
-from palpate.vision.joint.scene import Scene
-from palpate.vision.joint.window import (
-    deformed_frame_kernel,
-    in_picture_kernel,
-    load_camera_kernel,
-    mapping_kernel,
-    pixel_lengths_kernel,
-    update_kernel,
-)
 from palpate.vision.matching import (
     window_advance_kernel,
     window_blocks_kernel,
@@ -37,7 +26,30 @@ from palpate.vision.matching import (
     window_right_kernel,
     window_system_kernel,
 )
-from palpate.vision.range_flow import Outcome
+from palpate.vision.refinement.sampling import sample_surface_kernel
+from palpate.vision.refinement.scene import Scene
+from palpate.vision.refinement.window import (
+    deformed_frame_kernel,
+    in_picture_kernel,
+    load_camera_kernel,
+    mapping_kernel,
+    pixel_lengths_kernel,
+    update_kernel,
+)
+from palpate.vision.refinement.window_match import (
+    BLOCKS,
+    HIDDEN,
+    LOST,
+    OUTSIDE,
+    TEXTURE,
+    VALID,
+    Limits,
+    Match,
+    first_instant,
+    nothing_found,
+    padded_to_four,
+    surface_points,
+)
 from palpate.vision.small_systems import (
     add_congruence_kernel,
     add_transposed_kernel,
@@ -47,81 +59,14 @@ from palpate.vision.small_systems import (
     product_kernel,
 )
 
-# Outcomes as plain integers, for the kernels.
-_VALID = int(Outcome.VALID)
-_HIDDEN = int(Outcome.HIDDEN)
-_TEXTURE = int(Outcome.TEXTURE)
-_OUTSIDE = int(Outcome.OUTSIDE)
-_LOST = int(Outcome.LOST)
 # Minimum number of points per thread: each takes about 0.2 ms.
 _MIN_POINTS_PER_THREAD = 8
-# Blocks along a side of a window whose residuals are treated as mutually independent.
-BLOCKS = 3
-# Data of the first instant: tuples of c arrays, except for the packed cameras (c, 25) and the blur
-# variance `blur_variance` (c,) [px^2].
-_First = namedtuple("_First", "cameras grey along_column along_row surface interior blur_variance")
-# Points to track: (n, 3), (n, 2, 3) tangents, (n,) half side of a window on the surface [m].
-_Points = namedtuple("_Points", "point tangent half_window")
 # Work arrays of one thread. Functions that take them are inlined: so many arguments compile slowly.
 _Work = namedtuple(
     "_Work",
     "window basis sampled sums normal own mapping jacobian statistics hessian inverse right total q"
     " frame active blocks influence illumination noise_fraction",
 )
-
-
-class Limits(NamedTuple):
-    """Settings of the match of a window.
-
-    Attributes
-    ----------
-    half : int [px]                 half the side of a window, rounded down
-    bases : 1, 3 or 6               terms of the shape function that are free: shift, affine,
-                                    quadratic
-    iterations : int                largest number of iterations
-    shading : bool                  whether the gain may vary linearly over a window: a moving
-                                    object rotates in the light, tools cast soft shadows
-    tolerance : float [px]          the iteration ends when a step is shorter; far below the noise
-    reach : float [px]              a window that moves farther than this from its start is lost
-    min_fraction : float            fraction of the window that must show the surface at rest
-    """
-
-    half: int
-    bases: int = 3
-    iterations: int = 25
-    shading: bool = True
-    tolerance: float = 1e-3
-    reach: float = 6.0
-    min_fraction: float = 0.6
-
-
-class Match(NamedTuple):
-    """Motion of n points from the pictures of c cameras; NaN where not found.
-
-    Attributes
-    ----------
-    motion : (n, 6, 3) float [m]        u, its derivatives along the tangents times the half window,
-                                        its second-order terms times the square of that
-    covariance : (n, 3, 3) float [m^2]  of u for white noise of the given standard deviations
-    score : (n, c) float                normalised cross-correlation
-    residual_variance : (n, c) float [grey levels^2] residual variance
-    own_step : (n, c, 2) float [px]     further step that each camera alone would take
-    own_variance : (n, c) float [px^2]  variance of `own_step` per component
-    variance_ratio : (n,) float [-]     ratio of the variance of u from the residuals in blocks
-                                        (sandwich estimate) to that from white residuals
-    cameras : (n, c) bool               cameras to use, as given
-    outcome : (n,) int                  VALID, HIDDEN, TEXTURE, OUTSIDE or LOST
-    """
-
-    motion: Float[np.ndarray, "n 6 3"]
-    covariance: Float[np.ndarray, "n 3 3"]
-    score: Float[np.ndarray, "n c"]
-    residual_variance: Float[np.ndarray, "n c"]
-    own_step: Float[np.ndarray, "n c 2"]
-    own_variance: Float[np.ndarray, "n c"]
-    variance_ratio: Float[np.ndarray, " n"]
-    cameras: Bool[np.ndarray, "n c"]
-    outcome: Int[np.ndarray, " n"]
 
 
 def refine_joint(
@@ -132,18 +77,13 @@ def refine_joint(
     cameras: Bool[np.ndarray, "n c"],
     noise: Float[np.ndarray, " c"],
     limits: Limits,
+    /,
 ) -> Match:
-    """Refine the motion of surface points between two instants.
+    """Refine the motion of surface points between two instants; a `Refine`.
 
     Parameters
     ----------
-    scene : Scene                       the first instant
-    rows : (n,) int                     indices of the points to track
-    moved : sequence of c SplinePicture     the later instant
-    start : (n, 6, 3) float [m]         initial motion, as in `Match`; points with NaN are skipped
-    cameras : (n, c) bool               cameras to use for each point
-    noise : (c,) float [grey levels]    residual standard deviation, which weights the cameras
-    limits : Limits
+    scene, rows, moved, start, cameras, noise, limits   as in `Refine`
 
     Returns
     -------
@@ -154,35 +94,14 @@ def refine_joint(
     Baker and Matthews, Lucas-Kanade 20 years on, International Journal of Computer Vision 56
     (2004), for the inverse-compositional algorithm.
     """
-    count, views = cameras.shape
-    shapes = ((6, 3), (3, 3), (views,), (views,), (views, 2), (views,), ())
-    arrays = [np.full((count, *shape), np.nan) for shape in shapes]
-    found = Match._make([*arrays, np.ascontiguousarray(cameras), np.full(count, _LOST)])
-    pictures = scene.pictures
-    first = _First(
-        scene.packed,
-        _padded_to_four([picture.grey for picture in pictures]),
-        _padded_to_four([picture.along_column for picture in pictures]),
-        _padded_to_four([picture.along_row for picture in pictures]),
-        _padded_to_four(scene.surface),
-        _padded_to_four(scene.interior),
-        scene.blur_variance,
-    )
+    found = nothing_found(cameras)
     in_threads(
-        _refine_range, count, first, _padded_to_four([picture.coefficients for picture in moved]),
-        _Points(scene.point[rows], scene.tangent[rows], scene.half_window[rows]),
+        _refine_range, len(rows), first_instant(scene),
+        padded_to_four([picture.coefficients for picture in moved]), surface_points(scene, rows),
         np.ascontiguousarray(start), np.isfinite(start).all(axis=(1, 2)), noise, limits, found,
         min_items=_MIN_POINTS_PER_THREAD,
     )  # fmt: skip
     return found
-
-
-def _padded_to_four(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """The arrays of all cameras as a tuple, padded to four with empty ones.
-
-    The kernel is recompiled for every tuple length, which takes many seconds.
-    """
-    return (*arrays, *[arrays[0][:0]] * (4 - len(arrays)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -195,9 +114,9 @@ def _refine_range(begin, end, first, moved, points, start, known, noise, limits,
             continue
         _set_kernel(work.q, start[i])
         outcome[i] = _prepare_kernel(first, points, i, found.cameras[i], noise, limits, work)
-        if outcome[i] == _VALID:
+        if outcome[i] == VALID:
             outcome[i] = _iterate_kernel(first, moved, points, i, start[i], noise, limits, work)
-        if outcome[i] == _VALID:
+        if outcome[i] == VALID:
             _conclude_kernel(i, noise, limits, work, found)
 
 
@@ -253,7 +172,7 @@ def _prepare_kernel(first, points, i, cameras, noise, limits, work):
         )  # fmt: skip
         seen += work.active[c]
     if seen < 2:
-        return _HIDDEN
+        return HIDDEN
     hessian = work.hessian
     hessian[:] = 0.0
     for c in range(len(cameras)):
@@ -267,7 +186,7 @@ def _prepare_kernel(first, points, i, cameras, noise, limits, work):
             first.cameras[c], point, tangent, limits.bases, work.jacobian, work.mapping[c]
         )
         add_congruence_kernel(work.normal[c], work.mapping[c], 1.0 / noise[c] ** 2, hessian)
-    return _VALID if cholesky_kernel(hessian) else _TEXTURE
+    return VALID if cholesky_kernel(hessian) else TEXTURE
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -287,13 +206,13 @@ def _iterate_kernel(first, moved, points, i, start, noise, limits, work):
         update_kernel(work.q, work.frame, tangent, total, limits.bases)
         step, away = pixel_lengths_kernel(first.cameras, point, work.active, total, work.q, start)
         if not away <= limits.reach:
-            return _LOST
+            return LOST
         if step < limits.tolerance:
             inside = in_picture_kernel(
                 first.cameras, moved, point, work.q, work.active, limits.half
             )
-            return _VALID if inside else _OUTSIDE
-    return _LOST
+            return VALID if inside else OUTSIDE
+    return LOST
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -356,24 +275,12 @@ def _conclude_kernel(i, noise, limits, work, found):
         residual_variance[c] = 2.0 / (1.0 + work.noise_fraction[c]) * squares / freedom
         excess += residual_variance[c] / noise[c] ** 2 / seen
         window_blocks_kernel(work.window[c], basis, work.sampled[c], work.blocks)
-        for a in range(3):
-            product_kernel(
-                work.mapping[c], work.inverse[a * bases], 1.0 / noise[c] ** 2, work.influence
-            )
-            for block in work.blocks:
-                share = 0.0
-                for k in range(len(block)):
-                    share += block[k] * work.influence[k]
-                robust += share**2
-        # Without the heights, which come last: in a flat window they determine nothing.
-        own, step = work.own, work.right[c, : 2 * bases]
-        _set_kernel(own, work.normal[c])
-        if cholesky_kernel(own):
-            cholesky_solve_kernel(own, step)
-            own_step[c, 0] = -step[0]
-            own_step[c, 1] = -step[1]
-            mean = _mean_variance_kernel(own, step)
-            found.own_variance[i, c] = residual_variance[c] * mean
+        robust += robust_variance_kernel(
+            work.mapping[c], work.inverse, 1.0 / noise[c] ** 2, work.blocks, work.influence
+        )
+        found.own_variance[i, c] = residual_variance[c] * own_step_kernel(
+            work.normal[c], work.own, work.right[c, : 2 * bases], own_step[c]
+        )
     for a in range(3):
         white += work.inverse[a * bases, a * bases]
     # Correct for the 3 bases degrees of freedom that the fit takes from few blocks.
@@ -384,12 +291,42 @@ def _conclude_kernel(i, noise, limits, work, found):
 
 
 @njit(cache=True, error_model="numpy")
-def _mean_variance_kernel(factor, scratch):
-    """Mean of the two diagonal entries of the inverse that belong to the shift."""
+def robust_variance_kernel(mapping, inverse, factor, blocks, influence):
+    """One camera's part of the variance of the displacement, from its residuals in blocks.
+
+    `mapping` (2 terms, 3 bases), `inverse` (3 bases, 3 bases), `factor` one over the variance of
+    the noise, `blocks` (cells, 2 terms); `influence` (2 terms,) is scratch.
+    """
+    robust = 0.0
+    for a in range(3):
+        product_kernel(mapping, inverse[a * (len(inverse) // 3)], factor, influence)
+        for cell in range(len(blocks)):
+            share = 0.0
+            for k in range(len(influence)):
+                share += blocks[cell, k] * influence[k]
+            robust += share * share
+    return robust
+
+
+@njit(cache=True, error_model="numpy")
+def own_step_kernel(normal, own, step, found):
+    """Write the further step that one camera alone would take into `found`, (2,) [px].
+
+    `normal` (2 terms, 2 terms) and `step` (2 bases,), its right-hand side, are without the heights,
+    which come last: in a flat window they determine nothing. `own` (2 bases, 2 bases) is scratch.
+    Returns the variance of each component for residuals of one [px^2]; NaN if it is not determined.
+    """
+    _set_kernel(own, normal)
+    if not cholesky_kernel(own):
+        return np.nan
+    cholesky_solve_kernel(own, step)
+    found[0] = -step[0]
+    found[1] = -step[1]
     variance = 0.0
     for a in range(2):
-        scratch[:] = 0.0
-        scratch[a] = 1.0
-        cholesky_solve_kernel(factor, scratch)
-        variance += 0.5 * scratch[a]
+        for k in range(len(step)):
+            step[k] = 0.0
+        step[a] = 1.0
+        cholesky_solve_kernel(own, step)
+        variance += 0.5 * step[a]
     return variance

@@ -18,7 +18,7 @@ from vision.scenes import (
 
 from palpate.vision.cameras.projection import pixel_sizes
 from palpate.vision.cameras.surface_map import SurfaceMap
-from palpate.vision.joint.scene import (
+from palpate.vision.refinement.scene import (
     advanced_scene,
     interior_pixels,
     make_scene,

@@ -1,0 +1,25 @@
+"""One window of the surface matched in all cameras at once, from a start.
+
+Purpose    : the motion of points of a surface between two instants to a hundredth of a pixel, each
+             with its covariance, on the CPU or on an accelerator.
+Takes      : a `Rig`, the pictures of its cameras at two instants, a triangle surface; starts.
+Gives      : `Scene`, an instant with its points; `Match`, their motion; `refinement_on` a device.
+Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `vision.range_flow`,
+             `vision.small_systems`, `records`.
+Read first : `window_match.py`, then `refinement.py`; for an accelerator `cuda_kernel.py`.
+"""
+
+from palpate.vision.refinement.devices import Device as Device, refinement_on as refinement_on
+from palpate.vision.refinement.refinement import refine_joint as refine_joint
+from palpate.vision.refinement.scene import (
+    Scene as Scene,
+    advanced_scene as advanced_scene,
+    make_scene as make_scene,
+    scene_rows as scene_rows,
+)
+from palpate.vision.refinement.window_match import (
+    BLOCKS as BLOCKS,
+    Limits as Limits,
+    Match as Match,
+    Refine as Refine,
+)
