@@ -104,10 +104,12 @@ def _seconds(arguments: list[str], cache: Path) -> float:
 def _run(command: list[str], cache: Path) -> float:
     """Wall time of one process, its caches in a folder."""
     caches = {"NUMBA_CACHE_DIR": f"{cache}/numba", "MPLCONFIGDIR": f"{cache}/matplotlib"}
+    # Python keeps what it has compiled of the modules, unless it is told not to.
+    told = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     start = time.perf_counter()
     done = subprocess.run(
         command,
-        env={**os.environ, **caches},
+        env=told | caches,
         cwd=cache,
         capture_output=True,
         text=True,
