@@ -57,7 +57,9 @@ class Cholesky:
         """
         x = self.half_solve(right)
         for front in reversed(self.fronts):
-            own = x[front.own] - dgemm(1.0, x[front.later].T, front.coupling, trans_b=True).T
+            own = x[front.own]
+            if len(front.later):
+                own -= dgemm(1.0, x[front.later].T, front.coupling, trans_b=True).T
             x[front.own] = solve_triangular(
                 front.lower, own, lower=True, trans="T", check_finite=False
             )
@@ -80,7 +82,8 @@ class Cholesky:
             if x[front.own].any():
                 own = solve_triangular(front.lower, x[front.own], lower=True, check_finite=False)
                 x[front.own] = own
-                x[front.later] -= dgemm(1.0, own.T, front.coupling).T
+                if len(front.later):
+                    x[front.later] -= dgemm(1.0, own.T, front.coupling).T
         return x
 
 
@@ -217,6 +220,9 @@ def _front(
             "the stiffness matrix is not positive definite: the body is held at too few places to"
             " keep it from moving as a whole, or its material is not stable; hold more of it"
         ) from error
+    if k == size:
+        # The last one: BLAS refuses empty matrices.
+        return _Front(own, later, lower, np.empty((k, 0))), np.empty((0, 0))
     coupling = solve_triangular(lower, full[:k, k:], lower=True, check_finite=False)
     # Its upper triangle.
     schur = dsyrk(1.0, coupling, trans=True, lower=True).T

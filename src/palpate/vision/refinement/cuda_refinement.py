@@ -51,9 +51,10 @@ class CudaRefinement:
         try:
             cuda.current_context()
         except cuda.CudaSupportError as error:
+            said = " ".join(str(error).split()).rstrip(" .:")
             raise InputError(
                 "no CUDA device was found to measure the motion on; use the CPU (--device cpu), or"
-                f" see to the driver, which says: {' '.join(str(error).split())}"
+                f" see to the driver, which says: {said}"
             ) from error
         self._pictures: dict[int, tuple[np.ndarray, Any]] = {}
         self._points = _Exchange(0, 0)
