@@ -57,7 +57,7 @@ _GOING_ON = -1
 # noise of each camera (c,) [grey levels].
 Task = namedtuple("Task", "point tangent half_window start known noise")
 # Work arrays of every block of threads, c cameras each; planes and places are float32.
-#   planes (c, 4 + 2 terms, pixels)     see above [grey levels, grey levels/px]
+#   planes (c, 4 + 2 terms, pixels)     see `window_share.py` [grey levels, grey levels/px]
 #   places (c, 3, pixels)               xi, eta, zeta, see `surface_coordinates_kernel`
 #   sampled (c, 2, pixels)              later grey level, and the fraction of its noise left
 #   statistics (c, 3)                   number of pixels, mean, sum of squared deviations
