@@ -3,6 +3,8 @@
 import hashlib
 import os
 import pickle
+import re
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
@@ -18,8 +20,13 @@ from palpate.errors import InUseError, RecordError
 from palpate.files import checked_file, read_bytes
 
 T = TypeVar("T")
+# Name of a part's file: a digest.
+_PART_NAME = re.compile(r"[0-9a-f]{64}")
 # Length of the checksum that precedes a part [bytes].
 _CHECKSUM_BYTES = 32
+# Largest size of a cache [bytes], and fraction of what is free on the disk without it. All of a body
+# of 5000 vertices, the largest that is solved with dense matrices, takes 10 GB.
+_MOST_BYTES, _MOST_FRACTION = 16 * 2**30, 0.25
 # The names that numpy needs to unpickle arrays.
 _NUMPY_NAMES = ("_reconstruct", "_frombuffer", "scalar", "ndarray", "dtype")
 
@@ -33,10 +40,14 @@ class Parts:
     folder : Path or None           created when the first part is stored; None: nothing is stored
     key : str                       digest of everything the computation depends on; parts stored
                                     under another key in the same folder are ignored
+    cache : bool                    whether the folder's size is limited: what has not been used for
+                                    longest is removed beyond 16 GB, or a quarter of what would be
+                                    free on the disk without it
     """
 
     folder: Path | None
     key: str = ""
+    cache: bool = False
 
     def load_or_make(
         self, name: str, make: Callable[[], T], known: Mapping[str, Any] | None = None
@@ -86,6 +97,8 @@ class Parts:
                 atomic_replacement([self._file(self.folder, name)]) as (staged,),
             ):
                 _write_part(staged, part, known or {})
+            if self.cache:
+                _trim(self.folder)
         return part
 
     def _file(self, folder: Path, name: str) -> Path:
@@ -217,3 +230,32 @@ def _read_part(path: Path, known: Mapping[str, Any]) -> Any:
     except (RecordError, OSError, ValueError, LookupError, TypeError, AttributeError, ImportError,
             EOFError, pickle.UnpicklingError):  # fmt: skip
         return None
+
+
+def _trim(cache: Path) -> None:
+    """Remove the parts that have not been used for longest, beyond what a cache may hold.
+
+    Another process may read, write and remove at the same time: what it has locked or removed is
+    left to it. Files of other names are not touched.
+    """
+    found = []
+    with suppress(OSError):
+        for file in cache.iterdir():
+            if _PART_NAME.fullmatch(file.name):
+                with suppress(OSError):
+                    found.append((file.stat(), file))
+    total, held = 0, sum(each.st_size for each, _ in found)
+    most = min(_MOST_BYTES, _MOST_FRACTION * (_free_bytes(cache) + held))
+    for each, file in sorted(found, key=lambda pair: pair[0].st_mtime, reverse=True):
+        total += each.st_size
+        if total > most:
+            with suppress(OSError):
+                file.unlink()
+
+
+def _free_bytes(folder: Path) -> int:
+    """What is free on the disk of a folder, 0 if that cannot be found out."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return 0

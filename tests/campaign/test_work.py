@@ -1,7 +1,6 @@
 """What a piece of work gives depends on what it is given, and on nothing else."""
 
 import errno
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +11,7 @@ from palpate.bem import check_memory
 from palpate.bem.compressed import choice
 from palpate.campaign import FitOptions, Work, do_work, pack_session
 from palpate.campaign.package import pack_files
-from palpate.campaign.work import _trim_cache
 from palpate.errors import InputError
-from palpate.parts import Parts
 from palpate.pipeline import fit_session
 from palpate.records import read_estimate, read_session
 
@@ -62,24 +59,6 @@ def test_a_shared_body_that_is_solved_compressed_leaves_nothing(packed_cube, tmp
     assert outcome.failure == ""
     assert "estimate.json" in outcome.package.files
     assert list((tmp_path / "one").iterdir()) == []
-
-
-def test_what_was_not_used_for_longest_is_removed(tmp_path):
-    for age, name in enumerate(["new", "older", "oldest"]):
-        (tmp_path / name).write_bytes(bytes(10))
-        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
-    # Reading a part is using it (its time is now); these are no parts.
-    Parts(tmp_path, "a").load_or_make("part", lambda: 1)
-    (part,) = (path for path in tmp_path.iterdir() if len(path.name) == 64)
-    os.utime(part, (1e9 - 9, 1e9 - 9))
-    assert Parts(tmp_path, "a").load("part") == 1
-    # What another worker is writing is not complete, and what it removes is gone: a broken link
-    # stands for that.
-    (tmp_path / ".oldest.part").write_bytes(bytes(1000))
-    (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
-    _trim_cache(tmp_path, most=part.stat().st_size + 20)
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {part.name, "new", "older", ".oldest.part", "gone"}
 
 
 def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_path):

@@ -3,11 +3,13 @@
 import hashlib
 import os
 import pickle
+import shutil
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from palpate import parts
 from palpate.disk import atomic_replacement
 from palpate.parts import Parts, content_digest
 from palpate.records import Constant, Status
@@ -128,3 +130,52 @@ def test_a_pipe_in_the_place_of_a_part_is_no_part(tmp_path):
     file.unlink()
     os.mkfifo(file)
     assert parts.load_or_make("a", lambda: 2) == 2
+
+
+def _parts_of_ten_bytes(folder, count):
+    """Files with the names of parts, each used a second before the last one."""
+    paths = [folder / f"{number:064x}" for number in range(count)]
+    for number, path in enumerate(paths):
+        path.write_bytes(bytes(10))
+        os.utime(path, (1e9 - number, 1e9 - number))
+    return paths
+
+
+def test_a_cache_loses_what_was_not_used_for_longest(tmp_path, monkeypatch):
+    new, older, oldest = _parts_of_ten_bytes(tmp_path, 3)
+    Parts(tmp_path, "a").stored("part", 1)
+    (part,) = set(tmp_path.iterdir()) - {new, older, oldest}
+    os.utime(part, (1e9 - 9, 1e9 - 9))
+    # Reading a part is using it: its time is now.
+    assert Parts(tmp_path, "a", cache=True).load("part") == 1
+    # Somebody's own file, what another process is writing, and what it removes at this moment: a
+    # broken link stands for that.
+    (tmp_path / "notes.txt").write_bytes(bytes(1000))
+    (tmp_path / f".{oldest.name}.part").write_bytes(bytes(1000))
+    (tmp_path / f"{9:064x}").symlink_to(tmp_path / "nowhere")
+    before = set(tmp_path.iterdir())
+    size = part.stat().st_size
+    monkeypatch.setattr(parts, "_MOST_BYTES", 2 * size + 20)
+    Parts(tmp_path, "a").stored("another", 2)
+    Parts(tmp_path, "b", cache=True).stored("part", 3)
+    # The newest are those two, `part`, which is one too many, and what is older.
+    assert before - set(tmp_path.iterdir()) == {part, new, older, oldest}
+    assert Parts(tmp_path, "a").load("another") == 2
+    assert Parts(tmp_path, "b").load("part") == 3
+
+
+def test_a_cache_takes_a_quarter_of_what_is_free_without_it(tmp_path, monkeypatch):
+    files = _parts_of_ten_bytes(tmp_path, 5)
+    usage = shutil.disk_usage(tmp_path)
+    # With the 50 bytes of the cache 120 would be free, of which a quarter are three parts.
+    monkeypatch.setattr(parts.shutil, "disk_usage", lambda _: usage._replace(free=70))
+    parts._trim(tmp_path)
+    assert sorted(tmp_path.iterdir()) == files[:3]
+
+
+def test_finished_parts_of_long_work_are_all_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(parts, "_MOST_BYTES", 10)
+    store = Parts(tmp_path, "a")
+    for number in range(3):
+        store.stored(str(number), number)
+    assert [store.load(str(number)) for number in range(3)] == [0, 1, 2]

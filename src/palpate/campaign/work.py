@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -41,10 +41,6 @@ from palpate.records import (
 from palpate.threads import one_thread
 
 ESTIMATE_FILE = "estimate.json"
-# Size of a worker's cache of bodies [bytes], and its largest fraction of what is free on the disk;
-# what has not been used for longest is removed first. All of a body of 5000 vertices, the largest
-# that is solved with dense matrices, takes 10 GB.
-_MAX_CACHE_BYTES, _MAX_CACHE_FRACTION = 16 * 2**30, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,29 +218,6 @@ def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Pa
     write_estimate(result / ESTIMATE_FILE, replace(fitted.estimate, notes=notes, seconds={}))
     # This file also holds the residuals: fewer files are stored faster.
     write_fitted_surface(result, session, fitted)
-    # A body that is solved without dense matrices leaves nothing.
-    if cache is not None and cache.is_dir():
-        free = shutil.disk_usage(cache).free
-        _trim_cache(cache, most=min(_MAX_CACHE_BYTES, int(_MAX_CACHE_FRACTION * free)))
-
-
-def _trim_cache(cache: Path, *, most: int) -> None:
-    """Remove what has not been used for longest, beyond a size in bytes.
-
-    Another worker may read, write and remove at the same time: what it has locked or removed is
-    left to it, and so are hidden files, which are not complete yet.
-    """
-    found = []
-    for file in cache.iterdir():
-        with suppress(OSError):
-            if not file.name.startswith("."):
-                found.append((file.stat(), file))
-    total = 0
-    for one, file in sorted(found, key=lambda each: each[0].st_mtime, reverse=True):
-        total += one.st_size
-        if total > most:
-            with suppress(OSError):
-                file.unlink()
 
 
 def _with_original_notes(motion: ProbingMotion, work: Work, own_folder: Path) -> ProbingMotion:

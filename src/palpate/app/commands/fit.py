@@ -97,8 +97,9 @@ def fit(
         Where the object is in pictures: as the camera file says (given), as the pictures at rest
         show (register), or registered only where they contradict the file (auto).
     cache
-        Folder that keeps what is computed of this object for the next fit: factors and reduced
-        models.
+        Folder that keeps what is computed of this object for the next fit, factors and reduced
+        models: 16 GB, or a quarter of the free disk, at most; what has not been used for longest
+        goes first.
     force
         Write although something else than an unchanged result of this command is there; that is
         kept beside it as NAME.old.

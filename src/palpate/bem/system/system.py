@@ -114,7 +114,7 @@ def boundary_system(
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
     system = equations_at(surface, unknowns, collocation, quadrature=quadrature)
-    parts = Parts(None) if cache is None else Parts(cache, _digest(surface, quadrature))
+    parts = Parts(None) if cache is None else Parts(cache, _digest(surface, quadrature), cache=True)
     return replace(system, rigid_body_sum=True, parts=parts)
 
 
