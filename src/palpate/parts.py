@@ -24,7 +24,7 @@ T = TypeVar("T")
 _PART_NAME = re.compile(r"[0-9a-f]{64}")
 # Length of the checksum that precedes a part [bytes].
 _CHECKSUM_BYTES = 32
-# Largest size of a cache [bytes], and fraction of what is free on the disk without it. All of a body
+# Largest size of a cache [bytes], and fraction of what is free without it. All of a body
 # of 5000 vertices, the largest that is solved with dense matrices, takes 10 GB.
 _MOST_BYTES, _MOST_FRACTION = 16 * 2**30, 0.25
 # The names that numpy needs to unpickle arrays.
