@@ -140,7 +140,10 @@ def test_same_as_on_the_cpu_in_the_simulator():
     # Not one of several processes that share the tests.
     here = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__],
+        [
+            *(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"),
+            *("-o", "addopts=--import-mode=importlib", __file__),
+        ],
         env=here | {"NUMBA_ENABLE_CUDASIM": "1"},
         cwd=Path(__file__).parents[3],
         capture_output=True,
