@@ -42,7 +42,7 @@ def measure(options: Options) -> list[Figure]:
 
 @dataclass(frozen=True)
 class Followed:
-    """Some instants, one after the other.
+    """Some instants, each followed from the first one.
 
     Attributes
     ----------

@@ -153,13 +153,9 @@ def _prepare(first, task, i, cameras, limits, work):
                     work.jacobian, work.mapping[c],
                 )  # fmt: skip
             cuda.syncthreads()
+            factor = 1.0 / task.noise[c] ** 2
             congruence_share_kernel(
-                thread,
-                threads,
-                work.normal[c],
-                work.mapping[c],
-                1.0 / task.noise[c] ** 2,
-                work.hessian,
+                thread, threads, work.normal[c], work.mapping[c], factor, work.hessian
             )
             cuda.syncthreads()
     if thread == 0:

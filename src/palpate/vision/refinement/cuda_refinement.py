@@ -33,7 +33,7 @@ _MOST_WORK = 2**29
 _ALIGNMENT = 256
 
 # Shape and type of an array.
-Layout = Mapping[str, tuple[tuple[int, ...], type]]
+_Layout = Mapping[str, tuple[tuple[int, ...], type]]
 
 
 class CudaRefinement:
@@ -57,7 +57,7 @@ class CudaRefinement:
                 f" see to the driver, which says: {said}"
             ) from error
         self._pictures: dict[int, tuple[np.ndarray, Any]] = {}
-        self._points = _Exchange(0, 0)
+        self._points: _Exchange | None = None
         self._work: dict[tuple[int, int, int], BlockWork] = {}
 
     def __call__(
@@ -78,9 +78,9 @@ class CudaRefinement:
         pictures = self._sent(
             first_instant(scene), padded_to_four([picture.coefficients for picture in moved])
         )
-        if self._points.count < count or self._points.views != views:
-            self._points = _Exchange(max(count, len(scene.point)), views)
         points = self._points
+        if points is None or points.count < count or points.views != views:
+            points = self._points = _Exchange(max(count, len(scene.point)), views)
         known = np.isfinite(start).all(axis=(1, 2))
         points.send(Task(*surface_points(scene, rows), start, known, noise), found)
         work = self._work_arrays(views, limits)
@@ -134,12 +134,12 @@ class _Exchange:
         empty = nothing_found(np.zeros((count, views), dtype=bool))._asdict()
         match = {name: (array.shape, array.dtype.type) for name, array in empty.items()}
         self._here = np.empty(_size(task) + _size(match), np.uint8)
-        self._there = cuda.device_array(max(len(self._here), 1), np.uint8)
+        self._there = cuda.device_array(len(self._here), np.uint8)
         cut = _size(task)
         self._task_here = Task(**_views(self._here[:cut], task))
         self._found_here = Match(**_views(self._here[cut:], match))
-        self.task = Task(**_views(self._there[:cut], task)) if count else None
-        self.found = Match(**_views(self._there[cut:], match)) if count else None
+        self.task = Task(**_views(self._there[:cut], task))
+        self.found = Match(**_views(self._there[cut:], match))
 
     def send(self, task: Task, found: Match) -> None:
         """Copy a task, and what is found before it is begun, in one transfer."""
@@ -163,21 +163,24 @@ def _mapped(function: Any, arrays: Any) -> Any:
     return function(arrays)
 
 
-def _views(memory: Any, layout: Layout) -> dict[str, Any]:
+def _views(memory: Any, layout: _Layout) -> dict[str, Any]:
     """Arrays one after the other in a piece of memory, here or on the device."""
     begin, views = 0, {}
     for name, (shape, kind) in layout.items():
-        size = int(np.prod(shape)) * np.dtype(kind).itemsize
+        size = _bytes(shape, kind)
         views[name] = memory[begin : begin + size].view(kind).reshape(shape)
         begin += _padded(size)
     return views
 
 
-def _size(layout: Layout) -> int:
+def _size(layout: _Layout) -> int:
     """Bytes that `_views` takes."""
-    return sum(
-        _padded(int(np.prod(shape)) * np.dtype(kind).itemsize) for shape, kind in layout.values()
-    )
+    return sum(_padded(_bytes(shape, kind)) for shape, kind in layout.values())
+
+
+def _bytes(shape: tuple[int, ...], kind: type) -> int:
+    """Bytes of an array."""
+    return int(np.prod(shape)) * np.dtype(kind).itemsize
 
 
 def _padded(size: int) -> int:
@@ -185,7 +188,7 @@ def _padded(size: int) -> int:
     return -(-size // _ALIGNMENT) * _ALIGNMENT
 
 
-def _work_layout(views: int, half: int, bases: int) -> Layout:
+def _work_layout(views: int, half: int, bases: int) -> _Layout:
     """Work arrays of one block, see `BlockWork`."""
     pixels = (2 * half + 1) ** 2
     # A window that only shifts has no tilt that its pixels' heights could follow.

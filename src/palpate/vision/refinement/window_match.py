@@ -19,8 +19,8 @@ OUTSIDE = int(Outcome.OUTSIDE)
 LOST = int(Outcome.LOST)
 # Blocks along a side of a window whose residuals are treated as mutually independent.
 BLOCKS = 3
-# What all kernels take of the first instant: tuples of four arrays, see `Scene`, empty ones beyond
-# the last camera; but the packed cameras (c, 25) and the blur variance (c,) [px^2].
+# What all kernels take of the first instant: tuples of `padded_to_four` arrays, see `Scene`; but
+# the packed cameras (c, 25) and the blur variance (c,) [px^2].
 FirstInstant = namedtuple(
     "FirstInstant", "cameras grey along_column along_row surface interior blur_variance"
 )
@@ -140,7 +140,7 @@ def first_instant(scene: Scene) -> FirstInstant:
 
 
 def padded_to_four(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """The arrays of all cameras as a tuple, padded to four with empty ones.
+    """The arrays of all cameras as a tuple, padded to four with the first one.
 
     A kernel is recompiled for every length of a tuple, which takes many seconds.
 
@@ -152,7 +152,7 @@ def padded_to_four(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     -------
     tuple of four arrays            more where there are more cameras
     """
-    return (*arrays, *[arrays[0][:0]] * (4 - len(arrays)))
+    return (*arrays, *[arrays[0]] * (4 - len(arrays)))
 
 
 def surface_points(scene: Scene, rows: Int[np.ndarray, " n"]) -> SurfacePoints:
