@@ -1,6 +1,5 @@
 """Runs a campaign: many sessions on many workers, resumable after any interruption."""
 
-import posixpath
 from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -11,8 +10,8 @@ from typing import Any
 from palpate.campaign.cluster import started_engine
 from palpate.campaign.engine import Engine, worker_share
 from palpate.campaign.items import CampaignItem
-from palpate.campaign.motions import motion_works
-from palpate.campaign.package import PackedSession, pack_files, pack_session
+from palpate.campaign.package import pack_files, pack_session
+from palpate.campaign.pieces import body_work, motion_works, needs_motion, shared_meshes
 from palpate.campaign.rows import DONE, Row
 from palpate.campaign.store import TABLE_TEXT, Store
 from palpate.campaign.table import table_text
@@ -20,7 +19,9 @@ from palpate.campaign.work import FitOptions, Outcome, Work, do_work
 from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import InputError, PalpateError
 from palpate.progress import Progress, silent
-from palpate.records import read_toml
+
+# Fits per worker thread that may wait for motions and bodies: their sessions take memory.
+_HELD_PER_THREAD = 8
 
 
 def run_campaign(
@@ -70,7 +71,9 @@ def run_campaign(
         stack.callback(store.clear)
         store.begin(items)
         run = _Run(store, options, lambda: stack.enter_context(started_engine(scheduler, workers)))
-        run.work_through(items, progress)
+        # On workers that share no folder, what is computed of a body would have to travel, which
+        # takes longer than to compute it: each of them keeps what its own fits compute.
+        run.work_through(items, progress, bodies_first=scheduler is None)
         rows = store.rows()
         staged.write_text(table_text(rows), encoding="utf-8")
     return rows
@@ -78,13 +81,13 @@ def run_campaign(
 
 @dataclass(slots=True, eq=False)
 class _WaitingFit:
-    """A fit that waits for motions to be measured.
+    """A fit that waits for motions to be measured, and for what it shares with others of its body.
 
     Attributes
     ----------
     work : Work                     the fit
     keys : dict of str to str       of all motions that it needs, by probing
-    missing : set of str            digests of the works that measure them and have not ended
+    missing : set of str            digests of the works before it that have not ended
     """
 
     work: Work
@@ -102,18 +105,27 @@ class _Run:
         self._items_of: dict[str, list[CampaignItem]] = {}
         self._ready: deque[Work] = deque()
         self._fits_after: dict[str, list[_WaitingFit]] = {}
-        self._known_meshes: set[str] = set()
+        self._ended_bodies: set[str] = set()
         self._known_rows = {row.session: row for row in store.rows()}
 
-    def work_through(self, items: Sequence[CampaignItem], progress: Progress) -> None:
-        """Process all sessions, until each has its row in the table."""
+    def work_through(
+        self, items: Sequence[CampaignItem], progress: Progress, *, bodies_first: bool
+    ) -> None:
+        """Process all sessions, until each has its row in the table.
+
+        `bodies_first`: what fits of one body share is a piece of work that they wait for.
+        """
+        meshes = shared_meshes(items)
         waiting = deque(items)
         while waiting or self._ready or (self._engine is not None and self._engine.is_busy):
             while (self._ready or waiting) and (self._engine is None or self._engine.has_room):
                 if self._ready:
                     self._submit(self._ready.popleft())
+                elif self._holds_enough:
+                    break
                 else:
-                    self._start(waiting.popleft())
+                    item = waiting.popleft()
+                    self._start(item, meshes.get(item.name, ""), bodies_first=bodies_first)
             in_progress = sum(map(len, self._items_of.values()))
             ended = len(items) - len(waiting) - in_progress
             progress(f"{ended} of {len(items)} sessions", ended / len(items))
@@ -122,16 +134,26 @@ class _Run:
                     self._store_outcome(work, _outcome(found))
         progress(f"{len(items)} of {len(items)} sessions", 1.0)
 
-    def _start(self, item: CampaignItem) -> None:
-        """Prepare the work on a session, unless its result exists or it cannot be read."""
+    @property
+    def _holds_enough(self) -> bool:
+        """Whether so many fits wait for other work that no more sessions should be read yet."""
+        if self._engine is None:
+            return False
+        limit = _HELD_PER_THREAD * max(1, self._engine.threads)
+        return sum(map(len, self._fits_after.values())) >= limit
+
+    def _start(self, item: CampaignItem, mesh: str, *, bodies_first: bool) -> None:
+        """Prepare the work on a session, unless its result exists or it cannot be read.
+
+        `mesh`: checksum of the one that it shares with other sessions, or empty.
+        """
         try:
             session = pack_session(item.path)
-            needs_motion, mesh_sum = _inspect(item.path, session)
+            is_unmeasured = needs_motion(item.path)
         except PalpateError as error:
             self._fail(item, error)
             return
-        fit = Work("fit", session, self.options, shared_body=mesh_sum in self._known_meshes)
-        self._known_meshes |= {mesh_sum} - {""}
+        fit = Work("fit", session, self.options, shared_body=bool(mesh))
         if self.store.is_done(fit):
             row = self._known_rows[item.name]
             if (row.state, row.address) != (DONE, fit.digest):
@@ -139,11 +161,12 @@ class _Run:
             return
         if fit.digest not in self._items_of:
             try:
-                motions = motion_works(item.path, session, self.options) if needs_motion else ()
+                motions = motion_works(item.path, session, self.options) if is_unmeasured else ()
             except PalpateError as error:
                 self._fail(item, error)
                 return
-            self._prepare(fit, motions)
+            body = body_work(session, self.options, mesh) if bodies_first and mesh else None
+            self._prepare(fit, motions, body)
         self._items_of.setdefault(fit.digest, []).append(item)
 
     def _fail(self, item: CampaignItem, error: PalpateError) -> None:
@@ -151,22 +174,27 @@ class _Run:
         failed = Outcome(pack_files({}), str(error), 0.0)
         self.store.set_row(self.store.row_of(item, None, failed))
 
-    def _prepare(self, fit: Work, motions: Sequence[Work]) -> None:
-        """Prepare a fit and the motions that it needs and that are not known yet."""
+    def _prepare(self, fit: Work, motions: Sequence[Work], body: Work | None) -> None:
+        """Prepare a fit, and its body and motions that are not known yet."""
         keys = {name: key for work in motions for name, key in work.keys.items()}
         waiting = _WaitingFit(fit, keys, set())
+        if body is not None and body.digest not in self._ended_bodies:
+            self._hold(waiting, body)
         for work in motions:
             unknown = {n: key for n, key in work.keys.items() if self.store.motion(key) is None}
-            work = replace(work, keys=unknown)
-            if unknown and work.digest not in self._fits_after:
-                self._ready.append(work)
             if unknown:
-                self._fits_after.setdefault(work.digest, []).append(waiting)
-                waiting.missing.add(work.digest)
+                self._hold(waiting, replace(work, keys=unknown))
         self._continue(waiting)
 
+    def _hold(self, fit: _WaitingFit, work: Work) -> None:
+        """Have a fit wait for a piece of work, which other fits may wait for already."""
+        if work.digest not in self._fits_after:
+            self._ready.append(work)
+        self._fits_after.setdefault(work.digest, []).append(fit)
+        fit.missing.add(work.digest)
+
     def _continue(self, fit: _WaitingFit) -> None:
-        """Let a fit begin whose motions are all known."""
+        """Let a fit begin that waits for nothing more."""
         if not fit.missing:
             motions = {name: self.store.motion(key) for name, key in fit.keys.items()}
             known = {name: motion for name, motion in motions.items() if motion is not None}
@@ -178,14 +206,20 @@ class _Run:
         self._engine.submit(work_on_worker, work)
 
     def _store_outcome(self, work: Work, outcome: Outcome) -> None:
-        """Store the outcome of a piece of work; the last motion is followed by the fit."""
-        if not outcome.failure:
+        """Store the outcome of a piece of work; the last one before a fit is followed by it.
+
+        Of a body, the workers keep what was computed. Where that failed, so will the fits that need
+        it, each with a message of its own.
+        """
+        if work.kind == "body":
+            self._ended_bodies.add(work.digest)
+        elif not outcome.failure:
             self.store.save_result(work, outcome.package)
         if work.kind == "fit":
             self._end(work, outcome)
             return
         for fit in self._fits_after.pop(work.digest):
-            if outcome.failure:
+            if outcome.failure and work.kind == "motion":
                 self._end(fit.work, outcome)
             else:
                 fit.missing.remove(work.digest)
@@ -215,18 +249,3 @@ def work_on_worker(work: Work) -> Outcome:
 def _outcome(found: Outcome | PalpateError) -> Outcome:
     """What a worker gave, as an outcome."""
     return found if isinstance(found, Outcome) else Outcome(pack_files({}), str(found), 0.0)
-
-
-def _inspect(path: Path, session: PackedSession) -> tuple[bool, str]:
-    """Whether a session's motion must still be measured in pictures; checksum of its mesh."""
-    file = path / "session.toml" if path.is_dir() else path
-    values = read_toml(file).values
-    probes = values.get("probe")
-    needs_motion = isinstance(probes, list) and any(
-        isinstance(probe, dict) and "images" in probe and "displacement" not in probe
-        for probe in probes
-    )
-    body = values.get("object")
-    mesh = str(body.get("mesh")) if isinstance(body, dict) else ""
-    place = posixpath.normpath(posixpath.join(posixpath.dirname(session.session), mesh))
-    return needs_motion, session.package.sums.get(place, "")

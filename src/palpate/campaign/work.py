@@ -1,4 +1,5 @@
-"""One piece of a campaign's work: the motion in some of a session's pictures, or its fit.
+"""One piece of a campaign's work: the motion in some of a session's pictures, what the fits of one
+body share, or a session's fit.
 
 The result depends only on the input: not on the machine, the working folder or the time.
 """
@@ -28,6 +29,7 @@ from palpate.pipeline import (
     keep_motion,
     kept_motion,
     measure_pictures,
+    prepare_body,
     with_motions,
     write_fitted_surface,
 )
@@ -60,6 +62,16 @@ class FitOptions:
     strain: Literal["small", "finite"] = "small"
     pose: PoseChoice = "auto"
 
+    @property
+    def fit_settings(self) -> FitSettings:
+        """As `fit_session` takes them."""
+        return FitSettings(poisson_range=self.poisson_range)
+
+    @property
+    def surface_settings(self) -> SurfaceSettings:
+        """As `fit_session` takes them."""
+        return SurfaceSettings(smooth=self.surface == "smooth")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
@@ -67,17 +79,18 @@ class Work:
 
     Attributes
     ----------
-    kind : "motion" or "fit"
+    kind : "motion", "body" or "fit"
     session : PackedSession         of a motion: without the pictures of other probings
     options : FitOptions
     keys : mapping of str to str    of a motion: the probings that are measured, with the digests
-                                    of what their motions depend on
+                                    of what their motions depend on; of a body: the checksum of its
+                                    "mesh"
     motions : mapping of str to bytes   of a fit: what the works "motion" gave, by probing
-    shared_body : bool              other sessions have the same mesh, so what is computed of it
-                                    is cached: factors, reduced models
+    shared_body : bool              of a fit: other sessions have the same mesh, so what is computed
+                                    of it is cached: factors, reduced models
     """
 
-    kind: Literal["motion", "fit"]
+    kind: Literal["motion", "body", "fit"]
     session: PackedSession
     options: FitOptions
     keys: Mapping[str, str] = field(default_factory=dict)
@@ -87,7 +100,7 @@ class Work:
     @property
     def digest(self) -> str:
         """Digest of everything that determines the outcome: files, options, version; 64 digits."""
-        if self.kind == "motion":
+        if self.kind != "fit":
             return content_digest((self.kind, dict(self.keys)))
         sums = dict(self.session.package.sums)
         return content_digest((self.kind, self.session.session, sums, self.options))
@@ -159,14 +172,16 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
     result.mkdir()
     if work.kind == "motion":
         _measure(work, given, result, own_folder)
-    else:
-        _fit(
-            work,
-            _with_motion(work, given, own_folder),
-            result,
-            own_folder,
-            cache if work.shared_body else None,
+    elif work.kind == "body":
+        prepare_body(
+            given,
+            settings=work.options.fit_settings,
+            surface=work.options.surface_settings,
+            cache=cache,
         )
+    else:
+        measured = _with_motion(work, given, own_folder)
+        _fit(work, measured, result, own_folder, cache if work.shared_body else None)
     return pack_files(
         {
             file.relative_to(result).as_posix(): read_bytes(file)
@@ -208,8 +223,8 @@ def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Pa
     options = work.options
     fitted = fit_session(
         session,
-        settings=FitSettings(poisson_range=options.poisson_range),
-        surface=SurfaceSettings(smooth=options.surface == "smooth"),
+        settings=options.fit_settings,
+        surface=options.surface_settings,
         cache=cache,
         finite_strain=options.strain == "finite",
     )

@@ -56,6 +56,7 @@ from palpate.estimation.responses import (
     ProbeResponse as ProbeResponse,
     ProbeRows as ProbeRows,
     ReducedModel as ReducedModel,
+    SolutionModel as SolutionModel,
     SpringResponse as SpringResponse,
     full_responses as full_responses,
     full_spring_responses as full_spring_responses,

@@ -62,6 +62,7 @@ from palpate.pipeline.object_pose import PoseChoice as PoseChoice
 from palpate.pipeline.observations import (
     converged_observations as converged_observations,
     graded_observations as graded_observations,
+    prepare_body as prepare_body,
     session_observations as session_observations,
 )
 from palpate.pipeline.planning import (

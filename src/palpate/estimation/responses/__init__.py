@@ -11,6 +11,7 @@ from palpate.estimation.responses.reduced_model import (
     CENTRE as CENTRE,
     DENSE_RESIDUAL as DENSE_RESIDUAL,
     ReducedModel as ReducedModel,
+    SolutionModel as SolutionModel,
     make_reduced_model as make_reduced_model,
     make_spring_model as make_spring_model,
 )

@@ -1,7 +1,7 @@
 """Observations of a session's probings, with the responses of their model.
 
 Purpose    : measurement and model of every probing as the one object that the estimation takes, and
-             the errors of the mesh.
+             the errors of the mesh; what fits of one body share, before anything is measured.
 Takes      : a `Session`, its `ObjectModel`.
 Gives      : `ProbeObservations` of the estimation, one for each probing.
 Depends on : `pipeline.model`, `estimation`, `records`, `bem`, `geometry`; errors, shapes.
@@ -16,6 +16,7 @@ from palpate.pipeline.observations.mesh_errors import (
     ungraded_observations as ungraded_observations,
     with_considered_errors as with_considered_errors,
 )
+from palpate.pipeline.observations.prepared_body import prepare_body as prepare_body
 from palpate.pipeline.observations.session_observations import (
     session_observations as session_observations,
 )

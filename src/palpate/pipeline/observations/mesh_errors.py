@@ -19,7 +19,12 @@ from palpate.records import EXACT, Session
 # Relative residual of a model used only for the change to a finer mesh: that is at least a
 # thousandth of the displacement, so it is known to a hundredth; on a plate of 5 mm a residual of
 # 1e-4 changes no constant by 1e-7.
-_UNGRADED_RESIDUAL = 1e-5
+UNGRADED_RESIDUAL = 1e-5
+# What an estimate calls the errors that come out of the compared meshes.
+_STEPS = {
+    "wider fits": "fields between the vertices (in steps to wider fits)",
+    "finer edges": "sharp edges (in steps to finer ones)",
+}
 # Fraction of the work that the integrals take.
 _SOLVED = 0.5
 
@@ -57,19 +62,52 @@ def ungraded_observations(
     ------
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
-    plain = replace(session, errors=EXACT)
-    progress("integrals", 0.0)
-    model = make_object_model(
-        plain, surface=surface, cache=cache, perturbed=False, like=like,
+    model = ungraded_model(
+        session, settings=settings, surface=surface, cache=cache, like=like,
         progress=part_of(progress, 0.0, _SOLVED),
     )  # fmt: skip
     progress("reduced model", _SOLVED)
+    return model, converged_observations(
+        model.session,
+        model,
+        settings=settings,
+        with_surface=with_surface,
+        residual=UNGRADED_RESIDUAL,
+    )
+
+
+def ungraded_model(
+    session: Session,
+    *,
+    settings: FitSettings = FitSettings(),
+    surface: SurfaceSettings = SurfaceSettings(),
+    cache: Path | None = None,
+    like: ObjectModel | None = None,
+    progress: Progress = silent,
+) -> ObjectModel:
+    """The model of the mesh as it is, without other errors.
+
+    Parameters
+    ----------
+    session, settings, surface, cache, like, progress    as in `ungraded_observations`
+
+    Returns
+    -------
+    ObjectModel
+
+    Raises
+    ------
+    InputError                            as `make_object_model`
+    """
+    plain = replace(session, errors=EXACT)
+    progress("integrals", 0.0)
+    model = make_object_model(
+        plain, surface=surface, cache=cache, perturbed=False, like=like, progress=progress
+    )
     if _can_be_centred(model, settings) and model.centred is None:
         # In solutions, a residual of 1e-5 allows for errors at least as large as single precision.
         model = replace(model, centred=CentredSystem(model.system, CENTRE, single=True))
-    return model, converged_observations(
-        plain, model, settings=settings, with_surface=with_surface, residual=_UNGRADED_RESIDUAL
-    )
+    return model
 
 
 def _can_be_centred(model: ObjectModel, settings: FitSettings) -> bool:
@@ -109,28 +147,20 @@ def with_considered_errors(
     ------
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
-    if not surface.quadratic:
-        return list(observations)
-    wider, refined = replace(surface, rings=2), edge_refined_session(session, surface=surface)
-    count, considered = len(session.mesh.vertices), list(observations)
-    for name, compared_session, compared_surface, report in (
-        ("fields between the vertices (in steps to wider fits)", session, wider,
-         part_of(progress, 0.0, 0.5, prefix="wider fits, ")),
-        ("sharp edges (in steps to finer ones)", refined, surface,
-         part_of(progress, 0.5, 1.0, prefix="finer edges, ")),
-    ):  # fmt: skip
-        size = len(compared_session.mesh.vertices)
-        if size > LARGEST_DENSE or (compared_session is refined and size == count):
-            continue
+    considered = list(observations)
+    meshes = compared_meshes(session, surface)
+    for number, (name, compared_session, compared_surface) in enumerate(meshes):
         _, compared = ungraded_observations(
             compared_session,
             settings=replace(settings, method=FitMethod.REDUCED.value),
             surface=compared_surface,
             cache=cache,
-            progress=report,
+            progress=part_of(
+                progress, number / len(meshes), (number + 1) / len(meshes), prefix=f"{name}, "
+            ),
         )
         steps = [
-            ModelStep(name, probe.response_at, other.response_at)
+            ModelStep(_STEPS[name], probe.response_at, other.response_at)
             for probe, other in zip(considered, compared, strict=True)
         ]
         considered = [
@@ -138,6 +168,32 @@ def with_considered_errors(
             for probe, step in zip(considered, steps, strict=True)
         ]
     return considered
+
+
+def compared_meshes(
+    session: Session, surface: SurfaceSettings = SurfaceSettings()
+) -> list[tuple[str, Session, SurfaceSettings]]:
+    """The meshes and fits between vertices with which the model of the given mesh is compared.
+
+    Parameters
+    ----------
+    session : Session
+    surface : SurfaceSettings
+
+    Returns
+    -------
+    list of (name, Session, SurfaceSettings)    "wider fits" and "finer edges"; without the latter
+                                          where the mesh has no sharp edges, without those that are
+                                          too large for dense matrices; none where elements are
+                                          linear
+    """
+    if not surface.quadratic:
+        return []
+    refined = edge_refined_session(session, surface=surface)
+    meshes = [("wider fits", session, replace(surface, rings=2))]
+    if len(refined.mesh.vertices) > len(session.mesh.vertices):
+        meshes.append(("finer edges", refined, surface))
+    return [each for each in meshes if len(each[1].mesh.vertices) <= LARGEST_DENSE]
 
 
 def graded_observations(session: Session) -> list[ProbeObservations]:

@@ -15,6 +15,7 @@ from palpate.estimation import (
     Nuisance,
     ProbeObservations,
     ProbeResponse,
+    SolutionModel,
     SpringResponse,
     full_responses,
     make_reduced_model,
@@ -114,15 +115,42 @@ def session_observations_at(
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(model.system, model.right, rows)
     else:
-        # The perturbed contacts come last.
-        tolerance = np.full(model.right.terms.shape[2], residual)
-        tolerance[len(tolerance) - len(model.perturbations) :] = _PERTURBATION_TOLERANCE
-        reduced = make_reduced_model(
-            model.centred or model.system, model.right, poisson_range=settings.poisson_range,
-            tolerance=tolerance,
-        )  # fmt: skip
+        reduced = reduced_model_of(model, settings=settings, residual=residual)
         responses = [reduced_response(reduced, row) for row in rows]
     return lambda modulus: _all_observations(session, model, responses, modulus)
+
+
+def reduced_model_of(
+    model: ObjectModel,
+    *,
+    settings: FitSettings = FitSettings(),
+    residual: float = DENSE_RESIDUAL,
+) -> SolutionModel:
+    """Solutions for all loads of a model on supports that do not yield, at all Poisson's ratios.
+
+    They do not depend on what was measured.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    settings : FitSettings                range of Poisson's ratio
+    residual : float                      as in `session_observations_at`
+
+    Returns
+    -------
+    SolutionModel                         kept in the model's cache, if it has one
+
+    Raises
+    ------
+    SingularSystemError, NotConvergedError    as `session_observations_at`
+    """
+    # The perturbed contacts come last.
+    tolerance = np.full(model.right.terms.shape[2], residual)
+    tolerance[len(tolerance) - len(model.perturbations) :] = _PERTURBATION_TOLERANCE
+    return make_reduced_model(
+        model.centred or model.system, model.right, poisson_range=settings.poisson_range,
+        tolerance=tolerance,
+    )  # fmt: skip
 
 
 def _all_observations(

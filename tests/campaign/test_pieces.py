@@ -1,23 +1,27 @@
-"""The pictures of a session as pieces of work of their own."""
+"""What comes before a fit, as pieces of work of their own: motions in pictures, bodies."""
 
 import shutil
 
 import pytest
 from pipeline.kept.seen_session import write_seen_session
+from surfaces import box
 
 from palpate.campaign import (
     FitOptions,
     Store,
     Work,
+    campaign,
     do_work,
-    motions,
     pack_session,
+    pieces,
     read_items,
     run_campaign,
+    work,
 )
 from palpate.campaign.campaign import _Run
-from palpate.campaign.motions import _pieces, motion_works
-from palpate.errors import RecordError
+from palpate.campaign.pieces import _pieces, body_work, motion_works, shared_meshes
+from palpate.errors import InputError, RecordError
+from palpate.geometry import write_mesh
 
 GIVEN = FitOptions(pose="given")
 
@@ -65,7 +69,7 @@ def test_a_work_has_the_pictures_of_its_probings_alone(seen):
 
 
 @pytest.mark.parametrize(
-    ("instants", "pieces"),
+    ("instants", "expected"),
     [
         ([1, 2], [[0, 1]]),
         ([300], [[0]]),
@@ -76,12 +80,12 @@ def test_a_work_has_the_pictures_of_its_probings_alone(seen):
         ([24, 1, 25], [[0, 1], [2]]),
     ],
 )
-def test_probings_with_many_instants_are_several_works(instants, pieces):
+def test_probings_with_many_instants_are_several_works(instants, expected):
     found = [
         [int(name) for name in piece]
         for piece in _pieces(dict(zip(map(str, range(9)), instants, strict=False)))
     ]
-    assert found == pieces
+    assert found == expected
     assert all(sum(instants[k] for k in piece) >= min(25, sum(instants)) for piece in found)
 
 
@@ -89,7 +93,7 @@ def test_one_session_s_pictures_are_measured_by_several_workers(
     seen, scheduler, tmp_path, begun, monkeypatch
 ):
     """The same bytes as in one piece: a start from the same pictures is the same start."""
-    monkeypatch.setattr(motions, "_LEAST_INSTANTS", 1)
+    monkeypatch.setattr(pieces, "_LEAST_INSTANTS", 1)
     (row,) = run_campaign(
         read_items(seen.parent), tmp_path / "campaign", options=GIVEN, scheduler=scheduler
     )
@@ -166,3 +170,86 @@ def test_a_full_disk_ends_the_campaign_and_is_no_row(folder, scheduler, tmp_path
     monkeypatch.setattr(Store, "is_done", full)
     with pytest.raises(RecordError, match="the disk is full"):
         run_campaign(read_items(folder.parent), tmp_path / "campaign", scheduler=scheduler)
+
+
+@pytest.fixture
+def local(scheduler, monkeypatch):
+    """Workers of a campaign without `--scheduler`: those in this process."""
+    monkeypatch.setattr(
+        campaign, "started_engine", lambda *_, start=campaign.started_engine: start(scheduler, None)
+    )
+
+
+def _kinds(begun):
+    """All but the session that is none."""
+    kinds = [(work.kind, work.session.session.partition("/")[0]) for work in begun]
+    return [each for each in kinds if each != ("fit", "bad")]
+
+
+def test_a_body_is_the_mesh_whatever_is_measured_on_it(cubes, tmp_path):
+    write_mesh(cubes / "bad" / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=3))
+    shutil.copytree(cubes / "bad", cubes / "alone", ignore=shutil.ignore_patterns("session.toml"))
+    text = (cubes / "c0" / "session.toml").read_text()
+    (cubes / "alone" / "session.toml").write_text(text)
+    meshes = shared_meshes(read_items(cubes))
+    # The one that is no session has the mesh of "alone" beside it, and does not name it.
+    assert sorted(meshes) == ["c0", "c1"]
+    assert len(set(meshes.values())) == 1
+    packed = [pack_session(cubes / name) for name in meshes]
+    same = {body_work(each, GIVEN, meshes["c0"]).digest for each in packed}
+    assert len(same) == 1
+    assert same.isdisjoint({Work("fit", each, GIVEN).digest for each in packed})
+
+
+def test_fits_of_one_body_wait_for_what_they_share(cubes, local, tmp_path, begun):
+    shutil.copytree(cubes / "c0", cubes / "other")
+    write_mesh(cubes / "other" / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=3))
+    rows = run_campaign(read_items(cubes), tmp_path / "campaign")
+    assert [row.state for row in rows] == ["failed", "done", "done", "done"]
+    assert _kinds(begun)[0] == ("body", "c0")
+    assert sorted(_kinds(begun)[1:]) == [("fit", "c0"), ("fit", "c1"), ("fit", "other")]
+    assert [work.shared_body for work in begun if work.kind == "fit"].count(True) == 2
+    for name, row in (("c0", rows[1]), ("c1", rows[2])):
+        alone = do_work(Work("fit", pack_session(cubes / name), FitOptions()), folder=tmp_path)
+        result = Store(tmp_path / "campaign").result_at(row.address)
+        for file, content in alone.package.files.items():
+            assert (result / file).read_bytes() == content, (name, file)
+
+
+def test_few_sessions_are_read_while_a_body_is_computed(cubes, local, tmp_path, begun, monkeypatch):
+    for number in range(2, 4):
+        shutil.copytree(cubes / "c0", cubes / f"c{number}")
+        file = cubes / f"c{number}" / "session.toml"
+        file.write_text(file.read_text().replace("-1.2", f"-1.{number + 2}"))
+    held = []
+
+    def stored(self, work, outcome, store=_Run._store_outcome):
+        if work.kind == "body":
+            held.append(sum(map(len, self._fits_after.values())))
+        store(self, work, outcome)
+
+    monkeypatch.setattr(_Run, "_store_outcome", stored)
+    monkeypatch.setattr(campaign, "_HELD_PER_THREAD", 1)
+    rows = run_campaign(read_items(cubes), tmp_path / "campaign")
+    assert [row.state for row in rows] == ["failed"] + 4 * ["done"]
+    # Two workers.
+    assert held == [2]
+    assert [kind for kind, _ in _kinds(begun)] == ["body"] + 4 * ["fit"]
+
+
+def test_a_body_that_fails_leaves_each_fit_its_own_message(
+    cubes, local, tmp_path, begun, monkeypatch
+):
+    def failing(*_, **__):
+        raise InputError("the body failed")
+
+    monkeypatch.setattr(work, "prepare_body", failing)
+    rows = run_campaign(read_items(cubes), tmp_path / "campaign")
+    assert [row.state for row in rows] == ["failed", "done", "done"]
+    assert [kind for kind, _ in _kinds(begun)] == ["body", "fit", "fit"]
+
+
+def test_workers_elsewhere_compute_each_body_for_themselves(cubes, scheduler, tmp_path, begun):
+    run_campaign(read_items(cubes), tmp_path / "campaign", scheduler=scheduler)
+    assert sorted(_kinds(begun)) == [("fit", "c0"), ("fit", "c1")]
+    assert [work.shared_body for work in begun].count(True) == 2
