@@ -1,5 +1,7 @@
 """Responses of a probing: reduced against full, tips against vertices, slopes, gravity."""
 
+import gc
+
 import numpy as np
 import pytest
 from elastic_bodies import bump_load, held_part
@@ -18,6 +20,7 @@ from palpate.bem import (
 from palpate.estimation import (
     PointRows,
     ProbeRows,
+    ReducedModel,
     full_responses,
     make_reduced_model,
     reduced_response,
@@ -95,6 +98,16 @@ def test_reduced_response_is_the_full_one(responses, nu):
     full, reduced = (response.value(nu) for response in responses)
     # The reduced space leaves a residual of 1e-8, and ten times that as an error.
     np.testing.assert_allclose(reduced, full, atol=3e-7 * np.abs(full).max())
+
+
+def test_a_response_does_not_hold_the_directions(setting):
+    system, right, _, rows, _, _ = setting
+    response = reduced_response(make_reduced_model(system, right), rows)
+    gc.collect()
+    alive = [one for one in gc.get_objects() if isinstance(one, ReducedModel)]
+    assert len(alive) > 0
+    assert not any(one.directions for one in alive)
+    assert np.isfinite(response.value(0.2)).all()
 
 
 @pytest.mark.parametrize("nu", [0.05, 0.3, 0.49])

@@ -10,8 +10,8 @@ Quarteroni, Manzoni and Negri, Reduced Basis Methods for Partial Differential Eq
 sections 3.2 and 7.1: least-squares reduced bases, greedy choice by the residual itself.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -75,6 +75,15 @@ class ReducedBasis:
         """
         weights, residual = self._weights(poisson_ratio, columns)
         return weights.T, float(residual.max(initial=0.0))
+
+    def basis(self, columns: Int[np.ndarray, " c"]) -> Iterator[Float[np.ndarray, "k c"]]:
+        """Basis vectors for some right-hand sides, one (k, c) after the other."""
+        for direction in self.directions:
+            yield direction[:, columns]
+
+    def without_directions(self) -> "ReducedBasis":
+        """The same for its coefficients alone."""
+        return replace(self, directions=())
 
     def _weights(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice
@@ -210,14 +219,17 @@ class _Snapshots:
 
 
 def orthogonalised(
-    vectors: Float[np.ndarray, "k c"], basis: Sequence[Float[np.ndarray, "k c"]]
+    vectors: Float[np.ndarray, "k c"],
+    basis: Sequence[Float[np.ndarray, "k _"]],
+    places: Sequence[Int[np.ndarray, " c"]] | None = None,
 ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "rows c"]]:
     """Normalised components of vectors orthogonal to a basis, each column by itself.
 
     Parameters
     ----------
     vectors : (k, c) float
-    basis : sequence of j (k, c) float      orthonormal
+    basis : sequence of j (k, m) float      orthonormal; m may differ from one to the next
+    places : sequence of j (c,) int or None columns of each that belong to the vectors; None: all
 
     Returns
     -------
@@ -230,7 +242,9 @@ def orthogonalised(
     coefficients = np.zeros((len(basis) + 1, vectors.shape[1]))
     # Twice: the first pass leaves rounding errors in proportion to what it subtracts.
     for _ in range(2):
-        for i, direction in enumerate(basis):
+        for i, vector in enumerate(basis):
+            # A copy of one of them at a time: of all, it would take as much memory as the basis.
+            direction = vector if places is None else vector[:, places[i]]
             along = np.einsum("kc,kc->c", direction, vectors)
             vectors = vectors - along * direction
             coefficients[i] += along

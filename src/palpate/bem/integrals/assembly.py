@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals.block_kernel import integrate_blocks
+from palpate.bem.integrals.block_kernel import MOST_KEPT, integrate_blocks
 from palpate.bem.integrals.kelvin import LANES, FieldLayout
 from palpate.bem.integrals.patches import Patches, make_patches
 from palpate.bem.integrals.quadrature import Quadrature, triangle_rule, unit_gauss
@@ -94,7 +94,7 @@ class _Points(NamedTuple):
 
 
 class _Elements(NamedTuple):
-    """Triangles, patch by patch, with the quadrature points of every rule (`_sources`)."""
+    """Triangles, patch by patch, with the quadrature points of the smaller rules (`_sources`)."""
 
     triangle: np.ndarray
     vertices: np.ndarray
@@ -308,10 +308,12 @@ def _points_in_blocks(collocation: Collocation) -> _Points:
 
 
 def _sources(element_nodes: Float[np.ndarray, "m 6 3"], rules: Rules) -> np.ndarray:
-    """Quadrature points and normals times weight, (q m, 6): by rule, then by triangle."""
-    sources = np.empty((rules.start[-1] * len(element_nodes), 6))
+    """Quadrature points and normals times weight of the rules of at most `MOST_KEPT` points,
+    (q m, 6): by rule, then by triangle."""
+    parts = [np.empty((0, 6))]
     for first, last in itertools.pairwise(rules.start):
-        part = element_points(element_nodes, rules.points[first:last, :3])
-        part[:, :, 3:] *= rules.points[first:last, 3:]
-        sources[first * len(element_nodes) : last * len(element_nodes)] = part.reshape(-1, 6)
-    return sources
+        if last - first <= MOST_KEPT:
+            part = element_points(element_nodes, rules.points[first:last, :3])
+            part[:, :, 3:] *= rules.points[first:last, 3:]
+            parts.append(part.reshape(-1, 6))
+    return np.concatenate(parts)

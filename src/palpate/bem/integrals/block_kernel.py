@@ -10,12 +10,16 @@ from palpate.bem.integrals.element_integrals import (
     add_singular,
     add_weighted,
     shapes_at,
+    surface_point,
 )
 from palpate.bem.integrals.kelvin import LANES, TRACTION, lane_fields
 
 _N_TRACTION = TRACTION.count
 # Quadrature points that are evaluated before they are summed: their fields stay in the first cache.
 _BATCH = 6
+# Points of the largest rule whose quadrature points are kept for every triangle. Larger ones serve
+# few pairs, close to each other, and would take nine tenths of the memory.
+MOST_KEPT = 16
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
@@ -28,6 +32,7 @@ def integrate_blocks(begin, end, n_fields, points, elements, rules, patches, out
         largest = max(largest, patches.size[patch])
     accumulated = np.empty(largest * width)
     buffer = np.empty(_BATCH * width)
+    own_sources = np.empty((_BATCH, 6))
     ratio = np.empty(LANES)
     for b in range(begin, end):
         for i in range(out.shape[1]):
@@ -44,7 +49,11 @@ def integrate_blocks(begin, end, n_fields, points, elements, rules, patches, out
                 for first in range(0, n_points, _BATCH):
                     last = min(first + _BATCH, n_points)
                     fields = buffer[: (last - first) * width]
-                    sources = elements.sources[own + first : own + last]
+                    if n_points <= MOST_KEPT:
+                        sources = elements.sources[own + first : own + last]
+                    else:
+                        sources = own_sources[: last - first]
+                        _fill_sources(elements.nodes[e], rules.points, start[rule] + first, sources)
                     shapes = rules.shapes[:, start[rule] + first : start[rule] + last]
                     lane_fields(n_fields, points.lanes[b], sources, fields)
                     if nearest < farthest_near:
@@ -83,6 +92,17 @@ def _choose_rule(lanes, centre, radius, ratios, ratio):
     while rule < ratios.size - 1 and smallest < ratios[rule]:
         rule += 1
     return rule, nearest
+
+
+@numba.njit(error_model="numpy", cache=True)
+def _fill_sources(nodes, points, first, sources):
+    """Quadrature points of one triangle from one of a rule on, and normals times weight."""
+    shape = np.empty(SHAPES)
+    for q in range(sources.shape[0]):
+        b0, b1, b2, weight = points[first + q]
+        surface_point(nodes, b0, b1, b2, shape, sources[q])
+        for k in range(3, 6):
+            sources[q, k] *= weight
 
 
 @numba.njit(error_model="numpy", cache=True)

@@ -20,9 +20,9 @@ _PROGRAM = 0.4e9
 # twice. Each further factorisation that is held at the same time takes another matrix.
 _DOUBLES_PER_PAIR, _DOUBLES_PER_PAIR_WITH_ROLLERS, _DOUBLES_PER_FACTORS = 16, 27, 11
 # Vectors of unknowns that are kept for each of a probing's three directions of force and three
-# changes of its contact: at most 80 basis vectors of the reduced model, and as many again while it
-# is assembled.
-_VECTORS_PER_COLUMN = 160
+# changes of its contact: right-hand sides, at most 80 basis vectors of the reduced model, and what
+# is needed to find the next one.
+_VECTORS_PER_COLUMN = 90
 _COLUMNS_PER_PROBING = 6
 # Above this many vertices a compressed operator takes less time than dense matrices, and far less
 # memory; it handles only rigid supports that hold all directions.

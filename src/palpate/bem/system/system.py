@@ -24,7 +24,7 @@ from palpate.parts import Parts, content_digest
 from palpate.threads import in_threads
 
 # To be increased with every change of what is kept of a system or how it is computed.
-_FORMAT = 5
+_FORMAT = 6
 # Type of the entries of a matrix.
 Precision = type[np.float64] | type[np.float32]
 # What is done with the integrals of one block: its rows, the traction kernel's (v, 9, rows) for

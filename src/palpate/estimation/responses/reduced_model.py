@@ -15,13 +15,13 @@ Frommer and Glaessner, Restarted GMRES for shifted linear systems, SIAM J. Sci. 
 Saad, Iterative Methods for Sparse Linear Systems (2003), algorithm 6.2 with reorthogonalisation.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from palpate.bem import (
     BoundarySystem,
@@ -45,6 +45,9 @@ MOST_DIRECTIONS = 80
 DENSE_RESIDUAL = 1e-8
 # The same over the range for a compressed system, which iteration solves: no less.
 _SNAPSHOT_RESIDUAL = 5e-7
+# Right-hand sides that are solved for together: enough for the full speed of matrix products, and
+# not all of them, as it takes several times the memory of their solutions.
+_SLICE = 64
 _TINY = np.finfo(float).tiny
 
 
@@ -53,9 +56,8 @@ class SolutionModel(Protocol):
     """Reduced basis of the solutions at all Poisson's ratios, one for each of c right-hand sides:
     `ReducedModel` from one factorisation, `ReducedBasis` from a few solutions."""
 
-    @property
-    def directions(self) -> tuple[Float[np.ndarray, "k c"], ...]:
-        """j basis vectors of k unknowns, for each right-hand side: j times (k, c)."""
+    def basis(self, columns: Int[np.ndarray, " c"]) -> Iterator[Float[np.ndarray, "k c"]]:
+        """j basis vectors of k unknowns for each of some right-hand sides: j times (k, c)."""
         ...
 
     def coefficients(
@@ -63,6 +65,10 @@ class SolutionModel(Protocol):
     ) -> tuple[Float[np.ndarray, "j c"], float]:
         """Coefficients of the basis, (j, c), at one Poisson's ratio, for all or some right-hand
         sides, and the largest relative residual."""
+        ...
+
+    def without_directions(self) -> "SolutionModel":
+        """The same for its coefficients alone: the directions take most of the memory."""
         ...
 
 
@@ -73,9 +79,9 @@ class ReducedModel:
     Attributes
     ----------
     centre : float                    Poisson's ratio of the factorisation
-    directions : tuple of j (k, c) float    for each of c right-hand sides: x_0, x_1, then an
-                                      orthonormal basis of the Krylov space, padded with zeros where
-                                      a right-hand side needs fewer vectors
+    directions : tuple of j (k, m) float    x_0, x_1, then an orthonormal basis of the Krylov space,
+                                      for each of c right-hand sides or the m that need as many
+    columns : tuple of j (m,) int     which right-hand sides these are, ascending
     identity, hessenberg : (c, j - 1, j - 2) float    1 and M as maps from that basis to the basis
                                       extended by one vector (Arnoldi relation)
     start : (c,) float                norm of x_2
@@ -83,11 +89,29 @@ class ReducedModel:
     """
 
     centre: float
-    directions: tuple[Float[np.ndarray, "k c"], ...]
+    directions: tuple[Float[np.ndarray, "k _"], ...]
+    columns: tuple[Int[np.ndarray, " _"], ...]
     identity: Float[np.ndarray, "c rows rank"]
     hessenberg: Float[np.ndarray, "c rows rank"]
     start: Float[np.ndarray, " c"]
     scale: Float[np.ndarray, " c"]
+
+    def basis(self, columns: Int[np.ndarray, " c"]) -> Iterator[Float[np.ndarray, "k c"]]:
+        """Basis vectors for some right-hand sides, one after the other.
+
+        Parameters
+        ----------
+        columns : (c,) int        right-hand sides wanted
+
+        Yields
+        ------
+        (k, c) float              zero where a right-hand side needs fewer vectors
+        """
+        for direction, present in zip(self.directions, self.columns, strict=True):
+            vectors = np.zeros((len(direction), len(columns)))
+            (wanted,) = np.nonzero(np.isin(columns, present))
+            vectors[:, wanted] = direction[:, np.searchsorted(present, columns[wanted])]
+            yield vectors
 
     def coefficients(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
@@ -107,6 +131,10 @@ class ReducedModel:
         """
         weights, residual = self.weights(poisson_ratio, columns)
         return weights.T, float(residual.max(initial=0.0))
+
+    def without_directions(self) -> "ReducedModel":
+        """See `SolutionModel`."""
+        return replace(self, directions=(), columns=())
 
     def weights(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
@@ -213,13 +241,16 @@ def make_spring_model(
     return _krylov_model(solver.solve, on_springs.apply, right, poisson_range, tolerance)
 
 
-def _among_zeros(
-    columns: Float[np.ndarray, "k o"], where: Bool[np.ndarray, " c"]
-) -> Float[np.ndarray, "k c"]:
-    """Columns placed where `where` is true, among columns of zeros."""
-    placed = np.zeros((len(columns), len(where)))
-    placed[:, where] = columns
-    return placed
+def _power_series(
+    solve_at_centre: Callable[[np.ndarray], np.ndarray],
+    apply_slope: Callable[[np.ndarray], np.ndarray],
+    right: RightHand,
+) -> list[Float[np.ndarray, "k c"]]:
+    """The first three terms of the power series of the solution about the centre."""
+    _, slope, curvature = right.terms
+    first = solve_at_centre(right.at(CENTRE))
+    second = solve_at_centre(slope + 2 * CENTRE * curvature - apply_slope(first))
+    return [first, second, solve_at_centre(curvature - apply_slope(second))]
 
 
 def _krylov_model(
@@ -231,32 +262,33 @@ def _krylov_model(
 ) -> ReducedModel:
     """Krylov basis from the inverse of the matrix at the centre and the matrix's derivative, with
     as many vectors for each right-hand side as it needs."""
-    _, slope, curvature = right.terms
-    slope = slope + 2 * CENTRE * curvature
-    first = solve_at_centre(right.at(CENTRE))
-    second = solve_at_centre(slope - apply_slope(first))
-    third = solve_at_centre(curvature - apply_slope(second))
-    scale, start = (np.linalg.norm(term, axis=0) + _TINY for term in (first, third))
+    directions = _power_series(solve_at_centre, apply_slope, right)
+    scale, start = (np.linalg.norm(directions[k], axis=0) + _TINY for k in (0, 2))
+    directions[2] /= start
     identity, hessenberg = np.zeros((2, len(start), MOST_DIRECTIONS + 1, MOST_DIRECTIONS))
-    directions = [first, second, third / start]
-    # Basis of only those right-hand sides that need more vectors.
-    basis, unconverged = directions[2:], np.ones(len(start), dtype=bool)
+    every, tolerance = np.arange(len(start)), np.broadcast_to(tolerance, start.shape)
+    # Vectors of the Krylov space from the third on; the right-hand sides that need each of them.
+    columns = [every, every, every]
     for rank in range(1, MOST_DIRECTIONS + 1):
-        direction, step = orthogonalised(solve_at_centre(apply_slope(basis[-1])), basis)
-        hessenberg[unconverged, : rank + 1, rank - 1] = step.T
+        active, complete = columns[-1], np.setdiff1d(every, columns[-1])
+        places = [np.searchsorted(present, active) for present in columns[2:]]
+        next_ones = np.empty(directions[-1].shape, order="F")
+        for begin in range(0, len(active), _SLICE):
+            part = slice(begin, begin + _SLICE)
+            vectors = solve_at_centre(apply_slope(directions[-1][:, part]))
+            own_places = [place[part] for place in places]
+            next_ones[:, part], step = orthogonalised(vectors, directions[2:], own_places)
+            hessenberg[active[part], : rank + 1, rank - 1] = step.T
         # Where a basis is complete, rows of the identity make all further coefficients zero.
-        identity[unconverged, rank - 1, rank - 1] = identity[~unconverged, rank, rank - 1] = 1.0
+        identity[active, rank - 1, rank - 1] = identity[complete, rank, rank - 1] = 1.0
         arnoldi = identity[:, : rank + 1, :rank].copy(), hessenberg[:, : rank + 1, :rank].copy()
-        model = ReducedModel(CENTRE, tuple(directions), *arnoldi, start, scale)
+        model = ReducedModel(CENTRE, tuple(directions), tuple(columns), *arnoldi, start, scale)
         residual = np.maximum(*(model.weights(nu)[1] for nu in poisson_range))
-        remaining = unconverged & ~(residual <= tolerance)
-        if not remaining.any():
+        more = ~(residual[active] <= tolerance[active])
+        if not more.any():
             return model
-        basis = [*basis, direction]
-        if not remaining[unconverged].all():
-            basis = [vector[:, remaining[unconverged]] for vector in basis]
-            unconverged = remaining
-        directions.append(basis[-1] if unconverged.all() else _among_zeros(basis[-1], unconverged))
+        directions.append(next_ones[:, more])
+        columns.append(active[more])
     raise NotConvergedError(
         f"the reduced model leaves a residual of {residual.max():.1e} over Poisson's ratios "
         f"{poisson_range[0]} to {poisson_range[1]}, at most {np.min(tolerance):.0e} is allowed;"

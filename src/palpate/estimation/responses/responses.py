@@ -352,14 +352,18 @@ def reduced_spring_response(model: SolutionModel, rows: ProbeRows, blocks: int) 
     -------
     SpringResponse
     """
-    parts = [np.split(direction[:, rows.columns], blocks) for direction in model.directions]
     # Observations of each basis vector.
-    terms = [[rows.observed(direction) for direction in part] for part in zip(*parts, strict=True)]
-    projected = np.stack(terms).transpose(0, 3, 2, 1).copy()
+    terms = [
+        [rows.observed(part) for part in np.split(vectors, blocks)]
+        for vectors in model.basis(rows.columns)
+    ]
+    projected = np.stack(terms).transpose(1, 3, 2, 0).copy()
+    # The directions are not kept for as long as the response is.
+    weights_of = model.without_directions().coefficients
 
     @lru_cache(maxsize=1)
     def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
-        weights, _ = model.coefficients(poisson_ratio, rows.columns)
+        weights, _ = weights_of(poisson_ratio, rows.columns)
         return (projected @ weights.T[:, :, None])[..., 0].transpose(0, 2, 1)
 
     return SpringResponse(rows, lambda poisson_ratio: observed(poisson_ratio)[0], observed)
