@@ -52,6 +52,26 @@ def test_only_what_others_can_use_stays_behind(fitted):
     assert len(list((folder / "two" / "bodies").iterdir())) == 3 + 4
 
 
+def test_a_body_leaves_what_its_fits_need(fitted, packed_cube, tmp_path):
+    folder, _, (first, _) = fitted
+    body = do_work(Work("body", packed_cube, FitOptions(), {"mesh": "m"}), folder=tmp_path)
+    assert (body.failure, dict(body.package.files)) == ("", {})
+    names = [
+        sorted(path.name for path in (place / "bodies").iterdir())
+        for place in (folder / "two", tmp_path)
+    ]
+    assert names[0] == names[1]
+    work = Work("fit", packed_cube, FitOptions(), shared_body=True)
+    assert dict(do_work(work, folder=tmp_path).package.files) == dict(first.package.files)
+    # Another range of Poisson's ratio, or faceted elements, need other models.
+    other = FitOptions(poisson_range=(0.0, 0.45), surface="flat")
+    do_work(Work("body", packed_cube, other, {"mesh": "m"}), folder=tmp_path)
+    before = len(list((tmp_path / "bodies").iterdir()))
+    assert before > len(names[0])
+    do_work(Work("fit", packed_cube, other, shared_body=True), folder=tmp_path)
+    assert len(list((tmp_path / "bodies").iterdir())) == before
+
+
 def test_a_shared_body_that_is_solved_compressed_leaves_nothing(packed_cube, tmp_path, monkeypatch):
     monkeypatch.setattr(choice, "LARGEST_DENSE", 0)
     work = Work("fit", packed_cube, FitOptions(), shared_body=True)
@@ -69,6 +89,16 @@ def test_bad_input_is_a_message_that_names_the_file_at_home(packed_cube, tmp_pat
     assert outcome.package.files == {}
     assert outcome.failure.startswith(f"{packed_cube.root}/cube/n01.csv: ")
     assert "there" not in outcome.failure
+
+
+def test_a_file_that_is_missing_is_one_at_home(packed_cube, tmp_path):
+    files = dict(packed_cube.package.files)
+    del files["cube/mesh.ply"]
+    bad = replace(packed_cube, package=pack_files(files))
+    # A worker's own folder may have a long path.
+    folder = tmp_path / ("x" * 100)
+    outcome = do_work(Work("fit", bad, FitOptions()), folder=folder)
+    assert f"mesh: no such file: {packed_cube.root}/cube/mesh.ply" in outcome.failure
 
 
 def test_a_worker_s_full_disk_is_not_taken_for_the_session_s(packed_cube, tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from surfaces import box
 
 from palpate.bem import CentredSystem
 from palpate.bem.compressed import choice
+from palpate.estimation.responses import reduced_model
 from palpate.geometry import write_mesh
 from palpate.pipeline import fit_session, prepare_body
 from palpate.records import Session, read_session
@@ -54,6 +55,16 @@ def factorised(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
+@pytest.mark.parametrize("session", ["radius"], indirect=True)
+def test_reduced_models_are_found_as_well(session, tmp_path, monkeypatch):
+    def computed(*_):
+        raise AssertionError("computed again")
+
+    prepare_body(session, cache=tmp_path / "cache")
+    monkeypatch.setattr(reduced_model, "_krylov_model", computed)
+    assert fit_session(session, cache=tmp_path / "cache").estimate.shear_modulus.value > 0.0
+
+
 # The graded mesh alone is left where its loads are not known before the fit.
 @pytest.mark.parametrize(
     ("session", "left"), [("radius", 0), ("tool", 1), ("springs", 0)], indirect=["session"]
@@ -75,6 +86,10 @@ def test_a_fit_finds_all_that_does_not_depend_on_what_was_measured(
 
 @pytest.mark.parametrize("session", ["radius"], indirect=True)
 def test_nothing_is_kept_of_a_body_that_is_solved_compressed(session, tmp_path, monkeypatch):
+    def solved(*_, **__):
+        raise AssertionError("solved in vain")
+
     monkeypatch.setattr(choice, "LARGEST_DENSE", 0)
+    monkeypatch.setattr(reduced_model, "reduced_basis", solved)
     prepare_body(session, cache=tmp_path / "cache")
     assert not (tmp_path / "cache").exists()

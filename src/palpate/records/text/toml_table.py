@@ -327,7 +327,9 @@ class TomlTable:
         if not is_file(path):
             what = "is a folder, not a file" if os.path.isdir(path) else "no such file"
             near = nearest_file(path, exclude=self.file.name)
-            self.fail(key, f"{what}: {quoted(str(path))[1:-1]}{near}")
+            # The folder is that of the message's own file: it is not elided.
+            shown = self.file.parent / quoted(self.text(key))[1:-1]
+            self.fail(key, f"{what}: {shown}{near}")
         return path
 
 
