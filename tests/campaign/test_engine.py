@@ -301,3 +301,20 @@ def test_folders_of_workers_whose_command_was_killed_are_removed(tmp_path, monke
     os.close(handle)
     with cluster_file._workers_folder():
         assert not alive.exists()
+
+
+def test_what_a_worker_still_writes_at_the_end_is_removed_by_the_next_command(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def too_soon(path, **_):
+        """A worker writes as fast as this removes."""
+
+    with monkeypatch.context() as patched:
+        patched.setattr(cluster_file.shutil, "rmtree", too_soon)
+        with cluster_file._workers_folder() as first:
+            (Path(first) / "bodies").mkdir()
+    assert Path(first).is_dir()
+    with cluster_file._workers_folder():
+        assert not Path(first).exists()

@@ -119,15 +119,27 @@ def _workers_folder() -> Iterator[str]:
     for other in Path(tempfile.gettempdir()).glob(f"{LOCAL_FOLDER_PREFIX}*"):
         if is_abandoned(other / _LOCK_NAME):
             shutil.rmtree(other, ignore_errors=True)
-    with tempfile.TemporaryDirectory(
-        prefix=LOCAL_FOLDER_PREFIX, ignore_cleanup_errors=True
-    ) as folder:
-        lock = Path(folder) / _LOCK_NAME
-        handle = take_lock(lock, Path(folder))
-        try:
-            yield folder
-        finally:
+    folder = Path(tempfile.mkdtemp(prefix=LOCAL_FOLDER_PREFIX))
+    lock = folder / _LOCK_NAME
+    handle = take_lock(lock, folder)
+    try:
+        yield str(folder)
+    finally:
+        _remove_all_but(lock)
+        # A worker that is being stopped may still write. The lock is left, then: the next command
+        # takes the folder for what it is.
+        if os.listdir(folder) == [_LOCK_NAME]:
             release_lock(lock, handle)
+            folder.rmdir()
+        else:
+            os.close(handle)
+
+
+def _remove_all_but(file: Path) -> None:
+    """Remove what lies beside a file, as far as possible."""
+    for path in file.parent.iterdir():
+        if path != file:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def cores() -> int:
