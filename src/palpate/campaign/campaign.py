@@ -137,10 +137,11 @@ class _Run:
     @property
     def _holds_enough(self) -> bool:
         """Whether so many fits wait for other work that no more sessions should be read yet."""
-        if self._engine is None:
+        held = sum(map(len, self._fits_after.values()))
+        # The scheduler is asked for its threads only where their number may matter.
+        if self._engine is None or held < _HELD_PER_THREAD:
             return False
-        limit = _HELD_PER_THREAD * max(1, self._engine.threads)
-        return sum(map(len, self._fits_after.values())) >= limit
+        return held >= _HELD_PER_THREAD * self._engine.threads
 
     def _start(self, item: CampaignItem, mesh: str, *, bodies_first: bool) -> None:
         """Prepare the work on a session, unless its result exists or it cannot be read.

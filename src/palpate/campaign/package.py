@@ -73,11 +73,25 @@ def pack_session(path: Path) -> PackedSession:
     ------
     RecordError                     no session, or one of its files cannot be read
     """
-    session = Path(os.path.realpath(path / "session.toml" if path.is_dir() else path))
+    session = real_session_file(path)
     files = [Path(os.path.realpath(file)) for file in session_files(session)]
     root = Path(os.path.commonpath([session.parent.parent, *(file.parent for file in files)]))
     content = {file.relative_to(root).as_posix(): read_bytes(file) for file in files}
     return PackedSession(pack_files(content), session.relative_to(root).as_posix(), str(root))
+
+
+def real_session_file(path: Path) -> Path:
+    """Where the session file that a path stands for really lies, whether it is there or not.
+
+    Parameters
+    ----------
+    path : Path                     folder of the session, or a session file in it
+
+    Returns
+    -------
+    Path
+    """
+    return Path(os.path.realpath(path / "session.toml" if path.is_dir() else path))
 
 
 def without_files(packed: PackedSession, files: Iterable[Path]) -> PackedSession:

@@ -5,8 +5,6 @@ it, and the start from the pictures at rest takes as long as several instants: p
 cost more than they bring.
 """
 
-import hashlib
-import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -14,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from palpate.campaign.items import CampaignItem
-from palpate.campaign.package import PackedSession, without_files
+from palpate.campaign.package import PackedSession, real_session_file, without_files
 from palpate.campaign.work import FitOptions, Work
 from palpate.errors import PalpateError
-from palpate.files import read_bytes
 from palpate.pipeline import kept_motion_keys, picture_files, unread_probings
-from palpate.records import read_session, read_toml
+from palpate.records import file_sum, read_session, read_toml
 
 # Instants in a piece, if the probings with the same pictures at rest have as many: the start, which
 # takes as long as five, is then a sixth of it.
@@ -113,7 +110,7 @@ def shared_meshes(items: Sequence[CampaignItem]) -> dict[str, str]:
     """
     mesh_of: dict[str, str] = {}
     for item in items:
-        with suppress(PalpateError):
+        with suppress(PalpateError, OSError):
             mesh_of[item.name] = _mesh_checksum(item.path)
     counts = Counter(mesh_of.values())
     return {name: mesh for name, mesh in mesh_of.items() if counts[mesh] > 1}
@@ -123,17 +120,12 @@ def _mesh_checksum(path: Path) -> str:
     """SHA-256 of a session's mesh."""
     body = _tables(path).get("object")
     mesh = body.get("mesh") if isinstance(body, dict) else None
-    return hashlib.sha256(read_bytes(_session_file(path).parent / str(mesh))).hexdigest()
+    return file_sum(real_session_file(path).parent / str(mesh))
 
 
 def _tables(path: Path) -> Mapping[str, Any]:
     """The tables of a session file."""
-    return read_toml(_session_file(path)).values
-
-
-def _session_file(path: Path) -> Path:
-    """The session file that a folder, or its own path, stands for, where it really lies."""
-    return Path(os.path.realpath(path / "session.toml" if path.is_dir() else path))
+    return read_toml(real_session_file(path)).values
 
 
 def _pieces(instants: Mapping[str, int]) -> Iterator[Sequence[str]]:

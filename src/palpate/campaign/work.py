@@ -101,7 +101,7 @@ class Work:
     def digest(self) -> str:
         """Digest of everything that determines the outcome: files, options, version; 64 digits."""
         if self.kind != "fit":
-            return content_digest((self.kind, dict(self.keys)))
+            return content_digest((self.kind, dict(self.keys), self.options))
         sums = dict(self.session.package.sums)
         return content_digest((self.kind, self.session.session, sums, self.options))
 

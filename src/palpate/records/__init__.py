@@ -78,6 +78,7 @@ from palpate.records.files.session_import import (
     with_displacements as with_displacements,
 )
 from palpate.records.files.sums import (
+    file_sum as file_sum,
     file_sums as file_sums,
     session_files as session_files,
     sums_in as sums_in,
