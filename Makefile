@@ -139,7 +139,7 @@ wheel: $(VENV)/run.stamp
 OLDEST := import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
     more = p['optional-dependencies']; \
     print(*(d.replace('>=', '==') for d in p['dependencies'] + more['hdf5'] + more['mesh']), sep='\n')
-OLDEST_TESTS := tests/api tests/geometry tests/records tests/figures tests/estimation/search
+OLDEST_TESTS := tests/api tests/geometry tests/records tests/figures tests/estimation
 
 oldest:
 	$(PYTHON) -m venv build/oldest

@@ -24,6 +24,7 @@ from benchmarks.bodies import BODIES, Shape
 from benchmarks.body_truth import (
     RADIUS,
     SHEAR_MODULUS,
+    Contact as Place,
     contacts,
     element_size,
     held_triangles,
@@ -66,7 +67,8 @@ class Measured:
     name : str
     mesh : TriangleMesh
     shape : Shape
-    moved : (c, v, 3) float [m]     under one newton inward
+    pushes : tuple of Contact       where, and along which unit force, it is pressed
+    moved : (c, v, 3) float [m]     under one newton of each push
     own : float [-]                 what the extrapolation to elements of no size has changed, over
                                     the displacement
     left : float [-]                what the last step of the mesh has left of the one before
@@ -75,6 +77,7 @@ class Measured:
     name: str
     mesh: TriangleMesh
     shape: Shape
+    pushes: tuple[Place, ...]
     moved: Float[np.ndarray, "c v 3"]
     own: float
     left: float
@@ -92,29 +95,57 @@ def constants(shape: Shape) -> dict[str, float]:
     return dict(zip(NAMES, values, strict=True))
 
 
-def measured_body(name: str, folder: Path, stiffness: float | None = None) -> Measured:
-    """Truth of a body on a rigid support, or on springs [N/m^3]; computed once."""
+def measured_body(
+    name: str, folder: Path, stiffness: float | None = None, *, oblique: bool = False
+) -> Measured:
+    """Truth of a body on a rigid support, or on springs [N/m^3], pressed inward at three places, or
+    eight times, five of them obliquely; computed once."""
     shape = EVERY[name]
     mesh = shape.make(shape.edge)
-    coarse, fine = (_solved(name, mesh, folder, *sizes, stiffness) for sizes in MESHES)
+    places = contacts(mesh, shape)
+    pushes = (*places, *oblique_pushes(places)) if oblique else tuple(places)
+
+    def solved(edge: float, rim: float) -> Float[np.ndarray, "c v 3"]:
+        return _solved(name, mesh, folder, edge, rim, stiffness, pushes)
+
+    coarse, fine = (solved(*sizes) for sizes in MESHES)
     step, left = fine - coarse, USUAL
     # The steps shrink as a geometric series does.
     if np.linalg.norm(step) * left / (1.0 - left) > ENOUGH * np.linalg.norm(fine):
         first, middle = step, fine
-        fine = _solved(name, mesh, folder, *FINEST, stiffness)
+        fine = solved(*FINEST)
         step = fine - middle
         # Aitken's extrapolation.
         left = float(np.clip((first * step).sum() / (first**2).sum(), *LEFT))
     rest = step * left / (1.0 - left)
     own = np.linalg.norm(rest) / np.linalg.norm(fine)
-    return Measured(name, mesh, shape, fine + rest, float(own), left)
+    return Measured(name, mesh, shape, pushes, fine + rest, float(own), left)
+
+
+def oblique_pushes(places: Sequence[Place]) -> list[Place]:
+    """Five pushes at the same places, 31 degrees off the normal to one side or another."""
+    pushes = []
+    for place, side in zip((*places, *places[:2]), (1.0, 1.0, 1.0, -1.0, -1.0), strict=True):
+        along = np.cross(place.inward, [0.3, 0.9, 0.2])
+        if side < 0.0:
+            along = np.cross(place.inward, along)
+        force = place.inward + 0.6 * along / np.linalg.norm(along)
+        pushes.append(Place(place.point, force / np.linalg.norm(force)))
+    return pushes
 
 
 def _solved(
-    name: str, mesh: TriangleMesh, folder: Path, edge: float, rim: float, stiffness: float | None
+    name: str,
+    mesh: TriangleMesh,
+    folder: Path,
+    edge: float,
+    rim: float,
+    stiffness: float | None,
+    pushes: Sequence[Place],
 ) -> Float[np.ndarray, "c v 3"]:
     on_springs = "" if stiffness is None else f"_{stiffness:g}"
-    file = folder / f"{name}_{edge}_{rim}{on_springs}.npy"
+    count = f"_{len(pushes)}" if len(pushes) > 3 else ""
+    file = folder / f"{name}_{edge}_{rim}{on_springs}{count}.npy"
     if not file.exists():
         shape = EVERY[name]
         truth = make_truth(
@@ -125,7 +156,7 @@ def _solved(
         )
         moved = [
             truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
-            for one in contacts(mesh, shape)
+            for one in pushes
         ]
         folder.mkdir(parents=True, exist_ok=True)
         np.save(file, np.stack(moved))
@@ -147,7 +178,7 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
     points = turn.apply(mesh.vertices[seen] - centre) + centre + shift
     told = closest_points(mesh, points)
     probings = []
-    for k, (place, moved) in enumerate(zip(contacts(mesh, body.shape), body.moved, strict=True)):
+    for k, (place, moved) in enumerate(zip(body.pushes, body.moved, strict=True)):
         push = FARTHEST / float(np.linalg.norm(moved, axis=1).max())
         moved = push * moved
         force = push * (gain * axes.apply(place.inward) + errors.force * rng.normal(size=3))

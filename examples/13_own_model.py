@@ -18,7 +18,7 @@ class HalfSpace:
     """Surface of the half space z < 0 under a point force along z (Boussinesq).
 
     A response model says how far each observed component moves for a unit force along x, y and z,
-    and under the body force, times the shear modulus; the fit needs its slope in nu as well.
+    and under the body force, times the shear modulus.
     """
 
     offset: np.ndarray  # observed points minus contact point (n, 3) [m]
@@ -31,10 +31,6 @@ class HalfSpace:
         inward = -(1 - 2 * poisson_ratio) / (4 * np.pi * r**2)
         table[:, :2, 2] = -inward[:, None] * self.offset[:, :2]
         return table.reshape(-1, 4)
-
-    def slope(self, poisson_ratio: float) -> np.ndarray:
-        """Derivative of `value` by nu; the model is linear in it."""
-        return self.value(poisson_ratio + 0.5) - self.value(poisson_ratio - 0.5)
 
 
 def main() -> float:

@@ -1,65 +1,58 @@
-"""Minima of small problems with closed forms, for the tests of what is made from them."""
+"""Small problems with closed forms, and dense linear algebra to check them with."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from palpate.estimation import ProbeObservations
-from palpate.estimation.intervals.uncertainty import Uncertainty, uncertainty_of
-from palpate.estimation.noise.registry import NOISE_MODELS
+from palpate.estimation.gauss_newton import Minimum, gauss_newton
+from palpate.estimation.noise import NOISE_MODELS
 from palpate.estimation.observed_rows import observed_rows_of
-from palpate.estimation.responses.table import response_table
-from palpate.estimation.search.misfit import LocalProbe, Misfit
-from palpate.estimation.search.scoring import Minimum, scored_minimum
-from palpate.estimation.search.variable_projection import FixedWeights, fixed_weights
+from palpate.estimation.problem import Problem, make_problem
 
-__all__ = ["RANGE", "dense_information", "minimum_of", "misfit_of", "uncertainty_at", "weights_at"]
+__all__ = ["RANGE", "dense_information", "minimum_of", "patterns", "problem_of"]
 
 RANGE = (0.0, 0.4999)
 
 
-def misfit_of(probes: Sequence[ProbeObservations], noise: str = "gaussian") -> Misfit:
-    """Misfit with the claimed noise levels."""
-    rows = tuple(observed_rows_of(probe) for probe in probes)
-    return Misfit(rows, np.ones(8), NOISE_MODELS[noise])
-
-
-def minimum_of(misfit: Misfit, poisson_range: tuple[float, float] = RANGE) -> Minimum:
-    """Minimum from a start near the truth of `half_space_probes`."""
-    return scored_minimum(misfit, misfit.start(0.28, 2.1e4), poisson_range=poisson_range)
-
-
-def weights_at(
-    misfit: Misfit, minimum: Minimum, poisson_range: tuple[float, float] = RANGE
-) -> FixedWeights:
-    """The misfit with the weights of its minimum."""
-    return fixed_weights(
-        misfit.probes,
-        response_table(misfit.probes, poisson_range),
-        misfit.level,
-        [one.weight for one in minimum.probes],
-        np.array([one.force_weight for one in minimum.probes]),
-    )
-
-
-def uncertainty_at(
+def problem_of(
     probes: Sequence[ProbeObservations],
     noise: str = "gaussian",
-    poisson_range: tuple[float, float] = RANGE,
-) -> Uncertainty:
-    """Everything that intervals are made from."""
-    misfit = misfit_of(probes, noise)
-    minimum = minimum_of(misfit, poisson_range)
-    return uncertainty_of(misfit, minimum, weights_at(misfit, minimum, poisson_range))
-
-
-def dense_information(
-    one: LocalProbe, *, row_variance: np.ndarray | float = 1.0, force_variance: float = 1.0
-) -> Float[np.ndarray, "2 2"]:
-    """X' C^-1 X with the force's error as correlated noise of the displacements: C = V + P P' f."""
-    design, push = one.design[:, :2], one.design[:, 2:]
-    covariance = (
-        np.diag(np.broadcast_to(row_variance, len(design))) + force_variance * push @ push.T
+    *,
+    poisson_ratio: float = 0.28,
+    shear_modulus: float = 2.1e4,
+) -> Problem:
+    """The objective with the claimed noise levels, expanded near the truth of `half_space`."""
+    rows = tuple(observed_rows_of(probe) for probe in probes)
+    return make_problem(
+        rows, NOISE_MODELS[noise], poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
     )
-    return design.T @ np.linalg.solve(covariance, design)
+
+
+def minimum_of(problem: Problem, poisson_range: tuple[float, float] = RANGE) -> Minimum:
+    """Its minimum at these levels."""
+    theta = np.zeros(problem.layout.size)
+    theta[:2] = 0.28, np.log(2.1e4)
+    return gauss_newton(problem, theta, poisson_range=poisson_range)
+
+
+def patterns(problem: Problem, index: int) -> np.ndarray:
+    """Columns of the model's error of unknown shape, (n, r)."""
+    unknown = problem.unknown[index]
+    rows = [unknown.moved(one) for one in np.eye(unknown.count)]
+    return np.reshape(rows, (unknown.count, len(unknown.variance)))
+
+
+def dense_information(minimum: Minimum) -> np.ndarray:
+    """Information about all of theta at once, (t, t), for least squares."""
+    problem, layout = minimum.problem, minimum.problem.layout
+    information = np.diag(problem.precision())
+    variances = problem.variance()
+    for index, (block, table) in enumerate(
+        zip(layout.blocks, problem.jacobian(minimum.theta), strict=True)
+    ):
+        rows = np.zeros((layout.size, table.shape[1]))
+        rows[: layout.common] = table[: layout.common]
+        rows[block.whole] = np.vstack([table[layout.common :], patterns(problem, index)])
+        information += rows / variances[index] @ rows.T
+    return information

@@ -21,25 +21,18 @@ class HalfSpace:
     offset: Float[np.ndarray, "n 3"]  # observed point minus contact point
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
-        return self._part(poisson_ratio, 1.0)
-
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
-        return self._part(poisson_ratio, 0.0)
-
-    def _part(self, nu: float, constant: float) -> np.ndarray:
-        """Response (constant = 1) or, since it is linear in nu, its slope (constant = 0)."""
+        nu = poisson_ratio
         x, y = self.offset[:, 0], self.offset[:, 1]
         r = np.hypot(x, y)
-        one, factor = constant, (nu if constant else 1.0)
         table = np.zeros((len(x), 3, 4))
-        table[:, 0, 0] = (one - factor + factor * (x / r) ** 2) / r
-        table[:, 1, 1] = (one - factor + factor * (y / r) ** 2) / r
-        table[:, 0, 1] = table[:, 1, 0] = factor * x * y / r**3
-        half = 0.5 * (one - 2 * factor)
+        table[:, 0, 0] = (1 - nu + nu * (x / r) ** 2) / r
+        table[:, 1, 1] = (1 - nu + nu * (y / r) ** 2) / r
+        table[:, 0, 1] = table[:, 1, 0] = nu * x * y / r**3
+        half = 0.5 * (1 - 2 * nu)
         # A force into the solid draws the surface towards it: u_r < 0 for a push along -z.
         table[:, 0, 2], table[:, 1, 2] = half * x / r**2, half * y / r**2
         table[:, 2, 0], table[:, 2, 1] = -half * x / r**2, -half * y / r**2
-        table[:, 2, 2] = (one - factor) / r
+        table[:, 2, 2] = (1 - nu) / r
         return (table / (2 * np.pi)).reshape(-1, 4)
 
 
@@ -53,9 +46,6 @@ class Cantilever:
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
         return self._shape() / (2 * (1 + poisson_ratio))
-
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r 4"]:
-        return -self._shape() / (2 * (1 + poisson_ratio) ** 2)
 
     def _shape(self) -> np.ndarray:
         x = self.position[:, 0]

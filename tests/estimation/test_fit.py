@@ -1,5 +1,6 @@
 """The whole estimation on closed-form responses: truth, laws, outliers, wrong claims."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -113,9 +114,6 @@ class _Turned:
     def value(self, poisson_ratio: float) -> np.ndarray:
         return self._seen(self._response.value(poisson_ratio))
 
-    def slope(self, poisson_ratio: float) -> np.ndarray:
-        return self._seen(self._response.slope(poisson_ratio))
-
 
 def test_frame_does_not_matter() -> None:
     probes = _probes(count=4, noise=3e-5, force_noise=0.01)
@@ -150,7 +148,7 @@ def test_nelder_mead_agrees(force_noise: float) -> None:
 
 def test_a_simplex_that_stops_early_reports_its_own_point(monkeypatch: pytest.MonkeyPatch) -> None:
     """Predictions, residuals and intervals belong to the constants that are reported."""
-    monkeypatch.setattr("palpate.estimation.search.nelder_mead._MAX_EVALUATIONS", 6)
+    monkeypatch.setattr(sys.modules["palpate.estimation.fit"], "_MAX_EVALUATIONS", 6)
     probes = _probes(count=3, grid=6, noise=3e-5)
     result = fit(probes, settings=FitSettings(method="nelder-mead"))
     joint = result.estimate
@@ -232,20 +230,19 @@ def test_a_component_that_runs_the_other_way_is_told() -> None:
     assert fit([right]).estimate.status == Status.OK
     estimate = fit([wrong]).estimate
     assert estimate.status == Status.MODEL_CONTRADICTED
-    notes = [note for note in estimate.notes if "exceed what moved" in note]
-    assert len(notes) == 1
-    assert notes[0].startswith("Along x the residuals")
+    # The likeliest cause comes first.
+    assert estimate.notes[0].startswith("Along x the residuals are")
 
 
-def test_too_small_claims_widen_and_too_large_ones_shrink_as_far_as_probings_agree() -> None:
+def test_too_small_claims_widen_and_too_large_ones_stand() -> None:
     probes = _probes(count=6, noise=3e-5)
     right = fit(probes).estimate
     bold = fit([replace(p, std=p.std / 4) for p in probes]).estimate
     shy = fit([replace(p, std=p.std * 4) for p in probes]).estimate
     # The residuals decide where they exceed the claim.
-    assert bold.poisson_ratio.std == pytest.approx(right.poisson_ratio.std, rel=0.25)
-    # Where they do not, the claim is one observation of six: 4 / sqrt(6) where all others agree.
-    assert 4 / np.sqrt(6) < shy.poisson_ratio.std / right.poisson_ratio.std < 4
+    assert bold.poisson_ratio.std == pytest.approx(right.poisson_ratio.std, rel=0.05)
+    # A claim is never lowered; the profile of nu is no exact parabola.
+    assert shy.poisson_ratio.std / right.poisson_ratio.std == pytest.approx(4.0, rel=0.25)
     assert any("exceed the given standard deviations" in note for note in bold.notes)
 
 
@@ -253,23 +250,20 @@ def test_one_probing_with_a_wrong_force_scale() -> None:
     probes = _probes(count=10, noise=3e-5, force_noise=0.01)
     off = [replace(probes[0], force=1.3 * probes[0].force), *probes[1:]]
     estimate = fit(off).estimate
-    # Plain averaging would move G by 3 %; the force is down-weighted as an outlier.
+    # Plain averaging would move G by 3 %; the force is left out.
     assert estimate.shear_modulus.value == pytest.approx(2e4, rel=0.015)
-    assert any("'n01' disagrees" in note for note in estimate.notes)
+    assert any("left out" in note and "'n01' by" in note for note in estimate.notes)
 
 
-@pytest.mark.parametrize(("count", "status"), [(3, "model_contradicted"), (4, "ok")])
-def test_a_force_is_an_outlier_only_where_three_others_agree(count: int, status: str) -> None:
+@pytest.mark.parametrize(("count", "status"), [(1, "ok"), (2, "model_contradicted"), (3, "ok")])
+def test_a_force_is_left_out_only_by_a_majority(count: int, status: str) -> None:
     probes = _probes(count=count, noise=3e-5, force_noise=0.01)
     off = [replace(probes[0], force=1.3 * probes[0].force), *probes[1:]]
     estimate = fit(off).estimate
     assert estimate.status.value == status
-    said = [note for note in estimate.notes if "contradict the others" in note]
-    assert len(said) == (status != "ok")
+    assert any("left out" in note for note in estimate.notes) == (count == 3)
     assert fit(probes).estimate.status.value == "ok"
-    for note in said:
-        assert repr(probes[0].name) in note
-        assert "No more than 2 agree" in note
+    assert not fit(probes).estimate.notes
 
 
 def test_force_noise_does_not_bias_the_modulus() -> None:

@@ -44,8 +44,8 @@ def test_rows_follow_the_response() -> None:
     rows = observed_rows_of(replace(probe, displacement=field, force_std=np.array([1.0, 0.0, 1.0])))
     n = len(field)
     kept = np.setdiff1d(np.arange(3 * n + 3), [1, 9, 10, 11])
-    np.testing.assert_array_equal(rows.value(0.2), probe.response.value(0.2)[kept])
-    np.testing.assert_array_equal(rows.slope(0.2), probe.response.slope(0.2)[kept])
+    np.testing.assert_array_equal(rows.rows, kept)
+    np.testing.assert_array_equal(rows.component_of_row, kept % 3)
     measured = np.concatenate([field.ravel(), probe.tip_displacement])
     np.testing.assert_array_equal(rows.measured, measured[kept])
     # Three points a row at most: the first has two components left, the tip comes last.
@@ -55,7 +55,6 @@ def test_rows_follow_the_response() -> None:
     assert rows.group[:3].tolist() == [4, 6, 4]
     assert rows.group[-3:].tolist() == [7, 7, 7]
     assert rows.has_claims
-    assert rows.force_components == 2
     values = np.arange(float(len(rows.start)))
     assert rows.per_row(values)[:5].tolist() == [0.0, 0.0, 1.0, 1.0, 1.0]
     lengths = rows.squared_length(np.full(len(rows.measured), 2.0))
@@ -86,13 +85,6 @@ def test_a_body_force_alone_pushes() -> None:
     assert len(observed_rows_of(heavy).measured) == 3 * len(probe.position)
 
 
-def test_a_response_that_does_not_fit_is_refused() -> None:
-    probe = _probe()
-    rows = observed_rows_of(replace(probe, response=HalfSpace(probe.response.offset[1:])))
-    with pytest.raises(InputError, match="must be finite with three rows a point"):
-        rows.value(0.3)
-
-
 def _covariances(count: int, *, depth: float = 4.0) -> np.ndarray:
     """As of cameras in one direction: `depth` times as uncertain along it."""
     rng = np.random.default_rng(3)
@@ -117,39 +109,39 @@ def test_rows_of_known_covariance_are_independent_and_equal() -> None:
     level = np.ones(8)
     kept = np.delete(np.arange(len(field)), 3)
     # The squared length of a residual is what its covariance makes of it.
-    left = (plain.measured - plain.value(0.2)[:, 2])[:-3].reshape(-1, 3)
+    value = probe.response.value(0.2)[rows.rows, 2]
+    left = (plain.measured - value)[:-3].reshape(-1, 3)
     inverse = np.linalg.inv(probe.covariance[kept])
     expected = np.einsum("pa,pab,pb->p", left, inverse, left)
-    found = rows.squared_length((rows.measured - rows.value(0.2)[:, 2]) / rows.sigma(level))
+    found = rows.squared_length((rows.measured - rows.whitened(value)) / rows.sigma(level))
     np.testing.assert_allclose(found[:-1], expected, rtol=1e-9)
-    np.testing.assert_allclose(rows.component_sigma(level), plain.sigma(level), rtol=1e-9)
-    np.testing.assert_array_equal(plain.component_sigma(level), plain.sigma(level))
+    variance = rows.sigma(level) ** 2
+    np.testing.assert_allclose(
+        rows.component_variance(variance), plain.sigma(level) ** 2, rtol=1e-9
+    )
+    np.testing.assert_array_equal(plain.component_variance(variance), variance)
+    np.testing.assert_allclose(rows.unwhitened(rows.measured), plain.measured, rtol=1e-9)
     # The tip, behind the points, is as it was.
     np.testing.assert_array_equal(rows.measured[-3:], plain.measured[-3:])
-    np.testing.assert_array_equal(rows.slope(0.2)[-3:], plain.slope(0.2)[-3:])
 
 
-class _Along:
-    """An error that moves all points along x, and as the load does."""
-
-    parameters = ()
-
-    def columns(self, at):
-        along_x = (at.rows % 3 == 0).astype(float)
-        return np.column_stack([along_x, at.displacement])
-
-
-def test_errors_of_points_speak_of_the_components_as_measured() -> None:
-    probe = replace(_with_covariance(tip=True), nuisances=(_Along(),))
-    rows, plain = observed_rows_of(probe), observed_rows_of(replace(probe, covariance=None))
-    load = np.array([0.0, 0.0, -1.0, 0.0])
-    found, expected = (
-        one.columns(probe.nuisances, one.loaded(one.value(0.3), load, 0.3)) for one in (rows, plain)
-    )
+def test_whitening_mixes_the_components_of_each_point_alone() -> None:
+    rows = observed_rows_of(_with_covariance(tip=True))
     n = len(rows.whitening)
-    mixed = rows.whitening @ expected[: 3 * n].reshape(n, 3, 2)
-    np.testing.assert_allclose(found[: 3 * n], mixed.reshape(-1, 2), rtol=1e-9, atol=1e-20)
-    np.testing.assert_allclose(found[3 * n :], expected[3 * n :], rtol=1e-12)
+    columns = np.random.default_rng(1).normal(size=(len(rows.measured), 2))
+    mixed = rows.whitening @ columns[: 3 * n].reshape(n, 3, 2)
+    np.testing.assert_allclose(rows.whitened(columns)[: 3 * n], mixed.reshape(-1, 2), rtol=1e-12)
+    np.testing.assert_array_equal(rows.whitened(columns)[3 * n :], columns[3 * n :])
+    # Variance of a row for components of variance 1, and weights of pairs of components.
+    matrix = np.zeros((3 * n, 3 * n))
+    for k in range(n):
+        matrix[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = rows.whitening[k]
+    np.testing.assert_allclose(rows.whitening_power()[: 3 * n], np.diag(matrix @ matrix.T))
+    weight = np.random.default_rng(2).uniform(1, 2, len(rows.measured))
+    expected = matrix.T @ np.diag(weight[: 3 * n]) @ matrix
+    found = rows.component_products(weight)
+    np.testing.assert_allclose(found[1], expected[3:6, 3:6], rtol=1e-9)
+    np.testing.assert_array_equal(found[-1], np.diag(weight[-3:]))
 
 
 def test_covariances_that_cannot_be_are_refused() -> None:
@@ -164,20 +156,3 @@ def test_covariances_that_cannot_be_are_refused() -> None:
     broken[2, 0, 0] = -1e-10
     with pytest.raises(InputError, match="covariance of point 2 is not positive definite"):
         replace(probe, covariance=broken)
-
-
-def test_shifts_of_force_and_motions_move_the_prediction_by_as_much() -> None:
-    """The load that is shifted, against the derivative that the search takes."""
-    probe, shear, rng = _probe(force_noise=0.1), 2e4, np.random.default_rng(2)
-    response = rng.normal(size=(3 * len(probe.position), 6))
-    motion = observed_rows_of(
-        replace(
-            probe,
-            force_std=np.array([0.1, 0.2, 0.0]),
-            motion=np.array([3e-4, -1e-3]),
-            motion_std=np.array([1e-4, 5e-4]),
-        )
-    )
-    shift = np.array([0.3, -1.2, 0.7, 2.0, -0.4])
-    moved = response @ (motion.load(shear, shift) - motion.load(shear, np.zeros(5)))
-    np.testing.assert_allclose(moved, motion.per_shift(response, shear) @ shift, rtol=1e-9)

@@ -9,9 +9,9 @@ from make_map import ROOT, SOURCE, Import, read_imports, read_rooms, room_of
 
 FILES = sorted(SOURCE.rglob("*.py"))
 ROOMS = read_rooms()
-# More is not seen at one glance (docs/developer/index.md).
-MOST_FILES = 12
-MOST_LINES = 400
+# A folder is a page; a file is a subject, not a size (docs/developer/index.md).
+MOST_FILES = 20
+MOST_LINES = 600
 MOST_FUNCTION_LINES = 50
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from error_columns import columns_of, curvature_of
 from scipy.sparse import csr_array, kron
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -12,7 +13,7 @@ from surfaces import sphere
 
 from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
-from palpate.estimation import FitResult, FitSettings, LoadedResponse
+from palpate.estimation import FitResult, FitSettings
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import (
     fit_session,
@@ -269,11 +270,8 @@ def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
         assert [one.std for one in seen.nuisances[-1].parameters[:2]] == [std, std]
     same = replace(only, errors=replace(errors, contact_points={}))
     (usual, _) = session_observations(same, make_object_model(same))
-    rows = np.arange(len(first.response.value(NU)))
     columns = [
-        one.nuisances[-1].columns(
-            LoadedResponse(rows, one.response.value(NU), _unit_load(only), NU)
-        )[:, :2]
+        columns_of(one.nuisances[-1], one.response.value(NU), _unit_load(only), NU)[:, :2]
         for one in (first, usual)
     ]
     # Linear in the shift, but for terms of third order over 0.8 mm.
@@ -292,8 +290,8 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     (seen,) = session_observations(first, make_object_model(first))
     contact, load = first.probings[0].contact, _unit_load(first)
     response = seen.response.value(NU)
-    at = LoadedResponse(np.arange(len(response)), response, load, NU)
-    found, curvature = seen.nuisances[-1].columns(at), seen.nuisances[-1].curvature(at)
+    found = columns_of(seen.nuisances[-1], response, load, NU)
+    curvature = curvature_of(seen.nuisances[-1], response, load, NU)
 
     def moved(other: Contact) -> np.ndarray:
         probing = replace(first.probings[0], contact=other)
@@ -334,7 +332,7 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
     (seen,) = session_observations(first, model)
     load, response = _unit_load(first), seen.response.value(NU)
     pose, _ = seen.nuisances
-    found = pose.columns(LoadedResponse(np.arange(len(response)), response, load, NU))
+    found = columns_of(pose, response, load, NU)
     centre = first.mesh.vertices.mean(axis=0)
     far = np.linalg.norm(seen.position - first.probings[0].contact.point, axis=1) > 0.015
 

@@ -9,7 +9,7 @@ from surfaces import box
 
 from palpate.bem import CentredSystem
 from palpate.bem.compressed import choice
-from palpate.estimation.responses import reduced_model
+from palpate.estimation import reduced_model
 from palpate.geometry import write_mesh
 from palpate.pipeline import fit_session, prepare_body
 from palpate.records import Session, read_session

@@ -1,55 +1,90 @@
-"""The sequence of steps from probings to elastic constants."""
+"""From probings to elastic constants: the minimum of the objective, checks, intervals."""
 
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
 
 import numpy as np
+from scipy.optimize import minimize
 
 from palpate.errors import InputError
-from palpate.estimation.fitted_model import FittedModel
-from palpate.estimation.intervals import (
-    IntervalSet,
-    LikelihoodMap,
-    ProbeFit,
-    Uncertainty,
-    contradiction,
-    error_estimates,
-    identifiable_constants,
-    interval_set,
-    likelihood_map,
-    probe_estimate,
-    probe_fits,
-    scores_of,
-    uncertainty_of,
-    with_prior_ranges,
-    with_undetermined_ratio,
-)
-from palpate.estimation.noise import NOISE_MODELS, noise_levels
-from palpate.estimation.notes import conflicting_force_notes, fit_notes, reversed_notes
+from palpate.estimation.checks import contradictions, with_outlying_forces_freed
+from palpate.estimation.gauss_newton import Minimum, fitted, gauss_newton
+from palpate.estimation.noise import NOISE_MODELS
+from palpate.estimation.normal_equations import covariance, determined
+from palpate.estimation.notes import fit_notes
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
-from palpate.estimation.responses import ResponseTable, response_table
-from palpate.estimation.search import (
-    FixedWeights,
-    Minimum,
-    Misfit,
-    best_constants,
-    fitted_parameters,
-    fixed_weights,
-    global_start,
-    nelder_mead_minimum,
-    scored_minimum,
-    total_loss,
-    without_settlement,
+from palpate.estimation.posterior import (
+    IntervalSet,
+    LikelihoodMap,
+    Posterior,
+    degrees_of_freedom,
+    interval_set,
+    likelihood_map,
+    posterior_of,
+    reported_intervals,
+    uncertainty_budget,
 )
-from palpate.estimation.settings import FitMethod, FitSettings
+from palpate.estimation.predictions import (
+    FittedModel,
+    ProbeFit,
+    error_estimates,
+    probe_estimate,
+    probe_fits,
+)
 from palpate.progress import Progress, silent
 from palpate.records import Estimate, Status
 
-_LEVEL_ROUNDS = 3
-# Relative change below which the noise levels count as converged.
-_LEVEL_TOLERANCE = 0.02
+# Of nu, and of the logarithm of G.
+_MAX_EVALUATIONS = 1000
+_SIMPLEX_TOLERANCE, _SIMPLEX_SIZE = 1e-7, 0.02
+
+
+class FitMethod(StrEnum):
+    """How the misfit is minimised: variable projection on tabulated responses, or a simplex."""
+
+    REDUCED = "reduced"
+    NELDER_MEAD = "nelder-mead"
+
+
+def _check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Refuse a name that is not among the allowed ones."""
+    if value not in allowed:
+        names = ", ".join(repr(str(choice)) for choice in allowed)
+        raise InputError(f"{name} is {value!r}; must be one of {names}")
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """Settings of an estimation, stored with its result.
+
+    Parameters
+    ----------
+    method : FitMethod, or its name
+    noise : str                         name in `NOISE_MODELS`: "student-t" is robust to gross
+                                        outliers, "gaussian" is plain least squares
+    poisson_range : (float, float) [-]  prior range of Poisson's ratio, within [-0.99, 0.4999]
+
+    Raises
+    ------
+    InputError                          unknown method or noise model, or range out of bounds
+    """
+
+    method: str = FitMethod.REDUCED.value
+    noise: str = "student-t"
+    poisson_range: tuple[float, float] = (0.0, 0.4999)
+
+    def __post_init__(self) -> None:
+        _check_choice("method", self.method, tuple(FitMethod))
+        _check_choice("noise", self.noise, tuple(NOISE_MODELS))
+        low, high = self.poisson_range
+        if not (np.isfinite([low, high]).all() and -0.99 <= low < high <= 0.4999):
+            raise InputError(
+                f"poisson_range is {self.poisson_range}; both ends must be in [-0.99, 0.4999], the"
+                " lower one first; use (0, 0.4999) for common solids, (-0.99, 0.4999) for auxetics"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +97,7 @@ class FitResult:
     likelihood : LikelihoodMap
     probes : tuple of ProbeFit
     intervals : IntervalSet or None     of the joint constants from the data alone: without prior
-                                        ranges for constants that are not identifiable
+                                        ranges for constants that are not determined
     model : FittedModel or None         can be evaluated at other constants
     """
 
@@ -92,41 +127,38 @@ def fit(
 
     Returns
     -------
-    FitResult                               constants that are not identifiable do not raise: see
+    FitResult                               constants that are not determined do not raise: see
                                             `Estimate.status`
 
     Raises
     ------
     InputError                              no probings, duplicate names, or a probing without
                                             measurements or without any load
-    NotConvergedError                       the true force of a probing did not converge (only with
-                                            the method nelder-mead)
     """
     start = time.perf_counter()
-    progress("tabulation", 0.0)
-    rows = _checked_rows(probes)
-    table = response_table(rows, settings.poisson_range)
-    progress("minimisation", 0.2)
-    misfit, minimum = _joint_minimum(rows, table, settings)
+    progress("minimisation", 0.0)
+    minimum, freed = with_outlying_forces_freed(
+        _joint_minimum(_checked_rows(probes), settings), settings.poisson_range
+    )
     progress("intervals", 0.5)
-    joint = uncertainty_of(misfit, minimum, _weights(rows, table, misfit, minimum))
-    intervals, reported, identifiable = _intervals(joint)
+    posterior = _posterior(minimum, settings)
+    reported, identifiable = reported_intervals(posterior)
     progress("single probings", 0.7)
     singles = [(reported, identifiable)]
-    if len(rows) > 1:
-        singles = _single_constants(misfit, joint)
+    if len(probes) > 1:
+        singles = [_single(minimum, k, settings) for k in range(len(probes))]
     progress("validation", 0.95)
-    fits = probe_fits(misfit, joint)
-    contradictions = list(filter(None, map(contradiction, probes, fits)))
-    std = np.sqrt(np.diag(joint.scores.covariance())[2:])
-    errors = error_estimates(misfit.shared, minimum.errors, std)
-    all_errors = [*errors, *(error for probe_fit in fits for error in probe_fit.errors)]
-    conflicts = [*reversed_notes(misfit, joint), *conflicting_force_notes(joint)]
+    fits = probe_fits(minimum, settings.poisson_range)
+    found = contradictions(minimum)
+    layout, shared = minimum.problem.layout, minimum.problem.shared
+    std = np.sqrt(np.diag(covariance(minimum.normal))[2:])
+    errors = error_estimates(shared, minimum.theta[layout.errors], std)
+    every = [*errors, *(error for probe_fit in fits for error in probe_fit.errors)]
     status = Status.from_identifiable(identifiable)
     if not minimum.converged:
         status = Status.NOT_CONVERGED
     # Also where the search did not converge: a wrong model is the usual reason.
-    if contradictions or conflicts or any(error.is_impossible for error in all_errors):
+    if found:
         status = Status.MODEL_CONTRADICTED
     estimate = Estimate(
         status=status,
@@ -140,12 +172,17 @@ def fit(
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
         settings=asdict(settings),
-        notes=(*fit_notes(misfit, joint, identifiable, contradictions, all_errors), *conflicts),
+        notes=fit_notes(posterior, identifiable, found, freed, every),
         errors=errors,
-        budget=joint.budget(identifiable),
+        budget=uncertainty_budget(posterior, identifiable),
     )
-    model = FittedModel(misfit, total_loss(minimum.probes, minimum.errors))
-    return FitResult(estimate, likelihood_map(joint, reported), fits, intervals, model)
+    return FitResult(
+        estimate,
+        likelihood_map(posterior, reported),
+        fits,
+        interval_set(posterior),
+        FittedModel(minimum, settings.poisson_range),
+    )
 
 
 def best_constants_of(
@@ -164,29 +201,10 @@ def best_constants_of(
 
     Raises
     ------
-    InputError, NotConvergedError           as `fit`
+    InputError                              as `fit`
     """
-    rows = _checked_rows(probes)
-    _, minimum = _joint_minimum(rows, response_table(rows, settings.poisson_range), settings)
+    minimum = _joint_minimum(_checked_rows(probes), settings)
     return minimum.poisson_ratio, minimum.shear_modulus
-
-
-def _weights(
-    rows: tuple[ObservedRows, ...], table: ResponseTable, misfit: Misfit, minimum: Minimum
-) -> FixedWeights:
-    """The misfit with robust weights and errors held fixed at their values at the minimum."""
-    separated, table = without_settlement(rows, table, minimum)
-    return fixed_weights(
-        separated,
-        table,
-        misfit.level,
-        [probe.weight for probe in minimum.probes],
-        np.array([probe.force_weight for probe in minimum.probes]),
-        [
-            probe.explained * row.sigma(misfit.level)
-            for probe, row in zip(minimum.probes, rows, strict=True)
-        ],
-    )
 
 
 def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ...]:
@@ -199,51 +217,49 @@ def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ..
     return tuple(observed_rows_of(probe) for probe in probes)
 
 
-def _joint_minimum(
-    rows: tuple[ObservedRows, ...], table: ResponseTable, settings: FitSettings
-) -> tuple[Misfit, Minimum]:
-    """Robust start, then the exact minimum, with noise levels consistent with its residuals."""
-    noise, poisson_range = NOISE_MODELS[settings.noise], settings.poisson_range
-    start, level = global_start(rows, table, noise)
-    state = start
-    for _ in range(_LEVEL_ROUNDS):
-        misfit = Misfit(rows, level, noise)
-        minimum = scored_minimum(misfit, state, poisson_range=poisson_range)
-        state = minimum.state
-        residuals = [probe.residual * probe.rows.sigma(level) for probe in minimum.probes]
-        level = noise_levels(rows, residuals, parameters=fitted_parameters(rows))
-        if np.all(np.abs(level / misfit.level - 1) < _LEVEL_TOLERANCE):
-            break
+def _joint_minimum(rows: tuple[ObservedRows, ...], settings: FitSettings) -> Minimum:
+    minimum = fitted(rows, NOISE_MODELS[settings.noise], settings.poisson_range)
     if settings.method == FitMethod.NELDER_MEAD:
-        minimum = nelder_mead_minimum(misfit, start, poisson_range=poisson_range)
-    return misfit, minimum
+        return _simplex_minimum(minimum, settings.poisson_range)
+    return minimum
 
 
-def _intervals(uncertainty: Uncertainty) -> tuple[IntervalSet, IntervalSet, dict[str, bool]]:
-    """Intervals from the data alone, intervals to report (the prior range where a constant is not
-    identifiable), and which constants are identifiable."""
-    intervals = interval_set(uncertainty)
-    ranged, weights = intervals, uncertainty.weights
-    if uncertainty.is_beyond_range():
-        ranged = with_undetermined_ratio(intervals, weights)
-    identifiable = identifiable_constants(ranged, weights)
-    return intervals, with_prior_ranges(ranged, identifiable, weights), identifiable
+def _simplex_minimum(minimum: Minimum, poisson_range: tuple[float, float]) -> Minimum:
+    """The minimum of the same objective over (nu, log G) by a simplex search, as Lang and Pai's,
+    with everything else at its best for each."""
+
+    def at(constants: np.ndarray) -> Minimum:
+        theta = minimum.theta.copy()
+        theta[:2] = np.clip(constants[0], *poisson_range), constants[1]
+        return gauss_newton(minimum.problem, theta, fixed=(0, 1), poisson_range=poisson_range)
+
+    found = minimize(
+        lambda constants: at(constants).value,
+        minimum.theta[:2] + _SIMPLEX_SIZE,
+        method="Nelder-Mead",
+        bounds=[poisson_range, (None, None)],
+        options={
+            "xatol": _SIMPLEX_TOLERANCE,
+            "fatol": _SIMPLEX_TOLERANCE,
+            "maxfev": _MAX_EVALUATIONS,
+        },
+    )
+    best = at(found.x)
+    # The equations there are those of the joint search.
+    joint = gauss_newton(best.problem, best.theta, poisson_range=poisson_range, steps=0)
+    return replace(joint, converged=bool(found.success and minimum.converged))
 
 
-def _single_constants(
-    misfit: Misfit, joint: Uncertainty
-) -> list[tuple[IntervalSet, dict[str, bool]]]:
-    """Constants from each probing alone, with noise and weights of the joint fit, and which of them
-    it identifies."""
-    # A force downweighted for disagreeing with the other probings is as good as claimed by itself.
-    claimed = np.stack([probe.observations.force_std for probe in misfit.probes])
-    as_claimed = replace(joint.weights, force_root=claimed)
-    constants = []
-    for k, probe in enumerate(misfit.probes):
-        weights, single = as_claimed.subset(k), replace(misfit, probes=(probe,))
-        start = single.start(*best_constants(weights))
-        minimum = scored_minimum(single, start, poisson_range=weights.poisson_range)
-        scores, _ = scores_of(single, minimum.probes, noise=joint.noise)
-        alone = replace(joint, minimum=minimum, scores=scores, weights=weights)
-        constants.append(_intervals(alone)[1:])
-    return constants
+def _posterior(minimum: Minimum, settings: FitSettings) -> Posterior:
+    degrees = degrees_of_freedom(minimum, determined(minimum.problem, minimum.normal)[0])
+    return posterior_of(minimum, settings.poisson_range, degrees)
+
+
+def _single(
+    minimum: Minimum, index: int, settings: FitSettings
+) -> tuple[IntervalSet, dict[str, bool]]:
+    """Constants from one probing alone, with the noise of the joint fit, and which of them it
+    determines."""
+    problem, theta = minimum.problem.subset(index, minimum.theta)
+    alone = gauss_newton(problem, theta, poisson_range=settings.poisson_range)
+    return reported_intervals(_posterior(alone, settings))

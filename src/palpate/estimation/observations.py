@@ -29,10 +29,6 @@ class ResponseModel(Protocol):
         """Response: columns 0 to 2 in m Pa / N, column 3 in m Pa, the others in m per unit."""
         ...
 
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
-        """Derivative of `value` with respect to Poisson's ratio, same units."""
-        ...
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settlement:
@@ -82,8 +78,6 @@ class ProbeObservations:
                                             factor that is estimated from the residuals
     reference : str or None                 identifies the reference pictures (at rest); points of
                                             probings with the same reference share its noise
-    considered : tuple of Nuisance          model errors that are considered, not fitted: all of
-                                            their prior variance enters the intervals
 
     Raises
     ------
@@ -110,7 +104,6 @@ class ProbeObservations:
     covariance: Float[np.ndarray, "n 3 3"] | None = None
     correlation: PointCorrelation = INDEPENDENT
     reference: str | None = None
-    considered: tuple[Nuisance, ...] = ()
 
     def __post_init__(self) -> None:
         label = f"probing {self.name!r}: "
@@ -144,21 +137,30 @@ class ProbeObservations:
                     "(0 = exact)"
                 )
 
-    def response_at(
-        self, poisson_ratio: float, shear_modulus: float
-    ) -> Float[np.ndarray, "n_rows c"]:
-        """The response for one material (`ResponseModel.value`).
+    def response_terms(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows t c"]:
+        """The response in t = 1 or 2 terms (`ResponseTerms`): two where it depends on the modulus.
 
         Parameters
         ----------
         poisson_ratio : float [-]
-        shear_modulus : float [Pa]
+
+        Raises
+        ------
+        InputError                          it has another shape, or is not finite
         """
         response = self.response.value(poisson_ratio)
+        rows = 3 * len(self.position) + 3 * (self.tip_displacement is not None)
+        shape = (rows, 4 + len(self.motion))
+        if response.shape != shape or not np.isfinite(response.sum()):
+            raise InputError(
+                f"probing {self.name!r}: the response at poisson_ratio {poisson_ratio:g} has shape"
+                f" {response.shape} and must be finite with three rows a point (and three for a"
+                f" measured tip) and {shape[1]} columns; check support, contact and mesh"
+            )
         if self.settlement is None:
-            return response
-        relative_change = shear_modulus / self.settlement.shear_modulus - 1.0
-        return response + relative_change * self.settlement.derivative(poisson_ratio)
+            return response[:, None]
+        change = self.settlement.derivative(poisson_ratio)
+        return np.stack([response - change, change / self.settlement.shear_modulus], axis=1)
 
 
 def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | None) -> None:

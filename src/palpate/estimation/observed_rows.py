@@ -1,18 +1,14 @@
 """The measured components of a probing as one stack of rows, ready for the misfit."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 
 from palpate.errors import InputError
-from palpate.estimation.nuisance import (
-    CurvedNuisance,
-    LoadedResponse,
-    Nuisance,
-    NuisanceParameter,
-)
+from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
 
 # Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
@@ -46,11 +42,6 @@ class ObservedRows:
                                             each: covariance^(-1/2) times `unit`
     neighbours : (r, r) sparse or None      error correlation of the rows of neighbouring points,
                                             zero on the diagonal; None: errors are independent
-
-    Attributes
-    ----------
-    inverse_whitening : (k, 3, 3) float [-] or None
-    curved_nuisances : tuple of CurvedNuisance      of the probing
     """
 
     observations: ProbeObservations
@@ -64,16 +55,6 @@ class ObservedRows:
     position: Float[np.ndarray, "p 3"]
     whitening: Float[np.ndarray, "k 3 3"] | None
     neighbours: csr_array | None
-    inverse_whitening: Float[np.ndarray, "k 3 3"] | None = field(init=False)
-    curved_nuisances: tuple[CurvedNuisance, ...] = field(init=False)
-
-    def __post_init__(self) -> None:
-        # Once, as the misfit asks for them in its inner loop.
-        inverse = None if self.whitening is None else np.linalg.inv(self.whitening)
-        nuisances = self.observations.nuisances
-        curved = tuple(kind for kind in nuisances if isinstance(kind, CurvedNuisance))
-        object.__setattr__(self, "inverse_whitening", inverse)
-        object.__setattr__(self, "curved_nuisances", curved)
 
     @property
     def name(self) -> str:
@@ -86,87 +67,57 @@ class ObservedRows:
         nuisances = self.observations.nuisances
         return tuple(parameter for nuisance in nuisances for parameter in nuisance.parameters)
 
-    def loaded(
-        self,
-        response: Float[np.ndarray, "r c"],
-        load: Float[np.ndarray, " c"],
-        poisson_ratio: float,
-    ) -> LoadedResponse:
-        """Response of the measured rows, as `value` gives it, under a load: what `columns` and
-        `curvature` take."""
-        unwhitened = _pointwise(self.inverse_whitening, response)
-        return LoadedResponse(self.rows, unwhitened, load, poisson_ratio)
-
-    def columns(
-        self, nuisances: tuple[Nuisance, ...], at: LoadedResponse
-    ) -> Float[np.ndarray, "r p"]:
-        """Change in displacement per prior sigma of each parameter of some errors, (r, p) [m]."""
-        if not nuisances:
-            return np.zeros((len(self.measured), 0))
-        columns = np.concatenate([nuisance.columns(at) for nuisance in nuisances], axis=1)
-        return _pointwise(self.whitening, columns)
-
-    def curvature(
-        self, at: LoadedResponse
-    ) -> list[tuple[tuple[NuisanceParameter, ...], Float[np.ndarray, "r p p"]]]:
-        """Parameters in which displacement is not linear, with its second derivatives,
-        (r, p, p) [m]."""
-        curvatures = []
-        for nuisance in self.curved_nuisances:
-            curvature = nuisance.curvature(at)
-            whitened = _pointwise(self.whitening, curvature.reshape(len(curvature), -1))
-            curvatures.append((nuisance.parameters, whitened.reshape(curvature.shape)))
-        return curvatures
-
-    @property
-    def load_shifts(self) -> int:
-        """Number of shifts of force and motions, 3 + q, which come before the probing's errors."""
-        return 3 + len(self.observations.motion)
-
-    @property
-    def force_components(self) -> int:
-        """Number of uncertain components of the force."""
-        return int(np.count_nonzero(self.observations.force_std))
-
-    def load(self, shear_modulus: float, shift: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
-        """Vector that multiplies the response: force and 1 (known loads), both over the shear
-        modulus, then motions. Force and motions are offset by `shift` standard deviations; entries
-        of `shift` beyond them (nuisance parameters) do not enter."""
-        seen = self.observations
-        force = seen.force + seen.force_std * shift[:3]
-        motion = seen.motion + seen.motion_std * shift[3 : self.load_shifts]
-        return np.concatenate([np.append(force, 1.0) / shear_modulus, motion])
-
-    def per_shift(
-        self, response: Float[np.ndarray, "r c"], shear_modulus: float
-    ) -> Float[np.ndarray, "r n"]:
-        """Displacement per standard deviation of each force component and motion, (r, n) [m]."""
-        forces = response[:, :3] * (self.observations.force_std / shear_modulus)
-        return np.concatenate([forces, response[:, 4:] * self.observations.motion_std], axis=1)
-
-    def prior(self, force_weight: float) -> Float[np.ndarray, " n"]:
-        """Prior weight, (n,), of each shift of force and motions, in inverse prior variances."""
-        return np.append(np.full(3, force_weight), np.ones(self.load_shifts - 3))
-
     @property
     def has_claims(self) -> bool:
         """Whether every measured row came with a standard deviation of its own."""
         return bool((self.group >= FIRST_CLAIMED).all())
 
+    @property
+    def point_of_row(self) -> Int[np.ndarray, " r"]:
+        """Number of the point that each row belongs to, among the measured ones."""
+        return np.repeat(np.arange(len(self.start)), self.components.astype(np.int64))
+
+    @property
+    def component_of_row(self) -> Int[np.ndarray, " r"]:
+        """0, 1 or 2: along x, y or z."""
+        return self.rows % 3
+
+    def component_products(self, weight: Float[np.ndarray, " r"]) -> Float[np.ndarray, "p 3 3"]:
+        """Weight of each pair of a point's components as measured, from weights of its rows."""
+        products = np.zeros((len(self.start), 3, 3))
+        products[self.point_of_row, self.component_of_row, self.component_of_row] = weight
+        if self.whitening is not None:
+            k = len(self.whitening)
+            products[:k] = self.whitening @ products[:k] @ self.whitening
+        return products
+
     def sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
         """1 sigma of every row, (r,) [m], at the noise level of each group, (8,)."""
         return self.unit * level[self.group]
 
-    def component_sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
-        """1 sigma of the x, y and z components as measured, before whitening, (r,) [m]."""
-        sigma = self.sigma(level)
-        if self.inverse_whitening is None:
-            return sigma
-        k = len(self.inverse_whitening)
-        variance = np.einsum(
-            "kab,kb->ka", self.inverse_whitening**2, sigma[: 3 * k].reshape(k, 3) ** 2
-        )
-        return np.append(np.sqrt(variance).ravel(), sigma[3 * k :])
+    def whitened(self, rows: Float[np.ndarray, "r ..."]) -> Float[np.ndarray, "r ..."]:
+        """Rows with the components of each point combined so that their errors are independent."""
+        return _pointwise(self.whitening, rows)
+
+    def unwhitened(self, rows: Float[np.ndarray, "r ..."]) -> Float[np.ndarray, "r ..."]:
+        """The reverse of `whitened`."""
+        inverse = None if self.whitening is None else np.linalg.inv(self.whitening)
+        return _pointwise(inverse, rows)
+
+    def whitening_power(self) -> Float[np.ndarray, " r"]:
+        """Variance of every row for components as measured of variance 1, (r,) [-]."""
+        power = np.ones(len(self.measured))
+        if self.whitening is not None:
+            power[: 3 * len(self.whitening)] = (self.whitening**2).sum(axis=2).ravel()
+        return power
+
+    def component_variance(self, variance: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+        """Variance of the x, y and z components as measured, from that of the rows, (r,) [m^2]."""
+        if self.whitening is None:
+            return variance
+        k, inverse = len(self.whitening), np.linalg.inv(self.whitening)
+        own = np.einsum("kab,kb->ka", inverse**2, variance[: 3 * k].reshape(k, 3))
+        return np.append(own.ravel(), variance[3 * k :])
 
     def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
         """Values of points, (p,), repeated for each row of the point, (r,)."""
@@ -190,54 +141,17 @@ class ObservedRows:
         """Squared length of each point's residual vector, (p,), in the residuals' unit squared."""
         return np.add.reduceat(residual**2, self.start)
 
-    def value(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
-        """Response of the measured rows, (r, c), in the units of `ResponseModel`.
-
-        Raises
-        ------
-        InputError              it has another shape, or is not finite
-        """
-        return self._measured_rows(self.observations.response.value(poisson_ratio), poisson_ratio)
-
-    def slope(self, poisson_ratio: float) -> Float[np.ndarray, "r c"]:
-        """Derivative of `value` with respect to Poisson's ratio; same shape, units, errors."""
-        return self._measured_rows(self.observations.response.slope(poisson_ratio), poisson_ratio)
-
-    def settling(
-        self, poisson_ratio: float, shear_modulus: float
-    ) -> Float[np.ndarray, "r c"] | None:
-        """Derivative of the measured rows' response with respect to log G, (r, c), at a shear
-        modulus [Pa]; None: the response does not depend on G."""
-        settlement = self.observations.settlement
-        if settlement is None:
-            return None
-        derivative = self._measured_rows(settlement.derivative(poisson_ratio), poisson_ratio)
-        return derivative * (shear_modulus / settlement.shear_modulus)
-
-    def _measured_rows(self, response: np.ndarray, poisson_ratio: float) -> np.ndarray:
-        # No copy where every row was measured: it would cost more than the fit itself.
-        complete = len(self.rows) == len(response)
-        chosen = response if complete else response[self.rows[self.rows < len(response)]]
-        shape = (len(self.measured), 1 + self.load_shifts)
-        if chosen.shape != shape or not np.isfinite(chosen.sum()):
-            raise InputError(
-                f"probing {self.name!r}: the response at poisson_ratio {poisson_ratio:g} has shape"
-                f" {response.shape} and must be finite with three rows a point (and three for a"
-                f" measured tip) and {shape[1]} columns; check support, contact and mesh"
-            )
-        return _pointwise(self.whitening, chosen)
-
 
 def _pointwise(
-    matrices: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r c"]
-) -> Float[np.ndarray, "r c"]:
+    matrices: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r ..."]
+) -> Float[np.ndarray, "r ..."]:
     """Rows with the three of each of the first k points multiplied by that point's matrix;
     unchanged without matrices."""
     if matrices is None:
         return rows
     k = 3 * len(matrices)
-    first = matrices @ rows[:k].reshape(len(matrices), 3, -1)
-    return np.concatenate([first.reshape(k, -1), rows[k:]])
+    first = matrices @ rows[:k].reshape(len(matrices), 3, math.prod(rows.shape[1:]))
+    return np.concatenate([first.reshape(rows[:k].shape), rows[k:]])
 
 
 def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
@@ -274,7 +188,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
     return ObservedRows(
         observations=probe,
         rows=rows,
-        measured=_pointwise(whitening, displacement[rows, None])[:, 0],
+        measured=_pointwise(whitening, displacement[rows]),
         unit=unit[rows],
         group=group[rows],
         start=start.astype(np.int64),
@@ -338,27 +252,25 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return displacement, unit, group.astype(np.int64)
 
 
-def weighted_square(
-    columns: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
-) -> Float[np.ndarray, "s s"]:
-    """Weighted Gram matrix, columns W columns', computed in pieces too small for BLAS to use
-    threads.
+def weighted_products(
+    weighted: Float[np.ndarray, "s r"], columns: Float[np.ndarray, "t r"]
+) -> Float[np.ndarray, "s t"]:
+    """Product of some weighted columns with others, in pieces too small for BLAS to use threads.
 
     With other work running, waiting threads cost ten times as much as the product itself.
 
     Parameters
     ----------
-    columns : (s, r) float          few rows, many columns
-    weight : (r,) float
+    weighted : (s, r) float         few rows, many columns
+    columns : (t, r) float
 
     Returns
     -------
-    (s, s) float
+    (s, t) float
     """
-    size, rows = columns.shape
-    piece = max(1, _UNTHREADED // size**2)
-    weighted = columns * weight
-    total = np.zeros((size, size))
+    rows = columns.shape[1]
+    piece = max(1, _UNTHREADED // max(len(weighted) * len(columns), 1))
+    total = np.zeros((len(weighted), len(columns)))
     for first in range(0, rows, piece):
         chosen = slice(first, first + piece)
         total += weighted[:, chosen] @ columns[:, chosen].T

@@ -37,7 +37,7 @@ from palpate.pipeline.model import (
 from palpate.pipeline.observations import (
     converged_observations,
     ungraded_observations,
-    with_considered_errors,
+    with_mesh_steps,
 )
 from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.progress import Progress, part_of, silent
@@ -204,7 +204,7 @@ def _on_ungraded_mesh(
         observations = ungraded_observations(
             session, settings=settings, surface=surface, cache=cache, progress=report
         )[1]
-    return session, with_considered_errors(
+    return session, with_mesh_steps(
         session, observations, settings=settings, surface=surface, cache=cache,
         progress=part_of(progress, _OWN, 1.0),
     )  # fmt: skip

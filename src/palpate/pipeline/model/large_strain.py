@@ -179,7 +179,7 @@ def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionE
             (f"finite strain of {name}", "from coarser to finer elements", 1.0, mesh_step),
         ]
     parameters = (
-        NuisanceParameter(f"{of}, in steps {step},", std, of="finite strain")
+        NuisanceParameter(f"{of}, in steps {step},", std, of="finite strain", is_model_error=True)
         for of, step, std, _ in errors
     )
     steps = [std * moved.ravel() for *_, std, moved in errors]

@@ -14,7 +14,7 @@ from palpate.pipeline.observations.converged_observations import (
 from palpate.pipeline.observations.mesh_errors import (
     graded_observations as graded_observations,
     ungraded_observations as ungraded_observations,
-    with_considered_errors as with_considered_errors,
+    with_mesh_steps as with_mesh_steps,
 )
 from palpate.pipeline.observations.prepared_body import prepare_body as prepare_body
 from palpate.pipeline.observations.session_observations import (

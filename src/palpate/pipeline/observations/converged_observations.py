@@ -8,8 +8,8 @@ import numpy as np
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
     DENSE_RESIDUAL,
-    Discretisation,
     FitSettings,
+    ModelStep,
     ProbeObservations,
     best_constants_of,
 )
@@ -22,6 +22,8 @@ from palpate.records import Session
 # the change of its logarithm that ends them (the error is of second order in it), and the longest
 # step.
 _MOST_ROUNDS, _STEP_TOLERANCE, _LONGEST_STEP = 12, 1e-3, 5.0
+
+_GRADING = "mesh at rims and hollow edges (in steps from the given to the graded one)"
 
 
 def converged_observations(
@@ -42,7 +44,7 @@ def converged_observations(
     model : ObjectModel                   of this session
     settings : FitSettings
     coarser : sequence of k ProbeObservations, or empty    the same on a coarser mesh: adds the
-                                          error of the mesh and the errors considered there
+                                          error of the mesh and the errors that it has there
     with_surface : bool                   True: with responses of all vertices
     residual : float                      as `session_observations_at`
 
@@ -87,7 +89,7 @@ def _with_mesh_errors(
         return list(observations)
     with_errors = []
     for probe, coarse in zip(observations, coarser, strict=True):
-        error = Discretisation(REMAINING_FRACTION, coarse.response_at)
-        nuisances = (*probe.nuisances, error)
-        with_errors.append(replace(probe, nuisances=nuisances, considered=coarse.considered))
+        error = ModelStep(_GRADING, REMAINING_FRACTION, coarse.response_terms, probe.response_terms)
+        nuisances = (*probe.nuisances, error, *coarse.nuisances)
+        with_errors.append(replace(probe, nuisances=nuisances))
     return with_errors

@@ -116,7 +116,7 @@ def _can_be_centred(model: ObjectModel, settings: FitSettings) -> bool:
     return settings.method == FitMethod.REDUCED and model.springs is None and not compressed
 
 
-def with_considered_errors(
+def with_mesh_steps(
     session: Session,
     observations: Sequence[ProbeObservations],
     *,
@@ -126,7 +126,7 @@ def with_considered_errors(
     progress: Progress = silent,
 ) -> list[ProbeObservations]:
     """Observations with the errors of the given mesh's model between vertices and along sharp
-    edges, as considered errors.
+    edges, as large as the steps to other meshes.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def with_considered_errors(
     ------
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
-    considered = list(observations)
+    stepped = list(observations)
     meshes = compared_meshes(session, surface)
     for number, (name, compared_session, compared_surface) in enumerate(meshes):
         _, compared = ungraded_observations(
@@ -160,14 +160,14 @@ def with_considered_errors(
             ),
         )
         steps = [
-            ModelStep(_STEPS[name], probe.response_at, other.response_at)
-            for probe, other in zip(considered, compared, strict=True)
+            ModelStep(_STEPS[name], 1.0, probe.response_terms, other.response_terms)
+            for probe, other in zip(stepped, compared, strict=True)
         ]
-        considered = [
-            replace(probe, considered=(*probe.considered, step))
-            for probe, step in zip(considered, steps, strict=True)
+        stepped = [
+            replace(probe, nuisances=(*probe.nuisances, step))
+            for probe, step in zip(stepped, steps, strict=True)
         ]
-    return considered
+    return stepped
 
 
 def compared_meshes(
@@ -212,6 +212,6 @@ def graded_observations(session: Session) -> list[ProbeObservations]:
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
     _, ungraded = ungraded_observations(session)
-    ungraded = with_considered_errors(session, ungraded)
+    ungraded = with_mesh_steps(session, ungraded)
     graded = graded_session(session)
     return converged_observations(graded, make_object_model(graded), coarser=ungraded)

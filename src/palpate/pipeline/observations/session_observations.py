@@ -35,8 +35,6 @@ from palpate.pipeline.model import (
 from palpate.records import GIVEN, DisplacementField, Probing, Session
 from palpate.shapes import Vertices
 
-# Poisson's ratio at which small terms are evaluated.
-_MIDDLE = 0.3
 # Relative residual for perturbed contacts; in thin bodies the error of the solution may be 1000
 # times as large.
 _PERTURBATION_TOLERANCE = 1e-5
@@ -209,20 +207,13 @@ def _observations(
     if force_std is None:
         length = float(np.linalg.norm(probing.force))
         force_std = np.full(3, session.errors.force * length)
-    error = _contact_mesh_error(model, index, response)
-    std = None if field.std is None else np.hypot(field.std, error)
-    correlation = field.correlation
-    if field.std is not None and std is not None:
-        correlation = correlation.scaled(((field.std / std) ** 2).mean(axis=1))
     return ProbeObservations(
         name=probing.name,
         position=field.points,
         displacement=field.displacement,
-        std=std,
-        covariance=None
-        if field.covariance is None
-        else field.covariance + error[:, None] ** 2 * np.eye(3),
-        correlation=correlation,
+        std=field.std,
+        covariance=field.covariance,
+        correlation=field.correlation,
         force=probing.force,
         force_std=force_std,
         tip_displacement=probing.tip_displacement,
@@ -234,30 +225,6 @@ def _observations(
         nuisances=nuisances,
         reference=probing.images.rest if probing.images and field.vertex is not None else None,
     )
-
-
-def _contact_mesh_error(
-    model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
-) -> Float[np.ndarray, "n 1"]:
-    """Error of the mesh about the contact at each point, 1 sigma of a component [m].
-
-    One parameter for each contact (`dip_perturbations`) represents errors in the shape of the dip.
-    Other errors are of the same size and differ from point to point; without them points close to a
-    tool, which move most, would count as if the model were accurate to a thousandth.
-    """
-    probing = model.session.probings[index]
-    field = _measured(probing)
-    has_dip = any(each.probing == index and each.is_dip for each in model.perturbations)
-    if field.std is None or not has_dip or isinstance(response, SpringResponse):
-        return np.zeros((len(field.points), 1))
-    size = field.displacement.size
-    moved = response.value(_MIDDLE)[:size, :3] @ probing.force
-    dip = response.change(_MIDDLE)[:size, -1].reshape(-1, 3)
-    # Rough estimate of 1 / G from the measured displacements.
-    rows = np.isfinite(field.displacement).ravel()
-    scale = float(moved[rows] @ field.displacement.ravel()[rows] / (moved[rows] @ moved[rows]))
-    error = max(scale, 0.0) * np.linalg.norm(dip, axis=1, keepdims=True) / np.sqrt(3.0)
-    return np.asarray(error)
 
 
 def _motions(

@@ -205,7 +205,7 @@ def _moved(session: Session, material: Material) -> list[tuple[Vertices, Vector3
     moved = []
     for probe in session_observations(guessed, make_object_model(guessed), shear_modulus=shear):
         load = np.concatenate([probe.force / shear, [1.0 / shear], probe.motion])
-        rows = (probe.response_at(ratio, shear)[:, : load.size] @ load).reshape(-1, 3)
+        rows = (probe.response.value(ratio)[:, : load.size] @ load).reshape(-1, 3)
         tip = None if probe.tip_displacement is None else rows[len(vertices)]
         moved.append((rows[: len(vertices)], tip))
     return moved

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from error_columns import columns_of, curvature_of
 from surfaces import sphere
 
 from palpate.bem import RightHand, correction_columns, indentation_corrections
-from palpate.estimation import ContactError, LoadedResponse
+from palpate.estimation import ContactError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
 from palpate.pipeline.model.contacts import DIP_ERROR, dipped_columns, perturbations, surface_load
@@ -68,7 +69,7 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
     rows = np.arange(seen.displacement.size)
     load = np.append(seen.force, 1.0) / MODULUS
     with_dips = seen.response.value(NU)[rows]
-    column = error.columns(LoadedResponse(rows, with_dips, load, NU))[:, -1]
+    column = columns_of(error, with_dips, load, NU)[:, -1]
     monkeypatch.setattr(
         "palpate.pipeline.model.object_model.indentation_corrections",
         lambda _, loads: [None] * len(loads),
@@ -81,19 +82,11 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(column, DIP_ERROR * step, atol=1e-6 * np.abs(step).max())
 
 
-def test_points_near_the_contact_are_less_sure() -> None:
-    exact = _seen(_session(2, EXACT))
-    moved = exact.response.value(NU)[: exact.displacement.size, :3] @ exact.force / MODULUS
-    seen = _seen(_session(2, GAIN, measured=moved.reshape(-1, 3)))
-    (error,) = [one for one in seen.nuisances if NAME in [p.name for p in one.parameters]]
-    rows = np.arange(seen.displacement.size)
-    load = np.append(seen.force, 1.0) / MODULUS
-    column = error.columns(LoadedResponse(rows, seen.response.value(NU)[rows], load, NU))[:, -1]
-    size = np.linalg.norm(column.reshape(-1, 3), axis=1) / np.sqrt(3.0)
-    expected = np.sqrt(1e-7**2 + size[:, None] ** 2)
-    np.testing.assert_allclose(seen.std, np.tile(expected, 3), rtol=1e-6)
-    distance = np.linalg.norm(seen.position - [0.0, 0.0, RADIUS], axis=1)
-    assert size[distance.argmin()] == size.max() > 1e-6
+def test_the_dip_is_an_error_of_the_model() -> None:
+    """Its size near the contact counts in the model's error of unknown shape."""
+    seen = _seen(_session(2, GAIN))
+    every = [one for error in seen.nuisances for one in error.parameters]
+    assert [one.name for one in every if one.is_model_error] == [NAME]
 
 
 def test_the_mesh_is_not_exact_where_the_laboratory_is() -> None:
@@ -112,8 +105,8 @@ def _left(deviations: float) -> float:
     error = next(one for one in seen.nuisances if isinstance(one, ContactError))
     rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / MODULUS
     nominal = seen.response.value(NU)[rows]
-    at = LoadedResponse(rows, nominal, load, NU)
-    (slope, *_), curvature = error.columns(at).T, error.curvature(at)[:, 0, 0]
+    slope = columns_of(error, nominal, load, NU)[:, 0]
+    curvature = curvature_of(error, nominal, load, NU)[:, 0, 0]
     # The first tangent of a contact on top is x.
     there = closest_points(
         told.mesh, probing.contact.point + np.array([[0.0, 0.0, 0.0], [deviations * std, 0.0, 0.0]])

@@ -126,7 +126,10 @@ def dip_perturbations(
 
 def _dip_parameter(name: str) -> NuisanceParameter:
     return NuisanceParameter(
-        f"mesh about the contact of {name} (in dips of a half space)", DIP_ERROR, of="mesh"
+        f"mesh about the contact of {name} (in dips of a half space)",
+        DIP_ERROR,
+        of="mesh",
+        is_model_error=True,
     )
 
 

@@ -1,0 +1,143 @@
+"""Fisher information of probings before they are made, and the Cramer-Rao bound from it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import InputError
+from palpate.estimation.correlation import correlation_excess
+from palpate.estimation.gauss_newton import Minimum
+from palpate.estimation.noise import Gaussian
+from palpate.estimation.normal_equations import normal_equations
+from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.observed_rows import observed_rows_of
+from palpate.estimation.posterior import directions, posterior_of, uncertainty_budget
+from palpate.estimation.problem import make_problem
+from palpate.records import CONSTANT_NAMES, BudgetEntry
+
+_ANY_RATIO = (-0.99, 0.4999)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Information:
+    """Fisher information of each probing, for Gaussian noise of the claimed standard deviations.
+
+    Uncertain forces and each probing's own errors are eliminated, with their claimed uncertainties
+    as priors.
+
+    Attributes
+    ----------
+    parts : (k, d, d) float         of nu, log G and the d - 2 shared errors, these in prior
+                                    standard deviations
+    budget : tuple of BudgetEntry   contributions of the sources to the bound of all probings
+    poisson_ratio : float [-]       at which it is taken
+    shear_modulus : float [Pa]
+    """
+
+    parts: Float[np.ndarray, "k d d"]
+    budget: tuple[BudgetEntry, ...]
+    poisson_ratio: float
+    shear_modulus: float
+
+    def of(self, probings: Sequence[int]) -> Float[np.ndarray, "2 2"]:
+        """Information of some probings together about (nu, log G), (2, 2), shared errors
+        eliminated."""
+        information = self.parts[list(probings)].sum(axis=0)
+        information[2:, 2:] += np.eye(len(information) - 2)
+        return information[:2, :2] - information[:2, 2:] @ np.linalg.solve(
+            information[2:, 2:], information[2:, :2]
+        )
+
+    def bound(self, probings: Sequence[int]) -> dict[str, float]:
+        """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
+
+        Parameters
+        ----------
+        probings : sequence of int      indices of those that are made
+
+        Returns
+        -------
+        constant's name -> float        nu [-], G and E [Pa]; infinite where not identifiable
+        """
+        information = self.of(probings)
+        covariance = np.linalg.pinv(information, hermitian=True)
+        young = 2 * self.shear_modulus * (1 + self.poisson_ratio)
+        bound = {}
+        for (name, direction), value in zip(
+            directions(self.poisson_ratio).items(), (1.0, self.shear_modulus, young), strict=True
+        ):
+            identifiable = np.allclose(information @ covariance @ direction, direction, atol=1e-6)
+            std = float(np.sqrt(direction @ covariance @ direction))
+            bound[name] = value * std if identifiable else np.inf
+        return bound
+
+
+def fisher_information(
+    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
+) -> Information:
+    """Information of some probings at given constants.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  all with standard deviations; their residuals determine
+                                            the correlation of neighbouring points
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]              > 0
+
+    Returns
+    -------
+    Information
+
+    Raises
+    ------
+    InputError                              a probing has no standard deviations
+    """
+    for probe in probes:
+        if probe.std is None:
+            raise InputError(
+                f"probing {probe.name!r} has no std; the bound needs the noise of every point"
+            )
+    rows = tuple(observed_rows_of(probe) for probe in probes)
+    problem = make_problem(
+        rows, Gaussian(), poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
+    )
+    theta = np.zeros(problem.layout.size)
+    theta[:2] = poisson_ratio, np.log(shear_modulus)
+    residual = problem.residual(theta)
+    normal = normal_equations(problem, theta, residual)
+    excess = correlation_excess(problem, theta, residual, normal)
+    problem = replace(problem, information=problem.information / excess)
+    normal = normal_equations(problem, theta, residual)
+    at = Minimum(problem, theta, tuple(residual), normal, 0.0, True)
+    information = Information(normal.parts, (), poisson_ratio, shear_modulus)
+    bound = information.bound(range(len(probes)))
+    determined = {name: bool(np.isfinite(bound[name])) for name in CONSTANT_NAMES}
+    budget = uncertainty_budget(posterior_of(at, _ANY_RATIO, np.inf), determined)
+    return replace(information, budget=budget)
+
+
+def cramer_rao_bound(
+    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
+) -> dict[str, float]:
+    """Cramer-Rao bound of all given probings together.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  all with standard deviations
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]              > 0
+
+    Returns
+    -------
+    constant's name -> float                as `Information.bound`
+
+    Raises
+    ------
+    InputError                              a probing has no standard deviations
+    """
+    information = fisher_information(
+        probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
+    )
+    return information.bound(range(len(probes)))

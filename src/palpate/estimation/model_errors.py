@@ -1,0 +1,246 @@
+"""Errors of the model itself: of its mesh, of its supports, of corrections applied to it; and the
+part of them whose shape nobody knows, as a correlated term of known size."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from palpate.estimation.nuisance import (
+    NuisanceParameter,
+    ResponseTerms,
+    fixed_displacement,
+    padded,
+)
+from palpate.estimation.observed_rows import ObservedRows, weighted_products
+from palpate.geometry import morton_order
+from palpate.shapes import Points
+
+Terms = Callable[[float], Float[np.ndarray, "n_rows t c"]]
+
+# The model's error is taken as a process whose correlation decays over this fraction of the body
+# on all scales, as far as its modes resolve; this share of its variance varies from point to point.
+# Against bodies of known truth, lengths of 0.1 to 1 and shares of 0.1 to 0.6 move no estimate by
+# more than a fifth of its standard deviation (benchmarks/exact_bodies.py).
+_LENGTH, _WHITE = 0.3, 0.3
+_MODES = 40
+# Places from which the modes are computed.
+_MOST_PLACES = 200
+# The error at a point is at most the largest among its neighbours: this share of all points, and at
+# least so many.
+_NEIGHBOURHOOD, _FEWEST_NEIGHBOURS = 0.02, 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelStep:
+    """An error as large as the difference of two models of the same body (`Nuisance`).
+
+    Parameters
+    ----------
+    name : str                      of the error, worded so that it can end a sentence
+    std : float [-]                 standard deviation as a fraction of the step, > 0
+    model, alternative : function   Poisson's ratio -> (n_rows, t, c) float: responses of both
+                                    (`ProbeObservations.response_terms`); the step leads from the
+                                    first to the second
+    """
+
+    name: str
+    std: float
+    model: Terms
+    alternative: Terms
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """One, shared by all probings."""
+        return (NuisanceParameter(self.name, self.std, of="mesh", is_model_error=True),)
+
+    def effects(self, at: ResponseTerms) -> Float[np.ndarray, "r t c 1"]:
+        """`std` times the step (`Nuisance.effects`)."""
+        steps = [side(at.poisson_ratio)[at.rows] for side in (self.model, self.alternative)]
+        count = max(step.shape[1] for step in steps)
+        first, second = (padded(step[..., None], count) for step in steps)
+        return self.std * (second - first)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectionError:
+    """Error of a correction that was applied to the measurements (`Nuisance`).
+
+    Parameters
+    ----------
+    parameters : tuple of p NuisanceParameter
+    steps : (n_rows, p) float [m]   change of the correction per standard deviation of each
+    """
+
+    parameters: tuple[NuisanceParameter, ...]
+    steps: Float[np.ndarray, "n_rows p"]
+
+    def effects(self, at: ResponseTerms) -> Float[np.ndarray, "r 2 c p"]:
+        """The measured rows of `steps` (`Nuisance.effects`)."""
+        return fixed_displacement(self.steps[at.rows], at)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SupportCompliance:
+    """Compliance of some supports in excess of the model's: a bed of springs (`Nuisance`).
+
+    Negative compliance is unphysical, but a symmetric prior keeps noise alone from biasing the
+    estimate towards soft supports.
+
+    Parameters
+    ----------
+    supports : tuple of s int       numbers of the supports, from 1
+    std : float [m/Pa]              of each: displacement over traction, > 0
+    derivative : function           Poisson's ratio, index in `supports` -> (n_rows, c) float [unit
+                                    of the response, per m]: derivative of the response with respect
+                                    to shear modulus times compliance
+    """
+
+    supports: tuple[int, ...]
+    std: float
+    derivative: Callable[[float, int], Float[np.ndarray, "n_rows c"]]
+
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """One for each support, shared by all probings."""
+        return tuple(
+            NuisanceParameter(
+                f"compliance of support {number}", self.std, "m/Pa", "compliance of supports"
+            )
+            for number in self.supports
+        )
+
+    def effects(self, at: ResponseTerms) -> Float[np.ndarray, "r 2 c s"]:
+        """Response with springs under each support; it does not depend on the material
+        (`Nuisance.effects`)."""
+        moved = [self.derivative(at.poisson_ratio, k)[at.rows] for k in range(len(self.supports))]
+        effects = self.std * np.stack(moved, axis=2)
+        return np.stack([np.zeros_like(effects), effects], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownRows:
+    """The model's error of unknown shape in the rows of one probing: a correlated term in their
+    covariance, of the size that the model's errors of known shape have about each point.
+
+    Its part that is correlated is a sum of patterns whose coefficients have unit variance: first
+    the errors of known shape themselves, as they differ from probing to probing, then smooth modes,
+    each for x, y and z.
+
+    Attributes
+    ----------
+    probe : ObservedRows
+    fields : (f, r) float [m]       errors of known shape
+    modes : (p, m) float [m]        smooth modes, one value for each point
+    variance : (r,) float [m^2]     of what varies from point to point
+    size : (p,) float [m]           standard deviation of each component of a point, in all
+    """
+
+    probe: ObservedRows
+    fields: Float[np.ndarray, "f r"]
+    modes: Float[np.ndarray, "p m"]
+    variance: Float[np.ndarray, " r"]
+    size: Float[np.ndarray, " p"]
+
+    @property
+    def count(self) -> int:
+        """Number of coefficients: of the fields, then of the modes along x, along y, along z."""
+        return len(self.fields) + 3 * self.modes.shape[1]
+
+    def moved(self, coefficients: Float[np.ndarray, " n"]) -> Float[np.ndarray, " r"]:
+        """Displacement of the rows, (r,) [m]."""
+        known, smooth = np.split(coefficients, [len(self.fields)])
+        by_point = self.modes @ smooth.reshape(3, -1).T
+        rows = by_point[self.probe.point_of_row, self.probe.component_of_row]
+        return known @ self.fields + self.probe.whitened(rows)
+
+    def products(
+        self, columns: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
+    ) -> tuple[Float[np.ndarray, "s n"], Float[np.ndarray, "n n"]]:
+        """Weighted products of some columns with the patterns, and of the patterns with each
+        other.
+
+        Parameters
+        ----------
+        columns : (s, r) float
+        weight : (r,) float
+
+        Returns
+        -------
+        (s, n) float
+        (n, n) float                n = `count`
+        """
+        probe, f, m = self.probe, len(self.fields), self.modes.shape[1]
+        every = np.vstack([columns, self.fields])
+        weighted = every * weight
+        # Of a point's rows with each other, as components were before they were whitened.
+        inner = probe.component_products(weight)
+        unwhitened = probe.whitened(weighted.T).T
+        cross, whole = np.empty((len(every), f + 3 * m)), np.zeros((f + 3 * m, f + 3 * m))
+        cross[:, :f] = weighted_products(weighted, self.fields)
+        for i in range(3):
+            rows = np.flatnonzero(probe.component_of_row == i)
+            at = slice(f + i * m, f + (i + 1) * m)
+            cross[:, at] = unwhitened[:, rows] @ self.modes[probe.point_of_row[rows]]
+            for j in range(i, 3):
+                if inner[:, i, j].any():
+                    other = slice(f + j * m, f + (j + 1) * m)
+                    whole[at, other] = (self.modes * inner[:, i, j, None]).T @ self.modes
+                    whole[other, at] = whole[at, other].T
+        known = cross[len(columns) :]
+        whole[:f], whole[:, :f] = known, known.T
+        return cross[: len(columns)], whole
+
+
+def unknown_rows(probe: ObservedRows, fields: Float[np.ndarray, "r f"]) -> UnknownRows:
+    """The model's error of unknown shape in the rows of a probing.
+
+    Parameters
+    ----------
+    probe : ObservedRows
+    fields : (r, f) float [m]       displacement per standard deviation of each error of the model;
+                                    none: the model is exact
+
+    Returns
+    -------
+    UnknownRows
+    """
+    square = np.add.reduceat((probe.unwhitened(fields) ** 2).sum(axis=1), probe.start)
+    size = np.sqrt(square / probe.components)
+    on_surface = np.isfinite(probe.position[:, 0])
+    places, patterns = probe.position[on_surface], np.zeros((len(size), 0))
+    if size.any() and len(places) >= _FEWEST_NEIGHBOURS:
+        count = max(_FEWEST_NEIGHBOURS, int(_NEIGHBOURHOOD * len(places)))
+        size[on_surface] = size[on_surface][cKDTree(places).query(places, count)[1]].max(axis=1)
+        smooth = _correlated_patterns(places)
+        patterns = np.zeros((len(size), smooth.shape[1]))
+        patterns[on_surface] = smooth
+    # The tip has no neighbours, and few points show no pattern: all of their error is their own.
+    white = size**2 * np.maximum(1.0 - (patterns**2).sum(axis=1), 0.0)
+    return UnknownRows(
+        probe,
+        np.ascontiguousarray(fields.T),
+        patterns * size[:, None],
+        white[probe.point_of_row] * probe.whitening_power(),
+        size,
+    )
+
+
+def _correlated_patterns(places: Points) -> Float[np.ndarray, "p m"]:
+    """Leading modes of a process of correlation exp(-distance / length), of variance 1 less what
+    varies from point to point.
+
+    Source
+    ------
+    Nystroem extension from a subset of the points: Williams and Seeger, Using the Nystroem method
+    to speed up kernel machines, NIPS 13 (2001).
+    """
+    length = _LENGTH * float(np.linalg.norm(np.ptp(places, axis=0)))
+    chosen = places[morton_order(places)][:: -(-len(places) // _MOST_PLACES)]
+    value, vector = np.linalg.eigh(np.exp(-cdist(chosen, chosen) / length))
+    value, vector = value[::-1][:_MODES], vector[:, ::-1][:, :_MODES]
+    patterns = np.exp(-cdist(places, chosen) / length) @ (vector / np.sqrt(value))
+    return np.sqrt(1.0 - _WHITE) * patterns

@@ -1,0 +1,264 @@
+"""Gauss-Newton equations of the objective, with the parameters of each probing eliminated, and the
+covariances that follow from them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.estimation.noise import Moments, moments_of
+from palpate.estimation.observed_rows import weighted_products
+from palpate.estimation.problem import Problem
+
+_LONGEST_STEP = 2.0
+# Lower bound of the mean slope of the score over the mean weight: far from the minimum the slope
+# may be negative, and the step would lead uphill.
+SMALLEST_SLOPE = 0.3
+_RIDGE = 1e-13
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """Gauss-Newton equations at a point, with the parameters of each probing eliminated.
+
+    Attributes
+    ----------
+    common : (d, d) float           information about the common parameters, priors included
+    gradient : (d,) float           minus half the gradient by these
+    parts : (k, d, d) float         contribution of each probing to `common`
+    part_gradients : (k, d) float   contribution of each probing to `gradient`
+    own : tuple of (n, n) float     information about each probing's own parameters
+    solutions : tuple of (n, d + 1) float    minus the change of these per unit of each common
+                                    parameter; last column: their step with the common ones fixed
+    """
+
+    common: Float[np.ndarray, "d d"]
+    gradient: Float[np.ndarray, " d"]
+    parts: Float[np.ndarray, "k d d"]
+    part_gradients: Float[np.ndarray, "k d"]
+    own: tuple[Float[np.ndarray, "_ _"], ...]
+    solutions: tuple[Float[np.ndarray, "_ _"], ...]
+
+    def step(
+        self, fixed: Sequence[int], poisson_ratio: float, bounds: tuple[float, float]
+    ) -> Float[np.ndarray, " n"]:
+        """Step of theta; where it would leave the bounds of nu it ends there, the others follow.
+
+        Parameters
+        ----------
+        fixed : sequence of int     common parameters that stay as they are
+        poisson_ratio : float [-]
+        bounds : (float, float)     of Poisson's ratio
+        """
+        free = np.setdiff1d(np.arange(len(self.gradient)), fixed)
+        step = _solved(self.common, self.gradient, free)
+        target = poisson_ratio + step[0]
+        if not bounds[0] <= target <= bounds[1]:
+            bound = float(np.clip(target, *bounds)) - poisson_ratio
+            others = free[free != 0]
+            step = _solved(self.common, self.gradient - self.common[:, 0] * bound, others)
+            step[0] = bound
+        step[1] = np.clip(step[1], -_LONGEST_STEP, _LONGEST_STEP)
+        moves = [solution[:, -1] - solution[:, :-1] @ step for solution in self.solutions]
+        return np.concatenate([step, *moves])
+
+
+def normal_equations(
+    problem: Problem, theta: Float[np.ndarray, " t"], residual: Sequence[Float[np.ndarray, " _"]]
+) -> NormalEquations:
+    """Gauss-Newton equations at a point.
+
+    Parameters
+    ----------
+    problem : Problem
+    theta : (n,) float
+    residual : one (r,) float [m] for each probing    there
+
+    Returns
+    -------
+    NormalEquations
+    """
+    layout, precision = problem.layout, problem.precision()
+    d, squares, factor = (
+        layout.common,
+        problem.squared(residual),
+        curvature_factor(problem, residual),
+    )
+    parts, gradients, inner, solutions = [], [], [], []
+    tables = problem.jacobian(theta)
+    for index, (block, table, row, square) in enumerate(
+        zip(layout.blocks, tables, residual, squares, strict=True)
+    ):
+        products = gram(problem, index, np.vstack([table, row]), square)
+        information, score = factor * products, problem.information * products[:, len(table)]
+        information = np.delete(np.delete(information, len(table), 0), len(table), 1)
+        score = np.delete(score, len(table))
+        prior = precision[block.whole]
+        own = information[d:, d:] + np.diag(prior)
+        own_score = score[d:] - prior * theta[block.whole]
+        solution = np.linalg.solve(own, np.column_stack([information[d:, :d], own_score]))
+        parts.append(information[:d, :d] - information[:d, d:] @ solution[:, :d])
+        gradients.append(score[:d] - information[:d, d:] @ solution[:, d])
+        inner.append(own)
+        solutions.append(solution)
+    prior = precision[:d]
+    return NormalEquations(
+        np.diag(prior) + np.sum(parts, axis=0),
+        np.sum(gradients, axis=0) - prior * theta[:d],
+        np.stack(parts),
+        np.stack(gradients),
+        tuple(inner),
+        tuple(solutions),
+    )
+
+
+def gram(
+    problem: Problem,
+    index: int,
+    columns: Float[np.ndarray, "s r"],
+    squared: Float[np.ndarray, " p"],
+) -> Float[np.ndarray, "t t"]:
+    """Products, with the robust weights of one probing, of some columns and after them the patterns
+    of its model's error.
+
+    Parameters
+    ----------
+    problem : Problem
+    index : int                     of the probing
+    columns : (s, r) float
+    squared : (p,) float            `Problem.squared` of the probing
+
+    Returns
+    -------
+    (t, t) float                    t = s + `UnknownRows.count`
+    """
+    probe, unknown = problem.probes[index], problem.unknown[index]
+    weight = probe.per_row(problem.noise.weight(squared, probe.components))
+    weight = weight / problem.variance()[index]
+    own = weighted_products(columns * weight, columns)
+    cross, whole = unknown.products(columns, weight)
+    return np.block([[own, cross], [cross.T, whole]])
+
+
+def curvature_factor(problem: Problem, residual: Sequence[Float[np.ndarray, " _"]]) -> float:
+    """Expected curvature of the loss over its robust weights: scoring, not plain reweighting, takes
+    the mean slope of the score in place of the mean weight.
+
+    Parameters
+    ----------
+    problem : Problem
+    residual : one (r,) float [m] for each probing
+
+    Returns
+    -------
+    float [-]
+    """
+    weight = [
+        problem.noise.weight(square, probe.components)
+        for square, probe in zip(problem.squared(residual), problem.probes, strict=True)
+    ]
+    slope = residual_moments(problem, residual).slope / float(np.concatenate(weight).mean())
+    return problem.information * max(slope, SMALLEST_SLOPE)
+
+
+def residual_moments(
+    problem: Problem, residual: Sequence[Float[np.ndarray, " _"]], lift: float = 1.0
+) -> Moments:
+    """Moments of the robust score over all points.
+
+    Parameters
+    ----------
+    problem : Problem
+    residual : one (r,) float [m] for each probing
+    lift : float                    factor on the squares, for degrees of freedom that were lost
+
+    Returns
+    -------
+    Moments
+    """
+    components = np.concatenate([probe.components for probe in problem.probes])
+    return moments_of(problem.noise, lift * np.concatenate(problem.squared(residual)), components)
+
+
+def covariance(normal: NormalEquations) -> Float[np.ndarray, "d d"]:
+    """Posterior covariance of the common parameters; very large but finite along a combination
+    without information.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+
+    Returns
+    -------
+    (d, d) float
+    """
+    scale = diagonal_root(normal.common)
+    unit = normal.common / np.outer(scale, scale)
+    return np.linalg.inv(unit + _RIDGE * np.eye(len(unit))) / np.outer(scale, scale)
+
+
+def own_variances(normal: NormalEquations) -> list[Float[np.ndarray, " n"]]:
+    """Posterior variances of each probing's own parameters, in squared prior standard deviations.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+
+    Returns
+    -------
+    list of (n,) float
+    """
+    shared = covariance(normal)
+    return [
+        np.diag(np.linalg.inv(own))
+        + np.einsum("ni,ij,nj->n", solution[:, :-1], shared, solution[:, :-1])
+        for own, solution in zip(normal.own, normal.solutions, strict=True)
+    ]
+
+
+def determined(problem: Problem, normal: NormalEquations) -> tuple[float, float]:
+    """How many parameters the data determine, in all, and among those of the model's error.
+
+    Parameters
+    ----------
+    problem : Problem
+    normal : NormalEquations        at a minimum of it
+
+    Returns
+    -------
+    (float, float)                  effective degrees of freedom
+
+    Source
+    ------
+    MacKay, Bayesian interpolation, Neural Computation 4 (1992), eq. 4.5
+    """
+    layout, precision = problem.layout, problem.precision()
+    shared = 1.0 - np.diag(covariance(normal))[layout.errors]
+    total, unknown = 2.0 + float(shared.sum()), 0.0
+    for block, variance in zip(layout.blocks, own_variances(normal), strict=True):
+        kept = 1.0 - precision[block.whole] * variance
+        total += float(kept.sum())
+        unknown += float(kept[block.unknown.start - block.whole.start :].sum())
+    return total, unknown
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray, free: np.ndarray) -> Float[np.ndarray, " d"]:
+    """Least squares on a unit diagonal: well defined even where one combination is not
+    determined."""
+    solution = np.zeros(len(right))
+    if not free.size:
+        return solution
+    part = matrix[np.ix_(free, free)]
+    scale = diagonal_root(part)
+    solution[free] = (
+        np.linalg.lstsq(part / np.outer(scale, scale), right[free] / scale, rcond=1e-12)[0] / scale
+    )
+    return solution
+
+
+def diagonal_root(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " n"]:
+    """Square root of an information matrix's diagonal, with a floor far below any relevant
+    information."""
+    size = np.diag(matrix)
+    return np.sqrt(np.maximum(size, max(1e-15 * float(size.max()), 1e-200)))

@@ -1,0 +1,325 @@
+"""Predicted displacements of each probing: at the estimate, from the constants of the others, and
+at constants of one's choice."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.estimation.gauss_newton import Minimum, gauss_newton
+from palpate.estimation.noise import relative_weight
+from palpate.estimation.normal_equations import own_variances
+from palpate.estimation.nuisance import CurvedNuisance, NuisanceParameter, ResponseTerms, padded
+from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.posterior import IntervalSet
+from palpate.records import ErrorEstimate, ProbeEstimate
+from palpate.shapes import Points, Vertices
+
+# A point of smaller robust weight counts as rejected: 4.9 sigma for three components.
+_MIN_WEIGHT = 0.25
+_LONGEST_STEP = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbeFit:
+    """Measured and predicted displacement of one probing, at the joint constants.
+
+    Parameters
+    ----------
+    name : str
+    predicted : (n, 3) float [m]            under the best true force
+    residual : (n, 3) float [m]             measured minus predicted, NaN where not measured
+    weight : (n, 3) float                   robust weight in [0, 1], 0 where not measured
+    left_out_predicted : (n, 3) float [m] or None
+        from the constants of all other probings and the measured force; motions as fitted
+    motion, motion_std : (q,) float         of supports, as fitted (`ProbeObservations`)
+    errors : tuple of ErrorEstimate         those that belong to this probing alone
+    sigma : (n, 3) float [m]                1 sigma of noise and model at every point, NaN where not
+                                            measured
+    surface : (v, 3) float [m] or None      displacement of all vertices of the mesh under the best
+                                            true force; None: not requested
+    """
+
+    name: str
+    predicted: Points
+    residual: Points
+    weight: Points
+    left_out_predicted: Points | None
+    motion: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    motion_std: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    errors: tuple[ErrorEstimate, ...] = ()
+    sigma: Points | None = None
+    surface: Vertices | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedProbing:
+    """Prediction of one probing at given constants.
+
+    Attributes
+    ----------
+    name : str
+    predicted : (n, 3) float [m]            with the true force and errors that fit best there
+    residual : (n, 3) float [m]             measured minus predicted, NaN where not measured
+    surface : (v, 3) float [m] or None      displacement of all vertices of the model's mesh
+    """
+
+    name: str
+    predicted: Points
+    residual: Points
+    surface: Vertices | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelState:
+    """Predictions and misfit of the model at given constants.
+
+    Attributes
+    ----------
+    misfit : float                  minus twice the log likelihood, above its minimum
+    probings : tuple of PredictedProbing
+    """
+
+    misfit: float
+    probings: tuple[PredictedProbing, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedModel:
+    """The model of a fit, with its noise levels.
+
+    Attributes
+    ----------
+    minimum : Minimum
+    poisson_range : (float, float)
+    """
+
+    minimum: Minimum
+    poisson_range: tuple[float, float]
+
+    @property
+    def observations(self) -> tuple[ProbeObservations, ...]:
+        """Its probings."""
+        return tuple(probe.observations for probe in self.minimum.problem.probes)
+
+    def at(self, poisson_ratio: float, shear_modulus: float) -> ModelState:
+        """Evaluate the model at other constants, at the errors that fit best there.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]       within the range of the fit
+        shear_modulus : float [Pa]      > 0
+
+        Returns
+        -------
+        ModelState
+        """
+        start = self.minimum.theta.copy()
+        start[:2] = poisson_ratio, np.log(shear_modulus)
+        held = gauss_newton(
+            self.minimum.problem, start, fixed=(0, 1), poisson_range=self.poisson_range
+        )
+        probings = []
+        for index, probe in enumerate(held.problem.probes):
+            seen = probe.observations
+            predicted = predicted_points(held, index, held.theta)
+            load = held.problem.load(index, held.theta)
+            surface = predicted_surface(seen, poisson_ratio, load)
+            residual = seen.displacement - predicted
+            probings.append(PredictedProbing(seen.name, predicted, residual, surface))
+        return ModelState(max(held.value - self.minimum.value, 0.0), tuple(probings))
+
+
+def predicted_points(minimum: Minimum, index: int, theta: Float[np.ndarray, " t"]) -> Points:
+    """Displacement of every point of a probing, measured or not, without the model's error of
+    unknown shape.
+
+    Parameters
+    ----------
+    minimum : Minimum
+    index : int                     of the probing
+    theta : (n,) float              of the problem
+
+    Returns
+    -------
+    (n, 3) float [m]
+    """
+    problem, layout = minimum.problem, minimum.problem.layout
+    probe = problem.probes[index]
+    seen, modulus = probe.observations, float(np.exp(theta[1]))
+    values = dict(zip((each.name for each in problem.shared), theta[layout.errors], strict=True))
+    own = problem.own(index)
+    values |= dict(zip((e.name for e in own), theta[layout.blocks[index].errors], strict=True))
+    rows = np.arange(3 * len(seen.position))
+    response = seen.response_terms(float(theta[0]))[rows]
+    at = ResponseTerms(rows, response, float(theta[0]))
+    load = problem.load(index, theta)
+    moved = np.zeros(len(rows))
+    for nuisance in seen.nuisances:
+        size = np.array([values[parameter.name] for parameter in nuisance.parameters])
+        change = nuisance.effects(at) @ size
+        response = padded(response[..., None], max(response.shape[1], change.shape[1]))[..., 0]
+        response[:, : change.shape[1]] += change
+        if isinstance(nuisance, CurvedNuisance):
+            moved += 0.5 * (nuisance.curvature(at) @ size) @ size / modulus
+    for term, factor in zip(range(response.shape[1]), (1.0, modulus), strict=False):
+        moved += factor * (response[:, term] @ load)
+    return moved.reshape(-1, 3)
+
+
+def predicted_surface(
+    probe: ProbeObservations, poisson_ratio: float, load: Float[np.ndarray, " c"]
+) -> Vertices | None:
+    """Displacement of all vertices of the mesh, where their response is known.
+
+    Parameters
+    ----------
+    probe : ProbeObservations
+    poisson_ratio : float [-]
+    load : (c,) float               `Problem.load`
+
+    Returns
+    -------
+    (v, 3) float [m] or None
+    """
+    if probe.vertices is None:
+        return None
+    response = probe.vertices.value(poisson_ratio)
+    # Rows of a measured contact point follow those of the vertices.
+    response = response if probe.tip_displacement is None else response[:-3]
+    return np.asarray(response @ load).reshape(-1, 3)
+
+
+def probe_fits(minimum: Minimum, poisson_range: tuple[float, float]) -> tuple[ProbeFit, ...]:
+    """Predictions, residuals and weights of every probing.
+
+    Parameters
+    ----------
+    minimum : Minimum               of all probings
+    poisson_range : (float, float)
+
+    Returns
+    -------
+    tuple of ProbeFit               `left_out_predicted` is None where there is one probing only
+    """
+    problem, theta = minimum.problem, minimum.theta
+    fits = []
+    for k, (probe, block, variance, square, own) in enumerate(
+        zip(
+            problem.probes, problem.layout.blocks, problem.variance(),
+            problem.squared(minimum.residual), own_variances(minimum.normal), strict=True,
+        )
+    ):  # fmt: skip
+        seen, n = probe.observations, len(probe.observations.position)
+        predicted = predicted_points(minimum, k, theta)
+        factor, sigma = np.zeros(n + 1), np.full(3 * n + 3, np.nan)
+        factor[probe.point] = relative_weight(problem.noise, square, probe.components)
+        sigma[probe.rows] = np.sqrt(probe.component_variance(variance))
+        std = np.sqrt(own)
+        load = problem.load(k, theta)
+        motion = slice(3, 3 + len(seen.motion))
+        named = slice(motion.stop, motion.stop + len(problem.own(k)))
+        fits.append(
+            ProbeFit(
+                name=seen.name,
+                predicted=predicted,
+                residual=seen.displacement - predicted,
+                weight=np.where(np.isfinite(seen.displacement), factor[:n, None], 0.0),
+                left_out_predicted=_left_out(minimum, k, poisson_range),
+                motion=load[4:],
+                motion_std=seen.motion_std * std[motion],
+                errors=error_estimates(problem.own(k), theta[block.errors], std[named]),
+                sigma=sigma[: 3 * n].reshape(-1, 3),
+                surface=predicted_surface(seen, minimum.poisson_ratio, load),
+            )
+        )
+    return tuple(fits)
+
+
+def _left_out(minimum: Minimum, index: int, poisson_range: tuple[float, float]) -> Points | None:
+    """Prediction of a probing from what all others say about the common parameters: one step of
+    theirs from the joint minimum."""
+    problem, normal, layout = minimum.problem, minimum.normal, minimum.problem.layout
+    if len(problem.probes) == 1:
+        return None
+    theta, block = minimum.theta.copy(), layout.blocks[index]
+    remaining = normal.common - normal.parts[index]
+    step = np.linalg.lstsq(remaining, -normal.part_gradients[index], rcond=1e-12)[0]
+    step[:2] = np.clip(step[:2], -_LONGEST_STEP, _LONGEST_STEP)
+    theta[: layout.common] += step
+    theta[0] = np.clip(theta[0], *poisson_range)
+    # Others cannot predict the motions of its supports: these stay as fitted.
+    for part in (block.force, block.errors, block.unknown):
+        theta[part] = 0.0
+    return predicted_points(minimum, index, theta)
+
+
+def error_estimates(
+    parameters: Sequence[NuisanceParameter],
+    value: Float[np.ndarray, " p"],
+    std: Float[np.ndarray, " p"],
+) -> tuple[ErrorEstimate, ...]:
+    """Estimates of nuisance parameters, in their own units.
+
+    Parameters
+    ----------
+    parameters : sequence of p NuisanceParameter
+    value, std : (p,) float         best value and standard deviation, in prior standard deviations
+
+    Returns
+    -------
+    tuple of p ErrorEstimate
+    """
+    return tuple(
+        ErrorEstimate(
+            parameter.name,
+            parameter.unit,
+            float(parameter.std * x),
+            float(parameter.std * sigma),
+            parameter.std,
+        )
+        for parameter, x, sigma in zip(parameters, value, std, strict=True)
+    )
+
+
+def probe_estimate(
+    constants: IntervalSet, determined: Mapping[str, bool], fit: ProbeFit
+) -> ProbeEstimate:
+    """Constants from one probing alone, and how well the joint fit explains it.
+
+    Parameters
+    ----------
+    constants : IntervalSet         from this probing alone
+    determined : mapping            constant's name -> whether this probing alone determines it
+    fit : ProbeFit
+
+    Returns
+    -------
+    ProbeEstimate                   residuals [m] without the points that count as rejected
+    """
+    observed = np.isfinite(fit.residual).any(axis=1)
+    kept = observed & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)
+    error = None
+    if fit.left_out_predicted is not None:
+        error = _rms(fit.residual[kept] + fit.predicted[kept] - fit.left_out_predicted[kept])
+    return ProbeEstimate(
+        name=fit.name,
+        shear_modulus=constants.shear_modulus,
+        poisson_ratio=constants.poisson_ratio,
+        young_modulus=constants.young_modulus,
+        observed=int(observed.sum()),
+        missing=int((~observed).sum()),
+        rejected=int((observed & ~kept).sum()),
+        rms_residual=_rms(fit.residual[kept]),
+        prediction_error=error,
+        errors=fit.errors,
+        identifiable=dict(determined),
+    )
+
+
+def _rms(values: Float[np.ndarray, "n 3"]) -> float:
+    """Root mean square length of the vectors that are measured [m]; 0 where there is none."""
+    measured = np.isfinite(values)
+    points = int(measured.any(axis=1).sum())
+    return float(np.sqrt((values[measured] ** 2).sum() / points)) if points else 0.0

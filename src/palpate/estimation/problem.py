@@ -1,0 +1,418 @@
+"""The objective of the estimate, as a function of one vector.
+
+    theta = (nu | log G | shared errors | for each probing: force, motions, own errors, model error)
+
+Everything but nu and the material is in units of its prior's standard deviation, so the objective
+is, with r the residual of a point, s its standard deviation and rho minus twice a log density,
+
+    f(theta) = c sum rho(|r / s|^2) + |errors|^2 + |forces|^2 + |motions|^2 + |model error|^2 / k^2.
+
+The model's own error enters as parameters with a prior, like every other error, and what varies of
+it from point to point in s: however many points there are and however little noise, no combination
+of them counts as better than the model is there. The constant c is that for which the curvature of
+f is the inverse covariance of the estimate (a calibrated composite likelihood: Pauli, Racugno and
+Ventura, Statistica Sinica 21 (2011)), k the size of the model's own error over what comparisons of
+meshes say, at least 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.estimation.model_errors import UnknownRows, unknown_rows
+from palpate.estimation.noise import NoiseModel, gaussian_moments
+from palpate.estimation.nuisance import (
+    CurvedNuisance,
+    NuisanceParameter,
+    ResponseTerms,
+    padded,
+)
+from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, ObservedRows
+
+# Half the distance of the two Poisson's ratios from which a model is expanded: the error is of
+# second order.
+_STEP = 1e-4
+# Noise over motion to start from where none was claimed: so little that what the model leaves over
+# is first explained by its own error where that can, and only then by noise.
+_FIRST_LEVEL = 0.003
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Where the parameters of one probing are in theta.
+
+    Attributes
+    ----------
+    force, motions, errors, unknown : slice    true minus measured force and motions; its own
+                                    errors; coefficients of the model's error of unknown shape
+    whole : slice                   all of them
+    shared : (s,) int               which of the shared errors it has, in its own order
+    """
+
+    force: slice
+    motions: slice
+    errors: slice
+    unknown: slice
+    whole: slice
+    shared: Int[np.ndarray, " s"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Names of the parts of theta. Entry 0 is Poisson's ratio.
+
+    Attributes
+    ----------
+    material : slice                parameters of the material: log G
+    errors : slice                  shared errors
+    blocks : tuple of Block         one for each probing
+    """
+
+    material: slice
+    errors: slice
+    blocks: tuple[Block, ...]
+
+    @property
+    def common(self) -> int:
+        """Number of parameters that probings have in common: all before the first block."""
+        return self.errors.stop
+
+    @property
+    def size(self) -> int:
+        """Length of theta."""
+        return self.blocks[-1].whole.stop
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expansion:
+    """Model of one probing's rows, linear in Poisson's ratio about a reference, bilinear in load
+    and errors.
+
+    Attributes
+    ----------
+    poisson_ratio : float           the reference
+    value, slope : (l, r) float     displacement per unit of each entry of the load, and its
+                                    derivative with respect to Poisson's ratio
+    effects, effect_slopes : (l, r, k) float    change of both per prior standard deviation of each
+                                    error
+    curvature : (r, o, o) float     second derivatives in its own o errors, the last ones, times
+                                    the shear modulus
+    """
+
+    poisson_ratio: float
+    value: Float[np.ndarray, "l r"]
+    slope: Float[np.ndarray, "l r"]
+    effects: Float[np.ndarray, "l r k"]
+    effect_slopes: Float[np.ndarray, "l r k"]
+    curvature: Float[np.ndarray, "r o o"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """The objective, with its noise levels and its model expanded about a Poisson's ratio.
+
+    Parameters
+    ----------
+    probes : tuple of ObservedRows
+    noise : NoiseModel
+    shared : tuple of NuisanceParameter     the m errors that probings of the session share
+    unknown : tuple of UnknownRows          the model's error of unknown shape, of each probing
+    layout : Layout
+    expansions : tuple of Expansion
+    level : (8,) float              noise level of each group, see `noise_levels`
+    scale : float                   k, size of the model's own error over what the mesh says, >= 1
+    information : float             c
+    """
+
+    probes: tuple[ObservedRows, ...]
+    noise: NoiseModel
+    shared: tuple[NuisanceParameter, ...]
+    unknown: tuple[UnknownRows, ...]
+    layout: Layout
+    expansions: tuple[Expansion, ...]
+    level: Float[np.ndarray, " 8"]
+    scale: float
+    information: float
+
+    def own(self, index: int) -> tuple[NuisanceParameter, ...]:
+        """The errors that belong to one probing alone."""
+        return _own(self.probes[index], self.shared)
+
+    def expanded(self, poisson_ratio: float) -> "Problem":
+        """The same objective with the model expanded about another Poisson's ratio."""
+        expansions = (_expansion(probe, self.shared, poisson_ratio) for probe in self.probes)
+        return replace(self, expansions=tuple(expansions))
+
+    def subset(
+        self, index: int, theta: Float[np.ndarray, " t"]
+    ) -> tuple["Problem", Float[np.ndarray, " b"]]:
+        """The objective of one probing alone, and its part of a vector."""
+        layout, chosen = self.layout, slice(index, index + 1)
+        part = np.concatenate([theta[: layout.common], theta[layout.blocks[index].whole]])
+        probes, unknown = self.probes[chosen], self.unknown[chosen]
+        alone = replace(
+            self,
+            probes=probes,
+            unknown=unknown,
+            expansions=self.expansions[chosen],
+            layout=_layout(probes, self.shared, unknown),
+        )
+        return alone, part
+
+    def precision(self) -> Float[np.ndarray, " n"]:
+        """Prior precision of every entry of theta; zero for the constants."""
+        layout = self.layout
+        precision = np.ones(layout.size)
+        precision[: layout.errors.start] = 0.0
+        for block in layout.blocks:
+            precision[block.unknown] = 1.0 / self.scale**2
+        return precision
+
+    def variance(self) -> list[Float[np.ndarray, " r"]]:
+        """Variance of every row of each probing [m^2]: noise, and the model's error that varies
+        from point to point."""
+        return [
+            probe.sigma(self.level) ** 2 + self.scale**2 * unknown.variance
+            for probe, unknown in zip(self.probes, self.unknown, strict=True)
+        ]
+
+    def residual(self, theta: Float[np.ndarray, " t"]) -> list[Float[np.ndarray, " r"]]:
+        """Measured minus predicted displacement of each probing's rows [m]."""
+        return [
+            probe.measured - self._moved(k, theta)[0] - unknown.moved(theta[block.unknown])
+            for k, (probe, unknown, block) in enumerate(
+                zip(self.probes, self.unknown, self.layout.blocks, strict=True)
+            )
+        ]
+
+    def jacobian(self, theta: Float[np.ndarray, " t"]) -> list[Float[np.ndarray, "s r"]]:
+        """Derivative of each probing's prediction, (s, r) [m], by the common parameters, then by
+        those of its own block; without those by the coefficients of the model's error, which come
+        last and do not depend on theta (`UnknownRows`)."""
+        return [self._derivatives(k, theta) for k in range(len(self.probes))]
+
+    def squared(self, residual: Sequence[Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, " _"]]:
+        """Squared length of every point's residual in standard deviations."""
+        return [
+            probe.squared_length(row / np.sqrt(variance))
+            for probe, row, variance in zip(self.probes, residual, self.variance(), strict=True)
+        ]
+
+    def objective(
+        self, theta: Float[np.ndarray, " t"], residual: Sequence[Float[np.ndarray, " _"]]
+    ) -> float:
+        """f, from the residual there."""
+        loss = sum(
+            float(self.noise.loss(squared, probe.components).sum())
+            for probe, squared in zip(self.probes, self.squared(residual), strict=True)
+        )
+        return self.information * loss + float(self.precision() @ theta**2)
+
+    def load(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " c"]:
+        """Load of one probing, one entry for each column of `ResponseModel`: force and 1 over the
+        shear modulus, and motions."""
+        block, seen = self.layout.blocks[index], self.probes[index].observations
+        force = seen.force + seen.force_std * theta[block.force]
+        motion = seen.motion + seen.motion_std * theta[block.motions]
+        return np.concatenate([np.append(force, 1.0) / np.exp(theta[1]), motion])
+
+    def _errors(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
+        """Errors of one probing, in the order of its expansion."""
+        block = self.layout.blocks[index]
+        return np.append(theta[self.layout.errors][block.shared], theta[block.errors])
+
+    def _moved(
+        self, index: int, theta: Float[np.ndarray, " t"]
+    ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "l r"], Float[np.ndarray, " l"]]:
+        """Displacement of one probing's rows without the model's error of unknown shape, the
+        response with its errors, and the load."""
+        model, errors = self.expansions[index], self._errors(index, theta)
+        offset = theta[0] - model.poisson_ratio
+        response = model.value + offset * model.slope
+        if errors.any():
+            response = response + model.effects @ errors
+            response += offset * (model.effect_slopes @ errors)
+        load = _in_terms(self.load(index, theta), float(np.exp(theta[1])), len(model.value))
+        own = theta[self.layout.blocks[index].errors]
+        second = 0.5 * (model.curvature @ own) @ own / np.exp(theta[1])
+        return load @ response + second, response, load
+
+    def _derivatives(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, "s r"]:
+        """`jacobian` of one probing."""
+        model, block, common = self.expansions[index], self.layout.blocks[index], self.layout.common
+        seen, modulus = self.probes[index].observations, float(np.exp(theta[1]))
+        moved, response, load = self._moved(index, theta)
+        errors, own = self._errors(index, theta), theta[block.errors]
+        first = common - block.whole.start
+        table = np.zeros((first + block.unknown.start, len(moved)))
+        table[0] = load @ (model.slope + model.effect_slopes @ errors)
+        bend = model.curvature @ own / modulus
+        columns = 4 + len(seen.motion)
+        # Term 0 scales with 1 / G except for motions; term 1 does not depend on G, but motions do.
+        scaling = np.concatenate([-load[:4], np.zeros(len(load) - 4)])
+        scaling[columns + 4 :] = load[columns + 4 :]
+        table[1] = scaling @ response - 0.5 * bend @ own
+        each = np.tensordot(load, model.effects, axes=1)
+        offset = theta[0] - model.poisson_ratio
+        if offset:
+            each += offset * np.tensordot(load, model.effect_slopes, axes=1)
+        count = len(block.shared)
+        table[self.layout.errors.start + block.shared] = each[:, :count].T
+        table[first + block.errors.start : first + block.errors.stop] = (each[:, count:] + bend).T
+        force = response[:3] / modulus
+        motions = response[4:columns]
+        if len(load) > columns:
+            force = force + response[columns : columns + 3]
+            motions = motions + modulus * response[columns + 4 :]
+        table[first + block.force.start : first + block.force.stop] = (
+            force * seen.force_std[:, None]
+        )
+        table[first + block.motions.start : first + block.motions.stop] = (
+            motions * seen.motion_std[:, None]
+        )
+        return table
+
+
+def make_problem(
+    probes: tuple[ObservedRows, ...],
+    noise: NoiseModel,
+    *,
+    poisson_ratio: float,
+    shear_modulus: float,
+) -> Problem:
+    """The objective of some probings before its noise levels are known.
+
+    Parameters
+    ----------
+    probes : tuple of ObservedRows
+    noise : NoiseModel
+    poisson_ratio : float [-]           about which the model is expanded
+    shear_modulus : float [Pa]          at which the size of the model's error is taken
+
+    Returns
+    -------
+    Problem                             with claimed noise, or, where none is claimed, with a small
+                                        share of the motion
+    """
+    shared = _shared_parameters(probes)
+    expansions = tuple(_expansion(probe, shared, poisson_ratio) for probe in probes)
+    unknown = tuple(
+        unknown_rows(probe, _fields(probe, shared, model, shear_modulus))
+        for probe, model in zip(probes, expansions, strict=True)
+    )
+    motion = np.concatenate([probe.measured / probe.unit for probe in probes])
+    level = np.ones(GROUP_COUNT)
+    level[:FIRST_CLAIMED] = _FIRST_LEVEL * np.sqrt(np.mean(motion**2))
+    components = round(float(np.mean(np.concatenate([probe.components for probe in probes]))))
+    information = gaussian_moments(noise, components).information
+    layout = _layout(probes, shared, unknown)
+    return Problem(probes, noise, shared, unknown, layout, expansions, level, 1.0, information)
+
+
+def _layout(
+    probes: Sequence[ObservedRows],
+    shared: tuple[NuisanceParameter, ...],
+    unknown: Sequence[UnknownRows],
+) -> Layout:
+    number = {parameter.name: k for k, parameter in enumerate(shared)}
+    first = 2 + len(shared)
+    blocks = []
+    for probe, rows in zip(probes, unknown, strict=True):
+        counts = (3, len(probe.observations.motion), len(_own(probe, shared)), rows.count)
+        ends = np.cumsum([first, *counts]).tolist()
+        force, motions, errors, coefficients = (slice(*each) for each in pairwise(ends))
+        own = [number[each.name] for each in probe.parameters if each.name in number]
+        whole = slice(first, ends[-1])
+        blocks.append(
+            Block(force, motions, errors, coefficients, whole, np.array(own, dtype=np.int64))
+        )
+        first = ends[-1]
+    return Layout(slice(1, 2), slice(2, 2 + len(shared)), tuple(blocks))
+
+
+def _own(
+    probe: ObservedRows, shared: tuple[NuisanceParameter, ...]
+) -> tuple[NuisanceParameter, ...]:
+    names = {parameter.name for parameter in shared}
+    return tuple(each for each in probe.parameters if each.name not in names)
+
+
+def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParameter, ...]:
+    """Parameters that occur in more than one probing."""
+    encountered: dict[str, NuisanceParameter] = {}
+    shared: dict[str, NuisanceParameter] = {}
+    for probe in probes:
+        for parameter in probe.parameters:
+            group = shared if parameter.name in encountered else encountered
+            group[parameter.name] = parameter
+    return tuple(shared.values())
+
+
+def _in_terms(load: Float[np.ndarray, " c"], modulus: float, count: int) -> Float[np.ndarray, " l"]:
+    """The load, and where the model has two terms the load times the modulus after it."""
+    return load if count == len(load) else np.append(load, modulus * load)
+
+
+def _expansion(
+    probe: ObservedRows, shared: tuple[NuisanceParameter, ...], poisson_ratio: float
+) -> Expansion:
+    names = {parameter.name for parameter in shared}
+    is_own = np.array([each.name not in names for each in probe.parameters], dtype=bool)
+    order = np.argsort(is_own, kind="stable")
+    (low, low_effects, bend), (high, high_effects, _) = (
+        _terms(probe, poisson_ratio + side) for side in (-_STEP, _STEP)
+    )
+    low_effects, high_effects = low_effects[..., order], high_effects[..., order]
+    own = order[np.count_nonzero(~is_own) :]
+    return Expansion(
+        poisson_ratio,
+        0.5 * (low + high),
+        (high - low) / (2 * _STEP),
+        0.5 * (low_effects + high_effects),
+        (high_effects - low_effects) / (2 * _STEP),
+        bend[:, own[:, None], own],
+    )
+
+
+def _terms(
+    probe: ObservedRows, poisson_ratio: float
+) -> tuple[Float[np.ndarray, "l r"], Float[np.ndarray, "l r k"], Float[np.ndarray, "r k k"]]:
+    """Response, effects of all errors, and second derivatives in them, at a Poisson's ratio."""
+    seen = probe.observations
+    response = seen.response_terms(poisson_ratio)[probe.rows]
+    at = ResponseTerms(probe.rows, response, poisson_ratio)
+    effects = [nuisance.effects(at) for nuisance in seen.nuisances]
+    terms = max([response.shape[1], *(each.shape[1] for each in effects)])
+    none = np.zeros((*response.shape, 0))
+    every = np.concatenate([padded(each, terms) for each in (none, *effects)], axis=3)
+    value = padded(response[..., None], terms)[..., 0]
+    rows, count, width = len(response), every.shape[3], terms * response.shape[2]
+    curvature, first = np.zeros((rows, count, count)), 0
+    for nuisance in seen.nuisances:
+        last = first + len(nuisance.parameters)
+        if isinstance(nuisance, CurvedNuisance):
+            curvature[:, first:last, first:last] = nuisance.curvature(at)
+        first = last
+    return (
+        np.ascontiguousarray(probe.whitened(value).reshape(rows, width).T),
+        np.ascontiguousarray(probe.whitened(every).reshape(rows, width, count).swapaxes(0, 1)),
+        probe.whitened(curvature),
+    )
+
+
+def _fields(
+    probe: ObservedRows,
+    shared: tuple[NuisanceParameter, ...],
+    model: Expansion,
+    shear_modulus: float,
+) -> Float[np.ndarray, "r f"]:
+    """Displacement per standard deviation of each error of the model, under the measured load."""
+    seen, names = probe.observations, {parameter.name for parameter in shared}
+    ordered = sorted(probe.parameters, key=lambda each: each.name not in names)
+    chosen = [k for k, parameter in enumerate(ordered) if parameter.is_model_error]
+    load = np.concatenate([np.append(seen.force, 1.0) / shear_modulus, seen.motion])
+    load = _in_terms(load, shear_modulus, len(model.value))
+    return np.tensordot(load, model.effects[..., chosen], axes=1)

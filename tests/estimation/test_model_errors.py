@@ -1,0 +1,103 @@
+"""The model's own error: its size, its correlation, and that it limits what points can tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimation.fitted import minimum_of, patterns, problem_of
+from estimation.half_space import half_space_probes
+
+from palpate.estimation import ModelStep, ProbeObservations
+from palpate.estimation.model_errors import unknown_rows
+from palpate.estimation.normal_equations import covariance
+from palpate.estimation.observed_rows import observed_rows_of
+
+
+def _probe(grid: int = 12, **options: object) -> ProbeObservations:
+    rng = np.random.default_rng(3)
+    return half_space_probes(rng, count=1, grid=grid, noise=1e-6, **options)[0]
+
+
+def test_a_step_is_the_difference_of_two_models() -> None:
+    probe = _probe(4)
+    value = probe.response.value(0.3)
+    step = ModelStep("mesh", 0.2, lambda nu: value[:, None], lambda nu: 1.05 * value[:, None])
+    problem = problem_of([replace(probe, nuisances=(step,))])
+    theta = np.zeros(problem.layout.size)
+    theta[:2] = 0.3, np.log(2e4)
+    (column,) = problem.jacobian(theta)[0][problem.layout.blocks[0].errors]
+    expected = 0.2 * 0.05 * value[:, :3] @ probe.force / 2e4
+    np.testing.assert_allclose(column, expected, rtol=1e-9)
+
+
+def test_the_covariance_has_the_size_of_the_fields() -> None:
+    """A field of one size everywhere: variance of every row, fields and patterns and what is white
+    together, and a correlation that falls with distance."""
+    probe = observed_rows_of(_probe())
+    fields = np.full((len(probe.measured), 1), 2e-6)
+    unknown = unknown_rows(probe, fields)
+    smooth = np.stack([unknown.moved(one) for one in np.eye(unknown.count)])[1:]
+    covariance_of_rows = smooth.T @ smooth + np.diag(unknown.variance)
+    # One field of size s has variance s^2 of every component.
+    np.testing.assert_allclose(np.diag(covariance_of_rows), 4e-12, rtol=1e-6)
+    along_x = covariance_of_rows[::3, ::3] / 4e-12
+    distance = np.linalg.norm(probe.position[:, None] - probe.position[None], axis=2)
+    near, far = (along_x[(distance > a) & (distance < b)].mean() for a, b in ((0, 7e-3), (5e-2, 1)))
+    assert near > 0.4 > 0.15 > far
+    # Components are independent.
+    np.testing.assert_allclose(covariance_of_rows[::3, 1::3], 0.0, atol=1e-18)
+    assert unknown_rows(probe, fields[:, :0]).variance.max() == 0.0
+
+
+def test_products_are_those_of_the_dense_patterns() -> None:
+    rng = np.random.default_rng(5)
+    probe = _probe(8)
+    mixed = rng.normal(size=(len(probe.position), 3, 3))
+    probe = replace(probe, covariance=1e-12 * (np.eye(3) + mixed @ mixed.swapaxes(1, 2)))
+    rows = observed_rows_of(probe)
+    unknown = unknown_rows(rows, rng.normal(size=(len(rows.measured), 2)))
+    dense = np.stack([unknown.moved(one) for one in np.eye(unknown.count)])
+    columns, weight = rng.normal(size=(4, dense.shape[1])), rng.uniform(1, 2, dense.shape[1])
+    cross, whole = unknown.products(columns, weight)
+    # The same sums in another order.
+    np.testing.assert_allclose(cross, (columns * weight) @ dense.T, atol=1e-9)
+    np.testing.assert_allclose(whole, (dense * weight) @ dense.T, atol=1e-9)
+
+
+def test_information_saturates() -> None:
+    """Sixteen times as many points, or a tenth of the noise, tell hardly more once the model's own
+    error decides."""
+
+    def error(grid: int, noise: float) -> float:
+        probe = replace(_probe(grid), std=None)
+        probe = replace(probe, std=np.full_like(probe.displacement, noise))
+        value = probe.response.value
+        step = ModelStep(
+            "m", 0.01, lambda nu: value(nu)[:, None], lambda nu: 2 * value(nu)[:, None]
+        )
+        normal = minimum_of(problem_of([replace(probe, nuisances=(step,))])).normal
+        return float(np.sqrt(covariance(normal)[0, 0]))
+
+    few, many = error(10, 1e-9), error(40, 1e-9)
+    assert few / many < 2.5
+    assert error(10, 1e-10) == pytest.approx(few, rel=0.01)
+    # Without an error of the model it is the noise alone.
+    plain = [
+        np.sqrt(
+            covariance(
+                minimum_of(
+                    problem_of([replace(_probe(grid), std=np.full((n, 3), 1e-9))])
+                ).normal
+            )[0, 0]
+        )
+        for grid, n in ((10, len(_probe(10).position)), (40, len(_probe(40).position)))
+    ]  # fmt: skip
+    assert plain[0] / plain[1] > 3.0
+
+
+def test_few_points_have_no_patterns() -> None:
+    rows = observed_rows_of(_probe(3))
+    unknown = unknown_rows(rows, np.full((len(rows.measured), 1), 1e-6))
+    assert unknown.count == 1
+    np.testing.assert_allclose(unknown.variance, 1e-12)
+    assert patterns(problem_of([_probe(3)]), 0).shape[0] == 0

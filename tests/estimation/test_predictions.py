@@ -1,0 +1,124 @@
+"""Predictions of a fit: at its own constants, at others, and from all other probings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimation.fitted import RANGE, minimum_of, problem_of
+from estimation.half_space import half_space_probes
+
+from palpate.estimation import FittedModel, ForceGain, IntervalSet, ProbeFit
+from palpate.estimation.gauss_newton import gauss_newton
+from palpate.estimation.predictions import probe_estimate, probe_fits
+from palpate.records import Constant
+
+KNOWN = {"shear_modulus": True, "poisson_ratio": True, "young_modulus": True}
+
+
+@pytest.fixture(scope="module")
+def probes():
+    rng = np.random.default_rng(5)
+    found = half_space_probes(rng, count=3, grid=6, noise=5e-5, force_noise=0.01)
+    # An error that all probings share: its prior is part of the objective.
+    return [replace(one, nuisances=(ForceGain(0.01),)) for one in found]
+
+
+@pytest.fixture(scope="module")
+def minimum(probes):
+    return minimum_of(problem_of(probes))
+
+
+@pytest.fixture(scope="module")
+def model(minimum):
+    return FittedModel(minimum, RANGE)
+
+
+def test_at_the_best_constants_it_is_the_fit(minimum, model):
+    found = model.at(minimum.poisson_ratio, minimum.shear_modulus)
+    # The search ends where the objective falls no more by what counts: 6 is the edge of a region.
+    assert found.misfit < 1e-3
+    for mine, fit in zip(found.probings, probe_fits(minimum, RANGE), strict=True):
+        np.testing.assert_allclose(mine.predicted, fit.predicted, atol=1e-7)
+        np.testing.assert_allclose(mine.residual, fit.residual, atol=1e-7)
+
+
+def test_the_misfit_is_that_of_the_objective(minimum, model):
+    nu, modulus = minimum.poisson_ratio, minimum.shear_modulus
+    for other in ((nu + 0.05, modulus), (nu, 1.1 * modulus), (nu - 0.1, 0.8 * modulus)):
+        theta = minimum.theta.copy()
+        theta[:2] = other[0], np.log(other[1])
+        held = gauss_newton(minimum.problem, theta, fixed=(0, 1), poisson_range=RANGE)
+        assert model.at(*other).misfit == pytest.approx(held.value - minimum.value, rel=1e-9)
+        assert held.value > minimum.value + 1.0
+
+
+def test_forces_that_are_exact_leave_displacements_inverse_to_the_modulus():
+    rng = np.random.default_rng(6)
+    probes = half_space_probes(rng, count=2, grid=5, noise=5e-5, force_noise=0.0)
+    model = FittedModel(minimum_of(problem_of(probes)), RANGE)
+    soft, stiff = (model.at(0.3, modulus) for modulus in (1e4, 2e4))
+    for one, other in zip(soft.probings, stiff.probings, strict=True):
+        np.testing.assert_allclose(one.predicted, 2.0 * other.predicted, rtol=1e-12)
+
+
+def test_predictions_are_those_of_the_constants(probes) -> None:
+    plain = [replace(probe, nuisances=()) for probe in probes]
+    field = plain[0].displacement.copy()
+    field[4] = np.nan
+    field[5, 0] = np.nan
+    field[6] += 2e-3
+    plain[0] = replace(plain[0], displacement=field)
+    minimum = minimum_of(problem_of(plain, "student-t"))
+    layout = minimum.problem.layout
+    for probe, block, fit in zip(plain, layout.blocks, probe_fits(minimum, RANGE), strict=True):
+        force = probe.force + probe.force_std * minimum.theta[block.force]
+        value = probe.response.value(minimum.poisson_ratio)
+        expected = (value[:, :3] @ force / minimum.shear_modulus).reshape(-1, 3)
+        # The same products in another order.
+        np.testing.assert_allclose(fit.predicted, expected, rtol=1e-12)
+        np.testing.assert_array_equal(fit.residual, probe.displacement - fit.predicted)
+        left = (fit.residual / 5e-5) ** 2
+        weight = 8 / (8 + np.nansum(left, axis=1))
+        # The model is expanded about a ratio up to 1e-3 away: 1e-6 of what moves.
+        np.testing.assert_allclose(
+            fit.weight, np.where(np.isfinite(left), weight[:, None], 0.0), rtol=1e-2, atol=1e-3
+        )
+        np.testing.assert_allclose(fit.sigma[np.isfinite(probe.displacement)], 5e-5)
+    assert probe_fits(minimum, RANGE)[0].weight[6].max() < 0.02
+
+
+@pytest.mark.parametrize("noise", [1e-6, 2e-5])
+def test_left_out_is_a_fit_of_the_others(noise: float) -> None:
+    rng = np.random.default_rng(2)
+    probes = half_space_probes(rng, count=3, grid=8, noise=noise, force_noise=0.01)
+    joint = minimum_of(problem_of(probes))
+    fits = probe_fits(joint, RANGE)
+    for k, probe in enumerate(probes):
+        others = minimum_of(problem_of(probes[:k] + probes[k + 1 :]))
+
+        def predicted(minimum, seen=probe):
+            value = seen.response.value(minimum.poisson_ratio)[:, :3]
+            return (value @ seen.force / minimum.shear_modulus).reshape(-1, 3)
+
+        move = np.linalg.norm(predicted(others) - predicted(joint))
+        missed = np.linalg.norm(fits[k].left_out_predicted - predicted(others))
+        # One step of a problem that is nearly linear.
+        assert missed < 0.05 * move
+
+
+def test_points_are_counted_and_residuals_averaged() -> None:
+    modulus, ratio = Constant(1.0, 0.1, (0.8, 1.2)), Constant(0.3, 0.1, (0.1, 0.5))
+    residual = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 5.0], [9.0, 9.0, 9.0], [np.nan] * 3,
+                         [np.nan, 1.0, np.nan]])  # fmt: skip
+    weight = np.array([0.25, 0.9, 0.249, 0.0, 0.5])[:, None] * np.isfinite(residual)
+    fit = ProbeFit("n", np.zeros((5, 3)), residual, weight, np.full((5, 3), 2.0))
+    found = probe_estimate(IntervalSet(ratio, modulus, modulus), KNOWN, fit)
+    assert (found.observed, found.missing, found.rejected) == (4, 1, 1)
+    # Lengths 5, 5 and 1 of the three that are kept.
+    assert found.rms_residual == pytest.approx(np.sqrt(51 / 3), rel=1e-12)
+    squares = 1 + 4 + 4 + 4 + 4 + 9 + 1
+    assert found.prediction_error == pytest.approx(np.sqrt(squares / 3), rel=1e-12)
+    alone = probe_estimate(
+        IntervalSet(ratio, modulus, modulus), KNOWN, replace(fit, left_out_predicted=None)
+    )
+    assert alone.prediction_error is None

@@ -1,0 +1,132 @@
+"""Responses of a probing: reduced against full, tips against vertices, slopes, gravity."""
+
+import gc
+
+import numpy as np
+import pytest
+from elastic_bodies import bump_load, held_part
+from scipy.sparse import csr_array, hstack, kron
+from surfaces import sphere
+
+from palpate.bem import (
+    body_force_columns,
+    dilation_factor,
+    factorise,
+    joined,
+    load_right_hand,
+    point_equations,
+    solve,
+)
+from palpate.estimation import (
+    PointRows,
+    ProbeRows,
+    ReducedModel,
+    full_responses,
+    make_reduced_model,
+    reduced_response,
+)
+from palpate.geometry import interpolation_matrix
+
+TOP = np.array([0.0, 0.0, 1.0])
+GRAVITY = np.array([0.5, 0.0, -3.0])
+
+
+@pytest.fixture(scope="module")
+def setting():
+    """Ball pressed on top and on one side, with its weight; five points are seen, and the tip on
+    top."""
+    mesh = sphere(2)
+    system = held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3)
+    loads = [bump_load(mesh, np.array([0.6, 0.0, 0.8]), 0.5), bump_load(mesh, TOP, 0.5)]
+    body = body_force_columns(system, GRAVITY)
+    right = joined([load_right_hand(system, loads), body.right])
+    columns = np.array([3, 4, 5, 6, 7])
+    free = system.unknowns.free_vertices
+    triangle = np.flatnonzero(np.isin(mesh.triangles, free).all(axis=1))[[2, 9, 20, 33, 40]]
+    barycentric = np.random.default_rng(0).dirichlet([1, 1, 1], 5)
+    at_points = interpolation_matrix(system.surface.displacement, triangle, barycentric)
+    surface = kron(at_points[:, free], np.eye(3))
+    rest = csr_array((15, system.size - 3 * free.size))
+    top = int(np.argmax(mesh.vertices[:, 2]))
+    at_top = np.flatnonzero((mesh.triangles == top).any(axis=1))[:1]
+    tips = point_equations(system, at_top, (mesh.triangles[at_top] == top).astype(float))
+    tip_load = load_right_hand(tips.system, loads[1:2])
+    tip_right = joined([tip_load, body_force_columns(tips.system, GRAVITY).right])
+    by_point = [tips.by_point(part)[0] for part in tip_right.terms]
+    tip = PointRows(tips.matrix[:, 0], tips.own[:, 0], np.stack(by_point), body.particular[top])
+    rows = ProbeRows(
+        columns,
+        csr_array(hstack([surface, rest])),
+        (at_points @ body.particular).ravel(),
+        tip,
+        has_body_force=True,
+    )
+    return system, right, body, rows, at_points, top
+
+
+@pytest.fixture(scope="module")
+def responses(setting):
+    system, right, _, rows, _, _ = setting
+    return (
+        full_responses(system, right, [rows])[0],
+        reduced_response(make_reduced_model(system, right), rows),
+    )
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.2, 0.499])
+def test_full_response_is_what_the_solver_says(setting, responses, nu):
+    system, right, body, rows, at_points, top = setting
+    x = solve(factorise(system, nu), right.at(nu))[:, rows.columns]
+    count = 3 * system.unknowns.free_vertices.size
+    nodal = np.zeros((system.surface.mesh.vertices.shape[0], 3, 5))
+    nodal[system.unknowns.free_vertices] = x[:count].reshape(-1, 3, 5)
+    factor = dilation_factor(nu)
+    weighed = nodal[:, :, 3] + factor * (nodal[:, :, 4] + body.particular)
+    expected = np.concatenate([nodal[:, :, :3], weighed[:, :, None]], axis=2)
+    seen = (at_points @ expected.reshape(-1, 12)).reshape(15, 4)
+    found = responses[0].value(nu)
+    assert found.shape == (18, 4)
+    np.testing.assert_allclose(found[:15], seen, atol=1e-10)
+    # The tip's own equation at a vertex is that vertex's equation, integrated in a block of its
+    # own.
+    scale = np.abs(expected[top]).max()
+    np.testing.assert_allclose(found[15:], expected[top], atol=2e-4 * scale)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.1, 0.3, 0.45, 0.4999])
+def test_reduced_response_is_the_full_one(responses, nu):
+    full, reduced = (response.value(nu) for response in responses)
+    # The reduced space leaves a residual of 1e-8, and ten times that as an error.
+    np.testing.assert_allclose(reduced, full, atol=3e-7 * np.abs(full).max())
+
+
+def _models_with_directions():
+    gc.collect()
+    # The type itself: to ask a weak reference for its class fails where its object has gone.
+    models = [one for one in gc.get_objects() if type(one) is ReducedModel]
+    return sum(len(one.directions) > 0 for one in models)
+
+
+def test_a_response_does_not_hold_the_directions(setting):
+    system, right, _, rows, _, _ = setting
+    # Other tests may hold models of their own.
+    before = _models_with_directions()
+    model = make_reduced_model(system, right)
+    response = reduced_response(model, rows)
+    assert _models_with_directions() == before + 1
+    del model
+    assert _models_with_directions() == before
+    assert np.isfinite(response.value(0.2)).all()
+
+
+def test_without_gravity_the_last_column_is_zero(setting):
+    system, right, _, rows, _, _ = setting
+    bare = ProbeRows(rows.columns[:3], rows.surface, rows.particular, None)
+    for response in (
+        full_responses(system, right, [bare])[0],
+        reduced_response(make_reduced_model(system, right), bare),
+    ):
+        value = response.value(0.3)
+        assert value.shape == (15, 4)
+        assert not value[:, 3].any()
+        assert value[:, :3].any()
