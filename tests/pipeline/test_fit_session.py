@@ -195,7 +195,7 @@ def test_progress_rises_to_one(session: Session) -> None:
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert (shares[0], told[-1]) == (0.0, ("fit done", 1.0))
-    assert dict(told)["tabulation"] == pytest.approx(0.9)
+    assert dict(told)["minimisation"] == pytest.approx(0.9)
     assert dict(told)["validation"] == pytest.approx(0.995)
     # The models of the given mesh take their time, and are told one by one.
     given = [share for text, share in told if text.startswith("the given mesh: ")]
@@ -466,9 +466,10 @@ def test_a_turned_session_has_the_same_constants(still: Session) -> None:
     turned = replace(noisy, mesh=mesh, probings=tuple(probings), gravity=turn @ still.gravity)
     one, other = fit_session(noisy).estimate, fit_session(turned).estimate
     # Rules of integration are chosen for blocks of points along the axes: other rules in another
-    # frame, which agree to 1.4e-4 on so coarse a mesh; its step to the graded one is a difference.
+    # frame, which agree to 1.4e-4 on so coarse a mesh; its step to the graded one is a difference,
+    # and so is the size of the mesh's error that follows from it.
     for name in CONSTANTS:
-        assert getattr(other, name).value == pytest.approx(getattr(one, name).value, rel=1e-3)
+        assert getattr(other, name).value == pytest.approx(getattr(one, name).value, rel=2e-3)
 
 
 def test_where_poisson_s_ratio_is_open_the_search_ends_all_the_same() -> None:

@@ -115,9 +115,10 @@ def test_a_bar_in_tension_whose_foot_contracts_and_moves():
     assert estimate.shear_modulus.value == pytest.approx(SHEAR, rel=1e-4)
     assert estimate.poisson_ratio.value == pytest.approx(NU, abs=1e-4)
     (support,) = estimate.probes[0].supports
-    np.testing.assert_allclose(support.translation, TRANSLATION, atol=1e-8)
-    np.testing.assert_allclose(support.rotation, ROTATION, atol=1e-6)
-    assert np.abs(result.probes[0].residual).max() < 1e-8
+    # The mesh is granted an error, which takes a thousandth of it.
+    np.testing.assert_allclose(support.translation, TRANSLATION, atol=2e-7)
+    np.testing.assert_allclose(support.rotation, ROTATION, atol=1e-5)
+    assert np.abs(result.probes[0].residual).max() < 2e-7
 
 
 def test_outliers_do_not_move_a_support():
@@ -158,7 +159,8 @@ def test_a_free_motion_is_estimated_along():
     std = np.array([*support.translation_std, *support.rotation_std])
     # Six Gaussian deviations: beyond four sigmas once in 2600 seeds.
     assert np.abs((found - motion) / std).max() < 4.0
-    assert std[:3].max() < 2 * NOISE
+    # What the mesh may be off by counts more than two hundred points with this noise.
+    assert std[:3].max() < 10 * NOISE
 
 
 def test_pressure_on_all_free_faces():

@@ -81,7 +81,7 @@ def test_a_block_on_a_platen_without_friction():
 def test_glued_to_the_platen_the_same_block_would_be_another():
     """The test above can fail: the same measurement means other constants where friction holds."""
     result = fit_session(session(Support(BOTTOM)))
-    assert abs(result.estimate.poisson_ratio.value - NU) > 0.02
+    assert abs(result.estimate.poisson_ratio.value - NU) > 0.01
     # Residuals of 1e-8 m and less where the platen slides.
     assert np.abs(result.probes[0].residual).max() > 1e-6
 

@@ -187,7 +187,7 @@ def _reversed(minimum: Minimum) -> list[Contradiction]:
         is_large = left > _LEAST_FRACTION_OF_ALL * overall
         if is_large and chosen.sum() >= _LEAST_ROWS and left > _REVERSED_FACTOR * motion:
             name = ("x", "y", "z", "the tip")[index]
-            found.append(Contradiction("reversed", left / motion, name))
+            found.append(Contradiction("reversed", left / max(motion, FINEST * overall), name))
     return found
 
 

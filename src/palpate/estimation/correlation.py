@@ -46,12 +46,31 @@ def correlation_excess(
     """
     designs = _projected_designs(problem, theta, normal)
     sharing = _neighbours_sharing(problem, residual)
+    blocks = _block_excess(problem, theta, residual, normal, designs, sharing)
+    return _stated_excess(problem, designs, sharing) * blocks
+
+
+def stated_excess(
+    problem: Problem,
+    theta: Float[np.ndarray, " t"],
+    residual: Sequence[Float[np.ndarray, " _"]],
+    normal: NormalEquations,
+) -> float:
+    """As `correlation_excess`, from what is stated of the points alone: which are neighbours, and
+    which probings share pictures."""
+    designs = _projected_designs(problem, theta, normal)
+    return _stated_excess(problem, designs, _neighbours_sharing(problem, residual))
+
+
+def _stated_excess(
+    problem: Problem, designs: Sequence[Float[np.ndarray, "_ 2"]], sharing: float
+) -> float:
     plain = sum(design.T @ design for design in designs)
     mixed = [p.correlated(d, sharing) for p, d in zip(problem.probes, designs, strict=True)]
     whole = sum(design.T @ each for design, each in zip(designs, mixed, strict=True))
     whole = whole + _REFERENCE_SHARE * _between_probings(problem.probes, designs, mixed)
-    nominal = float(np.trace(np.linalg.lstsq(plain, whole, rcond=1e-12)[0])) / 2.0
-    return max(1.0, nominal) * _block_excess(problem, theta, residual, normal, designs, sharing)
+    ratio = float(np.trace(np.linalg.lstsq(plain, whole, rcond=1e-12)[0])) / 2.0
+    return max(1.0, ratio)
 
 
 def _block_excess(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.estimation.correlation import correlation_excess
+from palpate.estimation.correlation import stated_excess
 from palpate.estimation.gauss_newton import Minimum
 from palpate.estimation.noise import Gaussian
 from palpate.estimation.normal_equations import normal_equations
@@ -107,7 +107,7 @@ def fisher_information(
     theta[:2] = poisson_ratio, np.log(shear_modulus)
     residual = problem.residual(theta)
     normal = normal_equations(problem, theta, residual)
-    excess = correlation_excess(problem, theta, residual, normal)
+    excess = stated_excess(problem, theta, residual, normal)
     problem = replace(problem, information=problem.information / excess)
     normal = normal_equations(problem, theta, residual)
     at = Minimum(problem, theta, tuple(residual), normal, 0.0, True)

@@ -10,7 +10,13 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.estimation import cramer_rao_bound
 from palpate.geometry import closest_points
-from palpate.pipeline import NextProbings, make_object_model, plan_next, session_observations
+from palpate.pipeline import (
+    NextProbings,
+    graded_observations,
+    make_object_model,
+    plan_next,
+    session_observations,
+)
 from palpate.pipeline.planning import next_probings
 from palpate.records import Contact, DisplacementField, Probing, Session
 
@@ -68,7 +74,7 @@ def test_each_push_tells_more(found: NextProbings) -> None:
 def test_information_is_that_of_the_bound(found: NextProbings) -> None:
     """One probing by itself, at the constants that were found."""
     session = _session()
-    observed = session_observations(session, make_object_model(session))
+    observed = graded_observations(session)
     of_one = cramer_rao_bound(
         observed,
         poisson_ratio=found.information.poisson_ratio,

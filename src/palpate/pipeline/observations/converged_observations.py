@@ -90,6 +90,6 @@ def _with_mesh_errors(
     with_errors = []
     for probe, coarse in zip(observations, coarser, strict=True):
         error = ModelStep(_GRADING, REMAINING_FRACTION, coarse.response_terms, probe.response_terms)
-        nuisances = (*probe.nuisances, error, *coarse.nuisances)
-        with_errors.append(replace(probe, nuisances=nuisances))
+        steps = (each for each in coarse.nuisances if isinstance(each, ModelStep))
+        with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *steps)))
     return with_errors
