@@ -228,9 +228,13 @@ def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Pa
         cache=cache,
         finite_strain=options.strain == "finite",
     )
-    notes = tuple(_with_original_paths(note, work, own_folder) for note in fitted.estimate.notes)
+    notes, details = (
+        tuple(_with_original_paths(note, work, own_folder) for note in every)
+        for every in (fitted.estimate.notes, fitted.estimate.details)
+    )
     # Durations are not part of the result; they are in the table.
-    write_estimate(result / ESTIMATE_FILE, replace(fitted.estimate, notes=notes, seconds={}))
+    estimate = replace(fitted.estimate, notes=notes, details=details, seconds={})
+    write_estimate(result / ESTIMATE_FILE, estimate)
     # This file also holds the residuals: fewer files are stored faster.
     write_fitted_surface(result, session, fitted)
 

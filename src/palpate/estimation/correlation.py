@@ -57,7 +57,16 @@ def stated_excess(
     normal: NormalEquations,
 ) -> float:
     """As `correlation_excess`, from what is stated of the points alone: which are neighbours, and
-    which probings share pictures."""
+    which probings share pictures.
+
+    Parameters
+    ----------
+    problem, theta, residual, normal    as in `correlation_excess`
+
+    Returns
+    -------
+    float [-]                       at least 1
+    """
     designs = _projected_designs(problem, theta, normal)
     return _stated_excess(problem, designs, _neighbours_sharing(problem, residual))
 

@@ -35,7 +35,7 @@ from palpate.estimation.predictions import (
     probe_fits,
 )
 from palpate.progress import Progress, silent
-from palpate.records import Estimate, Status
+from palpate.records import Constant, Estimate, Status
 
 # Of nu, and of the logarithm of G.
 _MAX_EVALUATIONS = 1000
@@ -160,11 +160,13 @@ def fit(
     # Also where the search did not converge: a wrong model is the usual reason.
     if found:
         status = Status.MODEL_CONTRADICTED
+    # An interval is that of a right model.
+    given = _without_intervals(reported) if found else reported
     estimate = Estimate(
         status=status,
-        shear_modulus=reported.shear_modulus,
-        poisson_ratio=reported.poisson_ratio,
-        young_modulus=reported.young_modulus,
+        shear_modulus=given.shear_modulus,
+        poisson_ratio=given.poisson_ratio,
+        young_modulus=given.young_modulus,
         identifiable=identifiable,
         probes=tuple(
             probe_estimate(*single, own) for single, own in zip(singles, fits, strict=True)
@@ -174,7 +176,7 @@ def fit(
         settings=asdict(settings),
         notes=fit_notes(posterior, identifiable, found, freed, every),
         errors=errors,
-        budget=uncertainty_budget(posterior, identifiable),
+        budget=() if found else uncertainty_budget(posterior, identifiable),
     )
     return FitResult(
         estimate,
@@ -183,6 +185,12 @@ def fit(
         interval_set(posterior),
         FittedModel(minimum, settings.poisson_range),
     )
+
+
+def _without_intervals(intervals: IntervalSet) -> IntervalSet:
+    """The values alone: the best fit of a model that does not fit."""
+    values = (intervals.poisson_ratio, intervals.shear_modulus, intervals.young_modulus)
+    return IntervalSet(*(Constant(each.value, np.nan, (np.nan, np.nan)) for each in values))
 
 
 def best_constants_of(

@@ -132,6 +132,12 @@ def _noise_notes(posterior: Posterior) -> list[str]:
     if estimated:
         parts = [f"{_length_text(level[g])} in {_GROUP_NAMES[g]}" for g in estimated]
         notes.append(f"Noise levels were estimated from the residuals: {', '.join(parts)}.")
+        own = np.sqrt(np.mean(np.concatenate([each.size for each in problem.unknown]) ** 2))
+        if max(level[g] for g in estimated) < own:
+            notes[-1] = (
+                "The displacements have no noise to speak of: what is left over is no more than the"
+                f" model's own error, {_length_text(own)}."
+            )
     raised = [int(g) for g in present if g >= FIRST_CLAIMED and level[g] > 1.1]
     if raised:
         parts = [f"{level[g]:.2f} in {_GROUP_NAMES[g - FIRST_CLAIMED]}" for g in raised]

@@ -133,6 +133,13 @@ def _interval_lines(
     )
     known = [estimate.identifiable[name] for name in ("poisson_ratio", "shear_modulus")]
     place = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
+    if np.isnan(ratio.ci95[0]):
+        # The model is contradicted: its best fit has no interval.
+        (found["best fit"],) = axes.plot(
+            ratio.value, shear.value / factor, "o", color=ORANGE, markersize=5,
+            markeredgecolor="white", zorder=5, clip_on=False,
+        )  # fmt: skip
+        return found
     low, high = np.clip(ratio.ci95, *axes.get_xlim())
     soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
     # The interval of a constant that is not determined is its possible range.
@@ -261,10 +268,12 @@ def _dots(
     low, high = joint.ci95
     if known:
         axes.axvline(joint.value / factor, color=ORANGE, linewidth=1.0, zorder=1)
+    if known and np.isfinite([low, high]).all():
         axes.axvspan(low / factor, high / factor, color=ORANGE, alpha=0.18, linewidth=0, zorder=0)
     value = np.array([single.value for single in singles]) / factor
     ends = np.array([single.ci95 for single in singles]).reshape(-1, 2) / factor
     shown = np.array([joint.value, *joint.ci95]) / factor
+    shown = shown[np.isfinite(shown)]
     left, right = _panel_limits(np.append(value, shown if true is None else [*shown, true]), ends)
     rows = np.arange(len(singles))
     reach = np.clip(ends, left, right)

@@ -67,6 +67,8 @@ _SECANT_SLOPES = (-1.0, 0.8)
 _LARGEST_RATIO = 0.4999
 # A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
 _LARGE_ROTATION = 5e-3
+# Further notes are details.
+_MOST_NOTES = 3
 # A contact that ends up this many radii beside the point that was touched first is mentioned.
 _MENTIONED = 0.05
 
@@ -129,20 +131,17 @@ def fit_session(
     result = fit(observations, settings=settings, progress=last)
     if finite_strain:
         result = fit_at_finite_strain(resolved, observations, result, settings, last)
-    seconds = {
-        "given_mesh": compared - start,
-        "assembly": assembled - compared,
-        "factorisation": factorised - assembled,
-        **result.estimate.seconds,
-        "total": time.perf_counter() - start,
-    }
+    stages = {"given_mesh": compared - start, "assembly": assembled - compared}
+    stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
+    notes = _notes(session, resolved, result.estimate.notes, probes, finite_strain)
     estimate = replace(
         result.estimate,
         probes=probes,
-        notes=(*result.estimate.notes, *_notes(session, resolved, probes, finite_strain)),
-        seconds=seconds,
+        notes=notes[:_MOST_NOTES],
+        details=notes[_MOST_NOTES:],
+        seconds=stages | {"total": time.perf_counter() - start},
         settings={
             **result.estimate.settings,
             "surface": asdict(surface),
@@ -155,13 +154,19 @@ def fit_session(
 
 
 def _notes(
-    session: Session, resolved: Session, probes: Sequence[ProbeEstimate], finite_strain: bool
-) -> list[str]:
-    """Notes from the session, its support motions, its contacts and its pictures."""
+    session: Session,
+    resolved: Session,
+    fitted: Sequence[str],
+    probes: Sequence[ProbeEstimate],
+    finite_strain: bool,
+) -> tuple[str, ...]:
+    """Notes on the fit, its support motions and contacts, the pictures and the session, the most
+    important first."""
     # A warning of bias does not apply where finite strain is corrected for.
-    notes = [note for note in session.notes if not (finite_strain and BIASED in note)]
-    notes += _rotation_notes(probes) + _contact_notes(resolved, probes)
-    return notes + _rejection_notes(session)
+    biased = [note for note in session.notes if BIASED in note and not finite_strain]
+    others = [note for note in session.notes if BIASED not in note]
+    found = _contact_notes(resolved, probes) + _rejection_notes(session)
+    return (*fitted[:1], *biased, *_rotation_notes(probes), *fitted[1:], *found, *others)
 
 
 def _described(session: Session, resolved: Session, graded: Session) -> dict[str, Any]:

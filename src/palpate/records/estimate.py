@@ -55,10 +55,7 @@ _STATUS_TEXTS = {
         ),
     ),
     "model_contradicted": (
-        (
-            "the model does not explain what was measured, so the constants may be far off and"
-            " their intervals too narrow"
-        ),
+        ("the model does not explain what was measured, so the constants may be far off"),
         (
             "read in the notes where; check the support, the contact (point, radius, force), the"
             " place of the points on the mesh, and whether the material is the same everywhere and"
@@ -313,10 +310,12 @@ class Estimate:
     seconds : mapping               stage -> wall time [s]
     method : str                    method that minimised the misfit
     settings : mapping              all settings, to repeat the run
-    notes : tuple of str            full sentences for the reader of the result
+    notes : tuple of str            full sentences for the reader of the result, the most important
+                                    first, at most three
     errors : tuple of ErrorEstimate     systematic errors common to all probings
     budget : tuple of BudgetEntry   uncertainty budget, whose squares sum to the variances; largest
                                     contribution to Young's modulus first
+    details : tuple of str          further sentences, for those who want to know all
 
     Raises
     ------
@@ -336,6 +335,7 @@ class Estimate:
     notes: tuple[str, ...]
     errors: tuple[ErrorEstimate, ...] = ()
     budget: tuple[BudgetEntry, ...] = ()
+    details: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

@@ -3,7 +3,14 @@
 import math
 from collections.abc import Sequence
 
-from palpate.records.estimate import BIASED, BudgetEntry, Constant, ErrorEstimate, Estimate
+from palpate.records.estimate import (
+    BIASED,
+    BudgetEntry,
+    Constant,
+    ErrorEstimate,
+    Estimate,
+    Status,
+)
 
 # SI unit of an error -> factor to the unit in which it is shown, and name of that unit.
 _ERROR_UNITS = {
@@ -20,6 +27,8 @@ HIGHEST_PRESSURE = 3e9
 _RELATIVE_ROUNDING = 1e-9
 # Shown in place of a value that the data do not determine.
 NOT_DETERMINED = "not determined"
+# Shown in place of an interval of a model that the data contradict.
+NO_INTERVAL = "none"
 # Symbols of the constants, in the order in which they are shown.
 SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
 
@@ -102,10 +111,12 @@ def interval_text(constant: Constant, *, factor: float = 1.0) -> str:
 
     Returns
     -------
-    str                             e.g. '20.70 to 21.30'
+    str                             e.g. '20.70 to 21.30'; 'none' where there is none
     """
     decimals = _decimals(constant.std / factor, constant.value / factor)
     low, high = (end / factor for end in constant.ci95)
+    if math.isnan(low):
+        return NO_INTERVAL
     return f"{low:.{decimals}f} to {high:.{decimals}f}"
 
 
@@ -152,11 +163,16 @@ def verdict_text(estimate: Estimate) -> str:
             _, interval, unit = constant_row(estimate, name)
             factor, _ = constant_unit(name, getattr(estimate, name).value)
             value = value_text(getattr(estimate, name), factor=factor)
-            known.append(f"{symbol} = {value}{unit and ' ' + unit} ({interval})")
+            brackets = "" if interval == NO_INTERVAL else f" ({interval})"
+            known.append(f"{symbol} = {value}{unit and ' ' + unit}{brackets}")
     sentences = [f"{sentence[0].upper()}{sentence[1:]}."]
+    contradicted = estimate.status is Status.MODEL_CONTRADICTED
+    remark = (
+        "best fit of a model that does not fit" if contradicted else "95 % intervals in brackets"
+    )
     if known:
-        sentences.append(f"{', '.join(known)} (95 % intervals in brackets).")
-    biased = [note for note in estimate.notes if BIASED in note]
+        sentences.append(f"{', '.join(known)} ({remark}).")
+    biased = [note for note in (*estimate.notes, *estimate.details) if BIASED in note]
     sentences += biased[:1]
     if len(biased) > 1:
         sentences.append(f"{len(biased)} notes say so.")

@@ -98,7 +98,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "errors": error_rows(estimate),
         "budget": budget_rows(estimate),
         "rejected": rejection_rows(estimate),
-        "notes": estimate.notes,
+        "notes": (*estimate.notes, *estimate.details),
         "seconds": second_rows(estimate),
         "settings": setting_rows(estimate),
         "inputs": input_rows(folder),

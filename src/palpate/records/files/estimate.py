@@ -51,7 +51,7 @@ def write_estimate(path: Path | str, estimate: Estimate) -> None:
 
 
 def read_estimate(path: Path | str) -> Estimate:
-    """Read an estimate; null becomes NaN, or infinity at the ends of an interval.
+    """Read an estimate; null becomes NaN, or infinity at one end of an interval.
 
     Parameters
     ----------
@@ -79,11 +79,14 @@ def read_estimate(path: Path | str) -> Estimate:
             method=root.optional("method", root.text) or "",
             settings=_mapping(root.optional("settings", root.table), TomlTable.get),
             notes=tuple(root.optional("notes", root.texts) or ()),
+            details=tuple(root.optional("details", root.texts) or ()),
             errors=_read_errors(root),
             budget=_read_budget(root),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
-        _check_deviations("", estimate, estimate.identifiable)
+        # The best fit of a model that does not fit has no interval.
+        if estimate.status is not Status.MODEL_CONTRADICTED:
+            _check_deviations("", estimate, estimate.identifiable)
         for probe in estimate.probes:
             _check_deviations(f"probing {probe.name!r}: ", probe, probe.identifiable)
     return estimate
@@ -163,9 +166,16 @@ def _parts(table: TomlTable, key: str, names: Sequence[str], count: str) -> Toml
 
 def _read_constant(table: TomlTable) -> Constant:
     ends = _parts(table, "ci95", ("low", "high"), "two")
-    low, high = _known(ends, "low", -math.inf), _known(ends, "high", math.inf)
+    std = _known(table, "std")
+    low, high = _known(ends, "low"), _known(ends, "high")
+    if not (math.isnan(std) and math.isnan(low) and math.isnan(high)):
+        # An interval without an end, not without an interval.
+        low, high = (
+            (-math.inf if math.isnan(low) else low),
+            (math.inf if math.isnan(high) else high),
+        )
     with table.error_context():
-        return Constant(_known(table, "value"), _known(table, "std"), (low, high))
+        return Constant(_known(table, "value"), std, (low, high))
 
 
 def _read_support(table: TomlTable) -> SupportEstimate:
