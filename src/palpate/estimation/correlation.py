@@ -112,7 +112,7 @@ def _block_excess(
         information = np.einsum("bir,jr->bij", parts.reshape(_BLOCKS, 2, -1), design.T)
         # What the probing's own parameters take of its residuals.
         named = (parts / sigma) @ tables[index][d:].T
-        smooth, _ = problem.unknown[index].products(parts, 1.0 / sigma)
+        smooth = problem.unknown[index].with_columns(parts, 1.0 / sigma)
         leak = np.hstack([named, smooth]).reshape(_BLOCKS, 2, -1)
         own = np.linalg.inv(normal.own[index])
         taken = np.einsum("bik,kl,bjl->bij", leak, own, leak) + information @ metric @ information

@@ -20,10 +20,10 @@ from palpate.estimation.normal_equations import (
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.problem import Problem, make_problem
 
-_STARTS = 9
+_STARTS, _ROBUST_ROUNDS = 9, 4
 _MAX_STEPS, _MAX_HALVINGS, _MAX_ROUNDS = 30, 20, 25
 # Steps between two updates of the noise levels.
-_STEPS_A_ROUND = 4
+_STEPS_A_ROUND = 2
 # Reach of an expansion of the model in Poisson's ratio, and the change from which it is renewed:
 # the error is of second order.
 _REACH, _RENEWED = 0.06, 1e-3
@@ -103,18 +103,42 @@ def with_noise(
     -------
     Minimum
     """
+    independent = _settled(problem, theta, poisson_range, excess=1.0)
+    problem, theta = independent.problem, independent.theta
+    excess = correlation_excess(problem, theta, independent.residual, independent.normal)
+    if excess < 1.0 + _LEVEL_TOLERANCE:
+        return independent
+    # Not brought up to date: with less information residuals are others, and so is their scatter.
+    return _settled(problem, theta, poisson_range, excess=excess)
+
+
+def _settled(
+    problem: Problem,
+    theta: Float[np.ndarray, " t"],
+    poisson_range: tuple[float, float],
+    *,
+    excess: float,
+) -> Minimum:
+    """The minimum, with levels that its residuals ask for, and less information by an excess of
+    correlation."""
     for _ in range(_MAX_ROUNDS):
         found = gauss_newton(problem, theta, poisson_range=poisson_range, steps=_STEPS_A_ROUND)
-        updated = _updated(found)
-        settled = np.abs(updated.level / problem.level - 1.0).max() < _LEVEL_TOLERANCE
-        settled &= abs(updated.scale / problem.scale - 1.0) < _LEVEL_TOLERANCE
-        settled &= abs(updated.information / problem.information - 1.0) < _LEVEL_TOLERANCE
-        theta = found.theta
+        updated = _updated(found, excess)
+        settled, theta = _is_settled(problem, updated), found.theta
         if settled:
             break
         problem = replace(updated, expansions=found.problem.expansions)
     last = gauss_newton(problem, theta, poisson_range=poisson_range)
     return replace(last, converged=bool(last.converged and settled))
+
+
+def _is_settled(before: Problem, after: Problem) -> bool:
+    """Whether two problems differ by no more than what is irrelevant."""
+    variances = zip(before.variance(), after.variance(), strict=True)
+    change = max(float(np.abs(new / old - 1.0).mean()) for old, new in variances)
+    for name in ("scale", "information"):
+        change = max(change, abs(getattr(after, name) / getattr(before, name) - 1.0))
+    return change < _LEVEL_TOLERANCE
 
 
 def gauss_newton(
@@ -176,7 +200,7 @@ def gauss_newton(
     return Minimum(problem, theta, tuple(residual), normal, value, converged)
 
 
-def _updated(minimum: Minimum) -> Problem:
+def _updated(minimum: Minimum, excess: float) -> Problem:
     """The problem with noise levels, size of the model's error and calibration as the residuals ask
     for."""
     problem, theta = minimum.problem, minimum.theta
@@ -194,8 +218,7 @@ def _updated(minimum: Minimum) -> Problem:
     moments = residual_moments(problem, minimum.residual, lift)
     calibrated = min(moments.slope, expected.slope) / max(moments.power, expected.power)
     calibrated = max(calibrated, SMALLEST_SLOPE * expected.information)
-    information = calibrated / correlation_excess(problem, theta, minimum.residual, minimum.normal)
-    return replace(problem, level=level, scale=scale, information=information)
+    return replace(problem, level=level, scale=scale, information=calibrated / excess)
 
 
 def _about(problem: Problem, poisson_ratio: float) -> Problem:
@@ -215,7 +238,7 @@ def _start(
         moved, measured, weight = _at(probes, float(ratio))
         compliance = 1.0
         used = weight
-        for _ in range(_STARTS):
+        for _ in range(_ROBUST_ROUNDS):
             compliance = float((used * moved) @ measured) / max(
                 float((used * moved) @ moved), np.finfo(float).tiny
             )

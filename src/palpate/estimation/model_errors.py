@@ -157,42 +157,42 @@ class UnknownRows:
         rows = by_point[self.probe.point_of_row, self.probe.component_of_row]
         return known @ self.fields + self.probe.whitened(rows)
 
+    def with_columns(
+        self, columns: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
+    ) -> Float[np.ndarray, "s n"]:
+        """Weighted products of some columns with the patterns, n = `count`."""
+        probe, f, m = self.probe, len(self.fields), self.modes.shape[1]
+        weighted = columns * weight
+        unwhitened = probe.whitened(weighted.T).T
+        products = np.empty((len(columns), self.count))
+        products[:, :f] = weighted_products(weighted, self.fields)
+        points, components = probe.point_of_row, probe.component_of_row
+        for i in range(3):
+            rows = np.flatnonzero(components == i)
+            at = slice(f + i * m, f + (i + 1) * m)
+            products[:, at] = unwhitened[:, rows] @ self.modes[points[rows]]
+        return products
+
     def products(
         self, columns: Float[np.ndarray, "s r"], weight: Float[np.ndarray, " r"]
     ) -> tuple[Float[np.ndarray, "s n"], Float[np.ndarray, "n n"]]:
         """Weighted products of some columns with the patterns, and of the patterns with each
-        other.
-
-        Parameters
-        ----------
-        columns : (s, r) float
-        weight : (r,) float
-
-        Returns
-        -------
-        (s, n) float
-        (n, n) float                n = `count`
-        """
-        probe, f, m = self.probe, len(self.fields), self.modes.shape[1]
-        every = np.vstack([columns, self.fields])
-        weighted = every * weight
+        other, n = `count`."""
+        f, m = len(self.fields), self.modes.shape[1]
+        every = self.with_columns(np.vstack([columns, self.fields]), weight)
+        cross, known = every[: len(columns)], every[len(columns) :]
         # Of a point's rows with each other, as components were before they were whitened.
-        inner = probe.component_products(weight)
-        unwhitened = probe.whitened(weighted.T).T
-        cross, whole = np.empty((len(every), f + 3 * m)), np.zeros((f + 3 * m, f + 3 * m))
-        cross[:, :f] = weighted_products(weighted, self.fields)
+        inner = self.probe.component_products(weight)
+        whole = np.zeros((self.count, self.count))
         for i in range(3):
-            rows = np.flatnonzero(probe.component_of_row == i)
             at = slice(f + i * m, f + (i + 1) * m)
-            cross[:, at] = unwhitened[:, rows] @ self.modes[probe.point_of_row[rows]]
             for j in range(i, 3):
                 if inner[:, i, j].any():
                     other = slice(f + j * m, f + (j + 1) * m)
                     whole[at, other] = (self.modes * inner[:, i, j, None]).T @ self.modes
                     whole[other, at] = whole[at, other].T
-        known = cross[len(columns) :]
         whole[:f], whole[:, :f] = known, known.T
-        return cross[: len(columns)], whole
+        return cross, whole
 
 
 def unknown_rows(probe: ObservedRows, fields: Float[np.ndarray, "r f"]) -> UnknownRows:

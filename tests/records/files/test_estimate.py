@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,9 @@ from palpate.records import (
     ProbeEstimate,
     Status,
     SupportEstimate,
+    interval_text,
     read_estimate,
+    verdict_text,
     write_estimate,
 )
 
@@ -158,6 +161,21 @@ def test_unknown_numbers_become_null_and_come_back(tmp_path):
     assert math.isnan(again.probes[0].rms_residual)
     assert again.probes[0].prediction_error is None
     assert again.settings == {"seed": 3, "range": [0.0, None], "on": True}
+
+
+def test_the_best_fit_of_a_model_that_does_not_fit_has_no_interval(tmp_path):
+    alone = {
+        name: replace(getattr(_estimate(), name), std=NAN, ci95=(NAN, NAN))
+        for name in ("shear_modulus", "poisson_ratio", "young_modulus")
+    }
+    given = replace(_estimate(), status=Status.MODEL_CONTRADICTED, details=("More.",), **alone)
+    write_estimate(tmp_path / "estimate.json", given)
+    again = read_estimate(tmp_path / "estimate.json")
+    assert again.young_modulus.value == given.young_modulus.value
+    assert all(map(math.isnan, again.young_modulus.ci95))
+    assert again.details == ("More.",)
+    assert interval_text(again.young_modulus) == "none"
+    assert "best fit of a model that does not fit" in verdict_text(again)
 
 
 def test_bad_files_are_refused(tmp_path):

@@ -166,16 +166,16 @@ def _parts(table: TomlTable, key: str, names: Sequence[str], count: str) -> Toml
 
 def _read_constant(table: TomlTable) -> Constant:
     ends = _parts(table, "ci95", ("low", "high"), "two")
-    std = _known(table, "std")
+    value, std = _known(table, "value"), _known(table, "std")
     low, high = _known(ends, "low"), _known(ends, "high")
-    if not (math.isnan(std) and math.isnan(low) and math.isnan(high)):
-        # An interval without an end, not without an interval.
+    if math.isnan(value) or not (math.isnan(std) and math.isnan(low) and math.isnan(high)):
+        # An interval without an end, not a value without an interval.
         low, high = (
             (-math.inf if math.isnan(low) else low),
             (math.inf if math.isnan(high) else high),
         )
     with table.error_context():
-        return Constant(_known(table, "value"), std, (low, high))
+        return Constant(value, std, (low, high))
 
 
 def _read_support(table: TomlTable) -> SupportEstimate:
