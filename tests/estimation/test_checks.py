@@ -68,7 +68,7 @@ def test_no_sound_force_is_left_out() -> None:
         assert with_outlying_forces_freed(_fitted(probes), RANGE)[1] == ()
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_lone_force_is_never_left_out(count: int) -> None:
     probes = _probes(count=count)
     wrong = [replace(probes[0], force=1.5 * probes[0].force), *probes[1:]]

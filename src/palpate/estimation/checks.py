@@ -20,10 +20,13 @@ from palpate.shapes import Points, Vector3
 
 # Probability that a sound session has a force set free.
 _FALSE_ALARM = 1 / 400
+# So many forces must agree for each that does not.
+_AGREEING = 3
 # A force is as good as unknown with a standard deviation of so many times its size.
 _FREE = 10.0
-# The model's error may be so many times as large as comparisons of meshes say.
-_LARGEST_SCALE = 5.0
+# What residuals have in common contradicts the model where its own error is more than so many times
+# as large as comparisons of meshes say, or it is itself so many times as large as that error.
+_LARGEST_SCALE, _LARGEST_PATTERN = 2.0, 5.0
 # Probability of a family of errors beyond which its priors contradict the data: that of five
 # standard deviations.
 _IMPOSSIBLE_FAMILY = float(chdtrc(1, IMPOSSIBLE**2))
@@ -87,7 +90,8 @@ class Contradiction:
 def with_outlying_forces_freed(
     minimum: Minimum, poisson_range: tuple[float, float]
 ) -> tuple[Minimum, tuple[FreedForce, ...]]:
-    """Set forces free that disagree with the others, one at a time, never more than a minority.
+    """Set forces free that disagree with the others, one at a time, as long as three agree for
+    each: two constants are fitted, so that two pushes agree on wrong ones, too.
 
     A force is held by its prior; setting it free lowers the objective by the square of its
     deviation from what all else says about it, over the variance of the difference.
@@ -105,7 +109,7 @@ def with_outlying_forces_freed(
     freed: list[FreedForce] = []
     count = len(minimum.problem.probes)
     limit = -float(ndtri(0.5 * _FALSE_ALARM / count))
-    for _ in range((count - 1) // 2):
+    for _ in range((count - 1) // _AGREEING):
         deviation = np.abs(force_deviations(minimum))
         deviation[[probe.name in {f.name for f in freed} for probe in minimum.problem.probes]] = 0.0
         worst = int(deviation.argmax())
@@ -237,12 +241,17 @@ def _unexplained(minimum: Minimum) -> list[Contradiction]:
         known = max(float(known), FINEST * float(moved))
         exceeds = bool(problem.level[probe.group].min() > _EXCEEDED) and probe.has_claims
         size, where, square = _pattern(place, left[rows] * weight, exceeds=exceeds)
-        if size > _LARGEST_SCALE * known:
+        if size > (0.0 if problem.scale > _LARGEST_SCALE else _LARGEST_PATTERN * known):
             share = float(np.sqrt(square.mean() / 3.0) / moved)
             landmark = _landmark(probe.observations.landmarks, where, place)
             found.append(
                 Contradiction(
-                    "unexplained", size / known, probe.name, share, tuple(where.tolist()), landmark
+                    "unexplained",
+                    max(size / known, problem.scale),
+                    probe.name,
+                    share,
+                    tuple(where.tolist()),
+                    landmark,
                 )
             )
     return sorted(found, key=lambda each: -each.share)

@@ -161,7 +161,7 @@ def fit(
     if found:
         status = Status.MODEL_CONTRADICTED
     # An interval is that of a right model.
-    given = _without_intervals(reported) if found else reported
+    given = _without_intervals(reported, identifiable) if found else reported
     estimate = Estimate(
         status=status,
         shear_modulus=given.shear_modulus,
@@ -187,10 +187,14 @@ def fit(
     )
 
 
-def _without_intervals(intervals: IntervalSet) -> IntervalSet:
-    """The values alone: the best fit of a model that does not fit."""
-    values = (intervals.poisson_ratio, intervals.shear_modulus, intervals.young_modulus)
-    return IntervalSet(*(Constant(each.value, np.nan, (np.nan, np.nan)) for each in values))
+def _without_intervals(intervals: IntervalSet, identifiable: dict[str, bool]) -> IntervalSet:
+    """The values alone, the best fit of a model that does not fit; a constant that is not
+    determined keeps the range of its possible values."""
+    bare = {}
+    for name, known in identifiable.items():
+        constant = getattr(intervals, name)
+        bare[name] = Constant(constant.value, np.nan, (np.nan, np.nan)) if known else constant
+    return IntervalSet(**bare)
 
 
 def best_constants_of(

@@ -90,7 +90,7 @@ def _contradiction_note(found: Contradiction) -> str:
     place = ", ".join(f"{1e3 * x:.1f}" for x in found.place)
     return (
         f"The model leaves {100.0 * found.share:.2g} % of the motion of probing {found.source!r}"
-        f" unexplained, {found.sigmas:.0f} times as much as its mesh accounts for, most of it"
+        f" unexplained, {found.sigmas:.1f} times as much as its mesh accounts for, most of it"
         f" {near}around ({place}) mm. It may be"
         f" {_SUSPECTS.get(found.landmark, _OTHER_SUSPECTS)}."
     )

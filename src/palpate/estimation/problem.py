@@ -88,16 +88,15 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Expansion:
-    """Model of one probing's rows, linear in Poisson's ratio about a reference, bilinear in load
-    and errors.
+    """Model of one probing's rows, bilinear in load and errors; its response is linear in Poisson's
+    ratio about a reference, effects of errors are those there.
 
     Attributes
     ----------
     poisson_ratio : float           the reference
     value, slope : (l, r) float     displacement per unit of each entry of the load, and its
                                     derivative with respect to Poisson's ratio
-    effects, effect_slopes : (l, r, k) float    change of both per prior standard deviation of each
-                                    error
+    effects : (l, r, k) float       change of the value per prior standard deviation of each error
     curvature : (r, o, o) float     second derivatives in its own o errors, the last ones, times
                                     the shear modulus
     """
@@ -106,7 +105,6 @@ class Expansion:
     value: Float[np.ndarray, "l r"]
     slope: Float[np.ndarray, "l r"]
     effects: Float[np.ndarray, "l r k"]
-    effect_slopes: Float[np.ndarray, "l r k"]
     curvature: Float[np.ndarray, "r o o"]
 
 
@@ -234,7 +232,6 @@ class Problem:
         response = model.value + offset * model.slope
         if errors.any():
             response = response + model.effects @ errors
-            response += offset * (model.effect_slopes @ errors)
         load = _in_terms(self.load(index, theta), float(np.exp(theta[1])), len(model.value))
         own = theta[self.layout.blocks[index].errors]
         second = 0.5 * (model.curvature @ own) @ own / np.exp(theta[1])
@@ -245,10 +242,10 @@ class Problem:
         model, block, common = self.expansions[index], self.layout.blocks[index], self.layout.common
         seen, modulus = self.probes[index].observations, float(np.exp(theta[1]))
         moved, response, load = self._moved(index, theta)
-        errors, own = self._errors(index, theta), theta[block.errors]
+        own = theta[block.errors]
         first = common - block.whole.start
         table = np.zeros((first + block.unknown.start, len(moved)))
-        table[0] = load @ (model.slope + model.effect_slopes @ errors)
+        table[0] = load @ model.slope
         bend = model.curvature @ own / modulus
         columns = 4 + len(seen.motion)
         # Term 0 scales with 1 / G except for motions; term 1 does not depend on G, but motions do.
@@ -256,9 +253,6 @@ class Problem:
         scaling[columns + 4 :] = load[columns + 4 :]
         table[1] = scaling @ response - 0.5 * bend @ own
         each = np.tensordot(load, model.effects, axes=1)
-        offset = theta[0] - model.poisson_ratio
-        if offset:
-            each += offset * np.tensordot(load, model.effect_slopes, axes=1)
         count = len(block.shared)
         table[self.layout.errors.start + block.shared] = each[:, :count].T
         table[first + block.errors.start : first + block.errors.stop] = (each[:, count:] + bend).T
@@ -362,45 +356,42 @@ def _expansion(
     names = {parameter.name for parameter in shared}
     is_own = np.array([each.name not in names for each in probe.parameters], dtype=bool)
     order = np.argsort(is_own, kind="stable")
-    (low, low_effects, bend), (high, high_effects, _) = (
-        _terms(probe, poisson_ratio + side) for side in (-_STEP, _STEP)
-    )
-    low_effects, high_effects = low_effects[..., order], high_effects[..., order]
-    own = order[np.count_nonzero(~is_own) :]
-    return Expansion(
-        poisson_ratio,
-        0.5 * (low + high),
-        (high - low) / (2 * _STEP),
-        0.5 * (low_effects + high_effects),
-        (high_effects - low_effects) / (2 * _STEP),
-        bend[:, own[:, None], own],
-    )
-
-
-def _terms(
-    probe: ObservedRows, poisson_ratio: float
-) -> tuple[Float[np.ndarray, "l r"], Float[np.ndarray, "l r k"], Float[np.ndarray, "r k k"]]:
-    """Response, effects of all errors, and second derivatives in them, at a Poisson's ratio."""
     seen = probe.observations
-    response = seen.response_terms(poisson_ratio)[probe.rows]
+    low, response, high = (
+        seen.response_terms(poisson_ratio + side)[probe.rows] for side in (-_STEP, 0.0, _STEP)
+    )
     at = ResponseTerms(probe.rows, response, poisson_ratio)
     effects = [nuisance.effects(at) for nuisance in seen.nuisances]
     terms = max([response.shape[1], *(each.shape[1] for each in effects)])
     none = np.zeros((*response.shape, 0))
-    every = np.concatenate([padded(each, terms) for each in (none, *effects)], axis=3)
-    value = padded(response[..., None], terms)[..., 0]
-    rows, count, width = len(response), every.shape[3], terms * response.shape[2]
-    curvature, first = np.zeros((rows, count, count)), 0
-    for nuisance in seen.nuisances:
+    every = np.concatenate([padded(each, terms) for each in (none, *effects)], axis=3)[..., order]
+    width = terms * response.shape[2]
+
+    def by_load(rows: Float[np.ndarray, "r s c"]) -> Float[np.ndarray, "l r"]:
+        whitened = probe.whitened(padded(rows[..., None], terms)[..., 0])
+        return np.ascontiguousarray(whitened.reshape(len(rows), width).T)
+
+    columns = probe.whitened(every).reshape(len(response), width, every.shape[3])
+    own = order[np.count_nonzero(~is_own) :]
+    return Expansion(
+        poisson_ratio,
+        by_load(response),
+        by_load((high - low) / (2 * _STEP)),
+        np.ascontiguousarray(columns.swapaxes(0, 1)),
+        _curvature(probe, at)[:, own[:, None], own],
+    )
+
+
+def _curvature(probe: ObservedRows, at: ResponseTerms) -> Float[np.ndarray, "r k k"]:
+    """Second derivatives in all errors of a probing, in its own order, times the shear modulus."""
+    count = len(probe.parameters)
+    curvature, first = np.zeros((len(at.rows), count, count)), 0
+    for nuisance in probe.observations.nuisances:
         last = first + len(nuisance.parameters)
         if isinstance(nuisance, CurvedNuisance):
             curvature[:, first:last, first:last] = nuisance.curvature(at)
         first = last
-    return (
-        np.ascontiguousarray(probe.whitened(value).reshape(rows, width).T),
-        np.ascontiguousarray(probe.whitened(every).reshape(rows, width, count).swapaxes(0, 1)),
-        probe.whitened(curvature),
-    )
+    return probe.whitened(curvature)
 
 
 def _fields(
