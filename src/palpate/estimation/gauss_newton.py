@@ -21,7 +21,7 @@ from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.problem import Problem, make_problem
 
 _STARTS, _ROBUST_ROUNDS = 9, 4
-_MAX_STEPS, _MAX_HALVINGS, _MAX_ROUNDS = 30, 20, 25
+_MAX_STEPS, _MAX_HALVINGS, _MAX_ROUNDS = 50, 20, 25
 # Steps between two updates of the noise levels.
 _STEPS_A_ROUND = 2
 # Reach of an expansion of the model in Poisson's ratio, and the change from which it is renewed:
@@ -29,6 +29,8 @@ _STEPS_A_ROUND = 2
 _REACH, _RENEWED = 0.06, 1e-3
 # Change of the objective, over 1 + itself, and step over its standard error, that end a search.
 _OBJECTIVE_TOLERANCE, _STEP_OVER_ERROR = 1e-10, 1e-4
+# A search that gains so little a step has converged for all that a reader cares.
+_IRRELEVANT = 1e-3
 _LEVEL_TOLERANCE = 0.01
 # Parameters that the claimed size of the model's error counts for when residuals ask for a larger.
 _CLAIM_PARAMETERS = 4.0
@@ -194,10 +196,11 @@ def gauss_newton(
             problem, residual = renewed, renewed.residual(theta)
             value = problem.objective(theta, residual)
         normal = normal_equations(problem, theta, residual)
+        converged = gain < _IRRELEVANT
         if gain < _OBJECTIVE_TOLERANCE * (1.0 + abs(value)) or moved.max() < _STEP_OVER_ERROR:
             converged = True
             break
-    return Minimum(problem, theta, tuple(residual), normal, value, converged)
+    return Minimum(problem, theta, tuple(residual), normal, value, bool(converged))
 
 
 def _updated(minimum: Minimum, excess: float) -> Problem:
