@@ -18,7 +18,7 @@ def test_a_campaign_estimates_what_plain_fits_do(cube_session, tmp_path):
     for name in ("poisson_ratio", "young_modulus"):
         one, other = getattr(estimate, name), getattr(expected, name)
         assert one.value == pytest.approx(other.value, rel=1e-6)
-        assert one.ci95 == pytest.approx(other.ci95, rel=1e-5)
+        assert one.ci95 == pytest.approx(other.ci95, rel=1e-5, nan_ok=True)
     assert len(estimate.probes) == len(expected.probes) == 1
 
 
