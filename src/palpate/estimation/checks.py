@@ -11,8 +11,8 @@ from scipy.special import chdtrc, ndtri
 
 from palpate.estimation.gauss_newton import Minimum, with_noise
 from palpate.estimation.noise import FINEST
-from palpate.estimation.normal_equations import covariance
-from palpate.estimation.observed_rows import FIRST_CLAIMED
+from palpate.estimation.normal_equations import own_covariances
+from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_NAMES
 from palpate.estimation.problem import Problem
 from palpate.geometry import morton_order
 from palpate.records import IMPOSSIBLE
@@ -135,17 +135,13 @@ def force_deviations(minimum: Minimum) -> Float[np.ndarray, " k"]:
     -------
     (k,) float [-]
     """
-    normal, shared, layout = minimum.normal, covariance(minimum.normal), minimum.problem.layout
+    problem, covariances = minimum.problem, own_covariances(minimum.normal)
     deviations = []
-    for probe, block, own, solution in zip(
-        minimum.problem.probes, layout.blocks, normal.own, normal.solutions, strict=True
-    ):
+    for probe, block, own in zip(problem.probes, problem.layout.blocks, covariances, strict=True):
         seen = probe.observations
         length = float(np.linalg.norm(seen.force))
         along = seen.force_std * seen.force / max(length, np.finfo(float).tiny)
-        cross = solution[:3, :-1]
-        posterior = np.linalg.inv(own)[:3, :3] + cross @ shared @ cross.T
-        left = float(along @ along - along @ posterior @ along)
+        left = float(along @ along - along @ own[:3, :3] @ along)
         known = left > 1e-9 * float(along @ along)
         deviations.append(along @ minimum.theta[block.force] / np.sqrt(left) if known else 0.0)
     return np.array(deviations)
@@ -190,8 +186,8 @@ def _reversed(minimum: Minimum) -> list[Contradiction]:
         left, motion = (float(np.sqrt((x[chosen] ** 2).mean())) for x in (residual, measured))
         is_large = left > _LEAST_FRACTION_OF_ALL * overall
         if is_large and chosen.sum() >= _LEAST_ROWS and left > _REVERSED_FACTOR * motion:
-            name = ("x", "y", "z", "the tip")[index]
-            found.append(Contradiction("reversed", left / max(motion, FINEST * overall), name))
+            size = left / max(motion, FINEST * overall)
+            found.append(Contradiction("reversed", size, GROUP_NAMES[index]))
     return found
 
 

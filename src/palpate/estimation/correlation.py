@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.estimation.noise import gaussian_moments
 from palpate.estimation.normal_equations import NormalEquations, residual_moments
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.problem import Problem
@@ -95,20 +94,18 @@ def _block_excess(
     metric = np.linalg.pinv(sum(design.T @ design for design in designs), hermitian=True)
     d = problem.layout.common
     # Residuals that are smaller than claimed prove nothing.
-    claimed = gaussian_moments(problem.noise, round(float(problem.probes[0].components.mean())))
-    power = max(residual_moments(problem, residual).power, claimed.power)
-    tables, squares = problem.jacobian(theta), problem.squared(residual)
+    power = max(residual_moments(problem, residual).power, problem.expected.power)
+    tables, scores = problem.jacobian(theta), _scores(problem, residual)
+    variances = problem.variance()
     observed = mean = square = 0.0
     for index, (probe, design) in enumerate(zip(problem.probes, designs, strict=True)):
         block = _blocks(probe)
         if block is None:
             continue
-        sigma = np.sqrt(problem.variance()[index])
-        weight = probe.per_row(problem.noise.weight(squares[index], probe.components))
-        score = weight * residual[index] / sigma
+        sigma = np.sqrt(variances[index])
         chosen = block[None] == np.arange(_BLOCKS)[:, None]
         parts = (chosen[:, None] * design.T).reshape(2 * _BLOCKS, -1)
-        sums = (parts @ score).reshape(_BLOCKS, 2)
+        sums = (parts @ scores[index]).reshape(_BLOCKS, 2)
         information = np.einsum("bir,jr->bij", parts.reshape(_BLOCKS, 2, -1), design.T)
         # What the probing's own parameters take of its residuals.
         named = (parts / sigma) @ tables[index][d:].T
@@ -169,15 +166,22 @@ def _neighbours_sharing(problem: Problem, residual: Sequence[Float[np.ndarray, "
     least squares over all pairs of rows, products of their scores against what is expected."""
     power = residual_moments(problem, residual).power
     observed = expected = 0.0
-    for probe, row, square, variance in zip(
-        problem.probes, residual, problem.squared(residual), problem.variance(), strict=True
-    ):
+    for probe, score in zip(problem.probes, _scores(problem, residual), strict=True):
         if probe.neighbours is not None:
-            weight = probe.per_row(problem.noise.weight(square, probe.components))
-            score = weight * row / np.sqrt(variance)
             observed += float(score @ (probe.neighbours @ score))
             expected += power * float((probe.neighbours.data**2).sum())
     return float(np.clip(observed / expected, 0.0, 1.0)) if expected > 0.0 else 0.0
+
+
+def _scores(
+    problem: Problem, residual: Sequence[Float[np.ndarray, " _"]]
+) -> list[Float[np.ndarray, " _"]]:
+    """Robust score of every row of each probing: its weighted residual in standard deviations."""
+    weights = problem.weights(problem.squared(residual))
+    return [
+        weight * row / np.sqrt(variance)
+        for weight, row, variance in zip(weights, residual, problem.variance(), strict=True)
+    ]
 
 
 def _between_probings(

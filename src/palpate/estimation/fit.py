@@ -37,13 +37,13 @@ from palpate.estimation.predictions import (
 from palpate.progress import Progress, silent
 from palpate.records import Constant, Estimate, Status
 
-# Of nu, and of the logarithm of G.
 _MAX_EVALUATIONS = 1000
+# Of nu, and of the logarithm of G.
 _SIMPLEX_TOLERANCE, _SIMPLEX_SIZE = 1e-7, 0.02
 
 
 class FitMethod(StrEnum):
-    """How the misfit is minimised: variable projection on tabulated responses, or a simplex."""
+    """How the objective is minimised: Gauss-Newton on a reduced model, or a simplex on the full."""
 
     REDUCED = "reduced"
     NELDER_MEAD = "nelder-mead"

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation.correlation import correlation_excess
-from palpate.estimation.noise import NoiseModel, gaussian_moments, noise_levels
+from palpate.estimation.noise import NoiseModel, noise_levels
 from palpate.estimation.normal_equations import (
     SMALLEST_SLOPE,
     NormalEquations,
@@ -210,8 +210,7 @@ def _updated(minimum: Minimum, excess: float) -> Problem:
     total, unknown = determined(problem, minimum.normal)
     rows = sum(len(row) for row in minimum.residual)
     lift = rows / max(rows - total, 0.5)
-    components = round(float(np.mean(np.concatenate([p.components for p in problem.probes]))))
-    expected = gaussian_moments(problem.noise, components)
+    expected = problem.expected
     squares = [lift * row**2 for row in minimum.residual]
     white = [problem.scale**2 * each.variance for each in problem.unknown]
     level = noise_levels(problem.probes, squares, white)

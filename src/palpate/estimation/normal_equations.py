@@ -80,17 +80,14 @@ def normal_equations(
     NormalEquations
     """
     layout, precision = problem.layout, problem.precision()
-    d, squares, factor = (
-        layout.common,
-        problem.squared(residual),
-        curvature_factor(problem, residual),
-    )
+    d, squares = layout.common, problem.squared(residual)
+    factor = curvature_factor(problem, residual)
     parts, gradients, inner, solutions = [], [], [], []
     tables = problem.jacobian(theta)
-    for index, (block, table, row, square) in enumerate(
-        zip(layout.blocks, tables, residual, squares, strict=True)
-    ):
-        products = gram(problem, index, np.vstack([table, row]), square)
+    variances, weights = problem.variance(), problem.weights(squares)
+    for index, (block, table, row) in enumerate(zip(layout.blocks, tables, residual, strict=True)):
+        weight = weights[index] / variances[index]
+        products = gram(problem, index, np.vstack([table, row]), weight)
         information, score = factor * products, problem.information * products[:, len(table)]
         information = np.delete(np.delete(information, len(table), 0), len(table), 1)
         score = np.delete(score, len(table))
@@ -117,27 +114,24 @@ def gram(
     problem: Problem,
     index: int,
     columns: Float[np.ndarray, "s r"],
-    squared: Float[np.ndarray, " p"],
+    weight: Float[np.ndarray, " r"],
 ) -> Float[np.ndarray, "t t"]:
-    """Products, with the robust weights of one probing, of some columns and after them the patterns
-    of its model's error.
+    """Weighted products of some columns of one probing and after them the patterns of its model's
+    error.
 
     Parameters
     ----------
     problem : Problem
     index : int                     of the probing
     columns : (s, r) float
-    squared : (p,) float            `Problem.squared` of the probing
+    weight : (r,) float [1/m^2]
 
     Returns
     -------
     (t, t) float                    t = s + `UnknownRows.count`
     """
-    probe, unknown = problem.probes[index], problem.unknown[index]
-    weight = probe.per_row(problem.noise.weight(squared, probe.components))
-    weight = weight / problem.variance()[index]
     own = weighted_products(columns * weight, columns)
-    cross, whole = unknown.products(columns, weight)
+    cross, whole = problem.unknown[index].products(columns, weight)
     return np.block([[own, cross], [cross.T, whole]])
 
 
@@ -198,8 +192,8 @@ def covariance(normal: NormalEquations) -> Float[np.ndarray, "d d"]:
     return np.linalg.inv(unit + _RIDGE * np.eye(len(unit))) / np.outer(scale, scale)
 
 
-def own_variances(normal: NormalEquations) -> list[Float[np.ndarray, " n"]]:
-    """Posterior variances of each probing's own parameters, in squared prior standard deviations.
+def own_covariances(normal: NormalEquations) -> list[Float[np.ndarray, "n n"]]:
+    """Posterior covariance of each probing's own parameters, in prior standard deviations.
 
     Parameters
     ----------
@@ -207,12 +201,11 @@ def own_variances(normal: NormalEquations) -> list[Float[np.ndarray, " n"]]:
 
     Returns
     -------
-    list of (n,) float
+    list of (n, n) float
     """
     shared = covariance(normal)
     return [
-        np.diag(np.linalg.inv(own))
-        + np.einsum("ni,ij,nj->n", solution[:, :-1], shared, solution[:, :-1])
+        np.linalg.inv(own) + solution[:, :-1] @ shared @ solution[:, :-1].T
         for own, solution in zip(normal.own, normal.solutions, strict=True)
     ]
 
@@ -236,8 +229,8 @@ def determined(problem: Problem, normal: NormalEquations) -> tuple[float, float]
     layout, precision = problem.layout, problem.precision()
     shared = 1.0 - np.diag(covariance(normal))[layout.errors]
     total, unknown = 2.0 + float(shared.sum()), 0.0
-    for block, variance in zip(layout.blocks, own_variances(normal), strict=True):
-        kept = 1.0 - precision[block.whole] * variance
+    for block, own in zip(layout.blocks, own_covariances(normal), strict=True):
+        kept = 1.0 - precision[block.whole] * np.diag(own)
         total += float(kept.sum())
         unknown += float(kept[block.unknown.start - block.whole.start :].sum())
     return total, unknown

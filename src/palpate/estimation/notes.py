@@ -5,11 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from palpate.estimation.checks import Contradiction, FreedForce
-from palpate.estimation.observed_rows import FIRST_CLAIMED
+from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_NAMES
 from palpate.estimation.posterior import Posterior, valley_text
 from palpate.records import SURPRISING, ErrorEstimate, error_texts, length_unit
 
-_GROUP_NAMES = ("x", "y", "z", "the tip")
 # The most frequent causes, by the landmark near which the model fails.
 _SUSPECTS = {
     "the contact": (
@@ -130,7 +129,7 @@ def _noise_notes(posterior: Posterior) -> list[str]:
     level, notes = problem.level, []
     estimated = [int(g) for g in present if g < FIRST_CLAIMED]
     if estimated:
-        parts = [f"{_length_text(level[g])} in {_GROUP_NAMES[g]}" for g in estimated]
+        parts = [f"{_length_text(level[g])} in {GROUP_NAMES[g]}" for g in estimated]
         notes.append(f"Noise levels were estimated from the residuals: {', '.join(parts)}.")
         own = np.sqrt(np.mean(np.concatenate([each.size for each in problem.unknown]) ** 2))
         if max(level[g] for g in estimated) < own:
@@ -140,7 +139,7 @@ def _noise_notes(posterior: Posterior) -> list[str]:
             )
     raised = [int(g) for g in present if g >= FIRST_CLAIMED and level[g] > 1.1]
     if raised:
-        parts = [f"{level[g]:.2f} in {_GROUP_NAMES[g - FIRST_CLAIMED]}" for g in raised]
+        parts = [f"{level[g]:.2f} in {GROUP_NAMES[g - FIRST_CLAIMED]}" for g in raised]
         notes.append(
             "Residuals exceed the given standard deviations, which were multiplied by"
             f" {', '.join(parts)}."

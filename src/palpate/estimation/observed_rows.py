@@ -15,6 +15,7 @@ from palpate.estimation.observations import ProbeObservations
 GROUP_COUNT = 8
 FIRST_CLAIMED = 4
 TIP_GROUP = 3
+GROUP_NAMES = ("x", "y", "z", "the tip")
 # Number of multiplications below which OpenBLAS uses a single thread.
 _UNTHREADED = 2**18
 

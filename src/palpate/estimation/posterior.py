@@ -246,7 +246,7 @@ def _eliminated(minimum: Minimum, nodes: Float[np.ndarray, " k"]) -> Float[np.nd
     at = theta[layout.errors]
     shared[:m, -1] = shared[-1, :m] = -at
     shared[-1, -1] = at @ at
-    squares = problem.squared(minimum.residual)
+    variances, weights = problem.variance(), problem.weights(problem.squared(minimum.residual))
     tables = problem.jacobian(theta)
     for index, (probe, block, table, row) in enumerate(
         zip(problem.probes, layout.blocks, tables, minimum.residual, strict=True)
@@ -258,7 +258,7 @@ def _eliminated(minimum: Minimum, nodes: Float[np.ndarray, " k"]) -> Float[np.nd
             [table[2 : layout.common], moved, -table[1:2],
              problem.information / factor * row[None], table[layout.common :]]
         )  # fmt: skip
-        products = factor * gram(problem, index, columns, squares[index])
+        products = factor * gram(problem, index, columns, weights[index] / variances[index])
         prior, at = precision[block.whole], theta[block.whole]
         own = products[size:, size:] + np.diag(prior)
         cross = products[size:, :size].copy()

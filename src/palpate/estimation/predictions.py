@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from palpate.estimation.gauss_newton import Minimum, gauss_newton
 from palpate.estimation.noise import relative_weight
-from palpate.estimation.normal_equations import own_variances
+from palpate.estimation.normal_equations import own_covariances
 from palpate.estimation.nuisance import CurvedNuisance, NuisanceParameter, ResponseTerms, padded
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.posterior import IntervalSet
@@ -208,7 +208,7 @@ def probe_fits(minimum: Minimum, poisson_range: tuple[float, float]) -> tuple[Pr
     for k, (probe, block, variance, square, own) in enumerate(
         zip(
             problem.probes, problem.layout.blocks, problem.variance(),
-            problem.squared(minimum.residual), own_variances(minimum.normal), strict=True,
+            problem.squared(minimum.residual), own_covariances(minimum.normal), strict=True,
         )
     ):  # fmt: skip
         seen, n = probe.observations, len(probe.observations.position)
@@ -216,7 +216,7 @@ def probe_fits(minimum: Minimum, poisson_range: tuple[float, float]) -> tuple[Pr
         factor, sigma = np.zeros(n + 1), np.full(3 * n + 3, np.nan)
         factor[probe.point] = relative_weight(problem.noise, square, probe.components)
         sigma[probe.rows] = np.sqrt(probe.component_variance(variance))
-        std = np.sqrt(own)
+        std = np.sqrt(np.diag(own))
         load = problem.load(k, theta)
         motion = slice(3, 3 + len(seen.motion))
         named = slice(motion.stop, motion.stop + len(problem.own(k)))

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.estimation.model_errors import UnknownRows, unknown_rows
-from palpate.estimation.noise import NoiseModel, gaussian_moments
+from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
 from palpate.estimation.nuisance import (
     CurvedNuisance,
     NuisanceParameter,
@@ -134,6 +134,18 @@ class Problem:
     level: Float[np.ndarray, " 8"]
     scale: float
     information: float
+
+    @property
+    def expected(self) -> Moments:
+        """Moments of the robust score for Gaussian noise, at the usual number of components."""
+        return _expected(self.noise, self.probes)
+
+    def weights(self, squared: Sequence[Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, " _"]]:
+        """Robust weight of every row of each probing, from the squared lengths (`squared`)."""
+        return [
+            probe.per_row(self.noise.weight(square, probe.components))
+            for probe, square in zip(self.probes, squared, strict=True)
+        ]
 
     def own(self, index: int) -> tuple[NuisanceParameter, ...]:
         """The errors that belong to one probing alone."""
@@ -300,10 +312,14 @@ def make_problem(
     motion = np.concatenate([probe.measured / probe.unit for probe in probes])
     level = np.ones(GROUP_COUNT)
     level[:FIRST_CLAIMED] = _FIRST_LEVEL * np.sqrt(np.mean(motion**2))
-    components = round(float(np.mean(np.concatenate([probe.components for probe in probes]))))
-    information = gaussian_moments(noise, components).information
+    information = _expected(noise, probes).information
     layout = _layout(probes, shared, unknown)
     return Problem(probes, noise, shared, unknown, layout, expansions, level, 1.0, information)
+
+
+def _expected(noise: NoiseModel, probes: Sequence[ObservedRows]) -> Moments:
+    components = np.concatenate([probe.components for probe in probes])
+    return gaussian_moments(noise, round(float(components.mean())))
 
 
 def _layout(
@@ -353,10 +369,7 @@ def _in_terms(load: Float[np.ndarray, " c"], modulus: float, count: int) -> Floa
 def _expansion(
     probe: ObservedRows, shared: tuple[NuisanceParameter, ...], poisson_ratio: float
 ) -> Expansion:
-    names = {parameter.name for parameter in shared}
-    is_own = np.array([each.name not in names for each in probe.parameters], dtype=bool)
-    order = np.argsort(is_own, kind="stable")
-    seen = probe.observations
+    order, seen = _order(probe, shared), probe.observations
     low, response, high = (
         seen.response_terms(poisson_ratio + side)[probe.rows] for side in (-_STEP, 0.0, _STEP)
     )
@@ -372,7 +385,7 @@ def _expansion(
         return np.ascontiguousarray(whitened.reshape(len(rows), width).T)
 
     columns = probe.whitened(every).reshape(len(response), width, every.shape[3])
-    own = order[np.count_nonzero(~is_own) :]
+    own = order[len(order) - len(_own(probe, shared)) :]
     return Expansion(
         poisson_ratio,
         by_load(response),
@@ -380,6 +393,13 @@ def _expansion(
         np.ascontiguousarray(columns.swapaxes(0, 1)),
         _curvature(probe, at)[:, own[:, None], own],
     )
+
+
+def _order(probe: ObservedRows, shared: tuple[NuisanceParameter, ...]) -> Int[np.ndarray, " k"]:
+    """Order of a probing's errors in its expansion: those that it shares, then its own."""
+    names = {parameter.name for parameter in shared}
+    is_own = np.array([each.name not in names for each in probe.parameters], dtype=bool)
+    return np.argsort(is_own, kind="stable")
 
 
 def _curvature(probe: ObservedRows, at: ResponseTerms) -> Float[np.ndarray, "r k k"]:
@@ -401,9 +421,9 @@ def _fields(
     shear_modulus: float,
 ) -> Float[np.ndarray, "r f"]:
     """Displacement per standard deviation of each error of the model, under the measured load."""
-    seen, names = probe.observations, {parameter.name for parameter in shared}
-    ordered = sorted(probe.parameters, key=lambda each: each.name not in names)
-    chosen = [k for k, parameter in enumerate(ordered) if parameter.is_model_error]
+    seen, parameters = probe.observations, probe.parameters
+    order = _order(probe, shared)
+    chosen = [k for k, number in enumerate(order) if parameters[number].is_model_error]
     load = np.concatenate([np.append(seen.force, 1.0) / shear_modulus, seen.motion])
     load = _in_terms(load, shear_modulus, len(model.value))
     return np.tensordot(load, model.effects[..., chosen], axes=1)

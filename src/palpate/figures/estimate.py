@@ -122,6 +122,15 @@ def likelihood_figure(result: FitResult) -> Figure:
     return figure
 
 
+def _estimate_dot(axes: Axes, estimate: Estimate, factor: float) -> Artist:
+    """Mark the estimate in the plane of nu and G."""
+    (dot,) = axes.plot(
+        estimate.poisson_ratio.value, estimate.shear_modulus.value / factor, "o", color=ORANGE,
+        markersize=5, markeredgecolor="white", zorder=5, clip_on=False,
+    )  # fmt: skip
+    return dot
+
+
 def _interval_lines(
     axes: Axes, estimate: Estimate, nu: Float[np.ndarray, " a"], factor: float
 ) -> dict[str, Artist]:
@@ -135,11 +144,7 @@ def _interval_lines(
     place = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
     if np.isnan(ratio.ci95[0]):
         # The model is contradicted: its best fit has no interval.
-        (found["best fit"],) = axes.plot(
-            ratio.value, shear.value / factor, "o", color=ORANGE, markersize=5,
-            markeredgecolor="white", zorder=5, clip_on=False,
-        )  # fmt: skip
-        return found
+        return {"best fit": _estimate_dot(axes, estimate, factor)}
     low, high = np.clip(ratio.ci95, *axes.get_xlim())
     soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
     # The interval of a constant that is not determined is its possible range.
@@ -151,10 +156,7 @@ def _interval_lines(
         label = "each alone, 95 %: as printed" if one else "not determined: possible range"
         found[label] = line
     if all(known):
-        (found["estimate"],) = axes.plot(
-            ratio.value, shear.value / factor, "o", color=ORANGE, markersize=5,
-            markeredgecolor="white", zorder=5, clip_on=False,
-        )  # fmt: skip
+        found["estimate"] = _estimate_dot(axes, estimate, factor)
     if estimate.identifiable["young_modulus"]:
         edges = [end / factor / (2.0 * (1.0 + nu)) for end in young.ci95]
         found["E, 95 %: as printed"] = axes.fill_between(
