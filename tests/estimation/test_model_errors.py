@@ -8,14 +8,18 @@ from estimation.fitted import minimum_of, patterns, problem_of
 from estimation.half_space import half_space_probes
 
 from palpate.estimation import ModelStep, ProbeObservations
-from palpate.estimation.model_errors import unknown_rows
+from palpate.estimation.model_errors import UnknownRows, correlated_patterns, unknown_rows
 from palpate.estimation.normal_equations import covariance
-from palpate.estimation.observed_rows import observed_rows_of
+from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 
 
 def _probe(grid: int = 12, **options: object) -> ProbeObservations:
     rng = np.random.default_rng(3)
     return half_space_probes(rng, count=1, grid=grid, noise=1e-6, **options)[0]
+
+
+def _unknown(probe: ObservedRows, fields: np.ndarray) -> UnknownRows:
+    return unknown_rows(probe, fields, correlated_patterns(probe.position))
 
 
 def test_a_step_is_the_difference_of_two_models() -> None:
@@ -35,7 +39,7 @@ def test_the_covariance_has_the_size_of_the_fields() -> None:
     together, and a correlation that falls with distance."""
     probe = observed_rows_of(_probe())
     fields = np.full((len(probe.measured), 1), 2e-6)
-    unknown = unknown_rows(probe, fields)
+    unknown = _unknown(probe, fields)
     smooth = np.stack([unknown.moved(one) for one in np.eye(unknown.count)])[1:]
     covariance_of_rows = smooth.T @ smooth + np.diag(unknown.variance)
     # One field of size s has variance s^2 of every component.
@@ -46,7 +50,7 @@ def test_the_covariance_has_the_size_of_the_fields() -> None:
     assert near > 0.4 > 0.15 > far
     # Components are independent.
     np.testing.assert_allclose(covariance_of_rows[::3, 1::3], 0.0, atol=1e-18)
-    assert unknown_rows(probe, fields[:, :0]).variance.max() == 0.0
+    assert _unknown(probe, fields[:, :0]).variance.max() == 0.0
 
 
 def test_products_are_those_of_the_dense_patterns() -> None:
@@ -55,7 +59,7 @@ def test_products_are_those_of_the_dense_patterns() -> None:
     mixed = rng.normal(size=(len(probe.position), 3, 3))
     probe = replace(probe, covariance=1e-12 * (np.eye(3) + mixed @ mixed.swapaxes(1, 2)))
     rows = observed_rows_of(probe)
-    unknown = unknown_rows(rows, rng.normal(size=(len(rows.measured), 2)))
+    unknown = _unknown(rows, rng.normal(size=(len(rows.measured), 2)))
     dense = np.stack([unknown.moved(one) for one in np.eye(unknown.count)])
     columns, weight = rng.normal(size=(4, dense.shape[1])), rng.uniform(1, 2, dense.shape[1])
     cross, whole = unknown.products(columns, weight)
@@ -95,9 +99,18 @@ def test_information_saturates() -> None:
     assert plain[0] / plain[1] > 3.0
 
 
+def test_probings_share_their_modes() -> None:
+    """Of few of the points as of all, where these are all that is observed."""
+    places = observed_rows_of(_probe()).position
+    at = correlated_patterns(places)
+    np.testing.assert_allclose(at(places[::5]), at(places)[::5], rtol=1e-12)
+    twice = correlated_patterns(np.concatenate([places, places]))
+    np.testing.assert_allclose(np.abs(twice(places)), np.abs(at(places)), atol=1e-9)
+
+
 def test_few_points_have_no_patterns() -> None:
     rows = observed_rows_of(_probe(3))
-    unknown = unknown_rows(rows, np.full((len(rows.measured), 1), 1e-6))
+    unknown = _unknown(rows, np.full((len(rows.measured), 1), 1e-6))
     assert unknown.count == 1
     np.testing.assert_allclose(unknown.variance, 1e-12)
     assert patterns(problem_of([_probe(3)]), 0).shape[0] == 0

@@ -23,11 +23,12 @@ from palpate.estimation import (
     ReducedModel,
     full_responses,
     make_reduced_model,
-    reduced_response,
+    reduced_responses,
 )
 from palpate.geometry import interpolation_matrix
 
 TOP = np.array([0.0, 0.0, 1.0])
+RANGE = (0.0, 0.4999)
 GRAVITY = np.array([0.5, 0.0, -3.0])
 
 
@@ -69,7 +70,7 @@ def responses(setting):
     system, right, _, rows, _, _ = setting
     return (
         full_responses(system, right, [rows])[0],
-        reduced_response(make_reduced_model(system, right), rows),
+        reduced_responses(make_reduced_model(system, right), [rows], RANGE)[0],
     )
 
 
@@ -100,6 +101,19 @@ def test_reduced_response_is_the_full_one(responses, nu):
     np.testing.assert_allclose(reduced, full, atol=3e-7 * np.abs(full).max())
 
 
+@pytest.mark.parametrize("nu", [0.0, 0.07, 0.31, 0.4999])
+def test_series_is_what_the_reduced_model_says(setting, nu):
+    system, right, _, rows, _, _ = setting
+    model = make_reduced_model(system, right)
+    bare = ProbeRows(rows.columns, rows.surface, rows.particular, None, has_body_force=True)
+    weights, _ = model.coefficients(nu, rows.columns)
+    solution = sum(w * x for w, x in zip(weights, model.basis(rows.columns), strict=True))
+    expected = rows.surface @ solution
+    found = reduced_responses(model, [bare], RANGE)[0].observed(nu)[: len(expected)]
+    # Terms below 1e-10 are left out.
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
 def _models_with_directions():
     gc.collect()
     # The type itself: to ask a weak reference for its class fails where its object has gone.
@@ -112,7 +126,7 @@ def test_a_response_does_not_hold_the_directions(setting):
     # Other tests may hold models of their own.
     before = _models_with_directions()
     model = make_reduced_model(system, right)
-    response = reduced_response(model, rows)
+    response = reduced_responses(model, [rows], RANGE)[0]
     assert _models_with_directions() == before + 1
     del model
     assert _models_with_directions() == before
@@ -124,7 +138,7 @@ def test_without_gravity_the_last_column_is_zero(setting):
     bare = ProbeRows(rows.columns[:3], rows.surface, rows.particular, None)
     for response in (
         full_responses(system, right, [bare])[0],
-        reduced_response(make_reduced_model(system, right), bare),
+        reduced_responses(make_reduced_model(system, right), [bare], RANGE)[0],
     ):
         value = response.value(0.3)
         assert value.shape == (15, 4)

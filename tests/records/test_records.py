@@ -124,8 +124,6 @@ def test_correlations_follow_their_points():
     some = known.subset(np.array([3, 2, 0]), 5)
     np.testing.assert_array_equal(some.pair, [[0, 2], [0, 1]])
     np.testing.assert_array_equal(some.value, [0.5, 0.2])
-    share = np.array([1.0, 0.0, 1.0, 0.25])
-    np.testing.assert_allclose(known.scaled(share).value, [0.25, 0.0, 0.1])
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,6 @@ from palpate.estimation.responses import (
     SpringResponse as SpringResponse,
     full_responses as full_responses,
     full_spring_responses as full_spring_responses,
-    reduced_response as reduced_response,
-    reduced_spring_response as reduced_spring_response,
+    reduced_responses as reduced_responses,
+    reduced_spring_responses as reduced_spring_responses,
 )

@@ -195,7 +195,11 @@ class UnknownRows:
         return cross, whole
 
 
-def unknown_rows(probe: ObservedRows, fields: Float[np.ndarray, "r f"]) -> UnknownRows:
+def unknown_rows(
+    probe: ObservedRows,
+    fields: Float[np.ndarray, "r f"],
+    patterns_at: Callable[[Points], Float[np.ndarray, "_ m"]],
+) -> UnknownRows:
     """The model's error of unknown shape in the rows of a probing.
 
     Parameters
@@ -203,6 +207,7 @@ def unknown_rows(probe: ObservedRows, fields: Float[np.ndarray, "r f"]) -> Unkno
     probe : ObservedRows
     fields : (r, f) float [m]       displacement per standard deviation of each error of the model;
                                     none: the model is exact
+    patterns_at : function          of `correlated_patterns`
 
     Returns
     -------
@@ -215,7 +220,7 @@ def unknown_rows(probe: ObservedRows, fields: Float[np.ndarray, "r f"]) -> Unkno
     if size.any() and len(places) >= _FEWEST_NEIGHBOURS:
         count = max(_FEWEST_NEIGHBOURS, int(_NEIGHBOURHOOD * len(places)))
         size[on_surface] = size[on_surface][cKDTree(places).query(places, count)[1]].max(axis=1)
-        smooth = _correlated_patterns(places)
+        smooth = patterns_at(places)
         patterns = np.zeros((len(size), smooth.shape[1]))
         patterns[on_surface] = smooth
     # The tip has no neighbours, and few points show no pattern: all of their error is their own.
@@ -229,18 +234,32 @@ def unknown_rows(probe: ObservedRows, fields: Float[np.ndarray, "r f"]) -> Unkno
     )
 
 
-def _correlated_patterns(places: Points) -> Float[np.ndarray, "p m"]:
+def correlated_patterns(
+    places: Points,
+) -> Callable[[Points], Float[np.ndarray, "_ m"]]:
     """Leading modes of a process of correlation exp(-distance / length), of variance 1 less what
-    varies from point to point.
+    varies from point to point, as functions of place.
+
+    Parameters
+    ----------
+    places : (n, 3) float [m]       all that are observed
+
+    Returns
+    -------
+    function                        (k, 3) float [m] -> (k, m) float [-]: the modes there, none
+                                    where so few places show no pattern
 
     Source
     ------
     Nystroem extension from a subset of the points: Williams and Seeger, Using the Nystroem method
     to speed up kernel machines, NIPS 13 (2001).
     """
+    if len(places) < _FEWEST_NEIGHBOURS:
+        return lambda points: np.zeros((len(points), 0))
+    places = np.unique(places, axis=0)
     length = _LENGTH * float(np.linalg.norm(np.ptp(places, axis=0)))
     chosen = places[morton_order(places)][:: -(-len(places) // _MOST_PLACES)]
     value, vector = np.linalg.eigh(np.exp(-cdist(chosen, chosen) / length))
     value, vector = value[::-1][:_MODES], vector[:, ::-1][:, :_MODES]
-    patterns = np.exp(-cdist(places, chosen) / length) @ (vector / np.sqrt(value))
-    return np.sqrt(1.0 - _WHITE) * patterns
+    combination = np.sqrt(1.0 - _WHITE) * vector / np.sqrt(value)
+    return lambda points: np.exp(-cdist(points, chosen) / length) @ combination

@@ -142,7 +142,9 @@ class Posterior:
     poisson_range : (float, float)
     covariance : (d, d) float       of the common parameters, the modulus as its logarithm
     quantile : float                half-width of a 95 % interval in standard errors
-    profile : Profile               over the interval of nu and a margin
+    profile : Profile               over the interval of nu and a margin; over all of its range
+                                    where the data do not determine it
+    determines_ratio : bool         whether they do
     """
 
     minimum: Minimum
@@ -150,6 +152,7 @@ class Posterior:
     covariance: Float[np.ndarray, "d d"]
     quantile: float
     profile: Profile
+    determines_ratio: bool
 
     def error(self, name: str) -> float:
         """Standard error of nu, log G or log E."""
@@ -158,9 +161,7 @@ class Posterior:
 
     def is_beyond_range(self) -> bool:
         """Whether the data lead clearly beyond the range of nu."""
-        normal = self.minimum.normal
-        free = np.linalg.lstsq(normal.common, normal.gradient, rcond=None)[0]
-        return bool(abs(free[0]) > _CLEARLY * self.error("poisson_ratio"))
+        return _leads_beyond(self.minimum, self.error("poisson_ratio"))
 
 
 def directions(poisson_ratio: float) -> dict[str, Float[np.ndarray, "2"]]:
@@ -186,11 +187,25 @@ def posterior_of(minimum: Minimum, poisson_range: tuple[float, float], degrees: 
     Posterior
     """
     shared = covariance(minimum.normal)
-    reach = _REACH * float(np.sqrt(shared[0, 0]))
-    nu = minimum.poisson_ratio
+    error = float(np.sqrt(shared[0, 0]))
+    nu, reach = minimum.poisson_ratio, _REACH * error
     ends = (max(poisson_range[0], nu - reach), min(poisson_range[1], nu + reach))
     quantile = float(stdtrit(degrees, _UPPER_TAIL)) if np.isfinite(degrees) else 1.959963984540054
-    return Posterior(minimum, poisson_range, shared, quantile, profile_of(minimum, ends))
+    profile = profile_of(minimum, ends)
+    height = profile.lowest.min() + quantile**2
+    low, high = _crossings(profile.poisson_ratio, profile.lowest - height)
+    known = high - low < _MAX_SHARE_OF_RANGE * (poisson_range[1] - poisson_range[0])
+    known = known and not _leads_beyond(minimum, error)
+    known = known and bool(np.isfinite(np.nanmax(profile.moduli(np.full(_POINTS, height))[1])))
+    if not known:
+        profile = profile_of(minimum, poisson_range)
+    return Posterior(minimum, poisson_range, shared, quantile, profile, known)
+
+
+def _leads_beyond(minimum: Minimum, error: float) -> bool:
+    normal = minimum.normal
+    free = np.linalg.lstsq(normal.common, normal.gradient, rcond=None)[0]
+    return bool(abs(free[0]) > _CLEARLY * error)
 
 
 def degrees_of_freedom(minimum: Minimum, determined: float) -> float:
@@ -312,17 +327,13 @@ def reported_intervals(posterior: Posterior) -> tuple[IntervalSet, dict[str, boo
     constant's name -> bool
     """
     intervals = interval_set(posterior)
-    low, high = intervals.poisson_ratio.ci95
-    span = posterior.poisson_range[1] - posterior.poisson_range[0]
     determined = {
         name: bool(_ratio(getattr(intervals, name)) < _MAX_FACTOR) for name in CONSTANT_NAMES
     }
-    known = high - low < _MAX_SHARE_OF_RANGE * span and not posterior.is_beyond_range()
-    determined["poisson_ratio"] = bool(known and np.isfinite(intervals.shear_modulus.ci95[1]))
-    if determined["poisson_ratio"]:
+    determined["poisson_ratio"] = posterior.determines_ratio
+    if posterior.determines_ratio:
         return intervals, determined
-    profile = profile_of(posterior.minimum, posterior.poisson_range)
-    best = posterior.minimum
+    profile, best = posterior.profile, posterior.minimum
     height = profile.lowest + posterior.quantile**2
     ranged = _constants(posterior, profile, height, best.poisson_ratio, best.shear_modulus)
     valley = profile.best_modulus
@@ -415,13 +426,13 @@ def valley_text(posterior: Posterior) -> str:
 
     Parameters
     ----------
-    posterior : Posterior
+    posterior : Posterior           that does not determine nu
 
     Returns
     -------
     str                             formula, and by how much it changes over the range of nu
     """
-    profile = profile_of(posterior.minimum, posterior.poisson_range)
+    profile = posterior.profile
     nu, modulus = profile.poisson_ratio, profile.best_modulus
     combinations = {
         "E = 2 G (1 + nu)": modulus * (1 + nu),

@@ -22,7 +22,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.estimation.model_errors import UnknownRows, unknown_rows
+from palpate.estimation.model_errors import UnknownRows, correlated_patterns, unknown_rows
 from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
 from palpate.estimation.nuisance import (
     CurvedNuisance,
@@ -305,8 +305,10 @@ def make_problem(
     """
     shared = _shared_parameters(probes)
     expansions = tuple(_expansion(probe, shared, poisson_ratio) for probe in probes)
+    places = np.concatenate([probe.position for probe in probes])
+    patterns_at = correlated_patterns(places[np.isfinite(places[:, 0])])
     unknown = tuple(
-        unknown_rows(probe, _fields(probe, shared, model, shear_modulus))
+        unknown_rows(probe, _fields(probe, shared, model, shear_modulus), patterns_at)
         for probe, model in zip(probes, expansions, strict=True)
     )
     motion = np.concatenate([probe.measured / probe.unit for probe in probes])
@@ -391,7 +393,7 @@ def _expansion(
         by_load(response),
         by_load((high - low) / (2 * _STEP)),
         np.ascontiguousarray(columns.swapaxes(0, 1)),
-        _curvature(probe, at)[:, own[:, None], own],
+        _curvature(probe, at, own),
     )
 
 
@@ -402,15 +404,18 @@ def _order(probe: ObservedRows, shared: tuple[NuisanceParameter, ...]) -> Int[np
     return np.argsort(is_own, kind="stable")
 
 
-def _curvature(probe: ObservedRows, at: ResponseTerms) -> Float[np.ndarray, "r k k"]:
-    """Second derivatives in all errors of a probing, in its own order, times the shear modulus."""
-    count = len(probe.parameters)
-    curvature, first = np.zeros((len(at.rows), count, count)), 0
+def _curvature(
+    probe: ObservedRows, at: ResponseTerms, own: Int[np.ndarray, " o"]
+) -> Float[np.ndarray, "r o o"]:
+    """Second derivatives in a probing's own errors, given by their ascending numbers, times the
+    shear modulus."""
+    curvature, first = np.zeros((len(at.rows), len(own), len(own))), 0
     for nuisance in probe.observations.nuisances:
-        last = first + len(nuisance.parameters)
         if isinstance(nuisance, CurvedNuisance):
-            curvature[:, first:last, first:last] = nuisance.curvature(at)
-        first = last
+            begin = int(np.searchsorted(own, first))
+            chosen = slice(begin, begin + len(nuisance.parameters))
+            curvature[:, chosen, chosen] = nuisance.curvature(at)
+        first += len(nuisance.parameters)
     return probe.whitened(curvature)
 
 

@@ -67,10 +67,6 @@ class SolutionModel(Protocol):
         sides, and the largest relative residual."""
         ...
 
-    def without_directions(self) -> "SolutionModel":
-        """The same for its coefficients alone: the directions take most of the memory."""
-        ...
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedModel:
@@ -131,10 +127,6 @@ class ReducedModel:
         """
         weights, residual = self.weights(poisson_ratio, columns)
         return weights.T, float(residual.max(initial=0.0))
-
-    def without_directions(self) -> "ReducedModel":
-        """See `SolutionModel`."""
-        return replace(self, directions=(), columns=())
 
     def weights(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)

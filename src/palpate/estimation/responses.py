@@ -2,7 +2,7 @@
 ratio.
 
 The rows of a probing are those of `observations.ResponseModel`: its observed points, then its
-contact point. Two functions make them: `reduced_response` from one factorisation for all Poisson's
+contact point. Two functions make them: `reduced_responses` from one factorisation for all Poisson's
 ratios, `full_responses` (the plain reference) from a new factorisation at each.
 """
 
@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 from scipy.sparse import csr_array
 
 from palpate.bem import (
@@ -26,6 +27,10 @@ from palpate.errors import InputError
 from palpate.estimation.reduced_model import SolutionModel
 
 _SLOPE_STEP = 1e-4
+# Degrees of the series tried, and the coefficient over the largest below which they end: well below
+# the error of a reduced model.
+_DEGREES = (16, 32, 64, 128)
+_SERIES_ERROR = 1e-10
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -318,46 +323,101 @@ def full_spring_responses(
     return list(map(response_of, rows))
 
 
-def reduced_response(model: SolutionModel, rows: ProbeRows) -> ProbeResponse:
-    """Response of one probing, with its rows projected onto the basis of the reduced model.
+def reduced_responses(
+    model: SolutionModel, rows: Sequence[ProbeRows], poisson_range: tuple[float, float]
+) -> list[ProbeResponse]:
+    """Responses of all probings from a reduced model, as Chebyshev series in Poisson's ratio.
 
     Parameters
     ----------
     model : SolutionModel
-    rows : ProbeRows
+    rows : sequence of ProbeRows
+    poisson_range : (float, float)    that the model covers
 
     Returns
     -------
-    ProbeResponse
+    list of ProbeResponse
     """
-    return ProbeResponse(rows, reduced_spring_response(model, rows, blocks=1).observed)
+    springs = reduced_spring_responses(model, rows, 1, poisson_range)
+    return [ProbeResponse(response.rows, response.observed) for response in springs]
 
 
-def reduced_spring_response(model: SolutionModel, rows: ProbeRows, blocks: int) -> SpringResponse:
-    """As `reduced_response`, for an object on springs.
+def reduced_spring_responses(
+    model: SolutionModel, rows: Sequence[ProbeRows], blocks: int, poisson_range: tuple[float, float]
+) -> list[SpringResponse]:
+    """As `reduced_responses`, for an object on springs.
 
     Parameters
     ----------
     model : SolutionModel             of `make_spring_model`
-    rows : ProbeRows
+    rows : sequence of ProbeRows
     blocks : int                      1 + d: solutions and their derivatives
+    poisson_range : (float, float)    that the model covers
 
     Returns
     -------
-    SpringResponse
+    list of SpringResponse
     """
-    # Observations of each basis vector.
-    terms = [
-        [rows.observed(part) for part in np.split(vectors, blocks)]
-        for vectors in model.basis(rows.columns)
+    projected = [_projected(model, probe, blocks) for probe in rows]
+    for degree in _DEGREES:
+        weights = [model.coefficients(nu)[0] for nu in _nodes(degree, poisson_range)]
+        series = [
+            _series(basis, [weight[:, probe.columns] for weight in weights])
+            for probe, basis in zip(rows, projected, strict=True)
+        ]
+        if all(len(each) < degree for each in series):
+            break
+    return [
+        _series_response(probe, coefficients, poisson_range)
+        for probe, coefficients in zip(rows, series, strict=True)
     ]
-    projected = np.stack(terms).transpose(1, 3, 2, 0).copy()
-    # The directions are not kept for as long as the response is.
-    weights_of = model.without_directions().coefficients
+
+
+def _projected(
+    model: SolutionModel, probe: ProbeRows, blocks: int
+) -> Float[np.ndarray, "n c rows j"]:
+    """Observations of each basis vector."""
+    terms = [
+        [probe.observed(part) for part in np.split(vectors, blocks)]
+        for vectors in model.basis(probe.columns)
+    ]
+    return np.stack(terms).transpose(1, 3, 2, 0).copy()
+
+
+def _nodes(degree: int, ends: tuple[float, float]) -> list[float]:
+    """Chebyshev points of an interval."""
+    centre, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+    return (centre + half * chebpts1(degree + 1)).tolist()
+
+
+def _series(
+    projected: Float[np.ndarray, "n c rows j"], weights: Sequence[Float[np.ndarray, "j c"]]
+) -> Float[np.ndarray, "k n rows c"]:
+    """Chebyshev coefficients of observations, as many as they need, from their values at as many
+    points as there are weights."""
+    values = np.stack([(projected @ each.T[:, :, None])[..., 0] for each in weights])
+    degree = len(weights) - 1
+    at_nodes = chebvander(chebpts1(degree + 1), degree)
+    # Orthogonal at these points.
+    transform = at_nodes.T / np.square(at_nodes).sum(axis=0)[:, None]
+    coefficients = np.tensordot(transform, values, axes=1)
+    size = np.abs(coefficients).max(axis=(1, 3))
+    needed = (size > _SERIES_ERROR * size.max(axis=0)).any(axis=1)
+    last = int(np.flatnonzero(needed).max(initial=0))
+    return coefficients[: last + 1].swapaxes(2, 3).copy()
+
+
+def _series_response(
+    probe: ProbeRows,
+    coefficients: Float[np.ndarray, "k n rows c"],
+    ends: tuple[float, float],
+) -> SpringResponse:
+    centre, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+    degree = len(coefficients) - 1
 
     @lru_cache(maxsize=1)
     def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
-        weights, _ = weights_of(poisson_ratio, rows.columns)
-        return (projected @ weights.T[:, :, None])[..., 0].transpose(0, 2, 1)
+        terms = chebvander([(poisson_ratio - centre) / half], degree)[0]
+        return np.tensordot(terms, coefficients, axes=1)
 
-    return SpringResponse(rows, lambda poisson_ratio: observed(poisson_ratio)[0], observed)
+    return SpringResponse(probe, lambda poisson_ratio: observed(poisson_ratio)[0], observed)

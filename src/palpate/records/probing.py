@@ -61,17 +61,6 @@ class PointCorrelation:
         kept = (pair >= 0).all(axis=1)
         return PointCorrelation(np.sort(pair[kept], axis=1), self.value[kept])
 
-    def scaled(self, variance_fraction: Float[np.ndarray, " n"]) -> "PointCorrelation":
-        """Correlation of the total errors, of which the correlated errors are only a part.
-
-        Parameters
-        ----------
-        variance_fraction : (n,) float [-]  fraction of each point's variance that is correlated,
-                                            0 to 1
-        """
-        root = np.sqrt(variance_fraction[self.pair].prod(axis=1))
-        return PointCorrelation(self.pair, self.value * root)
-
 
 INDEPENDENT = PointCorrelation(np.zeros((0, 2), dtype=np.int64), np.zeros(0))
 

@@ -11,7 +11,7 @@ sections 3.2 and 7.1: least-squares reduced bases, greedy choice by the residual
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -80,10 +80,6 @@ class ReducedBasis:
         """Basis vectors for some right-hand sides, one (k, c) after the other."""
         for direction in self.directions:
             yield direction[:, columns]
-
-    def without_directions(self) -> "ReducedBasis":
-        """The same for its coefficients alone."""
-        return replace(self, directions=())
 
     def _weights(
         self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice

@@ -22,7 +22,7 @@ from palpate.estimation import (
     SupportCompliance,
     full_spring_responses,
     make_spring_model,
-    reduced_spring_response,
+    reduced_spring_responses,
 )
 from palpate.pipeline.model.compliant_supports import (
     compliances,
@@ -80,7 +80,7 @@ def spring_responses(
             centred.slope, factors, model.right, springs.compliance(shear_modulus * each), changes,
             known_traction=known_traction, poisson_range=settings.poisson_range,
         )  # fmt: skip
-        return [reduced_spring_response(reduced_model, row, blocks) for row in rows]
+        return reduced_spring_responses(reduced_model, rows, blocks, settings.poisson_range)
 
     return reduced
 

@@ -19,7 +19,7 @@ from palpate.estimation import (
     SpringResponse,
     full_responses,
     make_reduced_model,
-    reduced_response,
+    reduced_responses,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh, distinct_points
 from palpate.pipeline.model import (
@@ -114,7 +114,7 @@ def session_observations_at(
         responses = full_responses(model.system, model.right, rows)
     else:
         reduced = reduced_model_of(model, settings=settings, residual=residual)
-        responses = [reduced_response(reduced, row) for row in rows]
+        responses = reduced_responses(reduced, rows, settings.poisson_range)
     return lambda modulus: _all_observations(session, model, responses, modulus)
 
 

@@ -27,7 +27,8 @@ ESTIMATE_FORMAT = "palpate-estimate/1"
 # for half a degree of freedom, with a margin.
 _QUANTILES = (1.9, 200.0)
 # As E = 2 G (1 + nu), no relative standard deviation exceeds the sum of the other two; the margin
-# is for the scatter between probings, which is estimated for each constant separately.
+# is for intervals that are not symmetric, whose standard deviation is half their width over a
+# quantile.
 _MAX_OF_SUM = 3.0
 # Relative rounding error in double precision, with a margin: an interval may be as narrow.
 _RELATIVE_ROUNDING = 1e-12
