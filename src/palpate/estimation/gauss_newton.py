@@ -26,7 +26,7 @@ _MAX_STEPS, _MAX_HALVINGS, _MAX_ROUNDS = 50, 20, 25
 _STEPS_A_ROUND = 2
 # Reach of an expansion of the model in Poisson's ratio, and the change from which it is renewed:
 # the error is of second order.
-_REACH, _RENEWED = 0.06, 1e-3
+_REACH, _RENEWED = 0.06, 3e-3
 # Change of the objective, over 1 + itself, and step over its standard error, that end a search.
 _OBJECTIVE_TOLERANCE, _STEP_OVER_ERROR = 1e-10, 1e-4
 # A search that gains so little a step has converged for all that a reader cares.
