@@ -47,6 +47,7 @@ from palpate.records import (
     STICKS,
     ProbeEstimate,
     Session,
+    Status,
     SupportEstimate,
     require_probings,
 )
@@ -69,6 +70,9 @@ _LARGEST_RATIO = 0.4999
 _LARGE_ROTATION = 5e-3
 # Further notes are details.
 _MOST_NOTES = 3
+# Depth over the radius of a contact, of which half is about the strain under it, from which the
+# error of a model of small strain is no longer small; what the tool deforms reaches so many radii.
+_FAR, _REACH = 0.1, 3.0
 # A contact that ends up this many radii beside the point that was touched first is mentioned.
 _MENTIONED = 0.05
 
@@ -135,7 +139,12 @@ def fit_session(
     stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    notes = _notes(session, resolved, result.estimate.notes, probes, finite_strain)
+    fitted = result.estimate.notes
+    if not finite_strain:
+        contradicted = result.estimate.status is Status.MODEL_CONTRADICTED
+        far = _pressed_far(graded, result.probes, contradicted)
+        fitted = (*fitted[:1], *far, *fitted[1:]) if contradicted else (*far, *fitted)
+    notes = _notes(session, resolved, fitted, probes, finite_strain)
     estimate = replace(
         result.estimate,
         probes=probes,
@@ -297,6 +306,30 @@ def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
                     " counts, turn the measured displacements back first."
                 )
     return notes
+
+
+def _pressed_far(session: Session, probes: Sequence[ProbeFit], contradicted: bool) -> list[str]:
+    """A note on the probing that strains the object most under its contact, where that is much: of
+    a patch of fixed size, or, where the model is contradicted, of any. What a ball touches grows
+    with the load and takes most of the second order with it."""
+    depths = {}
+    for probing, probe in zip(session.probings, probes, strict=True):
+        contact, size = probing.contact, float(np.linalg.norm(probing.force))
+        fixed = contact.tool is None and contact.radius is not None
+        if probe.surface is None or size == 0.0 or not (fixed or contradicted):
+            continue
+        distance = np.linalg.norm(session.mesh.vertices - contact.point, axis=1)
+        near = probe.surface[distance < _REACH * contact.reach] @ probing.force / size
+        depths[probing.name] = float(np.ptp(near)) / contact.reach if near.size else 0.0
+    deepest = max(depths, key=lambda name: depths[name], default="")
+    if depths.get(deepest, 0.0) < _FAR:
+        return []
+    note = (
+        f"In {deepest} the tool went in by {100 * depths[deepest]:.0f} % of the radius of its"
+        f" contact, far for a model of small strain, and {BIASED}: fit with --strain finite, or"
+        " press less."
+    )
+    return [note]
 
 
 def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[str]:

@@ -1,5 +1,6 @@
 """Finite strain adds what is of second order in the load; an estimate that corrects it is right."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,8 +89,13 @@ def test_an_object_pressed_far_gives_its_constants() -> None:
     young = truth.young_modulus.value
     ratio = truth.poisson_ratio.value
     assert abs(linear.poisson_ratio.value - ratio) > 0.01
+    # The patch's middle is at no vertex of the given mesh, but of the graded one.
+    depth = float(np.abs(solve_load(body, load)[:, 2]).max()) / RADIUS
+    told = re.match(r"In n the tool went in by (\d+) % of the radius", linear.notes[0])
+    assert told is not None
+    assert float(told[1]) == pytest.approx(100 * depth, rel=0.1)
     # Only where it is corrected for is it no bias.
-    assert [sum(BIASED in note for note in one.notes) for one in (linear, finite)] == [1, 0]
+    assert [sum(BIASED in note for note in one.notes) for one in (linear, finite)] == [2, 0]
     # The correction has its own elements, constants settle at 0.1 % and 0.0005, and the parameter
     # of the law takes up some of what the mesh of 4 x 4 squares leaves (0.003 of nu).
     assert finite.young_modulus.value == pytest.approx(young, rel=0.005)
