@@ -70,7 +70,7 @@ def _ratios(match, truth):
 
 @pytest.mark.parametrize("name", WARPS)
 def test_without_noise_the_motion_is_found(rest, moved, name):
-    """A cubic spline's bias on this texture stays below a thousandth, 0.003 at the worst point.
+    """The spline's bias on this texture stays below a thousandth, 0.003 at the worst point.
 
     The bent one, given by its inverse, has cubic terms too: 5e-6 px^-2 times half a window's cube.
     """
@@ -84,6 +84,22 @@ def test_without_noise_the_motion_is_found(rest, moved, name):
     # The gradient times ten pixels, half a window, is as good as the shift or four times worse.
     assert np.abs(match.gradient - _gradient(WARPS[name])).max() < 1e-3
     assert match.score.min() > 0.9999
+
+
+@pytest.mark.parametrize("sigma", [0.9, 1.3])
+def test_small_motions_through_sharp_textures_are_as_long_as_they_are(sigma):
+    """With the pictures' low-pass; interpolation by cubic splines makes them 0.6 and 0.3 % longer.
+
+    The average over 1000 points is exact to 0.03 % for the finer texture, 0.01 % for the other.
+    """
+    sharp, truth = Speckle(SHAPE, 4, sigma), np.array([0.1, -0.07])
+    first, second = (
+        make_spline_picture(sharp.image(warp), smoothing=1.0)
+        for warp in (affine(np.eye(2), (0.0, 0.0), CENTRE), affine(np.eye(2), truth, CENTRE))
+    )
+    match = refine_planar(first, second, POINTS, np.zeros_like(POINTS))
+    assert match.converged.all()
+    np.testing.assert_allclose(match.displacement.mean(axis=0), truth, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["shift", "strain", "turn"])

@@ -94,7 +94,7 @@ def remapped(
 ) -> Float[np.ndarray, "rows columns"]:
     """Resample the picture of one camera into its rectified camera.
 
-    Interpolates with the cubic spline that the refinement uses too: `cv2.remap`, which accepts the
+    Interpolates with the spline that the refinement uses too: `cv2.remap`, which accepts the
     same maps, rounds coordinates to 1/32 px, and its bicubic kernel does not reproduce a linear
     ramp.
 

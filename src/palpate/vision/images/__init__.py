@@ -32,6 +32,7 @@ from palpate.vision.images.pictures import (
 )
 from palpate.vision.images.spline import (
     PADDING as PADDING,
+    TAPS as TAPS,
     SplinePicture as SplinePicture,
     interpolate as interpolate,
     make_spline_picture as make_spline_picture,

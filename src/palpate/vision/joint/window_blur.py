@@ -21,7 +21,7 @@ class CameraInstants(NamedTuple):
     grey, laplacian : (rows, columns) float32     of the first picture
     surface : (rows, columns, 3) float32 [m]      point behind each pixel
     interior : (rows, columns) float32      > 0 where a pixel shows only one part of the surface
-    later, later_laplacian : (rows + 8, columns + 8) float32     spline coefficients
+    later, later_laplacian : (rows + 10, columns + 10) float32     spline coefficients
     """
 
     camera: np.ndarray

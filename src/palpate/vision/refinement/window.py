@@ -6,10 +6,11 @@ import numpy as np
 from numba import njit
 
 from palpate.vision.cameras import jacobian_kernel, project_kernel
+from palpate.vision.images import PADDING
 from palpate.vision.matching import load_window_kernel
 
-# Total padding of the spline coefficients, 4 px on each side [px].
-_SPLINE_MARGIN_PX = 8
+# Total padding of the spline coefficients [px].
+_SPLINE_MARGIN_PX = 2 * PADDING
 
 
 @njit(cache=True, error_model="numpy")

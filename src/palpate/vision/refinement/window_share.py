@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-from palpate.vision.images import PADDING, noise_fraction_kernel, spline_weights_kernel
+from palpate.vision.images import PADDING, TAPS, noise_fraction_kernel, spline_weights_kernel
 from palpate.vision.refinement.sampling import constants_kernel, moved_pixel_kernel
 from palpate.vision.refinement.window import surface_coordinates_kernel
 from palpate.vision.refinement.window_match import BLOCKS
@@ -172,9 +172,9 @@ def sample_share_kernel(thread, threads, camera, moved, polynomial, places, weig
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _interpolated(coefficients, column, row):
     """`sample_kernel` for one position."""
-    zero, lead = np.float32(0.0), np.float32(PADDING - 1)
-    x = min(max(column + lead, zero), np.float32(coefficients.shape[1] - 4))
-    y = min(max(row + lead, zero), np.float32(coefficients.shape[0] - 4))
+    zero, lead = np.float32(0.0), np.float32(PADDING + 1 - TAPS // 2)
+    x = min(max(column + lead, zero), np.float32(coefficients.shape[1] - TAPS))
+    y = min(max(row + lead, zero), np.float32(coefficients.shape[0] - TAPS))
     ix, iy = int(x), int(y)
     across = spline_weights_kernel(x - np.float32(ix))
     down = spline_weights_kernel(y - np.float32(iy))
@@ -183,6 +183,8 @@ def _interpolated(coefficients, column, row):
         + down[1] * _line(coefficients[iy + 1], ix, across)
         + down[2] * _line(coefficients[iy + 2], ix, across)
         + down[3] * _line(coefficients[iy + 3], ix, across)
+        + down[4] * _line(coefficients[iy + 4], ix, across)
+        + down[5] * _line(coefficients[iy + 5], ix, across)
     )
 
 
@@ -194,6 +196,8 @@ def _line(line, x, weight):
         + weight[1] * line[x + 1]
         + weight[2] * line[x + 2]
         + weight[3] * line[x + 3]
+        + weight[4] * line[x + 4]
+        + weight[5] * line[x + 5]
     )
 
 
