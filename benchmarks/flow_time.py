@@ -3,21 +3,18 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from unittest.mock import patch
 
 import numpy as np
-from numba import cuda
 
 from benchmarks.figure import FLOW, Figure
 from benchmarks.floors import interpolation_rate
 from benchmarks.machine import CORES, SHARED
 from benchmarks.options import Options
 from palpate.records import read_rig, read_session
-from palpate.vision import JointFlow, RangeFlow, is_valid, read_pictures
-from palpate.vision.cameras import pixel_sizes
-from palpate.vision.joint import flow
-from palpate.vision.joint.flow import JointState
+from palpate.vision import JointFlow, RangeFlow, read_pictures
+from palpate.vision.joint import flow, match, sharpness
 
 # A window is sampled at its start and where the iteration ends, at least.
 FEWEST_SAMPLES = 2
@@ -27,16 +24,15 @@ NAMES = ("n01", "n02", "n03", "n04")
 
 def measure(options: Options) -> list[Figure]:
     """Frames per second of 640 x 480 x 3, some two thousand points, all cores, warm."""
-    on_cpu = _followed(JointFlow())
+    found = _followed(JointFlow())
     return [
         Figure(
-            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / on_cpu.seconds,
+            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / found.seconds,
             "1/s", must=4.0, reach=10.0, higher=True,
-            note=f"{len(on_cpu.flow.point)} points in the reference camera, {on_cpu.vertices}"
+            note=f"{len(found.flow.point)} points in the reference camera, {found.vertices}"
             " vertices measured; dense start, refinement with retries, judgement and vertices; best"
-            f" of three, the first left aside; {on_cpu.parts.described()}",
+            f" of three, the first left aside; {found.parts.described()}",
         ),
-        _on_device(on_cpu),
     ]  # fmt: skip
 
 
@@ -68,34 +64,10 @@ def _followed(method: JointFlow) -> Followed:
         _, ranges = method.follow(state, pictures)
         found = method.vertices(ranges, rig, session.mesh)
         seconds.append(time.perf_counter() - begun)
-    with timed_parts(state) as (parts, timed):
-        method.follow(timed, grey[-1])
+    with timed_parts() as parts:
+        method.follow(state, grey[-1])
     measured = int(np.isfinite(found.displacement[:, 0]).sum())
     return Followed(float(np.min(seconds[1:])), parts, ranges, measured)
-
-
-def _on_device(on_cpu: Followed) -> Figure:
-    """The refinement on a CUDA device, where there is one."""
-    name = "640 x 480 x 3 cameras, joint refinement of an instant on a CUDA device"
-    limits = {"must": 30.0, "higher": True}
-    if not cuda.is_available():
-        return Figure(FLOW, name, None, "1/s", **limits, note="no CUDA device here")
-    on_device = _followed(JointFlow(device="cuda"))
-    valid = is_valid(on_cpu.flow) & is_valid(on_device.flow)
-    rig = read_rig(FOLDER / "rig.toml")
-    size = pixel_sizes(rig.cameras[rig.reference], on_cpu.flow.point[valid])
-    off = on_device.flow.displacement[valid] - on_cpu.flow.displacement[valid]
-    off = np.linalg.norm(off, axis=1) / size
-    other = int((on_device.flow.outcome != on_cpu.flow.outcome).sum())
-    return Figure(
-        FLOW, name, 1.0 / on_device.parts.refinement, "1/s", **limits,
-        note=f"{cuda.get_current_device().name}: {1e3 * on_device.parts.refinement:.1f} ms"
-        f" for {on_device.parts.calls} calls; {CORES} cores {1e3 * on_cpu.parts.refinement:.0f} ms;"
-        f" {len(valid)} points, {other} of which end otherwise; the others are off by"
-        f" {off.max():.1e} px at most, {np.median(off):.1e} px in the median; the whole instant"
-        f" {on_device.seconds:.2f} s instead of {on_cpu.seconds:.2f} s, of it the dense start"
-        f" {on_device.parts.dense_start:.2f} s",
-    )  # fmt: skip
 
 
 @dataclass
@@ -127,13 +99,13 @@ class Parts:
 
 
 @contextmanager
-def timed_parts(state: JointState) -> Iterator[tuple[Parts, JointState]]:
-    """Times the parts of the instants that follow a state while the block runs."""
-    parts, search = Parts(), flow.dense_start
+def timed_parts() -> Iterator[Parts]:
+    """Times the parts of the instants that are followed while the block runs."""
+    parts, search, refine = Parts(), flow.dense_start, match.refine_joint
 
     def refined(scene, rows, moved, start, cameras, noise, limits):
         begun = time.perf_counter()
-        found = state.refine(scene, rows, moved, start, cameras, noise, limits)
+        found = refine(scene, rows, moved, start, cameras, noise, limits)
         parts.refinement += time.perf_counter() - begun
         windows = cameras[np.isfinite(start).all(axis=(1, 2))].sum()
         parts.grey_levels += int(windows) * (2 * limits.half + 1) ** 2
@@ -146,5 +118,9 @@ def timed_parts(state: JointState) -> Iterator[tuple[Parts, JointState]]:
         parts.dense_start += time.perf_counter() - begun
         return found
 
-    with patch.object(flow, "dense_start", searched):
-        yield parts, replace(state, refine=refined)
+    with (
+        patch.object(flow, "dense_start", searched),
+        patch.object(match, "refine_joint", refined),
+        patch.object(sharpness, "refine_joint", refined),
+    ):
+        yield parts

@@ -56,7 +56,6 @@ def test_what_it_says_of_itself(wheel):
         "bags",
         "batch",
         "cad",
-        "cuda",
         "e57",
         "fem",
         "hdf5",

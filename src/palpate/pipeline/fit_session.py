@@ -139,12 +139,9 @@ def fit_session(
     stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    fitted = result.estimate.notes
+    notes = _notes(session, resolved, result.estimate.notes, probes, finite_strain)
     if not finite_strain:
-        contradicted = result.estimate.status is Status.MODEL_CONTRADICTED
-        far = _pressed_far(graded, result.probes, contradicted)
-        fitted = (*fitted[:1], *far, *fitted[1:]) if contradicted else (*far, *fitted)
-    notes = _notes(session, resolved, fitted, probes, finite_strain)
+        notes = _with_strain(notes, graded, result)
     estimate = replace(
         result.estimate,
         probes=probes,
@@ -306,6 +303,15 @@ def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
                     " counts, turn the measured displacements back first."
                 )
     return notes
+
+
+def _with_strain(notes: tuple[str, ...], session: Session, result: FitResult) -> tuple[str, ...]:
+    """Notes with one on strain that is not small: first, or after what contradicts the model."""
+    contradicted = result.estimate.status is Status.MODEL_CONTRADICTED
+    first = int(contradicted)
+    return (
+        *notes[:first], *_pressed_far(session, result.probes, contradicted), *notes[first:]
+    )  # fmt: skip
 
 
 def _pressed_far(session: Session, probes: Sequence[ProbeFit], contradicted: bool) -> list[str]:

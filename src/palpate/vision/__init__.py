@@ -57,7 +57,6 @@ from palpate.vision.range_flow import (
     measured_vertices as measured_vertices,
 )
 from palpate.vision.refinement import (
-    Device as Device,
     Scene as Scene,
     make_scene as make_scene,
 )

@@ -223,7 +223,6 @@ def test_steps_of_a_rigid_motion_are_measured_too(palpate, measured, session, tm
         (("--method", "dic"), "dic"),
         (("--pose", "mine"), "mine"),
         (("--subset", "20"), "subset is 20; must be an odd number"),
-        (("--method", "lang-pai", "--device", "cuda"), "--device: the method lang-pai runs on"),
         (("--step", "0"), "step is 0; must be 1 pixel or more"),
         (("--out", "none/result"), "cannot be written"),
     ],

@@ -19,7 +19,7 @@ from palpate.vision.images import spline_pictures
 from palpate.vision.joint.acceptance import _matching_bias, accepted_flow
 from palpate.vision.joint.match import match_scene
 from palpate.vision.range_flow import Outcome, is_valid
-from palpate.vision.refinement import Match, refine_joint
+from palpate.vision.refinement import Match
 
 NOISE = 1.5
 SHIFT = rigid((0.0, 0.0, 0.0), (1.2e-3, 6e-4, 0.0))
@@ -187,7 +187,7 @@ def test_points_that_noise_moves_by_a_tenth_of_a_pixel_have_too_little_texture()
     scene = state.scene
     later = spline_pictures(noisy_views(example_views("still"), NOISE, 2), scene.smoothing)
     still = np.zeros((len(scene.point), 6, 3))
-    match, noise = match_scene(scene, later, still, shape="affine", refine=refine_joint)
+    match, noise = match_scene(scene, later, still, shape="affine")
     flow = accepted_flow(scene, match, noise)
     good = np.flatnonzero(is_valid(flow))[:200:2]
     # The first camera looks straight down: x and y are across its axis.

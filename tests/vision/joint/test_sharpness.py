@@ -41,7 +41,7 @@ def _instants(first, later, motion=MOTION):
 def test_the_sharper_picture_is_blurred_as_the_other_is(first, later):
     rest, moved = _instants(first, later, STILL)
     state = first_instant(STAGE, rest)
-    there, pictures = equally_sharp(state.scene, moved, state.motion, state.refine)
+    there, pictures = equally_sharp(state.scene, moved, state.motion)
     # Both show the view behind 1.2 px and the usual low-pass.
     for ours, theirs, plain in zip(there.pictures, pictures, STAGE.views(), strict=True):
         wanted = cv2.GaussianBlur(plain, (0, 0), float(np.hypot(1.2, _SMOOTHING)))
@@ -56,7 +56,7 @@ def test_the_sharper_picture_is_blurred_as_the_other_is(first, later):
 def test_pictures_that_are_equally_sharp_stay_as_they_are():
     rest, moved = _instants(0.8, 0.8)
     state = first_instant(STAGE, rest)
-    there, pictures = equally_sharp(state.scene, moved, state.motion, state.refine)
+    there, pictures = equally_sharp(state.scene, moved, state.motion)
     for ours, before in zip(there.pictures, state.scene.pictures, strict=True):
         # A hundredth of a pixel is found where there is none.
         np.testing.assert_allclose(ours.grey, before.grey, atol=0.5)

@@ -4,7 +4,7 @@ Purpose    : read what a command needs, call the pipeline, print and write what 
 Takes      : arguments of the command line, already of the right types.
 Gives      : an exit code.
 Depends on : `app.terminal`, `paper`, `report`, `campaign`, `figures`, `simulation`, `pipeline`,
-             `calibration`, `scanning`, `lab`, `estimation`, `bem`, `vision`, `probe`, `records`,
+             `calibration`, `scanning`, `lab`, `estimation`, `bem`, `probe`, `records`,
              `geometry`.
 Read first : `fit.py`.
 

@@ -43,7 +43,6 @@ from palpate.records import (
     result_folder,
     session_files,
 )
-from palpate.vision import Device
 
 if TYPE_CHECKING:
     MethodName = str
@@ -64,7 +63,6 @@ def flow(
     pose: PoseChoice = "auto",
     subset: int | None = None,
     step: int | None = None,
-    device: Device | None = None,
     no_pictures: bool = False,
     force: bool = False,
 ) -> int:
@@ -94,9 +92,6 @@ def flow(
     step
         Spacing of the measured points in pixels of the reference camera. Default: the method's, 5
         for joint.
-    device
-        Where the method joint matches its windows: on the CPU (default), or on a graphics processor
-        (cuda), which needs the extra cuda; the result is the same but for rounding.
     no_pictures
         Draw no pictures.
     force
@@ -109,9 +104,7 @@ def flow(
         0, or 3 where a step failed or nothing could be measured in it.
     """
     target = out or default_folder(session, "flow")
-    if device is not None and method != "joint":
-        raise InputError(f"--device: the method {method} runs on the CPU only; leave it out")
-    requested = {"subset": subset, "step": step, "device": device}
+    requested = {"subset": subset, "step": step}
     options = {name: value for name, value in requested.items() if value is not None}
     chosen = FLOW_METHODS[method](**options)
     # The target is tried first: no one should wait for a result that cannot be kept.

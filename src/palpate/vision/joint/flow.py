@@ -28,12 +28,9 @@ from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching import BASES, Scatter, dense_start, local_field
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
 from palpate.vision.refinement import (
-    Device,
-    Refine,
     Scene,
     advanced_scene,
     make_scene,
-    refinement_on,
     scene_rows,
 )
 
@@ -62,14 +59,12 @@ class JointState:
                                         where rejected, NaN where unknown
     flow : RangeFlow or None            range flow from the first instant to the last; None at the
                                         first instant
-    refine : Refine                     refinement of windows, on the device of choice
     """
 
     scene: Scene
     grey: tuple[Float[np.ndarray, "_ _"], ...]
     motion: Float[np.ndarray, "n 6 3"]
     flow: RangeFlow | None
-    refine: Refine
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +81,6 @@ class JointFlow:
                                     where the surface stretches, rotates or bends
     smoothing : float [px]          standard deviation of the Gaussian low-pass of every picture,
                                     against the bias from aliased structure; 0: none
-    device : "cpu" or "cuda"        where the windows are matched; "cuda" needs the extra `cuda`
 
     Raises
     ------
@@ -97,7 +91,6 @@ class JointFlow:
     step: int = 5
     shape: Literal["shift", "affine", "quadratic"] = "affine"
     smoothing: float = 1.0
-    device: Device = "cpu"
 
     def __post_init__(self) -> None:
         if self.subset < 5 or self.subset % 2 == 0:
@@ -157,7 +150,7 @@ class JointFlow:
             smoothing=self.smoothing,
         )  # fmt: skip
         still = np.zeros((len(scene.point), 6, 3))
-        return JointState(scene, scene.grey, still, None, refinement_on(self.device))
+        return JointState(scene, scene.grey, still, None)
 
     def follow(
         self, state: JointState, pictures: Sequence[Float[np.ndarray, "_ _"]]
@@ -181,11 +174,11 @@ class JointFlow:
         scene, now = state.scene, tuple(pictures)
         start = _flow_start(state, now)
         unsmoothed = _unsmoothed_where_turned(scene, start)
-        flow, matched = self._flow(unsmoothed, now, start, state.refine)
+        flow, matched = self._flow(unsmoothed, now, start)
         motion = np.where(is_valid(flow)[:, None, None], matched, start)
         if state.flow is not None and (is_valid(state.flow) & ~is_valid(flow)).any():
             flow, motion = self._through_last(state, state.flow, now, start, flow, motion)
-        return JointState(scene, now, motion, flow, state.refine), flow
+        return JointState(scene, now, motion, flow), flow
 
     def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
         """Displacement of the mesh's vertices by robust local quadratics.
@@ -227,11 +220,10 @@ class JointFlow:
         scene: Scene,
         now: tuple[Float[np.ndarray, "_ _"], ...],
         start: Float[np.ndarray, "n 6 3"],
-        refine: Refine,
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
         """Range flow from a scene to later pictures, and the motion of every window."""
-        scene, later = equally_sharp(scene, now, start, refine)
-        match, noise = match_scene(scene, later, start, shape=self.shape, refine=refine)
+        scene, later = equally_sharp(scene, now, start)
+        match, noise = match_scene(scene, later, start, shape=self.shape)
         return accepted_flow(scene, match, noise), match.motion
 
     def _through_last(
@@ -253,7 +245,7 @@ class JointFlow:
         there = scene_rows(advanced_scene(scene, state.grey, earlier, followed), rows)
         ahead = np.zeros((len(rows), 6, 3))
         ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
-        further, after = self._flow(there, now, ahead, state.refine)
+        further, after = self._flow(there, now, ahead)
         half_window = scene.half_window[rows]
         whole = composed_motion(
             earlier[rows], after, scene.tangent[rows], there.tangent, half_window

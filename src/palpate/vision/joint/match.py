@@ -6,7 +6,6 @@ the motion from the neighbours, which avoids bias where the surface bends and ke
 """
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -23,7 +22,7 @@ from palpate.vision.matching import (
     sum_variance,
 )
 from palpate.vision.range_flow import Outcome
-from palpate.vision.refinement import Limits, Match, Refine, Scene
+from palpate.vision.refinement import Limits, Match, Scene, refine_joint
 
 # Rounds of second attempts: in each, the front of found points advances by a few windows.
 _RETRIES = 2
@@ -42,7 +41,6 @@ def match_scene(
     start: Float[np.ndarray, "n 6 3"],
     *,
     shape: str,
-    refine: Refine,
 ) -> tuple[Match, Float[np.ndarray, " c"]]:
     """Track all points of a scene into later pictures.
 
@@ -53,32 +51,30 @@ def match_scene(
     start : (n, 6, 3) float [m]         initial motion; NaN where there is none
     shape : "shift", "affine" or "quadratic"    shape function of the final refinement; the higher
                                         derivatives are taken from the neighbours
-    refine : Refine                     on the device of choice
 
     Returns
     -------
     match : Match
     noise : (c,) float [grey levels]    typical standard deviation of the residual in each camera
     """
-    refined = partial(_refined, refine)
     every = np.arange(len(scene.point))
     limits = Limits(scene.subset // 2)
     quick = limits._replace(iterations=_RETRY_ITERATIONS)
     noise = np.ones(len(moved))
-    match = refined(scene, every, moved, start, scene.seen, noise, limits)
+    match = _refined(scene, every, moved, start, scene.seen, noise, limits)
     noise = _noise(match)
-    match = _without_one_camera(refined, scene, every, moved, match, start, noise, quick)
+    match = _without_one_camera(scene, every, moved, match, start, noise, quick)
     for _ in range(_RETRIES):
         again, restart = _second_tries(scene, match, noise)
         if len(again) == 0:
             break
-        tried = refined(scene, again, moved, restart, scene.seen[again], noise, quick)
-        tried = _without_one_camera(refined, scene, again, moved, tried, restart, noise, quick)
+        tried = _refined(scene, again, moved, restart, scene.seen[again], noise, quick)
+        tried = _without_one_camera(scene, again, moved, tried, restart, noise, quick)
         match = _replaced(match, tried, again)
     known, inflation = _with_derivatives(scene, match)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
     final = limits._replace(bases=BASES[shape])
-    last = refined(scene, rows, moved, known[rows], match.cameras[rows], noise, final)
+    last = _refined(scene, rows, moved, known[rows], match.cameras[rows], noise, final)
     if final.bases < BASES["quadratic"]:
         last = last._replace(covariance=last.covariance * inflation[rows, None, None])
     match = _replaced(match, last, rows)
@@ -86,7 +82,6 @@ def match_scene(
 
 
 def _refined(
-    refine: Refine,
     scene: Scene,
     rows: Int[np.ndarray, " k"],
     moved: Sequence[SplinePicture],
@@ -96,7 +91,7 @@ def _refined(
     limits: Limits,
 ) -> Match:
     """The refinement, with covariances scaled by each match's own residual variance."""
-    found = refine(scene, rows, moved, start, cameras, noise, limits)
+    found = refine_joint(scene, rows, moved, start, cameras, noise, limits)
     # `noise` is that of the whole picture; a window with a larger residual is less certain.
     return found._replace(covariance=found.covariance * _excess(found, noise)[:, None, None])
 
@@ -173,7 +168,6 @@ def _fits(match: Match, noise: Float[np.ndarray, " c"]) -> Bool[np.ndarray, " n"
 
 
 def _without_one_camera(
-    refined: Refine,
     scene: Scene,
     rows: Int[np.ndarray, " n"],
     moved: Sequence[SplinePicture],
@@ -196,7 +190,7 @@ def _without_one_camera(
             continue
         cameras = all_cameras[some].copy()
         cameras[:, c] = False
-        tried = refined(scene, rows[some], moved, start[some], cameras, noise, limits)
+        tried = _refined(scene, rows[some], moved, start[some], cameras, noise, limits)
         excess = _excess(tried, noise)
         with np.errstate(invalid="ignore"):
             better = _fits(tried, noise) & (excess < best[some])

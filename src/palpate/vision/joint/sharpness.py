@@ -21,7 +21,7 @@ from palpate.vision.joint.window_blur import (
     window_variances_kernel,
 )
 from palpate.vision.range_flow import Outcome
-from palpate.vision.refinement import Limits, Match, Refine, Scene
+from palpate.vision.refinement import Limits, Match, Scene, refine_joint
 
 # Number of windows used: enough for the blur to 0.1 px, few compared with those of the flow.
 _WINDOWS = 100
@@ -38,7 +38,7 @@ Greys = Sequence[Float[np.ndarray, "_ _"]]
 
 
 def equally_sharp(
-    scene: Scene, now: Greys, start: Float[np.ndarray, "n 6 3"], refine: Refine
+    scene: Scene, now: Greys, start: Float[np.ndarray, "n 6 3"]
 ) -> tuple[Scene, tuple[SplinePicture, ...]]:
     """Prepare a scene and the later pictures for matching, equally sharp in each camera.
 
@@ -47,7 +47,6 @@ def equally_sharp(
     scene : Scene                       of n points in c cameras
     now : sequence of c (rows, columns) float [grey levels]     the later pictures, unprocessed
     start : (n, 6, 3) float [m]         initial motion; NaN where there is none
-    refine : Refine                     on the device of choice
 
     Returns
     -------
@@ -67,7 +66,7 @@ def equally_sharp(
         seen = there, later
         if scene.smoothing < _SMOOTHING:
             seen = _blurred(scene, now, variance_difference, _SMOOTHING)
-        found, error = _relative_variance(*seen, rows, start[rows], refine)
+        found, error = _relative_variance(*seen, rows, start[rows])
         sure = np.abs(found) > _SIGNIFICANT * error
         if not sure.any():
             break
@@ -102,13 +101,12 @@ def _relative_variance(
     later: Sequence[SplinePicture],
     rows: Int[np.ndarray, " k"],
     start: Float[np.ndarray, "k 6 3"],
-    refine: Refine,
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
     """Blur variance of the later pictures minus that of the first ones, and its standard error
     [px^2]; the error is infinite where too few windows are found."""
     limits = Limits(scene.subset // 2)
     noise = np.ones(len(later))
-    match = refine(scene, rows, later, start, scene.seen[rows], noise, limits)
+    match = refine_joint(scene, rows, later, start, scene.seen[rows], noise, limits)
     found, error = np.zeros(len(later)), np.full(len(later), np.inf)
     for c, picture in enumerate(later):
         each = _window_variances(scene, picture, rows, match, c)

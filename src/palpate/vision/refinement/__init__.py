@@ -1,15 +1,14 @@
 """One window of the surface matched in all cameras at once, from a start.
 
 Purpose    : the motion of points of a surface between two instants to a hundredth of a pixel, each
-             with its covariance, on the CPU or on an accelerator.
+             with its covariance.
 Takes      : a `Rig`, the pictures of its cameras at two instants, a triangle surface; starts.
-Gives      : `Scene`, an instant with its points; `Match`, their motion; `refinement_on` a device.
+Gives      : `Scene`, an instant with its points; `Match`, their motion, from `refine_joint`.
 Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `vision.range_flow`,
              `vision.small_systems`, `records`.
-Read first : `window_match.py`, then `refinement.py`; for an accelerator `cuda_kernel.py`.
+Read first : `window_match.py`, then `refinement.py`.
 """
 
-from palpate.vision.refinement.devices import Device as Device, refinement_on as refinement_on
 from palpate.vision.refinement.refinement import refine_joint as refine_joint
 from palpate.vision.refinement.scene import (
     Scene as Scene,
@@ -21,5 +20,4 @@ from palpate.vision.refinement.window_match import (
     BLOCKS as BLOCKS,
     Limits as Limits,
     Match as Match,
-    Refine as Refine,
 )

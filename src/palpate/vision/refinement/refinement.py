@@ -77,13 +77,18 @@ def refine_joint(
     cameras: Bool[np.ndarray, "n c"],
     noise: Float[np.ndarray, " c"],
     limits: Limits,
-    /,
 ) -> Match:
-    """Refine the motion of surface points between two instants; a `Refine`.
+    """Refine the motion of some points of a scene.
 
     Parameters
     ----------
-    scene, rows, moved, start, cameras, noise, limits   as in `Refine`
+    scene : Scene                       the first instant
+    rows : (n,) int                     indices of the points to track
+    moved : sequence of c SplinePicture     the later instant
+    start : (n, 6, 3) float [m]         initial motion, as in `Match`; points with NaN are skipped
+    cameras : (n, c) bool               cameras to use for each point
+    noise : (c,) float [grey levels]    residual standard deviation, which weights the cameras
+    limits : Limits
 
     Returns
     -------

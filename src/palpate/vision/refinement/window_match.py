@@ -1,13 +1,12 @@
-"""What a refinement takes and gives, on any device."""
+"""What a refinement takes and gives."""
 
 from collections import namedtuple
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.vision.images import SplinePicture
 from palpate.vision.range_flow import Outcome
 from palpate.vision.refinement.scene import Scene
 
@@ -80,40 +79,6 @@ class Match(NamedTuple):
     variance_ratio: Float[np.ndarray, " n"]
     cameras: Bool[np.ndarray, "n c"]
     outcome: Int[np.ndarray, " n"]
-
-
-@runtime_checkable
-class Refine(Protocol):
-    """Refinement of the motion of surface points between two instants."""
-
-    def __call__(
-        self,
-        scene: Scene,
-        rows: Int[np.ndarray, " n"],
-        moved: Sequence[SplinePicture],
-        start: Float[np.ndarray, "n 6 3"],
-        cameras: Bool[np.ndarray, "n c"],
-        noise: Float[np.ndarray, " c"],
-        limits: Limits,
-        /,
-    ) -> Match:
-        """Refine the motion of some points of a scene.
-
-        Parameters
-        ----------
-        scene : Scene                       the first instant
-        rows : (n,) int                     indices of the points to track
-        moved : sequence of c SplinePicture     the later instant
-        start : (n, 6, 3) float [m]         initial motion, as in `Match`; points with NaN are
-                                            skipped
-        cameras : (n, c) bool               cameras to use for each point
-        noise : (c,) float [grey levels]    residual standard deviation, which weights the cameras
-        limits : Limits
-
-        Returns
-        -------
-        Match
-        """
 
 
 def first_instant(scene: Scene) -> FirstInstant:
