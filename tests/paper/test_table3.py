@@ -1,8 +1,8 @@
 """Table 3 of the paper from pictures and forces to constants: three of its seventeen probings.
 
-Smaller pictures, as `palpate reproduce --quick` takes them, against what the fit itself claims; whole
-ones by the paper's own method, against what the paper had. All probings in whole pictures, twenty
-times over, are in `benchmarks/table3_repeats.py`.
+Smaller pictures, as `palpate reproduce --quick` takes them, against what the fit itself claims;
+whole ones by the paper's own method, against what the paper had. All probings in whole pictures,
+twenty times over, are in `benchmarks/table3_repeats.py`.
 """
 
 from dataclasses import replace

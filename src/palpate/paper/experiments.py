@@ -239,7 +239,8 @@ def _table3(measured: Measured, _work: Workplace) -> PaperResult:
         " sight by a millimetre, as far as the paper's method can follow in one step: it rounds"
         " every step to whole pixels, and takes less than half a pixel for none. The paper's error"
         " of E is against its compression test, the others are against the truth. The cylinder of"
-        " the compression test sticks to its lower plate, so that it says a little too much.",
+        " the compression test sticks to its lower plate, so that it says a little too much. No"
+        " interval is stated where the data contradict the model.",
         constants_summary(found, truth, compressed_modulus(truth)),
         tuple(constants_table(each, f"Table 3, {method}") for method, each in found.items()),
         {
