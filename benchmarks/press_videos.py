@@ -34,6 +34,8 @@ from palpate.records import Rig, write_rig, write_text
 FILM = Film(presses=10)
 # Finite elements away from the tip [m]: both sessions that are compared rest on the same ones.
 _ELEMENT = 0.008
+# Of every press [N]; those of table 3 are deeper than a recording needs.
+_FORCE = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +78,7 @@ def make_recording(
         config,
         head=replace(config.head, columns=columns, rows=rows),
         specimen=replace(config.specimen, element=_ELEMENT),
+        probes=tuple(replace(probe, force=_FORCE) for probe in config.probes),
     )
     rig = make_head(config.head, config.specimen.mesh)
     presses = [kept_press(config, k, shared / f"press_{k:02d}.pickle") for k in range(FILM.presses)]

@@ -66,6 +66,16 @@ def test_the_summary_is_against_the_truth(found):
     assert (_row(far, 1)["nu in 95 %"], _row(far, 1)["E in 95 %"]) == ("no", "no")
 
 
+def test_where_no_interval_is_stated_none_is_said_to_miss_the_truth(found):
+    estimate = found.result.estimate
+    without = replace(estimate.poisson_ratio, ci95=(np.nan, np.nan))
+    contradicted = replace(found.result, estimate=replace(estimate, poisson_ratio=without))
+    table = constants_summary(
+        {"lang-pai": replace(found, result=contradicted)}, Material(YOUNG, NU), COMPRESSED
+    )
+    assert (_row(table, 1)["nu in 95 %"], _row(table, 1)["E in 95 %"]) == (None, "yes")
+
+
 def test_the_table_has_every_probing_and_all_of_them(found):
     table = constants_table(found, "a title")
     assert [row[0] for row in table.rows] == ["n01", "n02", "all"]

@@ -24,7 +24,6 @@ _ELEMENT = 0.005
 _KPA = 1e-3
 # Constants by their symbols in tables.
 CONSTANTS = {"nu": "poisson_ratio", "G": "shear_modulus", "E": "young_modulus"}
-_YES_NO = {True: "yes", False: "no"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +138,8 @@ def constants_summary(
 
     Returns
     -------
-    ResultTable                     the paper's row first; errors of E in per cent
+    ResultTable                     the paper's row first; errors of E in per cent; whether an
+                                    interval covers the truth is None where none is stated
     """
     published = np.array([(row.poisson_ratio, row.shear_modulus) for row in PAPER_PROBES])
     error = PAPER_ALL_PROBES.young_modulus / PAPER_COMPRESSION_MODULUS - 1.0
@@ -150,10 +150,11 @@ def constants_summary(
         estimate = constants.result.estimate
         single = np.array([(p.poisson_ratio.value, p.shear_modulus.value) for p in estimate.probes])
         ((nu_error, _, young_error),) = constant_errors([estimate], truth)
-        ((nu_held, _, young_held),) = intervals_hold([estimate], truth)
+        ((nu_held, _, young_held),) = intervals_hold([estimate], truth).tolist()
         rows.append(
             (method, *_spread(single), estimate.poisson_ratio.value, float(nu_error),
-             float(100 * young_error), _YES_NO[bool(nu_held)], _YES_NO[bool(young_held)])
+             float(100 * young_error), _yes_or_no(estimate.poisson_ratio, nu_held),
+             _yes_or_no(estimate.young_modulus, young_held))
         )  # fmt: skip
     title = (
         f"Table 3: truth nu {truth.poisson_ratio:g}, E {_KPA * truth.young_modulus:g} kPa;"
@@ -234,6 +235,11 @@ def _value_and_ends(
     """Value and ends of the interval of a constant, times a factor."""
     constant: Constant = getattr(estimate, CONSTANTS[symbol])
     return tuple(factor * value for value in (constant.value, *constant.ci95))
+
+
+def _yes_or_no(constant: Constant, held: bool) -> Cell:
+    """Whether a constant's interval holds the truth; None where a contradicted model has none."""
+    return ("yes" if held else "no") if np.isfinite(constant.ci95).all() else None
 
 
 def _spread(single: Float[np.ndarray, "k 2"]) -> tuple[Cell, ...]:

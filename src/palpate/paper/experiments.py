@@ -235,9 +235,12 @@ def _table3(measured: Measured, _work: Workplace) -> PaperResult:
     truth = true_material(ball.session)
     return PaperResult(
         "Table 3: elastic constants of a half ball",
-        "Each probing alone, and all together, from pictures and forces. The paper's error of E is"
-        " against its compression test, the others are against the truth. The cylinder of the"
-        " compression test sticks to its lower plate, so that it says a little too much.",
+        "Each probing alone, and all together, from pictures and forces. A push moves what is in"
+        " sight by a millimetre, as far as the paper's method can follow in one step: it rounds"
+        " every step to whole pixels, and takes less than half a pixel for none. The paper's error"
+        " of E is against its compression test, the others are against the truth. The cylinder of"
+        " the compression test sticks to its lower plate, so that it says a little too much. No"
+        " interval is stated where the data contradict the model.",
         constants_summary(found, truth, compressed_modulus(truth)),
         tuple(constants_table(each, f"Table 3, {method}") for method, each in found.items()),
         {
