@@ -41,7 +41,7 @@ def test_matches_are_as_good_as_they_claim():
     # Windows of 21 px at 5 px: some twelve independent ones with two coordinates each, and a bias
     # of 0.005 px that the covariance does not hold.
     assert 0.6 < np.sqrt(np.mean(whitened**2)) < 1.5
-    # 7 % of noise in windows of 21 px with six coefficients; measured 0.027. A weak window among the
+    # 7 % of noise in windows of 21 px with six coefficients; measured 0.027. A weak window of the
     # 192 may end half a pixel off, in another minimum, which its neighbours will not confirm.
     length = np.linalg.norm(error, axis=1)
     usual = error[length <= np.quantile(length, 0.99)]
