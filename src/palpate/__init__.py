@@ -38,7 +38,6 @@ if TYPE_CHECKING:
         read_estimate as read_estimate,
         read_rig as read_rig,
         read_session as read_session,
-        verify_result as verify_result,
     )
 
 __version__ = "0.1.0"
@@ -47,7 +46,7 @@ __version__ = "0.1.0"
 _ROOMS = {
     "palpate.records": (
         "read_session", "Session", "Probing", "Contact", "DisplacementField", "Estimate",
-        "Constant", "Status", "Rig", "read_estimate", "read_rig", "verify_result",
+        "Constant", "Status", "Rig", "read_estimate", "read_rig",
     ),
     "palpate.api": ("fit", "Result"),
     "palpate.geometry": ("TriangleMesh", "read_mesh", "write_mesh"),

@@ -32,6 +32,7 @@ from palpate.progress import Progress, silent
 from palpate.records import (
     FORCE_UNITS,
     LENGTH_UNITS,
+    REPORT_FILE,
     Constant,
     Estimate,
     Quantity,
@@ -45,7 +46,7 @@ from palpate.records import (
     session_files,
     verdict_text,
 )
-from palpate.report import REPORT_FILE, write_report, write_result_files
+from palpate.report import write_report, write_result_files
 from palpate.simulation import FORMATS, FitSource, export_fit
 
 _LABELS = {

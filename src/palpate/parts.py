@@ -17,7 +17,7 @@ import numpy as np
 import palpate
 from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import InUseError, RecordError
-from palpate.files import checked_file, read_bytes
+from palpate.files import checked_file
 
 T = TypeVar("T")
 # Name of a part's file: a digest.
@@ -103,26 +103,6 @@ class Parts:
 
     def _file(self, folder: Path, name: str) -> Path:
         return folder / content_digest((self.key, name))
-
-
-def is_intact_part(path: Path) -> bool:
-    """Whether a file is an intact stored part, i.e. its content matches its checksum.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-
-    Raises
-    ------
-    RecordError                     not readable
-    """
-    read_bytes(path, 0)
-    with path.open("rb") as file:
-        return _is_intact(file)
 
 
 def content_digest(value: Any) -> str:

@@ -292,7 +292,6 @@ def _report(here):
 
 def _results(here):
     _written(here, "my_session", "n01").save(here / "my_session-result")
-    yield
     os.chdir(here / "my_session-result")
     yield
     os.chdir(here)

@@ -9,7 +9,6 @@ from typing import Any
 
 from faults.kind import Kind, replaced, written
 
-from palpate.parts import Parts
 from palpate.records import CONSTANT_NAMES
 
 FIT = ("fit", "cube", "--out", "result")
@@ -91,18 +90,6 @@ def _estimate(name: str, damage: Callable[[Path], object], *says: str) -> Kind:
 
 def _refused(name: str, damage: Callable[[Path], object], command: tuple, *says: str) -> Kind:
     return Kind(name, damage, command, says, example="results")
-
-
-def _part(content: bytes) -> Callable[[Path], object]:
-    """Damage: a finished part of an interrupted run lies beside the result, and has other bytes."""
-
-    def damage(folder: Path) -> None:
-        parts = folder / ".result.parts"
-        Parts(parts, "key").load_or_make("a part", lambda: 1)
-        (whole,) = parts.iterdir()
-        whole.write_bytes(whole.read_bytes() + content)
-
-    return damage
 
 
 _FIT_KINDS = [
@@ -265,31 +252,4 @@ _ESTIMATE_KINDS = [
     _estimate("bytes that are no text", written("result/estimate.json", b"\xff\xfe"), "UTF-8"),
 ]  # fmt: skip
 
-_VERIFY_KINDS = [
-    Kind(f"verify: {name}", damage, ("verify", "result"), says, example="results", code=3)
-    for name, damage, says in (
-        ("an edited file", written("result/table.csv", "2\n"), ("table.csv (changed)",)),
-        ("a file more", written("result/more.csv", "2\n"), ("more.csv (not listed)",)),
-        ("a file less", _gone("result/table.csv"), ("table.csv (missing)",)),
-        ("a changed input", replaced("cube/session.toml", "-1.2", "-1.3"),
-         ("../cube/session.toml (changed)",)),
-        ("a missing input", _gone("cube/n01.csv"), ("../cube/n01.csv (missing)",)),
-        ("a damaged part of an interrupted run", _part(b"x"), (".result.parts/", "(changed)")),
-        ("an edited list of inputs", written("result/inputs.txt", ""), ("inputs.txt (changed)",)),
-    )
-] + [
-    _refused("verify: a folder of the user's", _nothing, ("verify", "cube"), "cube: is no result"),
-    _refused("verify: a file of the user's", _nothing, ("verify", "record.csv"), "is no result"),
-    _refused("verify: nothing there", _nothing, ("verify", "none"), "none: cannot be read"),
-    _refused("verify: only parts of an interrupted run",
-             lambda f: (_part(b"")(f), shutil.rmtree(f / "result")), ("verify", "result"),
-             "an interrupted run left 1 finished parts", ".result.parts"),
-    _refused("verify: an earlier version", written("result/contents.txt", "palpate result folder"),
-             ("verify", "result"), "is no result", "earlier versions"),
-    Kind("verify: an edited file of compression", replaced("young.json", "1.0", "2.0"),
-         ("verify", "young.json"), ("young.json (changed)",), example="results", code=3),
-    Kind("verify: a changed record", written("record.csv", "1,2\n"),
-         ("verify", "young.json"), ("record.csv (changed)",), example="results", code=3),
-]  # fmt: skip
-
-KINDS = [*_FIT_KINDS, *_COMPRESSION_KINDS, *_ESTIMATE_KINDS, *_VERIFY_KINDS]
+KINDS = [*_FIT_KINDS, *_COMPRESSION_KINDS, *_ESTIMATE_KINDS]

@@ -32,7 +32,7 @@ def _tree(folder: Path) -> dict[str, bytes]:
         ("cube/mesh.ply", ("check", "cube")),
         ("cube/n01.csv", ("fit", "cube", "--out", "made")),
         ("rig.toml", ("check", "pictured")),
-        ("result/estimate.json", ("verify", "result")),
+        ("result/estimate.json", ("report", "result", "--out", "made.html")),
         ("cube", ("check", "cube")),
         ("list.txt", ("campaign", "run", "list.txt", "--out", "made")),
     ],

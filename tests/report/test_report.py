@@ -14,8 +14,8 @@ from estimate_samples import constants, sample_result
 from palpate.api import Result
 from palpate.errors import RecordError
 from palpate.pipeline import read_fitted_surface
-from palpate.records import Status, read_session
-from palpate.report import checked_result, write_report
+from palpate.records import Status, check_fit_result, read_session
+from palpate.report import write_report
 from palpate.report.scene import scene
 
 
@@ -207,7 +207,7 @@ def test_many_large_probings_stay_below_five_megabytes(saved):
 def test_a_result_that_is_not_whole_is_refused(saved, spoil, message):
     spoil(saved)
     with pytest.raises(RecordError, match=message):
-        checked_result(saved)
+        check_fit_result(saved)
 
 
 def test_a_damaged_surface_is_one_message(saved, tmp_path):

@@ -294,20 +294,20 @@ def test_results_of_other_versions_half_copied_or_without_session_are_refused(tm
     contents = result / "contents.txt"
     whole = contents.read_text()
     contents.write_text(whole.replace("palpate-result/1", "palpate-result/9"))
-    with pytest.raises(RecordError, match="is no result that can be verified"):
+    with pytest.raises(RecordError, match="is no result of this version"):
         read_fit(result)
     contents.write_text(whole)
     estimate = (result / "estimate.json").read_bytes()
     (result / "estimate.json").write_bytes(estimate[:100])
-    with pytest.raises(RecordError, match=r"not as it was written: estimate\.json \(changed\)"):
+    with pytest.raises(RecordError, match=r"not as it was written \(estimate\.json: changed\)"):
         read_fit(result)
     (result / "estimate.json").unlink()
-    with pytest.raises(RecordError, match=r"estimate\.json \(missing\)"):
+    with pytest.raises(RecordError, match=r"estimate\.json: missing"):
         read_fit(result)
     (result / "estimate.json").write_bytes(estimate)
     (tmp_path / "cube").rename(tmp_path / "elsewhere")
     with pytest.raises(RecordError, match=r"not where it was; say where it is now with --session"):
         read_fit(result)
     assert read_fit(result, tmp_path / "elsewhere").session.name == "a [bold] cube"
-    with pytest.raises(RecordError, match="is no folder"):
+    with pytest.raises(RecordError, match="is no result of this version"):
         read_fit(result / "estimate.json")

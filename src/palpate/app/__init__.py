@@ -1,7 +1,7 @@
 """The command line: thin, no numerics.
 
 Purpose    : the commands `palpate fit`, `check`, `flow`, `import`, `poke`, `compression`, `lab`,
-             `calibrate`, `mesh`, `scan`, `record`, `init`, `view`, `export`, `report`, `verify`,
+             `calibrate`, `mesh`, `scan`, `record`, `init`, `view`, `export`, `report`,
              `completion`, `compile`, `campaign` and `reproduce`.
 Takes      : arguments of a shell.
 Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok, 70 an

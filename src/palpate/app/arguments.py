@@ -73,10 +73,6 @@ _COMMANDS = {
         "use.export:export",
         "Write an estimated object for a simulator: MuJoCo, CalculiX, FEBio, SOFA, OpenUSD, ...",
     ),
-    "verify": (
-        "outcome.verify:verify",
-        "Say whether a result is as it was written, and made from what is there now.",
-    ),
     "compile": (
         "compile:compile_kernels",
         "Compile the kernels of the flow and the fit for this machine, once after installing.",

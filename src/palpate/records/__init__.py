@@ -49,6 +49,8 @@ from palpate.records.files.estimate import (
 from palpate.records.files.import_pose import read_import_pose as read_import_pose
 from palpate.records.files.results import (
     INPUTS_FILE as INPUTS_FILE,
+    REPORT_FILE as REPORT_FILE,
+    check_fit_result as check_fit_result,
     check_free as check_free,
     default_folder as default_folder,
     disk_errors as disk_errors,
@@ -88,7 +90,6 @@ from palpate.records.files.support import (
     read_support as read_support,
     read_supports as read_supports,
 )
-from palpate.records.files.verification import verify_result as verify_result
 from palpate.records.measured_points import (
     ImportedField as ImportedField,
     MeasuredPoints as MeasuredPoints,

@@ -9,8 +9,6 @@ Read first : `report.py`, then `scene.py` and `templates/page.html`.
 """
 
 from palpate.report.report import (
-    REPORT_FILE as REPORT_FILE,
-    checked_result as checked_result,
     write_report as write_report,
     write_result_files as write_result_files,
 )

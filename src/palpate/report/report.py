@@ -14,7 +14,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from palpate.disk import write_bytes
-from palpate.errors import RecordError
 from palpate.estimation import FitResult
 from palpate.figures import write_plots
 from palpate.files import read_bytes
@@ -28,7 +27,6 @@ from palpate.records import (
     Estimate,
     Session,
     file_stems,
-    folder_changes,
     read_estimate,
     read_text,
     write_estimate,
@@ -48,7 +46,6 @@ from palpate.report.content import (
 )
 from palpate.report.scene import scene
 
-REPORT_FILE = "report.html"
 _TEMPLATES = resources.files("palpate.report") / "templates"
 # Figures that a report shows, with their captions.
 _DRAWINGS = {
@@ -179,27 +176,3 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     estimate = replace(result.estimate, seconds=seconds)
     write_estimate(folder / "estimate.json", estimate)
     return estimate
-
-
-def checked_result(folder: Path) -> None:
-    """Refuse a folder that is not an unchanged result of `palpate fit`.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Raises
-    ------
-    RecordError                     it is something else, was changed, or was copied incompletely
-    """
-    kind, changed, _ = folder_changes(folder)
-    if kind != "fit":
-        what = f"a result of `palpate {kind}`" if kind else "no result of this version of Palpate"
-        raise RecordError(f"{folder}: is {what}; a report needs one of `palpate fit`")
-    wrong = {name: how for name, how in changed.items() if name != REPORT_FILE}
-    if wrong:
-        name, how = next(iter(wrong.items()))
-        raise RecordError(
-            f"{folder}: is not as it was written ({name}: {how}), perhaps half copied; copy it"
-            " again, or fit the session again"
-        )

@@ -11,14 +11,15 @@ from palpate.records import (
     Estimate,
     Session,
     Status,
+    check_fit_result,
     constant_row,
     file_sums,
     json_text,
     read_estimate,
     read_session,
+    read_text,
     session_files,
     sums_in,
-    verify_result,
     write_text,
 )
 from palpate.simulation.formats import FORMATS
@@ -70,20 +71,9 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
     RecordError                     no result, of another version, changed, or copied incompletely;
                                     its session does not exist any more
     """
-    if not result.is_dir():
-        raise RecordError(f"{result}: is no folder; give the result folder of `palpate fit`")
-    findings = verify_result(result)
-    wrong = [one for one in findings if one.role == "result" and not one.is_unchanged]
-    if wrong:
-        shown = ", ".join(f"{one.file} ({one.state})" for one in wrong[:3])
-        raise RecordError(
-            f"{result}: is not as it was written: {shown}; copy the whole folder again, or run"
-            " `palpate fit` again"
-        )
+    check_fit_result(result)
     file = result / "estimate.json"
-    if not file.is_file():
-        raise RecordError(f"{result}: is no result of `palpate fit`: it has no estimate.json")
-    place = session or _session_of(result, [one.file for one in findings if one.role == "input"])
+    place = session or _session_of(result, list(sums_in(result / INPUTS_FILE)))
     return FitSource(read_session(place), read_estimate(file), (file,), _changes(result, place))
 
 
@@ -106,10 +96,9 @@ def _changes(result: Path, place: Path) -> tuple[str, ...]:
 def _session_of(result: Path, inputs: list[str]) -> Path:
     """The session file among the inputs of a result."""
     for name in inputs:
-        if name.endswith(".toml") and (result / name).is_file():
-            text = (result / name).read_text(encoding="utf-8", errors="replace")
-            if "palpate-session/" in text:
-                return result / name
+        file = result / name
+        if file.suffix == ".toml" and file.is_file() and "palpate-session/" in read_text(file):
+            return file
     raise RecordError(
         f"{result}: the session that it was made from is not where it was; say where it is now"
         " with --session"

@@ -9,13 +9,13 @@ import pytest
 
 from palpate.errors import InputError, RecordError
 from palpate.records import (
+    folder_changes,
     parts_folder,
     record_inputs,
     result_file,
     result_folder,
     sealed,
     session_files,
-    verify_result,
     write_text,
 )
 from palpate.records.files import results
@@ -257,40 +257,29 @@ def test_a_sealed_file_is_replaced_and_nothing_else(tmp_path, capsys):
         _sealed(tmp_path / "folder", force=True)
 
 
-def _states(found):
-    return {finding.file: finding.state for finding in found if not finding.is_unchanged}
-
-
 def test_changes_of_results_and_inputs_are_found(tmp_path):
+    """As `sha256sum -c` tells them, too."""
     (tmp_path / "one.csv").write_text("1")
     (tmp_path / "two.csv").write_text("2")
     with result_folder(tmp_path / "result", kind="fit") as folder:
         record_inputs(folder, [tmp_path / "one.csv", tmp_path / "two.csv"])
         (folder / "kept").write_text("1")
         (folder / "edited").write_text("1")
-    _sealed(tmp_path / "a.json", inputs=[tmp_path / "one.csv"])
-    for result, count in (("result", 5), ("a.json", 2)):
-        found = verify_result(tmp_path / result)
-        assert (len(found), _states(found)) == (count, {})
+    result = tmp_path / "result"
+    assert folder_changes(result)[1] == {}
+    check = ["sha256sum", "--check", "--quiet", "contents.txt", "inputs.txt"]
+    assert subprocess.run(check, cwd=result, capture_output=True, check=False).returncode == 0
     (tmp_path / "one.csv").write_text("3")
-    (tmp_path / "two.csv").unlink()
-    (tmp_path / "result" / "edited").write_text("2")
-    assert _states(verify_result(tmp_path / "result")) == {
-        "edited": "changed", "../one.csv": "changed", "../two.csv": "missing"
+    (result / "edited").write_text("2")
+    (result / "more").write_text("2")
+    (result / "kept").unlink()
+    assert folder_changes(result)[1] == {
+        "edited": "changed", "kept": "missing", "more": "not listed"
     }  # fmt: skip
-    assert _states(verify_result(tmp_path / "a.json")) == {"one.csv": "changed"}
-    text = (tmp_path / "a.json").read_text()
-    (tmp_path / "a.json").write_text(text.replace("1.5", "9.5"))
-    assert _states(verify_result(tmp_path / "a.json")) == {"a.json": "changed"}
-    for strange in (tmp_path, tmp_path / "one.csv"):
-        with pytest.raises(RecordError, match="is no result that can be verified"):
-            verify_result(strange)
-
-
-def test_an_estimate_that_contradicts_itself_is_found(tmp_path):
-    _make(tmp_path / "result", **{"estimate.json": '{"format": "palpate-estimate/1"}'})
-    (wrong,) = _states(verify_result(tmp_path / "result")).items()
-    assert wrong == ("estimate.json", "the key 'identifiable' is missing")
+    told = subprocess.run(check, cwd=result, capture_output=True, text=True, check=False)
+    assert told.returncode == 1
+    for name in ("edited", "kept", "../one.csv"):
+        assert f"{name}: FAILED" in told.stdout
 
 
 def test_files_of_a_session(tmp_path):

@@ -33,6 +33,7 @@ from palpate.pipeline import (
 )
 from palpate.progress import Progress, part_of
 from palpate.records import (
+    REPORT_FILE,
     Estimate,
     Session,
     Status,
@@ -45,7 +46,7 @@ from palpate.records import (
     session_files,
     write_text,
 )
-from palpate.report import REPORT_FILE, write_report, write_result_files
+from palpate.report import write_report, write_result_files
 
 # Fractions of the work that are done when the fit and when the drawing begin.
 _FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.9

@@ -29,6 +29,8 @@ CONTENTS_FILE, INPUTS_FILE = "contents.txt", "inputs.txt"
 RESULT_FORMAT = "palpate-result/1"
 _EARLIER_MARK = "palpate result folder; files:"
 SEAL_NAME = "sha256"
+# The one file of a fit that may be made again.
+REPORT_FILE = "report.html"
 # Finished parts are kept after an interruption if the work took at least this long [s].
 _MIN_SECONDS_TO_KEEP = 60.0
 # Errors of a full, read-only or failing file system.
@@ -88,7 +90,7 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
     ):
         yield new
         sums = file_sums((path for path in new.rglob("*") if path.is_file()), start=new)
-        head = f"# {RESULT_FORMAT} {kind}; `palpate verify` and `sha256sum -c` check it\n"
+        head = f"# {RESULT_FORMAT} {kind}; `sha256sum -c` checks it\n"
         write_text(new / CONTENTS_FILE, head + sums_text(sums))
     shutil.rmtree(parts_folder(new), ignore_errors=True)
 
@@ -137,7 +139,7 @@ def target_parts_folder(target: Path) -> Path:
 
 
 def record_inputs(folder: Path, files: Iterable[Path]) -> None:
-    """Record the checksums of a result's input files, so that `palpate verify` can detect changes.
+    """Record the checksums of a result's input files, so that changes can be told.
 
     Parameters
     ----------
@@ -269,6 +271,30 @@ def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
         present = {path.relative_to(folder).as_posix() for path in _all_files(folder)}
         unlisted = sorted(present - {*sums, CONTENTS_FILE})
         return kind, changes(folder, sums) | dict.fromkeys(unlisted, NOT_LISTED), sums
+
+
+def check_fit_result(folder: Path) -> None:
+    """Refuse a folder that is not an unchanged result of `palpate fit`; its report may be another.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Raises
+    ------
+    RecordError                     it is something else, was changed, or was copied incompletely
+    """
+    kind, changed, _ = folder_changes(folder)
+    if kind != "fit":
+        what = f"a result of `palpate {kind}`" if kind else "no result of this version of Palpate"
+        raise RecordError(f"{folder}: is {what}; give one of `palpate fit`")
+    wrong = {name: how for name, how in changed.items() if name != REPORT_FILE}
+    if wrong:
+        name, how = next(iter(wrong.items()))
+        raise RecordError(
+            f"{folder}: is not as it was written ({name}: {how}), perhaps half copied; copy it"
+            " again, or fit the session again"
+        )
 
 
 @contextmanager

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from palpate.app.terminal import print_text
-from palpate.records import check_free, disk_errors
-from palpate.report import REPORT_FILE, checked_result, write_report
+from palpate.records import REPORT_FILE, check_fit_result, check_free, disk_errors
+from palpate.report import write_report
 
 
 def report(
@@ -33,7 +33,7 @@ def report(
     int
         0.
     """
-    checked_result(result)
+    check_fit_result(result)
     target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
     check_free(target, force=force)
     with disk_errors(target):
