@@ -19,6 +19,7 @@ from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.normal_equations import covariance, own_covariances
 from palpate.estimation.posterior import (
     POINTS,
+    Profile,
     directions,
     interval_set,
     posterior_of,
@@ -107,6 +108,14 @@ def test_the_profile_is_a_search_with_the_constants_held() -> None:
         found = profile.deviance(np.array([modulus]))[at, 0]
         # Effects of errors are those at the minimum, whose own change is left out.
         assert found == pytest.approx(held.value - minimum.value, rel=0.15, abs=0.02)
+
+
+def test_a_modulus_is_never_negative() -> None:
+    """Where displacements point against the load, the best is no displacement at all."""
+    a, b, c = np.array([[2.0, 2.0], [-1.0, -5.0], [9.0, 9.0]])
+    profile = Profile(np.array([0.1, 0.2]), a, b, c, 1e4)
+    # At z = b / a, and at z = -1, where G is infinite.
+    np.testing.assert_allclose(profile.lowest, [9.0 - 0.5, 2.0 - 10.0 + 9.0])
 
 
 def test_intervals_are_those_of_a_normal_distribution_where_all_is_linear() -> None:

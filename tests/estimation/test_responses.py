@@ -21,6 +21,7 @@ from palpate.estimation import (
     PointRows,
     ProbeRows,
     ReducedModel,
+    SpringResponse,
     full_responses,
     make_reduced_model,
     reduced_responses,
@@ -131,6 +132,18 @@ def test_a_response_does_not_hold_the_directions(setting):
     del model
     assert _models_with_directions() == before
     assert np.isfinite(response.value(0.2)).all()
+
+
+def test_the_derivative_by_the_compliance_of_a_support():
+    """The response is linear in the solutions, and they in the compliance, where no support is
+    pulled."""
+    rng = np.random.default_rng(2)
+    rows = ProbeRows(np.arange(3), csr_array(rng.normal(size=(6, 8))), np.zeros(6), None)
+    blocks = np.stack([rows.observed(rng.normal(size=(8, 3))) for _ in range(3)])
+    response = SpringResponse(rows, lambda _: blocks[0], lambda _: blocks)
+    for support in range(2):
+        found = response.compliance_derivative(0.3, support)
+        np.testing.assert_allclose(found[:, :3], blocks[1 + support, :6], rtol=1e-9)
 
 
 def test_without_gravity_the_last_column_is_zero(setting):
