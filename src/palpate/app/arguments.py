@@ -24,18 +24,21 @@ _COMMANDS = {
         "fit:fit",
         "Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
     ),
-    "check": ("check:check", "Say everything about a session that can be said without solving."),
+    "check": (
+        "check:check",
+        "Check a session without fitting it: files, units, forces, contacts, pictures.",
+    ),
     "flow": (
         "flow:flow",
         "Measure how the surface moved, from the pictures of calibrated cameras.",
     ),
     "import": (
         "import_results:import_displacements",
-        "Take displacements measured by another program into a session.",
+        "Import displacements from another program into a session.",
     ),
     "poke": (
         "poke:poke",
-        "Press a tool on a session's object: how far it gives way, and where it strains.",
+        "Press a tool on a session's object: how deep it goes, and where it strains.",
     ),
     "compression": (
         "compression:compression",
@@ -43,31 +46,31 @@ _COMMANDS = {
     ),
     "mesh": (
         "surface:mesh",
-        "Make a closed surface with even triangles of any surface: mended, remeshed, compared.",
+        "Repair and remesh a surface: closed, with even triangles, compared with the original.",
     ),
     "scan": (
         "surface:scan",
-        "Make the mesh of an object of what scanners and cameras saw of it from their viewpoints.",
+        "Build an object's mesh from scans or depth maps taken from several viewpoints.",
     ),
     "record": (
         "sessions.record:record",
-        "Make a session from videos of presses and the log of a force gauge.",
+        "Build a session from videos of presses and a force gauge's log.",
     ),
     "init": (
         "sessions.init:init",
-        "Write a commented session.toml with what is found in a folder.",
+        "Write a commented session.toml from the files in a folder.",
     ),
     "plan": (
         "planning.next_probings:plan",
-        "Find the places where further pushes tell most of the constants.",
+        "Suggest where to push next so that the constants become most certain.",
     ),
     "report": (
         "outcome.report:report",
-        "Make the report of a result again: one HTML file that needs nothing else.",
+        "Write a result's report again, as one self-contained HTML file.",
     ),
     "view": (
         "use.view:view",
-        "Look at a session or a result in a browser: turn it, touch it, ask its model.",
+        "View a session or a result in the browser: turn it, touch it, query its model.",
     ),
     "export": (
         "use.export:export",
@@ -75,18 +78,18 @@ _COMMANDS = {
     ),
     "compile": (
         "compile:compile_kernels",
-        "Compile the kernels of the flow and the fit for this machine, once after installing.",
+        "Compile the numerical kernels once, so that the first fit need not wait.",
     ),
     "reproduce": (
         "reproduce:reproduce",
-        "Repeat an experiment of the paper on the virtual bench, its own numbers beside.",
+        "Repeat an experiment of the paper on the virtual bench, beside the published numbers.",
     ),
 }
 # Commands with commands of their own; the first of them is meant where no word says which, as in
 # `palpate lab CONFIG.toml OUT`.
 _GROUPS = {
     "lab": (
-        "Virtual measurements, with their truth, or planned; what there is: palpate lab --list",
+        "Virtual measurements with known truth, and plans; list the benches: palpate lab --list",
         {
             "make": (
                 "lab:lab",
@@ -94,34 +97,34 @@ _GROUPS = {
             ),
             "tutorial": (
                 "sessions.tutorial:tutorial",
-                "Record boards, a turntable and presses of an unknown object, for the tutorial.",
+                "Record the tutorial's calibration board, turntable and presses.",
             ),
             "plan": (
                 "planning.plan:plan",
-                "Say what the cameras of a session will see, and what precision to expect of it.",
+                "Predict what a session's cameras will see, and the precision to expect.",
             ),
         },
     ),
     "campaign": (
-        "Many sessions at once, on the cores of this machine or on many machines.",
+        "Fit many sessions, on this machine's cores or on many machines.",
         {
             "run": (
                 "batch.campaign:run",
-                "Fit all sessions of a list or folder, go on after whatever stops it.",
+                "Fit every session in a list or folder; resumes where it was stopped.",
             ),
-            "status": ("batch.campaign:status", "Say how far a campaign is, also while it runs."),
-            "table": ("batch.campaign:table", "Print a campaign's table, or write it."),
-            "plot": ("batch.campaign:plot", "Draw the constants of all sessions."),
+            "status": ("batch.campaign:status", "Show a campaign's progress, also while it runs."),
+            "table": ("batch.campaign:table", "Print or write a campaign's table."),
+            "plot": ("batch.campaign:plot", "Plot the constants of all sessions."),
         },
     ),
     "calibrate": (
-        "Cameras from pictures of a flat target, and the target to print.",
+        "Calibrate cameras from pictures of a flat target, and print the target.",
         {
             "rig": ("calibrate:calibrate", "Calibrate one or more cameras from pictures."),
             "board": ("calibrate:board", "Draw a ChArUco board in true size, with a ruler."),
             "object": (
                 "sessions.object_view:calibrate_object",
-                "Find a known object before a rig, and refine the rig by its texture.",
+                "Locate a known object in a rig's view, and refine the rig by its texture.",
             ),
         },
     ),

@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, BrokenPipeError):
             return _BROKEN_PIPE
         if _folder_is_gone():
-            _print_message("the current folder is there no more; change to another one")
+            _print_message("the current folder no longer exists; change to another one")
             return BAD_INPUT
         what = f"{error.filename or 'output'}: {error.strerror or error}"
         if error.filename is None:

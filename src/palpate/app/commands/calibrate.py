@@ -66,8 +66,8 @@ def calibrate(
 ) -> int:
     """Calibrate one or more cameras from pictures of a flat target.
 
-    Lens and pose of every camera from one adjustment of all corners, with their covariance; written
-    as rig.toml and in the formats of OpenCV and Kalibr, with pictures of what is left.
+    Finds lens and pose of every camera in one adjustment of all corners, with their covariance, and
+    writes them as rig.toml and in the formats of OpenCV and Kalibr, with pictures of the residuals.
 
     Parameters
     ----------
@@ -80,10 +80,10 @@ def calibrate(
     rows
         The same from top to bottom.
     square
-        Side of a square with its unit, like 12mm; between circles their distance (of an asymmetric
-        grid that of its rows), of an AprilTag grid the side of a tag.
+        Side of a square with its unit, like 12mm; for circles their spacing (for an asymmetric
+        grid, that of its rows), for an AprilTag grid the side of a tag.
     target
-        What the pictures show.
+        Kind of target in the pictures.
     marker
         Side of a ChArUco board's markers with its unit.
     gap
@@ -91,18 +91,18 @@ def calibrate(
     dictionary
         Of the markers. Default: 4x4_250, for AprilTags apriltag_36h11.
     boards
-        How many ChArUco boards are in the scene; their markers are numbered on from board to board.
+        Number of ChArUco boards in the scene; marker numbers continue from board to board.
     table
         View in which the board lies where the object will stand. The rig's frame is then the
-        board's: its middle is the origin, x leads along its rows and z up. Default: the frame of
-        the first camera.
+        board's: origin at its centre, x along its rows, z up. Default: the frame of the first
+        camera.
     baseline
-        Distance between the first two cameras with its unit, measured otherwise: it tells whether
-        the board has the size that was said.
+        Independently measured distance between the first two cameras, with its unit: checks the
+        stated size of the board.
     out
         Result folder. Default: the pictures' folder name followed by -rig, in the current folder.
     force
-        Write although something else is at that place; it is kept beside it as NAME.old.
+        Overwrite whatever is there; the old content is kept as NAME.old.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def board(
     dictionary
         Of the markers.
     first
-        Number of the first marker; a second board goes on where the first one ends.
+        Number of the first marker; a second board starts where the first one ends.
     force
         Replace a file of that name.
 

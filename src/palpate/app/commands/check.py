@@ -1,4 +1,4 @@
-"""`palpate check`: everything about the input that can be said without solving."""
+"""`palpate check`: what can be checked in a session without solving."""
 
 from pathlib import Path
 
@@ -27,9 +27,9 @@ from palpate.shapes import Vector3
 
 
 def check(session: Path, /) -> int:
-    """Say everything about a session that can be said without solving.
+    """Check a session without fitting it: files, units, forces, contacts, pictures.
 
-    Reads all that `fit` and `flow` would: surface, displacements, cameras, every picture.
+    Reads everything that `fit` and `flow` would: surface, displacements, cameras, every picture.
 
     Parameters
     ----------

@@ -11,9 +11,9 @@ from palpate.pipeline import rehearse
 
 
 def compile_kernels() -> int:
-    """Compile the kernels of the flow and the fit for this machine, once after installing.
+    """Compile the numerical kernels once, so that the first fit need not wait.
 
-    Without it the first measurement does. Where they are up to date already, nothing changes.
+    Otherwise the first measurement compiles them. Does nothing if they are up to date.
 
     Returns
     -------

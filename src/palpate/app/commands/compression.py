@@ -65,9 +65,9 @@ def compression(
     height
         Height of the cylinder before loading, with its unit; default: what the file says.
     strain
-        First and last strain of the straight line: 0..10% or 0..0.1, of the height.
+        Range of strain over which to fit the straight line: 0..10% or 0..0.1, of the height.
     preload
-        Force [N] from which on the plates count as in contact.
+        Force [N] above which the plates count as in contact.
     displacement_unit
         um, mm, cm, m or in; default: what the file says, else mm.
     force_unit
@@ -79,7 +79,7 @@ def compression(
     out
         JSON file for the result.
     force
-        Write although something else than an unchanged result is there; that is kept beside it as
+        Overwrite even if the target is not an unchanged result; the old content is kept as
         NAME.old.
     """
     strain_range = _strain_range(strain)

@@ -72,8 +72,8 @@ def fit(
 ) -> int:
     """Estimate shear modulus, Poisson's ratio and Young's modulus from a session.
 
-    Prints the constants with their intervals and leaves a folder with a report, estimate.json and
-    plots. Motion that was measured in pictures is kept there and used again by the next fit.
+    Prints the constants with their intervals and writes a folder with a report, estimate.json and
+    plots. Motion measured in pictures is kept there and reused by the next fit.
 
     Parameters
     ----------
@@ -85,25 +85,25 @@ def fit(
     probe
         Use these probings only.
     method
-        How the constants are searched: over the reduced model, or by Nelder-Mead on the full one.
+        How to search for the constants: Gauss-Newton on a reduced model, or Nelder-Mead on the full
+        one.
     poisson_range
-        Poisson's ratios that are possible; -0.99 0.4999 for auxetic foams.
+        Range of Poisson's ratio to allow; -0.99 0.4999 for auxetic foams.
     surface
-        What the mesh means: points of a smooth object (with edges where triangles turn by more than
-        40 degrees), or flat facets.
+        How to read the mesh: as points on a smooth object (with edges where triangles meet at more
+        than 40 degrees), or as flat facets.
     strain
-        Small: displacements are linear in the force. Finite: what that leaves out of an object that
-        was pressed far is computed with finite elements, and corrected.
+        Small: displacements are linear in the force. Finite: the nonlinear part for an object that
+        was pressed far is computed with finite elements and corrected for.
     pose
         Where the object is in pictures: as the camera file says (given), as the pictures at rest
         show (register), or registered only where they contradict the file (auto).
     cache
-        Folder that keeps what is computed of this object for the next fit, factors and reduced
-        models: 16 GB, or a quarter of the free disk, at most; what has not been used for longest
-        goes first.
+        Folder in which to keep factors and reduced models of this object for the next fit: at most
+        16 GB or a quarter of the free disk; the least recently used go first.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
 
     Returns
     -------

@@ -95,8 +95,8 @@ def flow(
     no_pictures
         Draw no pictures.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
 
     Returns
     -------
@@ -220,9 +220,8 @@ def _closing_text(figures: Sequence[MotionFigures], seconds: float) -> str:
 
 
 def _print_failures(figures: Sequence[MotionFigures]) -> int:
-    """Say what failed, on stderr; how many motions did."""
-    failures = {f.name: f.failure for f in figures if f.failure is not None}
-    for f in figures:
+    """Report on stderr what failed; the number of motions that did.""" failures = {f.name:
+    f.failure for f in figures if f.failure is not None} for f in figures:
         if f.vertices["measured"] == 0:
             failures.setdefault(
                 f.name,

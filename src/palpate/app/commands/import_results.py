@@ -78,7 +78,7 @@ def import_displacements(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Take over displacements that another image correlation program measured.
+    """Import displacements that another image correlation program measured.
 
     Give one result file for each probing (loaded state against the reference), then the session:
     palpate import vic3d n01.csv n02.csv SESSION. Writes NAME.csv for the probing NAME into the
@@ -103,7 +103,7 @@ def import_displacements(
         State to read from files that hold several, from 0; one for all, or one for each probing.
         Default: the last one.
     min_score
-        Least correlation of a match that counts as measured, -1 to 1, where the files tell it
+        Lowest correlation, -1 to 1, at which a match counts as measured, if the files give it
         (dice, opencorr, multidic, duodic). Default: 0.75.
     drop_off_surface
         Leave out measured points that are not on the object: background, tool, holder.
@@ -112,8 +112,8 @@ def import_displacements(
     out
         Write the CSV files into this result folder instead, and leave the session as it is.
     force
-        Write although something else is there than what --replace speaks of, or than an unchanged
-        result of this command; that is kept beside it as NAME.old.
+        Overwrite even if the target is neither what --replace allows nor an unchanged result of
+        this command; the old content is kept as NAME.old.
     """
     session, plan = _import_targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)

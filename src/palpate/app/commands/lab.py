@@ -37,7 +37,7 @@ def lab(
     scheduler: str | None = None,
     workers: int | None = None,
 ) -> int:
-    """Measure a virtual specimen: its pictures, forces and the truth as a session folder.
+    """Measure a virtual specimen: pictures, forces and the true constants, as a session folder.
 
     Parameters
     ----------
@@ -46,17 +46,17 @@ def lab(
     out
         Folder of the session; it appears whole or not at all.
     seed
-        Another seed than the configuration's: other noise, another texture, other misalignments.
+        Use this seed instead of the configuration's: different noise, texture and misalignments.
     list_
-        Only list what can be configured, and the built-in configurations.
+        List the settings and the built-in configurations, and stop.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
     scheduler
-        Address of a Dask scheduler whose workers make the probings, such as
+        Address of a Dask scheduler whose workers compute the probings, such as
         tcp://192.168.1.7:8786. Default: one after the other in this process.
     workers
-        Processes of this machine that make the probings, one thread each.
+        Number of processes on this machine that compute the probings, one thread each.
 
     Returns
     -------

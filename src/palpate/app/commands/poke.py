@@ -45,7 +45,7 @@ def poke(
     surface: Literal["smooth", "flat"] = "smooth",
     cache: Path | None = None,
 ) -> int:
-    """Press a tool on a session's object: how far it gives way, and where it strains.
+    """Press a tool on a session's object: how deep it goes, and where it strains.
 
     Lengths are in metres and forces in newtons, or with their unit ("12 mm", "1.2 N", "50 kPa"), in
     the frame of the session's mesh. The material
@@ -64,7 +64,7 @@ def poke(
         Points inside the object, m, three numbers each: displacement and stress are shown there.
     radius
         Radius of the contact, m, or with its unit: 3mm. Default: that of the session's first
-        probing, or what its tool touches under the force.
+        probing, or the contact its tool makes under the force.
     result
         Result folder of `palpate fit`, or its estimate.json.
     young_modulus
@@ -74,10 +74,10 @@ def poke(
     poisson_ratio
         Poisson's ratio.
     surface
-        What the mesh means: points of a smooth object (with edges where triangles turn by more than
-        40 degrees), or flat facets.
+        How to read the mesh: as points on a smooth object (with edges where triangles meet at more
+        than 40 degrees), or as flat facets.
     cache
-        Folder that keeps what is computed of this object for the next time.
+        Folder in which to keep intermediate results for this object, for faster later runs.
 
     Returns
     -------

@@ -34,7 +34,7 @@ def reproduce(
     scheduler: str | None = None,
     workers: int | None = None,
 ) -> int:
-    """Repeat an experiment of the paper on the virtual bench, its own numbers beside.
+    """Repeat an experiment of the paper on the virtual bench, beside the published numbers.
 
     Parameters
     ----------
@@ -44,15 +44,15 @@ def reproduce(
         Result folder; it appears whole or not at all. Default: paper-EXPERIMENT in the current
         folder.
     quick
-        Small pictures and few steps: a look, not a measurement.
+        Small pictures and few steps: a preview, not a measurement.
     page
         Also write this Markdown page of all results, its pictures beside it.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
     scheduler
-        Address of a Dask scheduler whose workers make the probings of the virtual bench, such as
-        tcp://192.168.1.7:8786. Default: a cluster of this machine's cores, where Dask is installed.
+        Address of a Dask scheduler whose workers compute the probings of the virtual bench, such as
+        tcp://192.168.1.7:8786. Default: a cluster on this machine's cores, if Dask is installed.
     workers
         Processes of that cluster, as in `palpate campaign`.
 

@@ -47,29 +47,30 @@ def mesh(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Make a closed surface with even triangles of any surface.
+    """Repair and remesh a surface: closed, with even triangles.
 
-    Holes, cracks, copies, flipped and degenerate triangles, overlapping parts and stray pieces are
-    mended; what cannot be is refused with its place and the reason. Everything done is printed and
-    drawn, with the distance between both surfaces and the change of volume.
+    Repairs holes, cracks, duplicate, flipped and degenerate triangles, overlapping parts and stray
+    pieces; refuses what it cannot repair, and says where and why. Prints and draws every change,
+    with the distance between the two surfaces and the change in volume.
 
     Parameters
     ----------
     file
         A surface: .ply .obj .stl .off .msh .vtu .vtp, or a drawing: .step .stp
     vertices
-        How many the mesh is to have: 500 to 3000 are good for a fit.
+        Number of vertices wanted: 500 to 3000 suit a fit.
     near
-        File of points, x y z, that the mesh is to be finer near: where the object will be touched.
+        File of points, x y z, near which the mesh is to be finer: where the object will be touched.
     support
         Plane that the object stood on: z=0, or a point and a normal,
         0,0,0,0,0,1. An open base is closed there; what is below is cut off.
     length_unit
-        Of the file, the points and the plane. A drawing says its own; this is then of the others.
+        Unit of the file, the points and the plane. A drawing states its own unit; this is then that
+        of the others.
     out
         Result folder. Default: the file's name followed by -mesh, in the current folder.
     force
-        Write although something else is at that place; it is kept beside it as NAME.old.
+        Overwrite whatever is there; the old content is kept as NAME.old.
 
     Returns
     -------
@@ -107,25 +108,25 @@ def scan(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Make the mesh of an object of what was seen of it from one or more viewpoints.
+    """Build an object's mesh from scans or depth maps taken from one or more viewpoints.
 
-    Points, depth maps or pictures of a calibrated rig, as scan.toml lists them, are joined to one
-    surface; what no view shows is closed and marked; each vertex has its standard deviation.
+    Merges points, depth maps or pictures of a calibrated rig, as listed in scan.toml, into one
+    surface; closes and marks what no view shows; gives each vertex a standard deviation.
 
     Parameters
     ----------
     scan
         scan.toml, or its folder.
     vertices
-        How many the mesh is to have: 500 to 3000 are good for a fit.
+        Number of vertices wanted: 500 to 3000 suit a fit.
     near
-        File of points x y z that the mesh is to be finer near.
+        File of points, x y z, near which the mesh is to be finer.
     length_unit
         Of that file.
     out
         Result folder. Default: the scan's folder name followed by -mesh, in the current folder.
     force
-        Write although something else is at that place; it is kept beside it as NAME.old.
+        Overwrite whatever is there; the old content is kept as NAME.old.
 
     Returns
     -------

@@ -57,25 +57,25 @@ def run(
     strain: Literal["small", "finite"] = "small",
     pose: PoseChoice = "auto",
 ) -> int:
-    """Fit all sessions of a list or below a folder, several at a time, and make one table of them.
+    """Fit every session in a list or below a folder, several at a time, into one table.
 
-    Start it again after anything that stopped it, a kill among them: it goes on, and what is done
-    is not done again. A session that cannot be fitted is a row with its message.
+    If anything stops it, even a kill, start it again: it resumes where it was. A session that
+    cannot be fitted becomes a row with its error message.
 
     Parameters
     ----------
     sessions
-        Text file with the path of a session a line, from the file's folder, and a group behind a
-        comma if there are any; or a folder that holds sessions, however deep.
+        Text file with one session path per line, relative to the file's folder, optionally followed
+        by a comma and a group; or a folder with sessions at any depth.
     out
-        Folder of the campaign, made or gone on with. Default: the list's or folder's name followed
-        by -campaign, in the current folder.
+        Folder of the campaign, created or resumed. Default: the list's or folder's name followed by
+        -campaign, in the current folder.
     scheduler
-        Address of a Dask scheduler that is running, such as tcp://192.168.1.7:8786. Default: a
-        cluster of this machine's cores, for as long as the command runs.
+        Address of a running Dask scheduler, such as tcp://192.168.1.7:8786. Default: a cluster on
+        this machine's cores, for as long as the command runs.
     workers
-        Processes of that cluster, one thread each. Default: one for every core, fewer where each
-        would have less than 2 GiB of memory.
+        Processes of that cluster, one thread each. Default: one per core, or fewer if each would
+        have less than 2 GiB of memory.
     poisson_range
         As in `palpate fit`.
     surface
@@ -108,7 +108,7 @@ def run(
 
 
 def status(folder: _Campaign, /) -> int:
-    """Say how far a campaign is, also while it runs: what is done, what failed, what stands out.
+    """Show a campaign's progress, also while it runs: what is done, what failed, what stands out.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def table(
     Parameters
     ----------
     out
-        File to write instead, ending .csv or .parquet (which needs palpate[parquet]).
+        Write to this file instead: .csv, or .parquet (needs palpate[parquet]).
 
     Returns
     -------
@@ -167,7 +167,7 @@ def plot(
     out: Path | None = None,
     force: _Force = False,
 ) -> int:
-    """Draw both constants of all sessions with their intervals, group beside group.
+    """Plot the constants of all sessions with their intervals, side by side by group.
 
     Parameters
     ----------

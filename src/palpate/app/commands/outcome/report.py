@@ -14,7 +14,7 @@ def report(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Make the report of a result again: one HTML file that needs nothing else.
+    """Write a result's report again, as one self-contained HTML file.
 
     `palpate fit` writes it along with its result, as report.html; this is for a copy elsewhere, or
     for a result whose report was removed.

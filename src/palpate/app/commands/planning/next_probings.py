@@ -27,26 +27,26 @@ def plan(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Find the places where further pushes tell most of the constants.
+    """Suggest where to push next so that the constants become most certain.
 
-    Fits the session as it is; compares some forty places that a tool like its first one can reach,
-    by Fisher's information with all errors that points share; and names the best, one after the
-    other, with the standard deviations to expect after each.
+    Fits the session as it is, compares some forty places within reach of a tool like its first one
+    by their Fisher information (shared errors included), and names the best in order, with the
+    standard deviations to expect after each.
 
     Parameters
     ----------
     session
         Folder of a session with one measured probing or more.
     next
-        Where to push next: what this command does, with or without the word.
+        Suggest where to push next. This is what the command does, with or without the flag.
     count
-        How many places to choose.
+        Number of places to suggest.
     out
         Folder for the picture. Default: the session's folder name followed by -next, in the current
         folder.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
 
     Returns
     -------

@@ -45,11 +45,11 @@ def plan(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Say what to expect of a measurement: which precision, from which probings, in which view.
+    """Predict a measurement: what each camera will see, and the precision each probing will give.
 
     Renders the object with a good speckle as each camera will see it, at rest and pressed by the
-    tool of each probing; follows these pictures and estimates the constants from them, and gives
-    the standard deviations that came of it.
+    tool of each probing, tracks these pictures, fits the constants to them, and reports the
+    standard deviations.
 
     Parameters
     ----------
@@ -61,13 +61,13 @@ def plan(
     poisson_ratio
         A guess of Poisson's ratio.
     noise
-        Of the cameras, standard deviation of a pixel, grey levels of 255.
+        Standard deviation of a camera pixel, in grey levels of 255.
     out
         Folder for the pictures. Default: the session's folder name followed by -plan, in the
         current folder.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
 
     Returns
     -------

@@ -43,15 +43,15 @@ def init(
     radius: float | None = None,
     tool_radius: float | None = None,
 ) -> int:
-    """Write a commented session.toml, or recording.toml, with what is found in a folder.
+    """Write a commented session.toml or recording.toml from the files in a folder.
 
-    On a terminal it asks for what is not given; elsewhere it takes what is most likely. Nothing
-    that is there is replaced.
+    On a terminal, it asks for whatever was not given; elsewhere, it takes the likeliest choice.
+    Existing files are never replaced.
 
     Parameters
     ----------
     folder
-        Holds the mesh, and whatever else there is: rig, pictures, videos, tables.
+        Folder with the mesh and whatever else there is: rig, pictures, videos, tables.
     template
         lab: sorted pictures of calibrated cameras. dic: displacements of another program. robot:
         videos, force log and log of poses. gauge: videos and force log. Default: what the files
@@ -66,11 +66,11 @@ def init(
     unit
         Of the mesh and all lengths. Default: the one in which the object can stand on a bench.
     held
-        Flat side of the object that does not move. Default: the largest.
+        Flat face of the object that does not move. Default: the largest.
     radius
-        Of the touched patch, in that unit.
+        Radius of the contact patch, in that unit.
     tool_radius
-        Of the ball that presses, in that unit, where the patch is not known: it follows.
+        Radius of the ball that presses, in that unit; the contact patch is computed from it.
 
     Returns
     -------

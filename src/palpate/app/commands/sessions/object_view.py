@@ -33,10 +33,10 @@ def calibrate_object(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Find where a known object stands before a calibrated rig, from pictures of it at rest.
+    """Locate a known object in the view of a calibrated rig, from pictures of it at rest.
 
-    Points of its surface are brought onto its mesh; written is the rig in the object's frame, with
-    the covariance of the pose, and a picture of the mesh over the object.
+    Registers points of its surface with its mesh, and writes the rig in the object's frame, the
+    covariance of the pose, and a picture of the mesh over the object.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ def calibrate_object(
     rig
         rig.toml or the calibration of another program, or its folder, in any frame.
     refine
-        Correct the rig, too, by what all cameras see of the object's texture, at all instants. Left
-        as it is where that makes it no better, and said.
+        Also correct the rig, from the object's texture as all cameras see it at all instants. If
+        that does not improve the rig, it is left unchanged, and a note says so.
     length_unit
         Of the mesh.
     out
         Result folder. Default: the mesh's name followed by -rig, in the current folder.
     force
-        Write although something else is at that place; it is kept beside it as NAME.old.
+        Overwrite whatever is there; the old content is kept as NAME.old.
 
     Returns
     -------

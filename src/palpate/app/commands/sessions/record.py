@@ -34,10 +34,10 @@ def record(
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Make a session from recordings: a video a camera and the log of a force gauge.
+    """Build a session from recordings: one video per camera and a force gauge's log.
 
-    Finds the presses, the offsets of the clocks, the weight of the tool and the moments at which
-    nothing moves; writes pictures at rest and under load, forces with their sigmas, and a plot.
+    Finds the presses, the clock offsets, the tool's weight and the moments when nothing moves, and
+    writes pictures at rest and under load, forces with their standard deviations, and a plot.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def record(
         Folder of the session. Default: the recording's folder name followed by -session, in the
         current folder.
     force
-        Write although something else is at that place; it is kept beside it as NAME.old.
+        Overwrite whatever is there; the old content is kept as NAME.old.
 
     Returns
     -------

@@ -25,10 +25,10 @@ def tutorial(
     Parameters
     ----------
     out
-        Folder; it appears whole or not at all. Its folder `truth` says what was really there.
+        Folder; it appears whole or not at all. Its subfolder `truth` holds the true values.
     force
-        Write although something else than an unchanged result of this command is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
 
     Returns
     -------

@@ -26,9 +26,9 @@ def export(
     cache: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Write an estimated object for a simulator: shape, what is held, constants, one push.
+    """Write an estimated object for a simulator: its shape, support and constants, and one push.
 
-    Leaves a folder with the simulator's files, a README.txt and palpate.json, which hold the
+    Writes a folder with the simulator's files, and a README.txt and palpate.json that give the
     constants with their intervals and what was changed for the simulator.
 
     Parameters
@@ -41,18 +41,18 @@ def export(
         Folder; it appears whole or not at all. Default: the result folder's name followed by the
         simulator's, in the current folder.
     probe
-        Probing that is written along, to be repeated in the simulator. Default: the first that the
-        estimate was made without, else the first.
+        Probing to include, for replay in the simulator. Default: the first one left out of the
+        estimate, else the first.
     edge
         Edge of the tetrahedra away from the contact, m, or with its unit: 3mm. Default: a ninth of
         the cube root of the volume.
     session
-        Where the session of the result is now, if it was moved.
+        Present location of the result's session, if it was moved.
     cache
-        Folder that keeps what is computed of this object for the next time.
+        Folder in which to keep intermediate results for this object, for faster later runs.
     force
-        Write although something else than an unchanged export to this simulator is there; that is
-        kept beside it as NAME.old.
+        Overwrite even if the target is not an unchanged export to this simulator; the old content
+        is kept as NAME.old.
 
     Returns
     -------

@@ -22,28 +22,28 @@ def view(
     cache: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Look at an object in a browser: its probings, what the model says, how it feels.
+    """View an object in the browser: its probings, what the model predicts, how it feels.
 
-    Colours show what was measured and predicted; sliders ask the model at other constants; a click
-    presses a ball into the object; support and contacts are set by clicking. The page comes from
-    this computer, for this computer alone. Ctrl-C ends it.
+    Colours show measured and predicted motion; sliders change the constants; a click presses a ball
+    into the object, or sets support and contacts. The page is served by this computer, to this
+    computer only. Ctrl-C ends it.
 
     Parameters
     ----------
     subject
         Session folder, or result folder of `palpate fit`.
     session
-        Where the session of a result is now, if it was moved.
+        Present location of a result's session, if it was moved.
     port
-        Port of the page. Default: 8080, or the next that is free.
+        Port of the page. Default: 8080, or the next free one.
     screenshot
-        Write a picture (.png, .jpg) instead; no browser or display is needed.
+        Write a picture (.png, .jpg) instead; needs neither browser nor display.
     turntable
-        Write a film (.mp4, .gif) in which the object turns instead.
+        Write a turntable film (.mp4, .gif) instead.
     probe
-        Probing that a picture or film shows. Default: the first.
+        Probing to show in a picture or film. Default: the first.
     cache
-        Folder that keeps what is computed of this object for the next time.
+        Folder in which to keep intermediate results for this object, for faster later runs.
     force
         Replace a picture or film of that name.
 
