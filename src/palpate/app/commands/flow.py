@@ -220,8 +220,9 @@ def _closing_text(figures: Sequence[MotionFigures], seconds: float) -> str:
 
 
 def _print_failures(figures: Sequence[MotionFigures]) -> int:
-    """Report on stderr what failed; the number of motions that did.""" failures = {f.name:
-    f.failure for f in figures if f.failure is not None} for f in figures:
+    """Report on stderr what failed; the number of motions that did."""
+    failures = {f.name: f.failure for f in figures if f.failure is not None}
+    for f in figures:
         if f.vertices["measured"] == 0:
             failures.setdefault(
                 f.name,
