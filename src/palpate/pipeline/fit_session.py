@@ -332,8 +332,7 @@ def _pressed_far(session: Session, probes: Sequence[ProbeFit], contradicted: boo
         return []
     note = (
         f"In {deepest} the tool went in by {100 * depths[deepest]:.0f} % of the radius of its"
-        f" contact, far for a model of small strain, and {BIASED}: fit with --strain finite, or"
-        " press less."
+        f" contact, far for a model of small strain: fit with --strain finite, or press less."
     )
     return [note]
 

@@ -179,8 +179,6 @@ class DisplacementField:
     vertex : (n,) int or None       index of the mesh vertex, if the points are vertices
     surface : SurfacePoints         closest positions on the mesh
     source : str                    file they came from, for messages
-    scale_error : float [-]         relative standard deviation of a scale common to all
-                                    displacements; 0 if unknown
     covariance : (n, 3, 3) float [m^2] or None    of each point's displacement, with the squares of
                                     `std` on its diagonal; None: components are uncorrelated
     correlation : PointCorrelation  of the errors of neighbouring points, where known
@@ -198,7 +196,6 @@ class DisplacementField:
     vertex: PointIndices | None
     surface: SurfacePoints
     source: str
-    scale_error: float = 0.0
     covariance: Float[np.ndarray, "n 3 3"] | None = None
     correlation: PointCorrelation = INDEPENDENT
     average: SurfaceAverage | None = None

@@ -40,7 +40,7 @@ def measured_motion(session, probing, *, seed=2, notes=("the pictures are dark",
     field = DisplacementField(
         points=points, displacement=moved, std=np.full(points.shape, 2e-6), vertex=rows,
         surface=closest_points(session.mesh, points), source=f"images of {probing.name}",
-        scale_error=0.007, covariance=covariance,
+        covariance=covariance,
         correlation=PointCorrelation(np.array([[0, 1], [1, 4]]), np.array([0.6, -0.1])),
         average=_averages(points),
     )  # fmt: skip

@@ -14,7 +14,6 @@ from palpate.errors import InputError
 from palpate.files import stored_arrays
 from palpate.geometry import closest_points
 from palpate.pipeline.motion import (
-    SCALE_ERROR,
     MotionNotes,
     ProbingMotion,
     motion_keys,
@@ -187,7 +186,6 @@ def _kept_probing(
         vertex=rows,
         surface=closest_points(session.mesh, points),
         source=f"images of {name}",
-        scale_error=SCALE_ERROR,
         covariance=kept.get(f"covariance {k}"),
         correlation=PointCorrelation(kept[f"pairs {k}"], kept[f"correlation {k}"]),
         average=_kept_average(kept, k),

@@ -36,7 +36,6 @@ def shared_errors(
     response: ProbeResponse | SpringResponse,
     change: Sequence[csr_array],
     vertices: Response,
-    scale_error: float,
 ) -> tuple[Nuisance, ...]:
     """Nuisance parameters of one probing.
 
@@ -47,8 +46,6 @@ def shared_errors(
     response : ProbeResponse or SpringResponse      of the probing
     change : sequence of csr_array  `pose_changes` of its points
     vertices : function             response of all vertices to its loads
-    scale_error : float [-]         relative std of its displacements' lengths; the larger of this
-                                    and the session's prior is taken
 
     Returns
     -------
@@ -62,9 +59,8 @@ def shared_errors(
     if priors.force_direction > 0.0 and pushed:
         measured = _measured_components(probing, priors.force_direction)
         nuisances.append(ForceDirection(priors.force_direction, measured, probing.force_sensor))
-    scale = max(priors.length_scale, scale_error)
-    if scale > 0.0:
-        nuisances.append(LengthScale(scale))
+    if priors.length_scale > 0.0:
+        nuisances.append(LengthScale(priors.length_scale))
     if change:
         nuisances.append(
             Pose(priors.pose_translation, priors.pose_rotation, tuple(change), vertices)

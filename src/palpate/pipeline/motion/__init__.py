@@ -9,7 +9,6 @@ Read first : `sequences.py`, `measure_motion.py`, `displacement.py`, then `figur
 """
 
 from palpate.pipeline.motion.displacement import (
-    SCALE_ERROR as SCALE_ERROR,
     ProbingMotion as ProbingMotion,
     measure_pictures as measure_pictures,
     unread_probings as unread_probings,

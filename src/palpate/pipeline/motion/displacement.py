@@ -17,11 +17,6 @@ from palpate.records import DisplacementField, Probing, Session
 from palpate.shapes import Indices
 from palpate.vision import VertexDisplacement, measured_vertices
 
-# Texture finer than the pixels makes motions of a fraction of a pixel come out too long: with the
-# low-pass filter applied, by 0.1 % for speckles with a sigma of 1.7 px, by 0.5 to 1.2 % for 1 to
-# 0.6 px (analytic textures).
-SCALE_ERROR = 0.007
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbingMotion:
@@ -199,7 +194,6 @@ def vertex_field(
         vertex=rows,
         surface=closest_points(mesh, points),
         source=source,
-        scale_error=SCALE_ERROR,
         covariance=vertices.covariance[rows],
         correlation=vertices.correlation.subset(rows, len(mesh.vertices)),
         average=None if vertices.average is None else vertices.average.subset(rows),

@@ -165,8 +165,7 @@ def _all_observations(
     changes = _pose_changes(session, model)
     observations = []
     for k, (response, nodal) in enumerate(zip(own, vertices, strict=True)):
-        field = _measured(session.probings[k])
-        nuisances = shared_errors(model, k, response, changes[k], nodal.value, field.scale_error)
+        nuisances = shared_errors(model, k, response, changes[k], nodal.value)
         probe = _observations(session, model, k, response, support, nuisances)
         probe = replace(probe, vertices=None if nodal is response else nodal)
         if isinstance(response, SpringResponse):

@@ -176,7 +176,6 @@ def _like(
     no_motion = np.where(np.isfinite(field.displacement[observed]), 0.0, np.nan)
     planned = DisplacementField(
         points, no_motion, field.std[observed], None, closest_points(mesh, points), "plan",
-        scale_error=field.scale_error,
     )  # fmt: skip
     force_std = first.force_std
     if force_std is not None:
