@@ -50,6 +50,11 @@ def test_the_deviation_of_a_force_is_what_setting_it_free_gains() -> None:
         assert deviation[index] ** 2 == pytest.approx(held.value - free.value, rel=0.1, abs=0.02)
 
 
+def test_an_exact_force_disagrees_with_nothing() -> None:
+    exact = [replace(probe, force_std=np.zeros(3)) for probe in _probes(count=3)]
+    assert force_deviations(_fitted(exact)).tolist() == [0.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_force_that_is_off_is_found_and_does_no_harm(seed: int) -> None:
     probes = _probes(seed)

@@ -14,6 +14,7 @@ from palpate.estimation.noise import (
     Gaussian,
     NoiseModel,
     StudentT,
+    _settle_tip,
     gaussian_moments,
     moments_of,
     noise_levels,
@@ -146,3 +147,16 @@ def test_a_tip_leans_on_the_field() -> None:
     residual = 1e-4 * MEDIAN * (-1.0) ** np.arange(len(rows.measured))
     residual[-3:] *= 5
     assert _levels(rows, residual)[3] == pytest.approx(1e-4 * np.sqrt((1 + 25) / 2), rel=1e-4)
+
+
+def test_a_tip_alone_or_none_keeps_its_level() -> None:
+    """Only with a field beside it is the tip's level drawn towards that of the field."""
+    count, level = np.zeros(8, dtype=np.int64), np.arange(1.0, 9.0)
+    for groups in ([3], [0, 1, 2]):
+        found = level.copy()
+        _settle_tip(found, np.where(np.isin(np.arange(8), groups), 3, count))
+        np.testing.assert_array_equal(found, level)
+    both = level.copy()
+    _settle_tip(both, np.full(8, 3))
+    # Mean of the field 2, three rows against three.
+    assert both[3] == pytest.approx(0.5 * (2.0 + 4.0))
