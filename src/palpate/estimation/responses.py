@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.polynomial.chebyshev import chebpts1, chebvander
+from numpy.polynomial.polyutils import mapdomain
 from scipy.sparse import csr_array
 
 from palpate.bem import (
@@ -386,8 +387,7 @@ def _projected(
 
 def _nodes(degree: int, ends: tuple[float, float]) -> list[float]:
     """Chebyshev points of an interval."""
-    centre, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
-    return (centre + half * chebpts1(degree + 1)).tolist()
+    return list(mapdomain(chebpts1(degree + 1), (-1.0, 1.0), ends))
 
 
 def _series(
@@ -412,12 +412,11 @@ def _series_response(
     coefficients: Float[np.ndarray, "k n rows c"],
     ends: tuple[float, float],
 ) -> SpringResponse:
-    centre, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
     degree = len(coefficients) - 1
 
     @lru_cache(maxsize=1)
     def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
-        terms = chebvander([(poisson_ratio - centre) / half], degree)[0]
+        terms = chebvander(mapdomain([poisson_ratio], ends, (-1.0, 1.0)), degree)[0]
         return np.tensordot(terms, coefficients, axes=1)
 
     return SpringResponse(probe, lambda poisson_ratio: observed(poisson_ratio)[0], observed)
