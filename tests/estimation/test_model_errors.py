@@ -114,3 +114,26 @@ def test_few_points_have_no_patterns() -> None:
     assert unknown.count == 1
     np.testing.assert_allclose(unknown.variance, 1e-12)
     assert patterns(problem_of([_probe(3)]), 0).shape[0] == 0
+
+
+def test_an_error_that_all_probings_share_does_not_average_out() -> None:
+    """Eight looks at the same nine points of a mesh, each point a tenth of a micrometre off, the
+    same in every look: Poisson's ratio scatters as one look's would, and as claimed."""
+    rng, size, draws = np.random.default_rng(8), 1e-7, 60
+    look = half_space_probes(rng, count=1, grid=3, noise=0.0)[0]
+    value = look.response.value(0.28)[:, None]
+    other = value * (1.0 + size / (value[:, 0, :3] @ look.force / 2.1e4))[:, None, None]
+    step = ModelStep("mesh", 1.0, lambda _: value, lambda _: other)
+    std = np.full_like(look.displacement, 1e-9)
+    looks = [replace(look, name=f"look {k}", std=std, nuisances=(step,)) for k in range(8)]
+
+    def found(displacement: np.ndarray, count: int = 8) -> tuple[float, float]:
+        probes = [replace(each, displacement=displacement) for each in looks[:count]]
+        minimum = minimum_of(problem_of(probes))
+        return minimum.poisson_ratio, float(np.sqrt(covariance(minimum.normal)[0, 0]))
+
+    off = look.displacement + size * rng.normal(size=(draws, *look.displacement.shape))
+    ratios, claims = np.transpose([found(each) for each in off])
+    assert found(look.displacement)[1] == pytest.approx(found(look.displacement, 1)[1], rel=0.02)
+    # A scatter from 60 draws is known to 9 %; eight independent looks would claim a third of it.
+    assert np.std(ratios) == pytest.approx(claims.mean(), rel=0.3)

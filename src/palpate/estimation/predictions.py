@@ -205,12 +205,13 @@ def probe_fits(minimum: Minimum, poisson_range: tuple[float, float]) -> tuple[Pr
     """
     problem, theta = minimum.problem, minimum.theta
     fits = []
-    for k, (probe, block, variance, square, own) in enumerate(
+    for k, (probe, block, unknown, square, own) in enumerate(
         zip(
-            problem.probes, problem.layout.blocks, problem.variance(),
+            problem.probes, problem.layout.blocks, problem.unknown,
             problem.squared(minimum.residual), own_covariances(minimum.normal), strict=True,
         )
     ):  # fmt: skip
+        variance = probe.sigma(problem.level) ** 2 + problem.scale**2 * unknown.variance
         seen, n = probe.observations, len(probe.observations.position)
         predicted = predicted_points(minimum, k, theta)
         factor, sigma = np.zeros(n + 1), np.full(3 * n + 3, np.nan)

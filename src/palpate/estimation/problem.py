@@ -96,7 +96,7 @@ class Expansion:
     poisson_ratio : float           the reference
     value, slope : (l, r) float     displacement per unit of each entry of the load, and its
                                     derivative with respect to Poisson's ratio
-    effects : (l, r, k) float       change of the value per prior standard deviation of each error
+    effects : (k, l, r) float       change of the value per prior standard deviation of each error
     curvature : (r, o, o) float     second derivatives in its own o errors, the last ones, times
                                     the shear modulus
     """
@@ -104,7 +104,7 @@ class Expansion:
     poisson_ratio: float
     value: Float[np.ndarray, "l r"]
     slope: Float[np.ndarray, "l r"]
-    effects: Float[np.ndarray, "l r k"]
+    effects: Float[np.ndarray, "k l r"]
     curvature: Float[np.ndarray, "r o o"]
 
 
@@ -183,9 +183,11 @@ class Problem:
 
     def variance(self) -> list[Float[np.ndarray, " r"]]:
         """Variance of every row of each probing [m^2]: noise, and the model's error that varies
-        from point to point."""
+        from point to point. That is the mesh's, the same whichever probing looks at it: it counts
+        once for each of them, so that it does not average out over probings."""
+        times = len(self.probes) * self.scale**2
         return [
-            probe.sigma(self.level) ** 2 + self.scale**2 * unknown.variance
+            probe.sigma(self.level) ** 2 + times * unknown.variance
             for probe, unknown in zip(self.probes, self.unknown, strict=True)
         ]
 
@@ -243,7 +245,7 @@ class Problem:
         offset = theta[0] - model.poisson_ratio
         response = model.value + offset * model.slope
         if errors.any():
-            response = response + model.effects @ errors
+            response = response + np.tensordot(errors, model.effects, axes=1)
         load = _in_terms(self.load(index, theta), float(np.exp(theta[1])), len(model.value))
         own = theta[self.layout.blocks[index].errors]
         second = 0.5 * (model.curvature @ own) @ own / np.exp(theta[1])
@@ -264,10 +266,9 @@ class Problem:
         scaling = np.concatenate([-load[:4], np.zeros(len(load) - 4)])
         scaling[columns + 4 :] = load[columns + 4 :]
         table[1] = scaling @ response - 0.5 * bend @ own
-        each = np.tensordot(load, model.effects, axes=1)
-        count = len(block.shared)
-        table[self.layout.errors.start + block.shared] = each[:, :count].T
-        table[first + block.errors.start : first + block.errors.stop] = (each[:, count:] + bend).T
+        each, count = load @ model.effects, len(block.shared)
+        table[self.layout.errors.start + block.shared] = each[:count]
+        table[first + block.errors.start : first + block.errors.stop] = each[count:] + bend.T
         force = response[:3] / modulus
         motions = response[4:columns]
         if len(load) > columns:
@@ -378,23 +379,17 @@ def _expansion(
     at = ResponseTerms(probe.rows, response, poisson_ratio)
     effects = [nuisance.effects(at) for nuisance in seen.nuisances]
     terms = max([response.shape[1], *(each.shape[1] for each in effects)])
-    none = np.zeros((*response.shape, 0))
-    every = np.concatenate([padded(each, terms) for each in (none, *effects)], axis=3)[..., order]
-    width = terms * response.shape[2]
-
-    def by_load(rows: Float[np.ndarray, "r s c"]) -> Float[np.ndarray, "l r"]:
-        whitened = probe.whitened(padded(rows[..., None], terms)[..., 0])
-        return np.ascontiguousarray(whitened.reshape(len(rows), width).T)
-
-    columns = probe.whitened(every).reshape(len(response), width, every.shape[3])
+    columns = [response[..., None], (high - low)[..., None] / (2 * _STEP), *effects]
+    place = np.concatenate([[0, 1], 2 + np.argsort(order)])
+    table = np.zeros((len(place), terms, response.shape[2], len(response)))
+    first = 0
+    for each in columns:
+        at_rows = probe.whitened(each).transpose(3, 1, 2, 0)
+        table[place[first : first + len(at_rows)], : each.shape[1]] = at_rows
+        first += len(at_rows)
+    table = table.reshape(len(place), -1, len(response))
     own = order[len(order) - len(_own(probe, shared)) :]
-    return Expansion(
-        poisson_ratio,
-        by_load(response),
-        by_load((high - low) / (2 * _STEP)),
-        np.ascontiguousarray(columns.swapaxes(0, 1)),
-        _curvature(probe, at, own),
-    )
+    return Expansion(poisson_ratio, table[0], table[1], table[2:], _curvature(probe, at, own))
 
 
 def _order(probe: ObservedRows, shared: tuple[NuisanceParameter, ...]) -> Int[np.ndarray, " k"]:
@@ -431,4 +426,4 @@ def _fields(
     chosen = [k for k, number in enumerate(order) if parameters[number].is_model_error]
     load = np.concatenate([np.append(seen.force, 1.0) / shear_modulus, seen.motion])
     load = _in_terms(load, shear_modulus, len(model.value))
-    return np.tensordot(load, model.effects[..., chosen], axes=1)
+    return (load @ model.effects[chosen]).T
