@@ -50,8 +50,8 @@ def test_claimed_sigma_is_what_happens() -> None:
 def test_the_low_pass_takes_most_of_the_bias_of_fine_speckle() -> None:
     """Speckles of 0.8 px, moved by 0.1 px without noise: what is finer than the pixels misleads.
 
-    Unsmoothed the motion is 1.24 % too long, by aliasing: six textures agree to 0.02 %. The low-pass
-    of 1 px leaves 0.08 %, less than half the error of lengths that every session grants.
+    Unsmoothed the motion is 1.24 % too long, by aliasing: six textures agree to 0.02 %. The
+    low-pass of 1 px leaves 0.08 %, less than half the error of lengths that every session grants.
     """
     texture = Speckle(256, seed=1, sigma=0.8)
     first = texture.image()

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from palpate.estimation import ProbeObservations
-from palpate.estimation.gauss_newton import Minimum, gauss_newton
+from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.noise import NOISE_MODELS
+from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.problem import Problem, make_problem
 
@@ -29,7 +30,7 @@ def problem_of(
     )
 
 
-def minimum_of(problem: Problem, poisson_range: tuple[float, float] = RANGE) -> Minimum:
+def minimum_of(problem: Problem, poisson_range: tuple[float, float] = RANGE) -> Evaluation:
     """Its minimum at these levels."""
     theta = np.zeros(problem.layout.size)
     theta[:2] = 0.28, np.log(2.1e4)
@@ -43,14 +44,12 @@ def patterns(problem: Problem, index: int) -> np.ndarray:
     return np.reshape(rows, (unknown.count, len(unknown.variance)))
 
 
-def dense_information(minimum: Minimum) -> np.ndarray:
+def dense_information(minimum: Evaluation) -> np.ndarray:
     """Information about all of theta at once, (t, t), for least squares."""
     problem, layout = minimum.problem, minimum.problem.layout
     information = np.diag(problem.precision())
     variances = problem.variance()
-    for index, (block, table) in enumerate(
-        zip(layout.blocks, problem.jacobian(minimum.theta), strict=True)
-    ):
+    for index, (block, table) in enumerate(zip(layout.blocks, minimum.jacobian, strict=True)):
         rows = np.zeros((layout.size, table.shape[1]))
         rows[: layout.common] = table[: layout.common]
         rows[block.whole] = np.vstack([table[layout.common :], patterns(problem, index)])

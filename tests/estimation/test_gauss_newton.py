@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from palpate.estimation import ForceGain, ModelStep, ProbeObservations
 from palpate.estimation.gauss_newton import fitted, gauss_newton
 from palpate.estimation.noise import StudentT
+from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
 
 
@@ -30,7 +31,7 @@ def test_every_step_lowers_the_objective() -> None:
     for _ in range(15):
         found = gauss_newton(problem.expanded(theta[0]), theta, poisson_range=RANGE, steps=1)
         start = problem.expanded(theta[0])
-        values.append((start.objective(theta, start.residual(theta)), found.value))
+        values.append((Evaluation(start, theta).value, found.value))
         theta = found.theta
     # The model is expanded anew where nu moves, by 1e-6 of the residuals at most.
     assert all(after <= before * (1 + 1e-5) for before, after in values)
@@ -43,7 +44,7 @@ def test_the_minimum_is_that_of_a_general_optimiser() -> None:
     problem = found.problem
 
     def objective(theta: np.ndarray) -> float:
-        return problem.objective(theta, problem.residual(theta))
+        return Evaluation(problem, theta).value
 
     free = minimize(objective, found.theta + 0.01, method="BFGS", options={"gtol": 1e-6})
     assert found.converged

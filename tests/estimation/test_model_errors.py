@@ -29,7 +29,7 @@ def test_a_step_is_the_difference_of_two_models() -> None:
     problem = problem_of([replace(probe, nuisances=(step,))])
     theta = np.zeros(problem.layout.size)
     theta[:2] = 0.3, np.log(2e4)
-    (column,) = problem.jacobian(theta)[0][problem.layout.blocks[0].errors]
+    (column,) = problem.linearised(theta)[1][0][problem.layout.blocks[0].errors]
     expected = 0.2 * 0.05 * value[:, :3] @ probe.force / 2e4
     np.testing.assert_allclose(column, expected, rtol=1e-9)
 

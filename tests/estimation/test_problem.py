@@ -21,6 +21,7 @@ from palpate.estimation import (
     SupportCompliance,
     ToolSlip,
 )
+from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
 
 
@@ -88,7 +89,7 @@ def test_the_jacobian_is_the_derivative_of_the_prediction() -> None:
     layout = problem.layout
     theta = rng.normal(size=layout.size)
     theta[:2] = 0.285, np.log(1.9e4)
-    tables = problem.jacobian(theta)
+    tables = problem.linearised(theta)[1]
     for index, block in enumerate(layout.blocks):
         whole = np.vstack([tables[index], patterns(problem, index)])
         own = [*range(layout.common), *range(block.whole.start, block.whole.stop)]
@@ -97,7 +98,7 @@ def test_the_jacobian_is_the_derivative_of_the_prediction() -> None:
             # Of second order in all but log G.
             size = 1e-4 if entry == 1 else 1e-2
             step[entry] = size
-            ahead, behind = (problem.residual(theta + s * step)[index] for s in (1, -1))
+            ahead, behind = (problem.linearised(theta + s * step)[0][index] for s in (1, -1))
             expected = -(ahead - behind) / (2 * size)
             scale = np.abs(whole[row]).max() + 1e-9
             np.testing.assert_allclose(whole[row], expected, atol=2e-6 * scale, err_msg=str(entry))
@@ -110,7 +111,9 @@ def test_an_expansion_is_right_to_second_order() -> None:
     missed = []
     for offset in (0.04, 0.02):
         theta[:2] = 0.28 + offset, np.log(2e4)
-        far, near = problem.residual(theta)[0], problem.expanded(0.28 + offset).residual(theta)[0]
+        far, near = (
+            each.linearised(theta)[0][0] for each in (problem, problem.expanded(0.28 + offset))
+        )
         missed.append(np.linalg.norm(far - near))
     assert missed[0] / missed[1] == pytest.approx(4.0, rel=0.15)
 
@@ -127,7 +130,9 @@ def test_the_prediction_is_the_formula() -> None:
     response = seen.response.value(0.31)
     response = response + (2.4e4 / 1.7e4 - 1.0) * seen.settlement.derivative(0.31)
     measured = np.append(seen.displacement.ravel(), seen.tip_displacement)
-    np.testing.assert_allclose(problem.residual(theta)[0], measured - response @ load, atol=1e-11)
+    np.testing.assert_allclose(
+        problem.linearised(theta)[0][0], measured - response @ load, atol=1e-11
+    )
 
 
 def test_the_objective_is_noise_and_priors() -> None:
@@ -136,9 +141,9 @@ def test_the_objective_is_noise_and_priors() -> None:
     problem = replace(problem_of(probes), information=0.7)
     theta = np.random.default_rng(6).normal(size=problem.layout.size)
     theta[:2] = 0.3, np.log(2e4)
-    residual = problem.residual(theta)
+    residual = problem.linearised(theta)[0]
     expected = 0.7 * sum(((row / 3e-5) ** 2).sum() for row in residual) + (theta[2:] ** 2).sum()
-    assert problem.objective(theta, residual) == pytest.approx(expected, rel=1e-12)
+    assert Evaluation(problem, theta).value == pytest.approx(expected, rel=1e-12)
 
 
 def test_probings_share_by_name() -> None:

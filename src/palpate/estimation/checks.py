@@ -9,9 +9,9 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.special import chdtrc, ndtri
 
-from palpate.estimation.gauss_newton import Minimum, with_noise
+from palpate.estimation.gauss_newton import with_noise
 from palpate.estimation.noise import FINEST
-from palpate.estimation.normal_equations import own_covariances
+from palpate.estimation.normal_equations import Evaluation, own_covariances
 from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_NAMES
 from palpate.estimation.problem import Problem
 from palpate.geometry import morton_order
@@ -88,8 +88,8 @@ class Contradiction:
 
 
 def with_outlying_forces_freed(
-    minimum: Minimum, poisson_range: tuple[float, float]
-) -> tuple[Minimum, tuple[FreedForce, ...]]:
+    minimum: Evaluation, poisson_range: tuple[float, float]
+) -> tuple[Evaluation, tuple[FreedForce, ...]]:
     """Set forces free that disagree with the others, one at a time, as long as three agree for
     each: two constants are fitted, so that two pushes agree on wrong ones, too.
 
@@ -98,12 +98,12 @@ def with_outlying_forces_freed(
 
     Parameters
     ----------
-    minimum : Minimum               of all probings
+    minimum : Evaluation               of all probings
     poisson_range : (float, float)
 
     Returns
     -------
-    Minimum                         with these forces unknown
+    Evaluation                         with these forces unknown
     tuple of FreedForce
     """
     freed: list[FreedForce] = []
@@ -123,13 +123,13 @@ def with_outlying_forces_freed(
     return minimum, tuple(freed)
 
 
-def force_deviations(minimum: Minimum) -> Float[np.ndarray, " k"]:
+def force_deviations(minimum: Evaluation) -> Float[np.ndarray, " k"]:
     """Deviation of every force from what all else says about it, along the force, in standard
     deviations; 0 where the force is exact or zero.
 
     Parameters
     ----------
-    minimum : Minimum
+    minimum : Evaluation
 
     Returns
     -------
@@ -147,7 +147,7 @@ def force_deviations(minimum: Minimum) -> Float[np.ndarray, " k"]:
     return np.array(deviations)
 
 
-def _freed(minimum: Minimum, index: int) -> tuple[Problem, Float[np.ndarray, " n"]]:
+def _freed(minimum: Evaluation, index: int) -> tuple[Problem, Float[np.ndarray, " n"]]:
     """The problem with one force unknown, and a start."""
     problem, theta = minimum.problem, minimum.theta.copy()
     probe = problem.probes[index]
@@ -159,12 +159,12 @@ def _freed(minimum: Minimum, index: int) -> tuple[Problem, Float[np.ndarray, " n
     return replace(problem, probes=tuple(probes)), theta
 
 
-def contradictions(minimum: Minimum) -> tuple[Contradiction, ...]:
+def contradictions(minimum: Evaluation) -> tuple[Contradiction, ...]:
     """What contradicts the model, the clearest first.
 
     Parameters
     ----------
-    minimum : Minimum               of all probings
+    minimum : Evaluation               of all probings
 
     Returns
     -------
@@ -173,7 +173,7 @@ def contradictions(minimum: Minimum) -> tuple[Contradiction, ...]:
     return (*_reversed(minimum), *_impossible_families(minimum), *_unexplained(minimum))
 
 
-def _reversed(minimum: Minimum) -> list[Contradiction]:
+def _reversed(minimum: Evaluation) -> list[Contradiction]:
     """Components whose residuals exceed what moved: under a correct model noise is part of the
     measurement, so they cannot. Needs only a few points and no claimed noise level."""
     probes = minimum.problem.probes
@@ -191,7 +191,7 @@ def _reversed(minimum: Minimum) -> list[Contradiction]:
     return found
 
 
-def _impossible_families(minimum: Minimum) -> list[Contradiction]:
+def _impossible_families(minimum: Evaluation) -> list[Contradiction]:
     """Families of errors that are together farther off than their priors allow."""
     problem, layout = minimum.problem, minimum.problem.layout
     values = defaultdict[str, list[float]](list)
@@ -213,7 +213,7 @@ def _impossible_families(minimum: Minimum) -> list[Contradiction]:
     return sorted(found, key=lambda each: -each.sigmas)
 
 
-def _unexplained(minimum: Minimum) -> list[Contradiction]:
+def _unexplained(minimum: Evaluation) -> list[Contradiction]:
     """Probings whose residuals are alike across the body, or stand out at one place, by more than
     the model's own error: noise is independent from point to point, or shared by neighbours."""
     problem, layout = minimum.problem, minimum.problem.layout

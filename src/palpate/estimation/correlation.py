@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.estimation.normal_equations import NormalEquations, residual_moments
+from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.problem import Problem
 from palpate.geometry import morton_order
@@ -20,20 +20,12 @@ _BLOCKS, _MIN_POINTS = 8, 6
 _REFERENCE_SHARE = 0.5
 
 
-def correlation_excess(
-    problem: Problem,
-    theta: Float[np.ndarray, " t"],
-    residual: Sequence[Float[np.ndarray, " _"]],
-    normal: NormalEquations,
-) -> float:
+def correlation_excess(at: Evaluation) -> float:
     """Factor on the variance of the constants from noise, over that for independent points.
 
     Parameters
     ----------
-    problem : Problem
-    theta : (n,) float
-    residual : one (r,) float [m] for each probing    there
-    normal : NormalEquations        there
+    at : Evaluation                 at a minimum
 
     Returns
     -------
@@ -43,31 +35,23 @@ def correlation_excess(
     ------
     Pauli, Racugno and Ventura, Bayesian composite marginal likelihoods, Statistica Sinica 21 (2011)
     """
-    designs = _projected_designs(problem, theta, normal)
-    sharing = _neighbours_sharing(problem, residual)
-    blocks = _block_excess(problem, theta, residual, normal, designs, sharing)
-    return _stated_excess(problem, designs, sharing) * blocks
+    designs, sharing = _projected_designs(at), _neighbours_sharing(at)
+    return _stated_excess(at.problem, designs, sharing) * _block_excess(at, designs, sharing)
 
 
-def stated_excess(
-    problem: Problem,
-    theta: Float[np.ndarray, " t"],
-    residual: Sequence[Float[np.ndarray, " _"]],
-    normal: NormalEquations,
-) -> float:
+def stated_excess(at: Evaluation) -> float:
     """As `correlation_excess`, from what is stated of the points alone: which are neighbours, and
     which probings share pictures.
 
     Parameters
     ----------
-    problem, theta, residual, normal    as in `correlation_excess`
+    at : Evaluation
 
     Returns
     -------
     float [-]                       at least 1
     """
-    designs = _projected_designs(problem, theta, normal)
-    return _stated_excess(problem, designs, _neighbours_sharing(problem, residual))
+    return _stated_excess(at.problem, _projected_designs(at), _neighbours_sharing(at))
 
 
 def _stated_excess(
@@ -82,21 +66,15 @@ def _stated_excess(
 
 
 def _block_excess(
-    problem: Problem,
-    theta: Float[np.ndarray, " t"],
-    residual: Sequence[Float[np.ndarray, " _"]],
-    normal: NormalEquations,
-    designs: Sequence[Float[np.ndarray, "_ 2"]],
-    sharing: float,
+    at: Evaluation, designs: Sequence[Float[np.ndarray, "_ 2"]], sharing: float
 ) -> float:
     """Scatter of the scores of blocks of neighbouring points, over what their noise explains: shows
     correlation that nobody stated; the claim, 1, counts as one more degree of freedom."""
+    problem, normal, d = at.problem, at.normal, at.problem.layout.common
     metric = np.linalg.pinv(sum(design.T @ design for design in designs), hermitian=True)
-    d = problem.layout.common
     # Residuals that are smaller than claimed prove nothing.
-    power = max(residual_moments(problem, residual).power, problem.expected.power)
-    tables, scores = problem.jacobian(theta), _scores(problem, residual)
-    variances = problem.variance()
+    power = max(at.moments().power, problem.expected.power)
+    scores, variances = _scores(at), problem.variance()
     observed = mean = square = 0.0
     for index, (probe, design) in enumerate(zip(problem.probes, designs, strict=True)):
         block = _blocks(probe)
@@ -108,7 +86,7 @@ def _block_excess(
         sums = (parts @ scores[index]).reshape(_BLOCKS, 2)
         information = np.einsum("bir,jr->bij", parts.reshape(_BLOCKS, 2, -1), design.T)
         # What the probing's own parameters take of its residuals.
-        named = (parts / sigma) @ tables[index][d:].T
+        named = (parts / sigma) @ at.jacobian[index][d:].T
         smooth = problem.unknown[index].with_columns(parts, 1.0 / sigma)
         leak = np.hstack([named, smooth]).reshape(_BLOCKS, 2, -1)
         own = np.linalg.inv(normal.own[index])
@@ -142,16 +120,14 @@ def _blocks(probe: ObservedRows) -> Int[np.ndarray, " r"] | None:
     return block[probe.point_of_row]
 
 
-def _projected_designs(
-    problem: Problem, theta: Float[np.ndarray, " t"], normal: NormalEquations
-) -> list[Float[np.ndarray, "r 2"]]:
+def _projected_designs(at: Evaluation) -> list[Float[np.ndarray, "r 2"]]:
     """Derivatives of every row, in standard deviations, by nu and log G, all else following."""
-    d = problem.layout.common
+    problem, normal, d = at.problem, at.normal, at.problem.layout.common
     following = -np.linalg.lstsq(normal.common[2:, 2:], normal.common[2:, :2], rcond=1e-12)[0]
     common = np.vstack([np.eye(2), following])
     designs = []
     for table, unknown, solution, variance in zip(
-        problem.jacobian(theta), problem.unknown, normal.solutions, problem.variance(), strict=True
+        at.jacobian, problem.unknown, normal.solutions, problem.variance(), strict=True
     ):
         own = -solution[:, :d] @ common
         named = len(table) - d
@@ -161,26 +137,24 @@ def _projected_designs(
     return designs
 
 
-def _neighbours_sharing(problem: Problem, residual: Sequence[Float[np.ndarray, " _"]]) -> float:
+def _neighbours_sharing(at: Evaluation) -> float:
     """Factor on the nominal correlation of neighbours, 0 to 1, from the residuals of all probings:
     least squares over all pairs of rows, products of their scores against what is expected."""
-    power = residual_moments(problem, residual).power
-    observed = expected = 0.0
-    for probe, score in zip(problem.probes, _scores(problem, residual), strict=True):
+    power, observed, expected = at.moments().power, 0.0, 0.0
+    for probe, score in zip(at.problem.probes, _scores(at), strict=True):
         if probe.neighbours is not None:
             observed += float(score @ (probe.neighbours @ score))
             expected += power * float((probe.neighbours.data**2).sum())
     return float(np.clip(observed / expected, 0.0, 1.0)) if expected > 0.0 else 0.0
 
 
-def _scores(
-    problem: Problem, residual: Sequence[Float[np.ndarray, " _"]]
-) -> list[Float[np.ndarray, " _"]]:
+def _scores(at: Evaluation) -> list[Float[np.ndarray, " _"]]:
     """Robust score of every row of each probing: its weighted residual in standard deviations."""
-    weights = problem.weights(problem.squared(residual))
     return [
         weight * row / np.sqrt(variance)
-        for weight, row, variance in zip(weights, residual, problem.variance(), strict=True)
+        for weight, row, variance in zip(
+            at.weights, at.residual, at.problem.variance(), strict=True
+        )
     ]
 
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 
 from palpate.errors import InputError
 from palpate.estimation.checks import contradictions, with_outlying_forces_freed
-from palpate.estimation.gauss_newton import Minimum, fitted, gauss_newton
+from palpate.estimation.gauss_newton import fitted, gauss_newton
 from palpate.estimation.noise import NOISE_MODELS
-from palpate.estimation.normal_equations import covariance, determined
+from palpate.estimation.normal_equations import Evaluation, covariance, determined
 from palpate.estimation.notes import fit_notes
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
@@ -229,18 +229,18 @@ def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ..
     return tuple(observed_rows_of(probe) for probe in probes)
 
 
-def _joint_minimum(rows: tuple[ObservedRows, ...], settings: FitSettings) -> Minimum:
+def _joint_minimum(rows: tuple[ObservedRows, ...], settings: FitSettings) -> Evaluation:
     minimum = fitted(rows, NOISE_MODELS[settings.noise], settings.poisson_range)
     if settings.method == FitMethod.NELDER_MEAD:
         return _simplex_minimum(minimum, settings.poisson_range)
     return minimum
 
 
-def _simplex_minimum(minimum: Minimum, poisson_range: tuple[float, float]) -> Minimum:
+def _simplex_minimum(minimum: Evaluation, poisson_range: tuple[float, float]) -> Evaluation:
     """The minimum of the same objective over (nu, log G) by a simplex search, as Lang and Pai's,
     with everything else at its best for each."""
 
-    def at(constants: np.ndarray) -> Minimum:
+    def at(constants: np.ndarray) -> Evaluation:
         theta = minimum.theta.copy()
         theta[:2] = np.clip(constants[0], *poisson_range), constants[1]
         return gauss_newton(minimum.problem, theta, fixed=(0, 1), poisson_range=poisson_range)
@@ -257,18 +257,16 @@ def _simplex_minimum(minimum: Minimum, poisson_range: tuple[float, float]) -> Mi
         },
     )
     best = at(found.x)
-    # The equations there are those of the joint search.
-    joint = gauss_newton(best.problem, best.theta, poisson_range=poisson_range, steps=0)
-    return replace(joint, converged=bool(found.success and minimum.converged))
+    return Evaluation(best.problem, best.theta, bool(found.success and minimum.converged))
 
 
-def _posterior(minimum: Minimum, settings: FitSettings) -> Posterior:
-    degrees = degrees_of_freedom(minimum, determined(minimum.problem, minimum.normal)[0])
+def _posterior(minimum: Evaluation, settings: FitSettings) -> Posterior:
+    degrees = degrees_of_freedom(minimum, determined(minimum)[0])
     return posterior_of(minimum, settings.poisson_range, degrees)
 
 
 def _single(
-    minimum: Minimum, index: int, settings: FitSettings
+    minimum: Evaluation, index: int, settings: FitSettings
 ) -> tuple[IntervalSet, dict[str, bool]]:
     """Constants from one probing alone, with the noise of the joint fit, and which of them it
     determines."""

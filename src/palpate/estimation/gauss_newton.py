@@ -2,7 +2,7 @@
 the noise levels that its residuals ask for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -11,11 +11,9 @@ from palpate.estimation.correlation import correlation_excess
 from palpate.estimation.noise import NoiseModel, noise_levels
 from palpate.estimation.normal_equations import (
     SMALLEST_SLOPE,
-    NormalEquations,
+    Evaluation,
     determined,
     diagonal_root,
-    normal_equations,
-    residual_moments,
 )
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.problem import Problem, make_problem
@@ -36,41 +34,9 @@ _LEVEL_TOLERANCE = 0.01
 _CLAIM_PARAMETERS = 4.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Minimum:
-    """A minimum of the objective, or the best point of a search that ended early.
-
-    Attributes
-    ----------
-    problem : Problem
-    theta : (n,) float
-    residual : tuple of (r,) float [m]      of each probing's rows
-    normal : NormalEquations                at this point
-    value : float                           of the objective
-    converged : bool
-    """
-
-    problem: Problem
-    theta: Float[np.ndarray, " t"]
-    residual: tuple[Float[np.ndarray, " _"], ...]
-    normal: NormalEquations
-    value: float
-    converged: bool
-
-    @property
-    def poisson_ratio(self) -> float:
-        """Poisson's ratio [-]."""
-        return float(self.theta[0])
-
-    @property
-    def shear_modulus(self) -> float:
-        """Shear modulus [Pa]."""
-        return float(np.exp(self.theta[1]))
-
-
 def fitted(
     probes: tuple[ObservedRows, ...], noise: NoiseModel, poisson_range: tuple[float, float]
-) -> Minimum:
+) -> Evaluation:
     """The minimum of the objective over all probings, with its noise levels.
 
     Parameters
@@ -81,7 +47,7 @@ def fitted(
 
     Returns
     -------
-    Minimum
+    Evaluation
     """
     ratio, modulus = _start(probes, poisson_range)
     problem = make_problem(probes, noise, poisson_ratio=ratio, shear_modulus=modulus)
@@ -92,7 +58,7 @@ def fitted(
 
 def with_noise(
     problem: Problem, theta: Float[np.ndarray, " t"], poisson_range: tuple[float, float]
-) -> Minimum:
+) -> Evaluation:
     """The minimum, with noise levels and the size of the model's error that its residuals ask for.
 
     Parameters
@@ -103,11 +69,11 @@ def with_noise(
 
     Returns
     -------
-    Minimum
+    Evaluation
     """
     independent = _settled(problem, theta, poisson_range, excess=1.0)
     problem, theta = independent.problem, independent.theta
-    excess = correlation_excess(problem, theta, independent.residual, independent.normal)
+    excess = correlation_excess(independent)
     if excess < 1.0 + _LEVEL_TOLERANCE:
         return independent
     # Not brought up to date: with less information residuals are others, and so is their scatter.
@@ -120,18 +86,18 @@ def _settled(
     poisson_range: tuple[float, float],
     *,
     excess: float,
-) -> Minimum:
+) -> Evaluation:
     """The minimum, with levels that its residuals ask for, and less information by an excess of
     correlation."""
     for _ in range(_MAX_ROUNDS):
         found = gauss_newton(problem, theta, poisson_range=poisson_range, steps=_STEPS_A_ROUND)
-        updated = _updated(found, excess)
-        settled, theta = _is_settled(problem, updated), found.theta
+        theta, before, problem = found.theta, problem, _updated(found, excess)
+        settled = _is_settled(before, problem)
         if settled:
             break
-        problem = replace(updated, expansions=found.problem.expansions)
     last = gauss_newton(problem, theta, poisson_range=poisson_range)
-    return replace(last, converged=bool(last.converged and settled))
+    last.converged = last.converged and settled
+    return last
 
 
 def _is_settled(before: Problem, after: Problem) -> bool:
@@ -150,7 +116,7 @@ def gauss_newton(
     fixed: Sequence[int] = (),
     poisson_range: tuple[float, float],
     steps: int = _MAX_STEPS,
-) -> Minimum:
+) -> Evaluation:
     """Minimise the objective at given noise levels; every step lowers it.
 
     Parameters
@@ -164,50 +130,39 @@ def gauss_newton(
 
     Returns
     -------
-    Minimum
+    Evaluation
     """
     theta = np.array(theta)
     theta[0] = np.clip(theta[0], *poisson_range)
-    problem = _about(problem, theta[0])
-    residual = problem.residual(theta)
-    value, converged = problem.objective(theta, residual), False
-    normal = normal_equations(problem, theta, residual)
+    at = Evaluation(_about(problem, theta[0]), theta)
     for _ in range(steps):
-        about = problem.expansions[0].poisson_ratio
+        about = at.problem.expansions[0].poisson_ratio
         bounds = (max(poisson_range[0], about - _REACH), min(poisson_range[1], about + _REACH))
-        step = normal.step(fixed, theta[0], bounds)
+        step = at.normal.step(fixed, at.theta[0], bounds)
         for factor in 0.5 ** np.arange(_MAX_HALVINGS):
-            trial = theta + factor * step
-            trial_residual = problem.residual(trial)
-            trial_value = problem.objective(trial, trial_residual)
-            if trial_value <= value:
+            trial = Evaluation(at.problem, at.theta + factor * step)
+            if trial.value <= at.value:
                 break
         else:
             # No step in this direction lowers the objective: only rounding error is left.
-            converged = True
+            at.converged = True
             break
-        gain, moved = (
-            value - trial_value,
-            np.abs(factor * step[:2]) * diagonal_root(normal.common)[:2],
-        )
-        theta, residual, value = trial, trial_residual, trial_value
-        renewed = _about(problem, theta[0])
-        if renewed is not problem:
-            problem, residual = renewed, renewed.residual(theta)
-            value = problem.objective(theta, residual)
-        normal = normal_equations(problem, theta, residual)
-        converged = gain < _IRRELEVANT
-        if gain < _OBJECTIVE_TOLERANCE * (1.0 + abs(value)) or moved.max() < _STEP_OVER_ERROR:
-            converged = True
+        gain = at.value - trial.value
+        moved = np.abs(factor * step[:2]) * diagonal_root(at.normal.common)[:2]
+        renewed = _about(at.problem, trial.theta[0])
+        at = trial if renewed is at.problem else Evaluation(renewed, trial.theta)
+        at.converged = gain < _IRRELEVANT
+        if gain < _OBJECTIVE_TOLERANCE * (1.0 + abs(at.value)) or moved.max() < _STEP_OVER_ERROR:
+            at.converged = True
             break
-    return Minimum(problem, theta, tuple(residual), normal, value, bool(converged))
+    return at
 
 
-def _updated(minimum: Minimum, excess: float) -> Problem:
+def _updated(minimum: Evaluation, excess: float) -> Problem:
     """The problem with noise levels, size of the model's error and calibration as the residuals ask
     for."""
     problem, theta = minimum.problem, minimum.theta
-    total, unknown = determined(problem, minimum.normal)
+    total, unknown = determined(minimum)
     rows = sum(len(row) for row in minimum.residual)
     lift = rows / max(rows - total, 0.5)
     expected = problem.expected
@@ -217,7 +172,7 @@ def _updated(minimum: Minimum, excess: float) -> Problem:
     coefficients = np.concatenate([theta[block.unknown] for block in problem.layout.blocks])
     asked = _CLAIM_PARAMETERS + float(coefficients @ coefficients)
     scale = float(np.sqrt(max(1.0, asked / (_CLAIM_PARAMETERS + unknown))))
-    moments = residual_moments(problem, minimum.residual, lift)
+    moments = minimum.moments(lift)
     calibrated = min(moments.slope, expected.slope) / max(moments.power, expected.power)
     calibrated = max(calibrated, SMALLEST_SLOPE * expected.information)
     return replace(problem, level=level, scale=scale, information=calibrated / excess)

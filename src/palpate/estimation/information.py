@@ -8,9 +8,8 @@ from jaxtyping import Float
 
 from palpate.errors import InputError
 from palpate.estimation.correlation import stated_excess
-from palpate.estimation.gauss_newton import Minimum
 from palpate.estimation.noise import Gaussian
-from palpate.estimation.normal_equations import normal_equations
+from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.posterior import directions, posterior_of, uncertainty_budget
@@ -105,13 +104,9 @@ def fisher_information(
     )
     theta = np.zeros(problem.layout.size)
     theta[:2] = poisson_ratio, np.log(shear_modulus)
-    residual = problem.residual(theta)
-    normal = normal_equations(problem, theta, residual)
-    excess = stated_excess(problem, theta, residual, normal)
-    problem = replace(problem, information=problem.information / excess)
-    normal = normal_equations(problem, theta, residual)
-    at = Minimum(problem, theta, tuple(residual), normal, 0.0, True)
-    information = Information(normal.parts, (), poisson_ratio, shear_modulus)
+    excess = stated_excess(Evaluation(problem, theta))
+    at = Evaluation(replace(problem, information=problem.information / excess), theta)
+    information = Information(at.normal.parts, (), poisson_ratio, shear_modulus)
     bound = information.bound(range(len(probes)))
     determined = {name: bool(np.isfinite(bound[name])) for name in CONSTANT_NAMES}
     budget = uncertainty_budget(posterior_of(at, _ANY_RATIO, np.inf), determined)

@@ -3,6 +3,7 @@ covariances that follow from them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -64,29 +65,109 @@ class NormalEquations:
         return np.concatenate([step, *moves])
 
 
-def normal_equations(
-    problem: Problem, theta: Float[np.ndarray, " t"], residual: Sequence[Float[np.ndarray, " _"]]
-) -> NormalEquations:
-    """Gauss-Newton equations at a point.
+@dataclass(eq=False)
+class Evaluation:
+    """The objective at one point; what is asked of it is computed once.
 
     Parameters
     ----------
     problem : Problem
     theta : (n,) float
-    residual : one (r,) float [m] for each probing    there
-
-    Returns
-    -------
-    NormalEquations
+    converged : bool                whether a search ended here, at a minimum
     """
-    layout, precision = problem.layout, problem.precision()
-    d, squares = layout.common, problem.squared(residual)
-    factor = curvature_factor(problem, residual)
+
+    problem: Problem
+    theta: Float[np.ndarray, " t"]
+    converged: bool = False
+
+    @property
+    def poisson_ratio(self) -> float:
+        """Poisson's ratio [-]."""
+        return float(self.theta[0])
+
+    @property
+    def shear_modulus(self) -> float:
+        """Shear modulus [Pa]."""
+        return float(np.exp(self.theta[1]))
+
+    @cached_property
+    def _linearised(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        return self.problem.linearised(self.theta)
+
+    @property
+    def residual(self) -> list[Float[np.ndarray, " _"]]:
+        """Measured minus predicted displacement of each probing's rows, (r,) [m]."""
+        return self._linearised[0]
+
+    @property
+    def jacobian(self) -> list[Float[np.ndarray, "_ _"]]:
+        """Derivative of each probing's prediction (`Problem.linearised`)."""
+        return self._linearised[1]
+
+    @cached_property
+    def squared(self) -> list[Float[np.ndarray, " _"]]:
+        """Squared length of every point's residual in standard deviations."""
+        problem = self.problem
+        return [
+            probe.squared_length(row / np.sqrt(variance))
+            for probe, row, variance in zip(
+                problem.probes, self.residual, problem.variance(), strict=True
+            )
+        ]
+
+    @cached_property
+    def weights(self) -> list[Float[np.ndarray, " _"]]:
+        """Robust weight of every row of each probing."""
+        noise = self.problem.noise
+        return [
+            probe.per_row(noise.weight(square, probe.components))
+            for probe, square in zip(self.problem.probes, self.squared, strict=True)
+        ]
+
+    @cached_property
+    def value(self) -> float:
+        """The objective, f."""
+        problem = self.problem
+        loss = sum(
+            float(problem.noise.loss(square, probe.components).sum())
+            for probe, square in zip(problem.probes, self.squared, strict=True)
+        )
+        return problem.information * loss + float(problem.precision() @ self.theta**2)
+
+    @cached_property
+    def normal(self) -> NormalEquations:
+        """Its Gauss-Newton equations."""
+        return _normal_equations(self)
+
+    def curvature_factor(self) -> float:
+        """Expected curvature of the loss over its robust weights: scoring, not plain reweighting,
+        takes the mean slope of the score in place of the mean weight."""
+        weight = [
+            each[probe.start] for each, probe in zip(self.weights, self.problem.probes, strict=True)
+        ]
+        slope = self.moments().slope / float(np.concatenate(weight).mean())
+        return self.problem.information * max(slope, SMALLEST_SLOPE)
+
+    def moments(self, lift: float = 1.0) -> Moments:
+        """Moments of the robust score over all points.
+
+        Parameters
+        ----------
+        lift : float                factor on the squares, for degrees of freedom that were lost
+        """
+        components = np.concatenate([probe.components for probe in self.problem.probes])
+        return moments_of(self.problem.noise, lift * np.concatenate(self.squared), components)
+
+
+def _normal_equations(at: Evaluation) -> NormalEquations:
+    problem, theta, layout = at.problem, at.theta, at.problem.layout
+    precision, d = problem.precision(), layout.common
+    factor, variances = at.curvature_factor(), problem.variance()
     parts, gradients, inner, solutions = [], [], [], []
-    tables = problem.jacobian(theta)
-    variances, weights = problem.variance(), problem.weights(squares)
-    for index, (block, table, row) in enumerate(zip(layout.blocks, tables, residual, strict=True)):
-        weight = weights[index] / variances[index]
+    for index, (block, table, row) in enumerate(
+        zip(layout.blocks, at.jacobian, at.residual, strict=True)
+    ):
+        weight = at.weights[index] / variances[index]
         products = gram(problem, index, np.vstack([table, row]), weight)
         information, score = factor * products, problem.information * products[:, len(table)]
         information = np.delete(np.delete(information, len(table), 0), len(table), 1)
@@ -135,46 +216,6 @@ def gram(
     return np.block([[own, cross], [cross.T, whole]])
 
 
-def curvature_factor(problem: Problem, residual: Sequence[Float[np.ndarray, " _"]]) -> float:
-    """Expected curvature of the loss over its robust weights: scoring, not plain reweighting, takes
-    the mean slope of the score in place of the mean weight.
-
-    Parameters
-    ----------
-    problem : Problem
-    residual : one (r,) float [m] for each probing
-
-    Returns
-    -------
-    float [-]
-    """
-    weight = [
-        problem.noise.weight(square, probe.components)
-        for square, probe in zip(problem.squared(residual), problem.probes, strict=True)
-    ]
-    slope = residual_moments(problem, residual).slope / float(np.concatenate(weight).mean())
-    return problem.information * max(slope, SMALLEST_SLOPE)
-
-
-def residual_moments(
-    problem: Problem, residual: Sequence[Float[np.ndarray, " _"]], lift: float = 1.0
-) -> Moments:
-    """Moments of the robust score over all points.
-
-    Parameters
-    ----------
-    problem : Problem
-    residual : one (r,) float [m] for each probing
-    lift : float                    factor on the squares, for degrees of freedom that were lost
-
-    Returns
-    -------
-    Moments
-    """
-    components = np.concatenate([probe.components for probe in problem.probes])
-    return moments_of(problem.noise, lift * np.concatenate(problem.squared(residual)), components)
-
-
 def covariance(normal: NormalEquations) -> Float[np.ndarray, "d d"]:
     """Posterior covariance of the common parameters; very large but finite along a combination
     without information.
@@ -210,13 +251,12 @@ def own_covariances(normal: NormalEquations) -> list[Float[np.ndarray, "n n"]]:
     ]
 
 
-def determined(problem: Problem, normal: NormalEquations) -> tuple[float, float]:
+def determined(minimum: Evaluation) -> tuple[float, float]:
     """How many parameters the data determine, in all, and among those of the model's error.
 
     Parameters
     ----------
-    problem : Problem
-    normal : NormalEquations        at a minimum of it
+    minimum : Evaluation
 
     Returns
     -------
@@ -226,7 +266,8 @@ def determined(problem: Problem, normal: NormalEquations) -> tuple[float, float]
     ------
     MacKay, Bayesian interpolation, Neural Computation 4 (1992), eq. 4.5
     """
-    layout, precision = problem.layout, problem.precision()
+    normal, layout = minimum.normal, minimum.problem.layout
+    precision = minimum.problem.precision()
     shared = 1.0 - np.diag(covariance(normal))[layout.errors]
     total, unknown = 2.0 + float(shared.sum()), 0.0
     for block, own in zip(layout.blocks, own_covariances(normal), strict=True):

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from scipy.interpolate import BarycentricInterpolator
 from scipy.special import chdtri, stdtrit
 
-from palpate.estimation.gauss_newton import Minimum
-from palpate.estimation.normal_equations import covariance, curvature_factor, gram
+from palpate.estimation.normal_equations import Evaluation, covariance, gram
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.records import CONSTANT_NAMES, BudgetEntry, Constant
 
@@ -138,7 +137,7 @@ class Posterior:
 
     Attributes
     ----------
-    minimum : Minimum
+    minimum : Evaluation
     poisson_range : (float, float)
     covariance : (d, d) float       of the common parameters, the modulus as its logarithm
     quantile : float                half-width of a 95 % interval in standard errors
@@ -147,7 +146,7 @@ class Posterior:
     determines_ratio : bool         whether they do
     """
 
-    minimum: Minimum
+    minimum: Evaluation
     poisson_range: tuple[float, float]
     covariance: Float[np.ndarray, "d d"]
     quantile: float
@@ -173,12 +172,14 @@ def directions(poisson_ratio: float) -> dict[str, Float[np.ndarray, "2"]]:
     }
 
 
-def posterior_of(minimum: Minimum, poisson_range: tuple[float, float], degrees: float) -> Posterior:
+def posterior_of(
+    minimum: Evaluation, poisson_range: tuple[float, float], degrees: float
+) -> Posterior:
     """Posterior of the constants at a minimum.
 
     Parameters
     ----------
-    minimum : Minimum
+    minimum : Evaluation
     poisson_range : (float, float)
     degrees : float                 of freedom of the noise levels; infinite where they were claimed
 
@@ -202,13 +203,13 @@ def posterior_of(minimum: Minimum, poisson_range: tuple[float, float], degrees: 
     return Posterior(minimum, poisson_range, shared, quantile, profile, known)
 
 
-def _leads_beyond(minimum: Minimum, error: float) -> bool:
+def _leads_beyond(minimum: Evaluation, error: float) -> bool:
     normal = minimum.normal
     free = np.linalg.lstsq(normal.common, normal.gradient, rcond=None)[0]
     return bool(abs(free[0]) > _CLEARLY * error)
 
 
-def degrees_of_freedom(minimum: Minimum, determined: float) -> float:
+def degrees_of_freedom(minimum: Evaluation, determined: float) -> float:
     """Degrees of freedom of the noise levels: infinite where every row came with a standard
     deviation."""
     probes = minimum.problem.probes
@@ -218,12 +219,12 @@ def degrees_of_freedom(minimum: Minimum, determined: float) -> float:
     return max(rows - determined, 0.5)
 
 
-def profile_of(minimum: Minimum, ends: tuple[float, float]) -> Profile:
+def profile_of(minimum: Evaluation, ends: tuple[float, float]) -> Profile:
     """The objective over an interval of Poisson's ratio and all shear moduli.
 
     Parameters
     ----------
-    minimum : Minimum
+    minimum : Evaluation
     ends : (float, float)           of the interval
 
     Returns
@@ -247,12 +248,14 @@ def profile_of(minimum: Minimum, ends: tuple[float, float]) -> Profile:
     return Profile(fine, a, b, c, minimum.shear_modulus)
 
 
-def _eliminated(minimum: Minimum, nodes: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k+2 k+2"]:
+def _eliminated(
+    minimum: Evaluation, nodes: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k+2 k+2"]:
     """Weighted products, with all errors eliminated, of the change of the displacement from the
     minimum to every node, of what of the displacement scales with 1 / G, and of the residual,
     (k + 2, k + 2)."""
     problem, theta, layout = minimum.problem, minimum.theta, minimum.problem.layout
-    precision, factor = problem.precision(), curvature_factor(problem, minimum.residual)
+    precision, factor = problem.precision(), minimum.curvature_factor()
     m, k = layout.common - 2, len(nodes)
     size = m + k + 2
     shared = np.zeros((size, size))
@@ -261,10 +264,9 @@ def _eliminated(minimum: Minimum, nodes: Float[np.ndarray, " k"]) -> Float[np.nd
     at = theta[layout.errors]
     shared[:m, -1] = shared[-1, :m] = -at
     shared[-1, -1] = at @ at
-    variances, weights = problem.variance(), problem.weights(problem.squared(minimum.residual))
-    tables = problem.jacobian(theta)
+    variances = problem.variance()
     for index, (probe, block, table, row) in enumerate(
-        zip(problem.probes, layout.blocks, tables, minimum.residual, strict=True)
+        zip(problem.probes, layout.blocks, minimum.jacobian, minimum.residual, strict=True)
     ):
         load = problem.load(index, theta)
         here = _scaling(probe, float(theta[0]), load)
@@ -273,7 +275,7 @@ def _eliminated(minimum: Minimum, nodes: Float[np.ndarray, " k"]) -> Float[np.nd
             [table[2 : layout.common], moved, -table[1:2],
              problem.information / factor * row[None], table[layout.common :]]
         )  # fmt: skip
-        products = factor * gram(problem, index, columns, weights[index] / variances[index])
+        products = factor * gram(problem, index, columns, minimum.weights[index] / variances[index])
         prior, at = precision[block.whole], theta[block.whole]
         own = products[size:, size:] + np.diag(prior)
         cross = products[size:, :size].copy()

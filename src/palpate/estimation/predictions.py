@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.gauss_newton import Minimum, gauss_newton
+from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.noise import relative_weight
-from palpate.estimation.normal_equations import own_covariances
+from palpate.estimation.normal_equations import Evaluation, own_covariances
 from palpate.estimation.nuisance import CurvedNuisance, NuisanceParameter, ResponseTerms, padded
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.posterior import IntervalSet
@@ -91,11 +91,11 @@ class FittedModel:
 
     Attributes
     ----------
-    minimum : Minimum
+    minimum : Evaluation
     poisson_range : (float, float)
     """
 
-    minimum: Minimum
+    minimum: Evaluation
     poisson_range: tuple[float, float]
 
     @property
@@ -131,13 +131,13 @@ class FittedModel:
         return ModelState(max(held.value - self.minimum.value, 0.0), tuple(probings))
 
 
-def predicted_points(minimum: Minimum, index: int, theta: Float[np.ndarray, " t"]) -> Points:
+def predicted_points(minimum: Evaluation, index: int, theta: Float[np.ndarray, " t"]) -> Points:
     """Displacement of every point of a probing, measured or not, without the model's error of
     unknown shape.
 
     Parameters
     ----------
-    minimum : Minimum
+    minimum : Evaluation
     index : int                     of the probing
     theta : (n,) float              of the problem
 
@@ -191,12 +191,12 @@ def predicted_surface(
     return np.asarray(response @ load).reshape(-1, 3)
 
 
-def probe_fits(minimum: Minimum, poisson_range: tuple[float, float]) -> tuple[ProbeFit, ...]:
+def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple[ProbeFit, ...]:
     """Predictions, residuals and weights of every probing.
 
     Parameters
     ----------
-    minimum : Minimum               of all probings
+    minimum : Evaluation               of all probings
     poisson_range : (float, float)
 
     Returns
@@ -208,7 +208,7 @@ def probe_fits(minimum: Minimum, poisson_range: tuple[float, float]) -> tuple[Pr
     for k, (probe, block, unknown, square, own) in enumerate(
         zip(
             problem.probes, problem.layout.blocks, problem.unknown,
-            problem.squared(minimum.residual), own_covariances(minimum.normal), strict=True,
+            minimum.squared, own_covariances(minimum.normal), strict=True,
         )
     ):  # fmt: skip
         variance = probe.sigma(problem.level) ** 2 + problem.scale**2 * unknown.variance
@@ -238,7 +238,7 @@ def probe_fits(minimum: Minimum, poisson_range: tuple[float, float]) -> tuple[Pr
     return tuple(fits)
 
 
-def _left_out(minimum: Minimum, index: int, poisson_range: tuple[float, float]) -> Points | None:
+def _left_out(minimum: Evaluation, index: int, poisson_range: tuple[float, float]) -> Points | None:
     """Prediction of a probing from what all others say about the common parameters: one step of
     theirs from the joint minimum."""
     problem, normal, layout = minimum.problem, minimum.normal, minimum.problem.layout

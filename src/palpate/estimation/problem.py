@@ -28,7 +28,6 @@ from palpate.estimation.nuisance import (
     CurvedNuisance,
     NuisanceParameter,
     ResponseTerms,
-    padded,
 )
 from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, ObservedRows
 
@@ -140,13 +139,6 @@ class Problem:
         """Moments of the robust score for Gaussian noise, at the usual number of components."""
         return _expected(self.noise, self.probes)
 
-    def weights(self, squared: Sequence[Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, " _"]]:
-        """Robust weight of every row of each probing, from the squared lengths (`squared`)."""
-        return [
-            probe.per_row(self.noise.weight(square, probe.components))
-            for probe, square in zip(self.probes, squared, strict=True)
-        ]
-
     def own(self, index: int) -> tuple[NuisanceParameter, ...]:
         """The errors that belong to one probing alone."""
         return _own(self.probes[index], self.shared)
@@ -191,37 +183,31 @@ class Problem:
             for probe, unknown in zip(self.probes, self.unknown, strict=True)
         ]
 
-    def residual(self, theta: Float[np.ndarray, " t"]) -> list[Float[np.ndarray, " r"]]:
-        """Measured minus predicted displacement of each probing's rows [m]."""
-        return [
-            probe.measured - self._moved(k, theta)[0] - unknown.moved(theta[block.unknown])
-            for k, (probe, unknown, block) in enumerate(
-                zip(self.probes, self.unknown, self.layout.blocks, strict=True)
-            )
-        ]
+    def linearised(
+        self, theta: Float[np.ndarray, " t"]
+    ) -> tuple[list[Float[np.ndarray, " r"]], list[Float[np.ndarray, "s r"]]]:
+        """Measured minus predicted displacement of each probing's rows, and the derivative of the
+        prediction.
 
-    def jacobian(self, theta: Float[np.ndarray, " t"]) -> list[Float[np.ndarray, "s r"]]:
-        """Derivative of each probing's prediction, (s, r) [m], by the common parameters, then by
-        those of its own block; without those by the coefficients of the model's error, which come
-        last and do not depend on theta (`UnknownRows`)."""
-        return [self._derivatives(k, theta) for k in range(len(self.probes))]
+        Parameters
+        ----------
+        theta : (n,) float
 
-    def squared(self, residual: Sequence[Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, " _"]]:
-        """Squared length of every point's residual in standard deviations."""
-        return [
-            probe.squared_length(row / np.sqrt(variance))
-            for probe, row, variance in zip(self.probes, residual, self.variance(), strict=True)
-        ]
-
-    def objective(
-        self, theta: Float[np.ndarray, " t"], residual: Sequence[Float[np.ndarray, " _"]]
-    ) -> float:
-        """f, from the residual there."""
-        loss = sum(
-            float(self.noise.loss(squared, probe.components).sum())
-            for probe, squared in zip(self.probes, self.squared(residual), strict=True)
-        )
-        return self.information * loss + float(self.precision() @ theta**2)
+        Returns
+        -------
+        one (r,) float [m] for each probing
+        one (s, r) float [m] for each   by the common parameters, then by those of its own block;
+                                        without those by the coefficients of the model's error,
+                                        which come last and do not depend on theta (`UnknownRows`)
+        """
+        residuals, derivatives = [], []
+        for k, (probe, unknown, block) in enumerate(
+            zip(self.probes, self.unknown, self.layout.blocks, strict=True)
+        ):
+            moved, table = self._predicted(k, theta)
+            residuals.append(probe.measured - moved - unknown.moved(theta[block.unknown]))
+            derivatives.append(table)
+        return residuals, derivatives
 
     def load(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " c"]:
         """Load of one probing, one entry for each column of `ResponseModel`: force and 1 over the
@@ -236,37 +222,29 @@ class Problem:
         block = self.layout.blocks[index]
         return np.append(theta[self.layout.errors][block.shared], theta[block.errors])
 
-    def _moved(
+    def _predicted(
         self, index: int, theta: Float[np.ndarray, " t"]
-    ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "l r"], Float[np.ndarray, " l"]]:
-        """Displacement of one probing's rows without the model's error of unknown shape, the
-        response with its errors, and the load."""
-        model, errors = self.expansions[index], self._errors(index, theta)
-        offset = theta[0] - model.poisson_ratio
-        response = model.value + offset * model.slope
-        if errors.any():
-            response = response + np.tensordot(errors, model.effects, axes=1)
-        load = _in_terms(self.load(index, theta), float(np.exp(theta[1])), len(model.value))
-        own = theta[self.layout.blocks[index].errors]
-        second = 0.5 * (model.curvature @ own) @ own / np.exp(theta[1])
-        return load @ response + second, response, load
-
-    def _derivatives(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, "s r"]:
-        """`jacobian` of one probing."""
+    ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "s r"]]:
+        """Displacement of one probing's rows without the model's error of unknown shape, and its
+        derivatives (`linearised`)."""
         model, block, common = self.expansions[index], self.layout.blocks[index], self.layout.common
         seen, modulus = self.probes[index].observations, float(np.exp(theta[1]))
-        moved, response, load = self._moved(index, theta)
-        own = theta[block.errors]
-        first = common - block.whole.start
-        table = np.zeros((first + block.unknown.start, len(moved)))
-        table[0] = load @ model.slope
+        own, count = theta[block.errors], len(block.shared)
+        errors = np.append(theta[self.layout.errors][block.shared], own)
+        response = model.value + (theta[0] - model.poisson_ratio) * model.slope
+        if errors.any():
+            response = response + np.tensordot(errors, model.effects, axes=1)
+        load = _in_terms(self.load(index, theta), modulus, len(response))
         bend = model.curvature @ own / modulus
+        first = common - block.whole.start
+        table = np.zeros((first + block.unknown.start, response.shape[1]))
+        table[0] = load @ model.slope
         columns = 4 + len(seen.motion)
         # Term 0 scales with 1 / G except for motions; term 1 does not depend on G, but motions do.
         scaling = np.concatenate([-load[:4], np.zeros(len(load) - 4)])
         scaling[columns + 4 :] = load[columns + 4 :]
         table[1] = scaling @ response - 0.5 * bend @ own
-        each, count = load @ model.effects, len(block.shared)
+        each = load @ model.effects
         table[self.layout.errors.start + block.shared] = each[:count]
         table[first + block.errors.start : first + block.errors.stop] = each[count:] + bend.T
         force = response[:3] / modulus
@@ -280,7 +258,7 @@ class Problem:
         table[first + block.motions.start : first + block.motions.stop] = (
             motions * seen.motion_std[:, None]
         )
-        return table
+        return load @ response + 0.5 * bend @ own, table
 
 
 def make_problem(
