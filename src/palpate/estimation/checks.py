@@ -1,7 +1,7 @@
 """Whether the data contradict the model, and which force disagrees with the others."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,14 +11,15 @@ from scipy.special import chdtrc, ndtri
 
 from palpate.estimation.gauss_newton import with_noise
 from palpate.estimation.noise import FINEST
-from palpate.estimation.normal_equations import Evaluation, own_covariances
+from palpate.estimation.normal_equations import Evaluation, covariance, own_covariances
 from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_NAMES
+from palpate.estimation.posterior import FORCES
 from palpate.estimation.problem import Problem
 from palpate.geometry import morton_order
 from palpate.records import IMPOSSIBLE
 from palpate.shapes import Points, Vector3
 
-# Probability that a sound session has a force set free.
+# Probability that a sound session has a force set free, or is contradicted by its errors together.
 _FALSE_ALARM = 1 / 400
 # So many forces must agree for each that does not.
 _AGREEING = 3
@@ -192,25 +193,47 @@ def _reversed(minimum: Evaluation) -> list[Contradiction]:
 
 
 def _impossible_families(minimum: Evaluation) -> list[Contradiction]:
-    """Families of errors that are together farther off than their priors allow."""
-    problem, layout = minimum.problem, minimum.problem.layout
-    values = defaultdict[str, list[float]](list)
-    for parameter, value in zip(problem.shared, minimum.theta[layout.errors], strict=True):
-        values[parameter.source].append(float(value))
-    for index, block in enumerate(layout.blocks):
-        for parameter, value in zip(problem.own(index), minimum.theta[block.errors], strict=True):
-            values[parameter.source].append(float(value))
+    """Families of errors that are farther off than their priors allow, each by itself or all of
+    them together: a wrong model bends many of them a little."""
+    families = defaultdict[str, list[tuple[float, float]]](list)
+    for source, value, std in _errors(minimum):
+        # The square of an estimate is on average what the data take of its prior's variance.
+        families[source].append((abs(value), 1.0 - std**2))
     found = []
-    for source, family in values.items():
-        size = np.abs(family)
-        chance = float(chdtrc(len(family), float(size @ size)))
-        if chance < _IMPOSSIBLE_FAMILY or size.max() > IMPOSSIBLE:
-            found.append(Contradiction("errors", float(size.max()), source))
-    forces = np.abs(force_deviations(minimum))
-    square = float(forces @ forces)
-    if forces.size and chdtrc(len(forces), square) < _IMPOSSIBLE_FAMILY:
-        found.append(Contradiction("errors", float(forces.max()), "measured forces"))
+    for source, family in families.items():
+        farthest = max(value for value, _ in family)
+        if _chance(family) < _IMPOSSIBLE_FAMILY or farthest > IMPOSSIBLE:
+            found.append(Contradiction("errors", farthest, source))
+    if not found and _chance([each for family in families.values() for each in family]) < (
+        _FALSE_ALARM
+    ):
+        source = min(families, key=lambda name: _chance(families[name]))
+        found = [Contradiction("errors", max(value for value, _ in families[source]), source)]
     return sorted(found, key=lambda each: -each.sigmas)
+
+
+def _chance(errors: Sequence[tuple[float, float]]) -> float:
+    """Probability of errors so far off in all, from their sizes and degrees of freedom."""
+    square, degrees = sum(value**2 for value, _ in errors), sum(each for _, each in errors)
+    return float(chdtrc(max(degrees, 1.0), square))
+
+
+def _errors(minimum: Evaluation) -> Iterator[tuple[str, float, float]]:
+    """Source, value and standard deviation of every named error, in standard deviations of its
+    prior; then the deviations of the forces."""
+    problem, layout, theta = minimum.problem, minimum.problem.layout, minimum.theta
+    std = np.sqrt(np.diag(covariance(minimum.normal))[layout.errors])
+    for parameter, value, one in zip(problem.shared, theta[layout.errors], std, strict=True):
+        yield parameter.source, float(value), float(one)
+    for index, (block, own) in enumerate(
+        zip(layout.blocks, own_covariances(minimum.normal), strict=True)
+    ):
+        first = block.errors.start - block.whole.start
+        std, named = np.sqrt(np.diag(own))[first:], problem.own(index)
+        for parameter, value, one in zip(named, theta[block.errors], std, strict=False):
+            yield parameter.source, float(value), float(one)
+    for deviation in force_deviations(minimum):
+        yield FORCES, float(deviation), 0.0
 
 
 def _unexplained(minimum: Evaluation) -> list[Contradiction]:
