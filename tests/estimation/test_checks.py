@@ -91,6 +91,26 @@ def test_forces_that_are_all_unlike_contradict_the_model() -> None:
     assert "measured forces" in {one.source for one in contradictions(minimum)}
 
 
+def test_errors_none_of_which_is_impossible_contradict_the_model_together() -> None:
+    """Eight force sensors, each with a gain of its own: chance lets all be one standard deviation
+    off, and each alone two and a half, but not all of them."""
+    for sigmas, kinds in ((1.0, set()), (2.5, {"errors"})):
+        probes = [
+            replace(
+                probe,
+                force=(1.0 + sign * sigmas * 0.01) * probe.force,
+                force_std=np.zeros(3),
+                nuisances=(ForceGain(0.01, sensor=f"{index}"),),
+            )
+            for index, (probe, sign) in enumerate(
+                zip(_probes(force_noise=0.0), np.tile([1.0, -1.0], 4), strict=True)
+            )
+        ]
+        found = contradictions(_fitted(probes))
+        assert {one.kind for one in found} == kinds
+        assert all(one.sigmas < 4.0 for one in found)
+
+
 def _with_mesh(probe: ProbeObservations, share: float) -> ProbeObservations:
     value = probe.response.value
     step = ModelStep(

@@ -232,8 +232,8 @@ def _errors(minimum: Evaluation) -> Iterator[tuple[str, float, float]]:
         std, named = np.sqrt(np.diag(own))[first:], problem.own(index)
         for parameter, value, one in zip(named, theta[block.errors], std, strict=False):
             yield parameter.source, float(value), float(one)
-    for deviation in force_deviations(minimum):
-        yield FORCES, float(deviation), 0.0
+    deviation = force_deviations(minimum)
+    yield from ((FORCES, float(each), 0.0) for each in deviation[deviation != 0.0])
 
 
 def _unexplained(minimum: Evaluation) -> list[Contradiction]:
