@@ -20,8 +20,9 @@ from palpate.pipeline import (
     resolved_session,
     session_observations,
 )
-from palpate.pipeline.fit_session import _consistent_modulus, _contact_notes
 from palpate.pipeline.model import largest_change
+from palpate.pipeline.notes import _contact_notes
+from palpate.pipeline.observations.consistent_contacts import _consistent_modulus
 from palpate.probe import contact_circle
 from palpate.records import (
     EXACT,

@@ -8,6 +8,9 @@ Depends on : `pipeline.model`, `estimation`, `records`, `bem`, `geometry`; error
 Read first : `session_observations.py`, `converged_observations.py`, then `mesh_errors.py`.
 """
 
+from palpate.pipeline.observations.consistent_contacts import (
+    with_consistent_contacts as with_consistent_contacts,
+)
 from palpate.pipeline.observations.converged_observations import (
     converged_observations as converged_observations,
 )
