@@ -48,9 +48,11 @@ def model(problem):
 
 
 def solution(model, nu, columns=slice(None)):
-    weights, residual = model.coefficients(nu, columns)
+    weights, residual = model.coefficients(nu)
     wanted = np.arange(len(model.start))[columns]
-    return np.einsum("jc,jkc->kc", weights, np.stack(list(model.basis(wanted)))), residual
+    return np.einsum(
+        "jc,jkc->kc", weights[:, columns], np.stack(list(model.basis(wanted)))
+    ), residual
 
 
 def true_solution(problem, nu):

@@ -96,7 +96,7 @@ def test_all_radii_are_tried_with_the_same_factors(
     factorised, asked = [], []
     for module, name, calls in (
         ("palpate.bem.system.centred_system", "factorise_with_slope", factorised),
-        ("palpate.pipeline.fit_session", "best_constants_of", asked),
+        ("palpate.pipeline.observations.consistent_contacts", "best_constants_of", asked),
     ):
         monkeypatch.setattr(sys.modules[module], name, _counted(sys.modules[module], name, calls))
     fit_session(_named(measured, Tool(SPHERE, BALL)))

@@ -60,11 +60,9 @@ class SolutionModel(Protocol):
         """j basis vectors of k unknowns for each of some right-hand sides: j times (k, c)."""
         ...
 
-    def coefficients(
-        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
-    ) -> tuple[Float[np.ndarray, "j c"], float]:
-        """Coefficients of the basis, (j, c), at one Poisson's ratio, for all or some right-hand
-        sides, and the largest relative residual."""
+    def coefficients(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "j c"], float]:
+        """Coefficients of the basis, (j, c), at one Poisson's ratio, and the largest relative
+        residual."""
         ...
 
 
@@ -109,37 +107,34 @@ class ReducedModel:
             vectors[:, wanted] = direction[:, np.searchsorted(present, columns[wanted])]
             yield vectors
 
-    def coefficients(
-        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
-    ) -> tuple[Float[np.ndarray, "j c"], float]:
+    def coefficients(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "j c"], float]:
         """Coefficients of the basis that give the solution at one Poisson's ratio.
 
         Parameters
         ----------
         poisson_ratio : float [-]
-        columns : (c,) int        right-hand sides wanted, all by default
 
         Returns
         -------
         (j, c) float
-        float                     largest residual over the columns, relative to the solution at the
-                                  centre
+        float                     largest residual over the right-hand sides, relative to the
+                                  solution at the centre
         """
-        weights, residual = self.weights(poisson_ratio, columns)
+        weights, residual = self.weights(poisson_ratio)
         return weights.T, float(residual.max(initial=0.0))
 
     def weights(
-        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
+        self, poisson_ratio: float
     ) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, " c"]]:
         """As `coefficients`, but (c, j); the relative residual of each right-hand side, (c,)."""
         distance = poisson_ratio - self.centre
-        matrix = self.identity[columns] + distance * self.hessenberg[columns]
+        matrix = self.identity + distance * self.hessenberg
         right = np.zeros(matrix.shape[:2])
-        right[:, 0] = distance**2 * self.start[columns]
+        right[:, 0] = distance**2 * self.start
         q, r = np.linalg.qr(matrix)
         inner = np.linalg.solve(r, np.einsum("cij,ci->cj", q, right)[:, :, None])[:, :, 0]
         remainder = right - np.einsum("cij,cj->ci", matrix, inner)
-        residual = np.linalg.norm(remainder, axis=1) / self.scale[columns]
+        residual = np.linalg.norm(remainder, axis=1) / self.scale
         first = np.broadcast_to([1.0, distance], (inner.shape[0], 2))
         return np.concatenate([first, inner], axis=1), residual
 

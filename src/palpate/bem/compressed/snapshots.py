@@ -57,15 +57,12 @@ class ReducedBasis:
     ratios: tuple[float, ...]
     iterations: tuple[int, ...]
 
-    def coefficients(
-        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice = slice(None)
-    ) -> tuple[Float[np.ndarray, "j c"], float]:
+    def coefficients(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "j c"], float]:
         """Coefficients of the basis vectors for the solution at one Poisson's ratio.
 
         Parameters
         ----------
         poisson_ratio : float
-        columns : (c,) int        right-hand sides to be solved for, all by default
 
         Returns
         -------
@@ -73,19 +70,8 @@ class ReducedBasis:
         float                     largest preconditioned residual over the columns, relative to the
                                   preconditioned right-hand side
         """
-        weights, residual = self._weights(poisson_ratio, columns)
-        return weights.T, float(residual.max(initial=0.0))
-
-    def basis(self, columns: Int[np.ndarray, " c"]) -> Iterator[Float[np.ndarray, "k c"]]:
-        """Basis vectors for some right-hand sides, one (k, c) after the other."""
-        for direction in self.directions:
-            yield direction[:, columns]
-
-    def _weights(
-        self, poisson_ratio: float, columns: Int[np.ndarray, " c"] | slice
-    ) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, " c"]]:
-        matrix = self.constant[columns] + poisson_ratio * self.slope[columns]
-        constant, slope, curvature = self.right[:, columns]
+        matrix = self.constant + poisson_ratio * self.slope
+        constant, slope, curvature = self.right
         right = constant + poisson_ratio * (slope + poisson_ratio * curvature)
         size = np.linalg.norm(right, axis=1) + _TINY
         weights = np.zeros((len(matrix), matrix.shape[2]))
@@ -93,7 +79,12 @@ class ReducedBasis:
         for k, (one, wanted) in enumerate(zip(matrix, right, strict=True)):
             weights[k] = np.linalg.lstsq(one, wanted)[0]
             residual[k] = np.linalg.norm(one @ weights[k] - wanted) / size[k]
-        return weights, residual
+        return weights.T, float(residual.max(initial=0.0))
+
+    def basis(self, columns: Int[np.ndarray, " c"]) -> Iterator[Float[np.ndarray, "k c"]]:
+        """Basis vectors for some right-hand sides, one (k, c) after the other."""
+        for direction in self.directions:
+            yield direction[:, columns]
 
 
 def reduced_basis(
