@@ -148,7 +148,8 @@ def _summary(every: list[Outcome]) -> str:
         f" {np.median(poisson):.4f}; intervals hold {100 * intervals:.1f} %; forces left out in"
         f" {sum(bool(one.freed) for one in outcomes)}; widest posterior over prior"
         f" {max(one.widest for one in outcomes):.4f}. Of {len(wrong)} wrong forces {found}"
-        f" were found and no other, E off by at most {100 * max(abs(one.young) for one in wrong):.2f} %"
+        " were found and no other, E off by at most"
+        f" {100 * max(abs(one.young) for one in wrong):.2f} %"
     )
 
 
