@@ -25,7 +25,7 @@ help:
 	@echo "make notebooks  run docs/notebooks, all of them (some minutes)"
 	@echo "make wheel  build a wheel, install it in a fresh environment, fit an example there"
 	@echo "make oldest install the oldest versions that the metadata promises, run some tests with them"
-	@echo "make map    make docs/developer/map.md again, after a change of rooms or imports"
+	@echo "make map    draw docs/developer/map.svg again, after a change of rooms or imports"
 	@echo "make lock   choose new pinned versions"
 	@echo "make clean  remove the environment and every cache"
 

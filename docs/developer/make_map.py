@@ -1,4 +1,4 @@
-"""Make the map of the code, map.md and map.svg, from the rooms' docstrings and their imports.
+"""Make the picture of the house, map.svg, from the rooms and their imports.
 
     python docs/developer/make_map.py          # or: make map
 
@@ -28,17 +28,6 @@ INK, SHORT_CUT = "#26323c", "#9fb4c7"
 FLOOR_COLOURS = ("#e9f0f6", "#fdf3e3", "#e6e6e6")  # floors in turn, and the ground floor
 # Characters that have room in a box, beside its name.
 NAMES_A_LINE = 60
-PREFACE = """\
-# Map of the code
-
-Made by `make map` from the docstrings of the rooms' `__init__` files; `make test` checks it. How
-the house is laid out, and how to add to it: [developer page](index.md).
-
-![Rooms and their imports](map.svg)
-
-Imports go down only. Dark arrows lead to the next room on the way down; pale ones are short cuts
-to rooms that can be reached through others as well. Neighbours of one colour share a floor and do
-not know each other. Every room may use the ground floor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,42 +156,6 @@ def layers() -> list[list[str]]:
     return [row for row in rows if not set(row) <= set(ground)] + [ground]
 
 
-def map_page(rooms: dict[str, Room], imports: list[Import]) -> str:
-    """The text of map.md."""
-    *floors, ground = layers()
-    needs = real_dependencies(rooms, imports)
-    parts = [PREFACE]
-    for name in [name for row in floors for name in row]:
-        parts.append(_section(rooms[name], needs, "##"))
-        inside = [room for room in rooms.values() if room.name.startswith(f"{name}.")]
-        parts += [_section(room, needs, "###") for room in inside]
-    parts.append(f"## {GROUND_FLOOR.capitalize()}")
-    parts.append("\n".join(_ground_line(name) for name in ground))
-    return "\n\n".join(parts) + "\n"
-
-
-def _section(room: Room, needs: dict[str, set[str]], heading: str) -> str:
-    users = sorted(name for name, used in needs.items() if room.name in used)
-    lines = [f"{heading} {room.name}", "", room.sentence, ""]
-    for field in FIELDS:
-        text = room.fields.get(field, "-")
-        if field == "Read first":
-            text = re.sub(r"`?([\w/]+\.py)\b`?", lambda match: _link(room, match[1]), text)
-        lines.append(f"- **{field}**: {text}")
-    lines.append(f"- **Used by**: {', '.join(users) if users else 'no other room'}.")
-    return "\n".join(lines)
-
-
-def _link(room: Room, file: str) -> str:
-    folder = room.folder.relative_to(ROOT).as_posix()
-    return f"[`{file}`](../../{folder}/{file})"
-
-
-def _ground_line(name: str) -> str:
-    docstring = ast.get_docstring(ast.parse((SOURCE / f"{name}.py").read_text(encoding="utf-8")))
-    return f"- [`{name}`](../../src/palpate/{name}.py): {' '.join((docstring or '').split())}"
-
-
 def arrows_text(rooms: dict[str, Room], imports: list[Import]) -> str:
     """What the picture shows, as text: the rooms, and who imports whom. Kept in the picture."""
     needs = real_dependencies(rooms, imports)
@@ -269,10 +222,8 @@ def _draw_arc(axes: Axes, start: float, end: float, *, short_cut: bool) -> None:
 
 
 def main() -> None:
-    """Write map.md and map.svg beside this file."""
-    rooms, imports = read_rooms(), read_imports()
-    (HERE / "map.md").write_text(map_page(rooms, imports), encoding="utf-8")
-    draw_map(HERE / "map.svg", rooms, imports)
+    """Write map.svg beside this file."""
+    draw_map(HERE / "map.svg", read_rooms(), read_imports())
 
 
 if __name__ == "__main__":

@@ -25,10 +25,7 @@ def test_links_lead_somewhere(page):
     assert [file for file in files if not (page.parent / file).exists()] == []
 
 
-# The map names files relative to their rooms; its links are tested above.
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if page.name != "map.md"], ids=lambda page: page.name
-)
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_source_files_that_are_named_exist(page):
     named = re.findall(r"`([\w/]+/[\w/]*\.?\w*)`", page.read_text(encoding="utf-8"))
     named = [name for name in named if name.endswith((".py", "/"))]
