@@ -4,7 +4,7 @@ Purpose    : estimate shear modulus, Poisson's ratio and Young's modulus, each w
 Takes      : a session folder (closed triangle mesh, support, probings with displacements).
 Gives      : an estimate with intervals, a likelihood over the constants, residuals per probing.
 Depends on : nothing of its own; numpy, scipy, numba and what else `pyproject.toml` names.
-Read first : `api.py`, `records/session.py`, then `pipeline/fit_session.py`; docs/developer/index.md.
+Read first : `api.py`, `records/session.py`, `pipeline/fit_session.py`; docs/developer/index.md.
 
     import palpate
 

@@ -144,7 +144,7 @@ class Problem:
         return _own(self.probes[index], self.shared)
 
     def expanded(self, poisson_ratio: float) -> "Problem":
-        """The same objective with the model expanded about another Poisson's ratio."""
+        """The objective with the model expanded about another Poisson's ratio."""
         expansions = (_expansion(probe, self.shared, poisson_ratio) for probe in self.probes)
         return replace(self, expansions=tuple(expansions))
 

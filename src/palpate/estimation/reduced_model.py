@@ -199,7 +199,7 @@ def make_spring_model(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float = DENSE_RESIDUAL,
 ) -> ReducedModel:
-    """The same for an object on springs, with derivatives of its solutions (`SpringSystem`).
+    """A reduced model of an object on springs, with derivatives of its solutions (`SpringSystem`).
 
     Parameters
     ----------

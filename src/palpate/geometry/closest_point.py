@@ -226,7 +226,7 @@ def _closest_in_block(search: SurfaceSearch, points: Points) -> tuple[PointIndic
 
 
 def _closest_of_few(mesh: TriangleMesh, points: Points) -> tuple[PointIndices, Points]:
-    """The same for a few points, without a search structure."""
+    """Closest points of a few points, without a search structure."""
     corner = mesh.vertices[mesh.triangles]
     gap = lengths(corner.mean(axis=1) - points[:, None])
     near = gap - _sphere_radius(corner) <= gap.min(axis=1, keepdims=True) * (1.0 + 1e-12)

@@ -91,7 +91,7 @@ def side_nodes(mesh: TriangleMesh, sides: Sides, *, rings: int = 1) -> Quadratic
 
 
 def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
-    """The same nodes with linear interpolation: the classical element of the paper.
+    """Nodes with linear interpolation: the classical element of the paper.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def linear_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
 
 
 def free_nodes(nodes: QuadraticNodes) -> QuadraticNodes:
-    """The same elements with midside nodes that carry values of their own.
+    """Elements with midside nodes that carry values of their own.
 
     Parameters
     ----------

@@ -203,7 +203,7 @@ class HalfEdges:
         return self.ends[self.edge[a[chosen[a // 3] != chosen[b // 3]]]]
 
     def opposite(self) -> Indices:
-        """The other half-edge of each one's edge, (3 m,); itself if that has not exactly two."""
+        """Opposite half-edge of each half-edge, (3 m,); itself where its edge has not two."""
         a, b = self.pairs().T
         other = np.arange(len(self.tail))
         other[a], other[b] = b, a

@@ -167,7 +167,7 @@ def error_budget(
 
 
 def _exact(config: LabConfig) -> LabConfig:
-    """The same bench without any error."""
+    """A bench without any error."""
     return replace(
         config,
         material=replace(config.material, law="linear"),

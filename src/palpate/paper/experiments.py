@@ -97,7 +97,7 @@ class Workplace:
         return reduced(config) if self.quick else config
 
     def part(self, begin: float, end: float, name: str) -> "Workplace":
-        """The same workplace with the progress of one part of the work.
+        """This workplace with the progress of one part of the work.
 
         Parameters
         ----------

@@ -214,7 +214,7 @@ def _flat_force(tool: Tool, radius: float) -> float:
 
 
 def _curvature_force(curvature: float, radius: float) -> float:
-    """The same due to the curvature of the surface, to be added [m^2]."""
+    """The part due to the curvature of the surface, to be added [m^2]."""
     return 4.0 / 3.0 * curvature * radius**3
 
 

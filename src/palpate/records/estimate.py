@@ -218,12 +218,12 @@ class ErrorEstimate:
 
     @property
     def is_surprising(self) -> bool:
-        """Whether it exceeds three prior standard deviations."""
+        """True where it exceeds three prior standard deviations."""
         return abs(self.value) > SURPRISING * self.prior_std
 
     @property
     def is_impossible(self) -> bool:
-        """Whether it exceeds five prior standard deviations, which is not explained by chance."""
+        """True where it exceeds five prior standard deviations, which chance does not explain."""
         return abs(self.value) > IMPOSSIBLE * self.prior_std
 
 

@@ -259,7 +259,7 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
 
 
 def _readme(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
-    """The same facts as text."""
+    """These facts as text."""
     lines = [f"{body.session.name}, for {form.title}; made by Palpate.", ""]
     lines += ["Units are SI (m, N, Pa, kg), the frame is that of the session's mesh.", ""]
     lines.append("Estimated, with 95 % intervals:")

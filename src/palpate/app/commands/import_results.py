@@ -203,7 +203,7 @@ def _session_files(
     written: dict[str, Path] = {}
 
     def differs(path: Path) -> bool:
-        """Whether it may hold the only copy of what somebody measured."""
+        """True where it may hold the only copy of what somebody measured."""
         return path.name in written and path.read_bytes() != written[path.name].read_bytes()
 
     with atomic_replacement([*targets, session.path], keep_old=differs) as staged:

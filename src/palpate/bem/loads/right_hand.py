@@ -73,7 +73,7 @@ class RightHand:
         compliance_derivatives: Float[np.ndarray, "d e"],
         known: Float[np.ndarray, "e c"] | None = None,
     ) -> "RightHand":
-        """The same loads for an object on springs (`SpringSystem`).
+        """These loads for an object on springs (`SpringSystem`).
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
 def _compressed_columns(
     system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3 c"]
 ) -> RightHand:
-    """The same columns by products with the operator."""
+    """These columns by products with the operator."""
     displacement = np.zeros((len(system.surface.mesh.vertices), 3, given.shape[2]))
     displacement[held] = given
     scaled, constant = system.given_products(displacement)

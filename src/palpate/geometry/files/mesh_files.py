@@ -168,7 +168,7 @@ def _write_surface(path: Path, suffix: str, mesh: TriangleMesh) -> None:
 
 
 def welded(mesh: TriangleMesh) -> TriangleMesh:
-    """The same surface with coinciding vertices merged and unused ones removed.
+    """A surface with coinciding vertices merged and unused ones removed.
 
     Vertices coincide that are closer than 1e-7 of the longest side of the bounding box, or than
     single precision resolves. The first of each group is kept, and the order of vertices.

@@ -194,7 +194,7 @@ def probe_body(
 
 
 def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
-    """The same nodal forces as dead loads, with the displacement and depth at finite strain."""
+    """Nodal forces as dead loads, with the displacement and depth at finite strain."""
     displacement = solve_finite(body, state.load)
     weight = np.linalg.norm(state.load, axis=1)
     farther = (weight @ (displacement - state.displacement) / weight.sum()) @ tip.direction

@@ -81,7 +81,7 @@ def planned_pictures(
 
 
 def _one_side(mesh: TriangleMesh) -> np.ndarray:
-    """The same label for all triangles: the displacement is continuous across creases."""
+    """One label for all triangles: the displacement is continuous across creases."""
     return np.zeros(len(mesh.triangles), dtype=np.int64)
 
 

@@ -354,7 +354,7 @@ def _motion_of(camera: Camera, config: LabConfig, solved: SolvedPress) -> CubicS
 
 
 def _double_camera(camera: Camera) -> Camera:
-    """The same camera with pixels of half the size."""
+    """A camera with pixels of half the size."""
     columns, rows = picture_size(camera)
     matrix = camera.matrix.copy()
     matrix[:2] *= 2.0

@@ -1,4 +1,4 @@
-"""The same body at finite strain: the nonlinearity that the linear model neglects."""
+"""A body at finite strain: the nonlinearity that the linear model neglects."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -43,7 +43,7 @@ _HOLLOW = 0.1
 
 
 def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
-    """The same session on a mesh whose faces are all at least two elements wide, and that is finer
+    """A session on a mesh whose faces are all at least two elements wide, and that is finer
     about flat punches.
 
     Parameters
@@ -61,7 +61,7 @@ def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSett
 
 
 def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
-    """The same session on a mesh graded at the rims of its supports and at hollow edges.
+    """A session on a mesh graded at the rims of its supports and at hollow edges.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettin
 def edge_refined_session(
     session: Session, *, surface: SurfaceSettings = SurfaceSettings()
 ) -> Session:
-    """The same session on a mesh whose edges at creases are halved, except at those creases (rims,
+    """A session on a mesh whose edges at creases are halved, except at those creases (rims,
     hollow edges) that grading refines.
 
     Parameters
@@ -100,7 +100,7 @@ def edge_refined_session(
 
 
 def halved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
-    """The same session on a mesh with every edge halved.
+    """A session on a mesh with every edge halved.
 
     Parameters
     ----------

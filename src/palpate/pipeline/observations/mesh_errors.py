@@ -1,4 +1,4 @@
-"""The same probings with models of several meshes, for the discretisation error of the fit."""
+"""Probings with models of several meshes: how large the discretisation error is."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -48,7 +48,7 @@ def import_kinds() -> dict[str, Program]:
 
 
 def kinds_text() -> str:
-    """The same names as text, with the suffixes of their files."""
+    """Those names as text, with the suffixes of their files."""
     return ", ".join(f"{' or '.join(p.kinds)} ({p.results})" for p in PROGRAMS if p.kinds)
 
 

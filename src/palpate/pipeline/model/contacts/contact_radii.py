@@ -20,7 +20,7 @@ def has_tools(session: Session) -> bool:
 
 
 def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio: float) -> Session:
-    """The same session with contact radius and pressure profile computed for each tool.
+    """A session with contact radius and pressure profile computed for each tool.
 
     Parameters
     ----------

@@ -47,13 +47,13 @@ def _of_hertz(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def _of_cone(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The same for a traction p where p is arcosh(1 / s)."""
+    """That of a traction p where p is arcosh(1 / s)."""
     s = np.clip(s, 1e-9, 1.0)
     return np.arccos(s) - s * np.arccosh(1.0 / s)
 
 
 def _of_flat(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The same for a traction p r under a flat face."""
+    """That of a traction p r under a flat face."""
     return np.sqrt(np.clip(1.0 - s**2, 0.0, None))
 
 

@@ -65,7 +65,7 @@ class ContactPerturbation:
 
     @property
     def is_dip(self) -> bool:
-        """Whether it is a perturbed dip."""
+        """True for a perturbed dip, False for a perturbed contact."""
         return self.patch is None and self.outward == 0.0
 
 

@@ -42,7 +42,7 @@ def displaced_contacts(
     shear_modulus: float,
     poisson_ratio: float,
 ) -> Session:
-    """The same session with the contacts of its tools nearer to where these press in the end.
+    """A session with the contacts of its tools nearer to where these press in the end.
 
     Parameters
     ----------
