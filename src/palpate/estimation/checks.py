@@ -99,12 +99,12 @@ def with_outlying_forces_freed(
 
     Parameters
     ----------
-    minimum : Evaluation               of all probings
+    minimum : Evaluation            of all probings
     poisson_range : (float, float)
 
     Returns
     -------
-    Evaluation                         with these forces unknown
+    Evaluation                      with these forces unknown
     tuple of FreedForce
     """
     freed: list[FreedForce] = []
@@ -165,7 +165,7 @@ def contradictions(minimum: Evaluation) -> tuple[Contradiction, ...]:
 
     Parameters
     ----------
-    minimum : Evaluation               of all probings
+    minimum : Evaluation            of all probings
 
     Returns
     -------

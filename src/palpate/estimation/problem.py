@@ -230,7 +230,7 @@ class Problem:
         model, block, common = self.expansions[index], self.layout.blocks[index], self.layout.common
         seen, modulus = self.probes[index].observations, float(np.exp(theta[1]))
         own, count = theta[block.errors], len(block.shared)
-        errors = np.append(theta[self.layout.errors][block.shared], own)
+        errors = self._errors(index, theta)
         response = model.value + (theta[0] - model.poisson_ratio) * model.slope
         if errors.any():
             response = response + np.tensordot(errors, model.effects, axes=1)
