@@ -13,9 +13,9 @@ from palpate.bem import (
     indentation_corrections,
     load_right_hand,
     make_elastic_map,
+    make_reduced_model,
     make_surface,
 )
-from palpate.estimation import make_reduced_model
 from palpate.pipeline import surface_load
 from palpate.probe import find_contact_patch
 from palpate.records import read_session

@@ -7,9 +7,8 @@ import pytest
 from cube_session import cube_session as cube_session
 from surfaces import box
 
-from palpate.bem import CentredSystem
+from palpate.bem import CentredSystem, reduced_model
 from palpate.bem.compressed import choice
-from palpate.estimation import reduced_model
 from palpate.geometry import write_mesh
 from palpate.pipeline import fit_session, prepare_body
 from palpate.records import Session, read_session

@@ -51,6 +51,14 @@ from palpate.bem.loads import (
     support_columns as support_columns,
     traction_column as traction_column,
 )
+from palpate.bem.reduced_model import (
+    CENTRE as CENTRE,
+    DENSE_RESIDUAL as DENSE_RESIDUAL,
+    ReducedModel as ReducedModel,
+    SolutionModel as SolutionModel,
+    make_reduced_model as make_reduced_model,
+    make_spring_model as make_spring_model,
+)
 from palpate.bem.system import (
     LARGEST_DENSE as LARGEST_DENSE,
     BoundarySystem as BoundarySystem,

@@ -3,7 +3,7 @@
 Purpose    : shear modulus, Poisson's ratio and Young's modulus with intervals, from probings.
 Takes      : `ProbeObservations` (measured displacements, force, a `ResponseModel`), `FitSettings`.
 Gives      : `FitResult`: the `Estimate`, its likelihood, predictions and residuals per probing.
-Depends on : `bem`, `records`, `geometry`.
+Depends on : `records`, `geometry`.
 Read first : `problem.py`, `gauss_newton.py`, `posterior.py`, then `fit.py`.
 """
 
@@ -56,23 +56,4 @@ from palpate.estimation.predictions import (
     PredictedProbing as PredictedProbing,
     ProbeFit as ProbeFit,
     predicted_surface as predicted_surface,
-)
-from palpate.estimation.reduced_model import (
-    CENTRE as CENTRE,
-    DENSE_RESIDUAL as DENSE_RESIDUAL,
-    ReducedModel as ReducedModel,
-    SolutionModel as SolutionModel,
-    make_reduced_model as make_reduced_model,
-    make_spring_model as make_spring_model,
-)
-from palpate.estimation.responses import (
-    PointRows as PointRows,
-    ProbeMotions as ProbeMotions,
-    ProbeResponse as ProbeResponse,
-    ProbeRows as ProbeRows,
-    SpringResponse as SpringResponse,
-    full_responses as full_responses,
-    full_spring_responses as full_spring_responses,
-    reduced_responses as reduced_responses,
-    reduced_spring_responses as reduced_spring_responses,
 )

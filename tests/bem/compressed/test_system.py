@@ -15,6 +15,7 @@ from palpate.bem import (
     held_system,
     joined,
     make_elastic_map,
+    make_reduced_model,
     make_springs,
     make_surface,
     reduced_basis,
@@ -25,7 +26,6 @@ from palpate.bem import (
 from palpate.bem.compressed import CompressedSystem, choice, cluster_inverse, solve_compressed
 from palpate.bem.system import system_matrix
 from palpate.errors import InputError
-from palpate.estimation import make_reduced_model
 
 # The operator's own error of 1e-7, made larger by the condition of a beam that bends, some tens.
 CLOSE = 1e-5

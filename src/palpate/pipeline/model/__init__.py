@@ -50,6 +50,11 @@ from palpate.pipeline.model.object_model import (
     make_object_model as make_object_model,
 )
 from palpate.pipeline.model.probe_rows import probe_rows as probe_rows
+from palpate.pipeline.model.responses import (
+    ProbeResponse as ProbeResponse,
+    full_responses as full_responses,
+    reduced_responses as reduced_responses,
+)
 from palpate.pipeline.model.shared_errors import (
     pose_changes as pose_changes,
     shared_errors as shared_errors,

@@ -1,16 +1,164 @@
 """Observations of each probing as functions of the model's solutions: displacements of its points
 and its tip, motions of supports."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, hstack, kron
 
-from palpate.bem import BodyForce, BoundarySystem
-from palpate.estimation import PointRows, ProbeMotions, ProbeRows
+from palpate.bem import BodyForce, BoundarySystem, dilation_factor
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.pipeline.model.compliant_supports import springs_at, support_force
 from palpate.pipeline.model.object_model import ContactPoints, ObjectModel, contact_key
 from palpate.records import RIGID, SurfaceAverage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointRows:
+    """Equations for the displacement of a contact point from the unknowns and loads
+    (`bem.PointEquations`).
+
+    Attributes
+    ----------
+    matrix : (2, 3, k) float          constant and slope in Poisson's ratio
+    own : (2, 3, 3) float             constant and slope
+    right : (3, 3, c) float           constant, slope and curvature
+    particular : (3,) float [m Pa]    particular solution for a body force, over `dilation_factor`
+    """
+
+    matrix: Float[np.ndarray, "2 3 k"]
+    own: Float[np.ndarray, "2 3 3"]
+    right: Float[np.ndarray, "3 3 c"]
+    particular: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbeMotions:
+    """Motions of a probing's supports.
+
+    Attributes
+    ----------
+    own : (n_rows, q) float           prescribed displacement per unit of each motion, at the rows
+                                      of the probing; the solution adds that of the free surface
+    support_force : (3, k) sparse or None    takes the unknowns to the resultant force on the
+                                      support that is pulled, for a shear modulus of one pascal
+    pulled_translations : (3,) int    indices of the motions that are that support's translations
+                                      along x, y and z: its force replaces them
+    holding : (3, 3) float            projector onto the directions in which the support holds the
+                                      object and is pulled
+    """
+
+    own: Float[np.ndarray, "n_rows q"]
+    support_force: csr_array | None = None
+    pulled_translations: tuple[int, ...] = ()
+    holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+
+    def split(
+        self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
+    ) -> tuple[Float[np.ndarray, "n_rows 3"], Float[np.ndarray, "n_rows r"]]:
+        """Displacement per newton on the support that is pulled, and per unit of the remaining
+        motions at constant force on it.
+
+        Parameters
+        ----------
+        moved : (n_rows, q) float     displacement per unit of each motion
+        force : (3, q) float          force on the support per unit of each
+
+        Returns
+        -------
+        two arrays                    the second without the columns `pulled_translations`
+        """
+        pulled = list(self.pulled_translations)
+        others = np.setdiff1d(np.arange(moved.shape[1]), pulled)
+        # A roller transmits force along the directions that it holds only.
+        value, vector = np.linalg.eigh(self.holding)
+        along = vector[:, value > 0.5]
+        compliance = along @ np.linalg.solve(along.T @ force[:, pulled] @ along, along.T)
+        per_newton = moved[:, pulled] @ compliance
+        return per_newton, moved[:, others] - per_newton @ force[:, others]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbeRows:
+    """Observations of a probing as linear functions of the solutions.
+
+    Attributes
+    ----------
+    columns : (c,) int                right-hand sides: the force along x, y, z, unless it acts on a
+                                      support; known loads; the two of a body force, if any; motions
+                                      of supports; perturbed contacts
+    surface : (3 n, k) sparse         takes the unknowns to the observed displacements
+    particular : (3 n,) float [m Pa]  particular solution there for a body force, over
+                                      `dilation_factor`
+    tip : PointRows or None           None: the contact point's displacement was not measured
+    known_loads : (l,) float          multiplier of each known load
+    has_body_force : bool             whether a body force acts
+    motions : ProbeMotions or None    None: no support moves
+    changes : int                     number of columns for perturbed contacts, the last ones
+    """
+
+    columns: Int[np.ndarray, " c"]
+    surface: csr_array
+    particular: Float[np.ndarray, " r"]
+    tip: PointRows | None
+    known_loads: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
+    has_body_force: bool = False
+    motions: ProbeMotions | None = None
+    changes: int = 0
+
+    @property
+    def support_force(self) -> csr_array | None:
+        """See `ProbeMotions`."""
+        return None if self.motions is None else self.motions.support_force
+
+    def observed(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
+        """Observed displacements, then the six equations (constant, slope) of the contact point and
+        the force on a support; zero where these are not needed."""
+        tip, force = np.zeros((6, solution.shape[1])), np.zeros((3, solution.shape[1]))
+        if self.tip is not None:
+            tip = self.tip.matrix.reshape(6, -1) @ solution
+        if self.support_force is not None:
+            force = self.support_force @ solution
+        return np.concatenate([self.surface @ solution, tip, force])
+
+    def response(
+        self,
+        moved: Float[np.ndarray, "n_rows c"],
+        force: Float[np.ndarray, "3 c"],
+        particular: Float[np.ndarray, " n_rows"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "n_rows t"]:
+        """Assemble the response (`estimation.ResponseModel`) from the solutions for the columns.
+
+        Parameters
+        ----------
+        moved : (n_rows, c) float             displacement of each solution, for G = 1 Pa
+        force : (3, c) float                  on the support that is pulled
+        particular : (n_rows,) float          as the attribute, the tip included
+        poisson_ratio : float
+        """
+        combination = np.zeros((moved.shape[1], 4))
+        first = 0 if self.support_force is not None else 3
+        combination[:first, :3] = np.eye(first, 3)
+        last = first + len(self.known_loads)
+        combination[first:last, 3] = self.known_loads
+        offset = np.zeros((len(moved), 4))
+        if self.has_body_force:
+            factor = dilation_factor(poisson_ratio)
+            combination[last : last + 2, 3] = 1.0, factor
+            offset[:, 3] = factor * particular
+        per_load = moved @ combination + offset
+        if self.motions is None:
+            return per_load
+        count = self.motions.own.shape[1]
+        per_motion = self.motions.own + moved[:, moved.shape[1] - count :]
+        if self.support_force is not None:
+            per_newton, per_motion = self.motions.split(per_motion, force[:, -count:])
+            # The force on the support is prescribed, so the support yields to the other loads.
+            per_load[:, 3] -= per_newton @ (force @ combination[:, 3])
+            per_load[:, :3] = per_newton
+        return np.concatenate([per_load, per_motion], axis=1)
 
 
 def probe_rows(

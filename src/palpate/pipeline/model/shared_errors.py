@@ -13,8 +13,6 @@ from palpate.estimation import (
     Nuisance,
     NuisanceParameter,
     Pose,
-    ProbeResponse,
-    SpringResponse,
     ToolSlip,
     contact_error,
 )
@@ -22,6 +20,7 @@ from palpate.geometry import SurfacePoints, interpolation_matrix
 from palpate.pipeline.model.contacts import named_tangents
 from palpate.pipeline.model.moving_supports import rigid_modes
 from palpate.pipeline.model.object_model import ObjectModel
+from palpate.pipeline.model.responses import ProbeResponse
 from palpate.pipeline.model.spring_responses import compliance_error
 from palpate.records import SLIDES, Probing
 
@@ -33,7 +32,7 @@ Response = Callable[[float], Float[np.ndarray, "v c"]]
 def shared_errors(
     model: ObjectModel,
     index: int,
-    response: ProbeResponse | SpringResponse,
+    response: ProbeResponse,
     change: Sequence[csr_array],
     vertices: Response,
 ) -> tuple[Nuisance, ...]:
@@ -43,7 +42,7 @@ def shared_errors(
     ----------
     model : ObjectModel
     index : int                     of the probing
-    response : ProbeResponse or SpringResponse      of the probing
+    response : ProbeResponse        of the probing
     change : sequence of csr_array  `pose_changes` of its points
     vertices : function             response of all vertices to its loads
 
@@ -67,14 +66,12 @@ def shared_errors(
         )
     nuisances += _contact_errors(model, index, response)
     nuisances += _tool_slip(model, index, response)
-    if isinstance(response, SpringResponse):
+    if model.springs is not None:
         nuisances += filter(None, [compliance_error(model, response)])
     return tuple(nuisances)
 
 
-def _contact_errors(
-    model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
-) -> list[Nuisance]:
+def _contact_errors(model: ObjectModel, index: int, response: ProbeResponse) -> list[Nuisance]:
     """Errors of one probing's contact, and of the mesh about it."""
     own = [each.steps for each in model.perturbations if each.probing == index]
     if not own:
@@ -85,9 +82,7 @@ def _contact_errors(
     return [contact_error(parameters, steps, response.change, count)]
 
 
-def _tool_slip(
-    model: ObjectModel, index: int, response: ProbeResponse | SpringResponse
-) -> list[Nuisance]:
+def _tool_slip(model: ObjectModel, index: int, response: ProbeResponse) -> list[Nuisance]:
     """Slip of a tool whose displacement was measured, where it slides: by as much as it touches."""
     probing = model.session.probings[index]
     tool, patch = probing.contact.tool, model.patch_of[index]

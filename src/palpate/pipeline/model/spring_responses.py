@@ -6,38 +6,31 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.bem import (
+    CENTRE,
     CentredSystem,
     Springs,
     factorise,
     make_spring_factors,
+    make_spring_model,
     make_spring_system,
 )
-from palpate.estimation import (
-    CENTRE,
-    FitMethod,
-    FitSettings,
-    ProbeRows,
-    Settlement,
-    SpringResponse,
-    SupportCompliance,
-    full_spring_responses,
-    make_spring_model,
-    reduced_spring_responses,
-)
+from palpate.estimation import FitMethod, FitSettings, Settlement, SupportCompliance
 from palpate.pipeline.model.compliant_supports import (
     compliances,
     compliant_supports,
     weight_on_springs,
 )
 from palpate.pipeline.model.object_model import ObjectModel
+from palpate.pipeline.model.probe_rows import ProbeRows
+from palpate.pipeline.model.responses import ProbeResponse, full_responses, reduced_responses
 
 # Function from a shear modulus [Pa] to the responses of some rows.
-SpringResponses = Callable[[float], list[SpringResponse]]
+Responses = Callable[[float], list[ProbeResponse]]
 
 
 def spring_responses(
     model: ObjectModel, springs: Springs, rows: Sequence[ProbeRows], settings: FitSettings
-) -> SpringResponses:
+) -> Responses:
     """Responses of probings of an object on springs, from one factorisation for all materials.
 
     Parameters
@@ -49,7 +42,7 @@ def spring_responses(
 
     Returns
     -------
-    function                        shear modulus [Pa] -> list of SpringResponse
+    function                        shear modulus [Pa] -> list of ProbeResponse
 
     Raises
     ------
@@ -61,7 +54,7 @@ def spring_responses(
     changes, blocks = springs.compliance_derivatives(each), 1 + len(each)
     if settings.method == FitMethod.NELDER_MEAD:
 
-        def exact(shear_modulus: float) -> list[SpringResponse]:
+        def exact(shear_modulus: float) -> list[ProbeResponse]:
             give = springs.compliance(shear_modulus * each)
             right = model.right.on_springs(give, changes, known_traction)
 
@@ -69,18 +62,18 @@ def spring_responses(
                 factors = make_spring_factors(factorise(system, poisson_ratio), system, springs)
                 return make_spring_system(factors, give, changes).solve(right.at(poisson_ratio))
 
-            return full_spring_responses(solution, rows, blocks)
+            return full_responses(solution, rows, blocks=blocks)
 
         return exact
     centred = CentredSystem(system, CENTRE)
     factors = make_spring_factors(centred.factorised, system, springs)
 
-    def reduced(shear_modulus: float) -> list[SpringResponse]:
+    def reduced(shear_modulus: float) -> list[ProbeResponse]:
         reduced_model = make_spring_model(
             centred.slope, factors, model.right, springs.compliance(shear_modulus * each), changes,
             known_traction=known_traction, poisson_range=settings.poisson_range,
         )  # fmt: skip
-        return reduced_spring_responses(reduced_model, rows, blocks, settings.poisson_range)
+        return reduced_responses(reduced_model, rows, settings.poisson_range, blocks=blocks)
 
     return reduced
 
@@ -97,14 +90,14 @@ def _known_traction(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "
 
 
 def settlement(
-    model: ObjectModel, response: SpringResponse, shear_modulus: float
+    model: ObjectModel, response: ProbeResponse, shear_modulus: float
 ) -> Settlement | None:
     """Dependence of a response on the shear modulus at which it was taken.
 
     Parameters
     ----------
     model : ObjectModel
-    response : SpringResponse
+    response : ProbeResponse
     shear_modulus : float [Pa]      at which it was taken
 
     Returns
@@ -125,13 +118,13 @@ def settlement(
     return Settlement(shear_modulus, derivative)
 
 
-def compliance_error(model: ObjectModel, response: SpringResponse) -> SupportCompliance | None:
+def compliance_error(model: ObjectModel, response: ProbeResponse) -> SupportCompliance | None:
     """Error of the supports' compliance stated by the session, as nuisance parameters.
 
     Parameters
     ----------
     model : ObjectModel
-    response : SpringResponse
+    response : ProbeResponse
 
     Returns
     -------

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from palpate.bem import DENSE_RESIDUAL
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
-    DENSE_RESIDUAL,
     FitSettings,
     ModelStep,
     ProbeObservations,

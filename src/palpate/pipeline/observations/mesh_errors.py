@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from palpate.bem import LARGEST_DENSE, CentredSystem, CompressedSystem, SurfaceSettings
-from palpate.estimation import CENTRE, FitMethod, FitSettings, ModelStep, ProbeObservations
+from palpate.bem import CENTRE, LARGEST_DENSE, CentredSystem, CompressedSystem, SurfaceSettings
+from palpate.estimation import FitMethod, FitSettings, ModelStep, ProbeObservations
 from palpate.pipeline.model import (
     ObjectModel,
     edge_refined_session,

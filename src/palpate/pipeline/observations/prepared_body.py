@@ -2,8 +2,14 @@
 
 from pathlib import Path
 
-from palpate.bem import CentredSystem, CompressedSystem, SurfaceSettings
-from palpate.estimation import CENTRE, DENSE_RESIDUAL, FitSettings
+from palpate.bem import (
+    CENTRE,
+    DENSE_RESIDUAL,
+    CentredSystem,
+    CompressedSystem,
+    SurfaceSettings,
+)
+from palpate.estimation import FitSettings
 from palpate.pipeline.model import (
     ObjectModel,
     graded_session,

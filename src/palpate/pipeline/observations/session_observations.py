@@ -7,27 +7,26 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
-from palpate.errors import InputError
-from palpate.estimation import (
+from palpate.bem import (
     DENSE_RESIDUAL,
-    FitMethod,
-    FitSettings,
-    Nuisance,
-    ProbeObservations,
-    ProbeResponse,
+    CompressedSystem,
     SolutionModel,
-    SpringResponse,
-    full_responses,
+    factorise,
     make_reduced_model,
-    reduced_responses,
+    solve,
 )
+from palpate.errors import InputError
+from palpate.estimation import FitMethod, FitSettings, Nuisance, ProbeObservations
 from palpate.geometry import SurfacePoints, TriangleMesh, distinct_points
 from palpate.pipeline.model import (
     ObjectModel,
+    ProbeResponse,
     free_std,
+    full_responses,
     given_motion,
     pose_changes,
     probe_rows,
+    reduced_responses,
     settlement,
     shared_errors,
     spring_responses,
@@ -111,11 +110,24 @@ def session_observations_at(
         on_springs = spring_responses(model, model.springs, rows, settings)
         return lambda modulus: _all_observations(session, model, on_springs(modulus), modulus)
     if settings.method == FitMethod.NELDER_MEAD:
-        responses = full_responses(model.system, model.right, rows)
+        responses = full_responses(_full_solution(model), rows)
     else:
         reduced = reduced_model_of(model, settings=settings, residual=residual)
         responses = reduced_responses(reduced, rows, settings.poisson_range)
     return lambda modulus: _all_observations(session, model, responses, modulus)
+
+
+def _full_solution(model: ObjectModel) -> Callable[[float], Float[np.ndarray, "k c"]]:
+    """Poisson's ratio -> the solutions there, by a factorisation of their own."""
+    if isinstance(model.system, CompressedSystem):
+        raise InputError(
+            f"the method nelder-mead factorises anew at every step, and a surface of"
+            f" {len(model.session.mesh.vertices)} vertices is solved by iteration instead: leave"
+            " --method out, or simplify the surface"
+        )
+    return lambda poisson_ratio: solve(
+        factorise(model.system, poisson_ratio), model.right.at(poisson_ratio)
+    )
 
 
 def reduced_model_of(
@@ -154,7 +166,7 @@ def reduced_model_of(
 def _all_observations(
     session: Session,
     model: ObjectModel,
-    responses: Sequence[ProbeResponse | SpringResponse],
+    responses: Sequence[ProbeResponse],
     shear_modulus: float,
 ) -> list[ProbeObservations]:
     """Observations of each probing; the first responses are those of the probings' points, further
@@ -168,7 +180,7 @@ def _all_observations(
         nuisances = shared_errors(model, k, response, changes[k], nodal.value)
         probe = _observations(session, model, k, response, support, nuisances)
         probe = replace(probe, vertices=None if nodal is response else nodal)
-        if isinstance(response, SpringResponse):
+        if model.springs is not None:
             probe = replace(probe, settlement=settlement(model, response, shear_modulus))
         observations.append(probe)
     return observations
@@ -195,7 +207,7 @@ def _observations(
     session: Session,
     model: ObjectModel,
     index: int,
-    response: ProbeResponse | SpringResponse,
+    response: ProbeResponse,
     support: Vertices,
     nuisances: tuple[Nuisance, ...],
 ) -> ProbeObservations:

@@ -23,17 +23,15 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem import (
+from palpate.bem.compressed import CompressedSystem, orthogonalised, reduced_basis
+from palpate.bem.loads import RightHand
+from palpate.bem.system import (
     BoundarySystem,
     CentredSystem,
-    CompressedSystem,
-    RightHand,
     SpringFactors,
     SpringSlope,
     SystemSlope,
     make_spring_system,
-    orthogonalised,
-    reduced_basis,
     solve,
 )
 from palpate.errors import NotConvergedError

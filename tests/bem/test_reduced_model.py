@@ -9,22 +9,20 @@ from elastic_bodies import bump_load, held_part
 from surfaces import box, sphere
 
 from palpate.bem import (
+    CENTRE,
+    DENSE_RESIDUAL,
     CentredSystem,
     SurfaceLoad,
     body_force_columns,
     factorise,
     joined,
     load_right_hand,
+    make_reduced_model,
+    reduced_model as module,
     solve,
     support_columns,
 )
 from palpate.errors import NotConvergedError, SingularSystemError
-from palpate.estimation import reduced_model as module
-from palpate.estimation.reduced_model import (
-    CENTRE,
-    DENSE_RESIDUAL,
-    make_reduced_model,
-)
 from palpate.geometry import TriangleMesh
 from palpate.parts import Parts
 
