@@ -7,7 +7,10 @@ import pytest
 from estimation.fitted import RANGE, minimum_of, problem_of
 from estimation.half_space import HalfSpace, half_space_probes
 
-from palpate.estimation import ForceGain, ModelStep, ProbeObservations, fit
+from palpate.estimation import (
+    ProbeObservations,
+    fit,
+)
 from palpate.estimation.checks import (
     contradictions,
     force_deviations,
@@ -16,6 +19,8 @@ from palpate.estimation.checks import (
 from palpate.estimation.gauss_newton import fitted
 from palpate.estimation.noise import StudentT
 from palpate.estimation.observed_rows import observed_rows_of
+from palpate.pipeline.model.measurement_errors import force_gain
+from palpate.pipeline.observations.converged_observations import model_step
 
 
 def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:
@@ -100,7 +105,7 @@ def test_errors_none_of_which_is_impossible_contradict_the_model_together() -> N
                 probe,
                 force=(1.0 + sign * sigmas * 0.01) * probe.force,
                 force_std=np.zeros(3),
-                nuisances=(ForceGain(0.01, sensor=f"{index}"),),
+                nuisances=(force_gain(0.01, sensor=f"{index}"),),
             )
             for index, (probe, sign) in enumerate(
                 zip(_probes(force_noise=0.0), np.tile([1.0, -1.0], 4), strict=True)
@@ -113,7 +118,7 @@ def test_errors_none_of_which_is_impossible_contradict_the_model_together() -> N
 
 def _with_mesh(probe: ProbeObservations, share: float) -> ProbeObservations:
     value = probe.response.value
-    step = ModelStep(
+    step = model_step(
         "mesh", share, lambda nu: value(nu)[:, None], lambda nu: 2 * value(nu)[:, None]
     )
     return replace(probe, nuisances=(*probe.nuisances, step))
@@ -159,7 +164,7 @@ def test_an_error_that_its_prior_does_not_allow_contradicts() -> None:
     """Two sensors of one push each differ by 20 %, one per cent told."""
     probes = _probes(count=2, noise=1e-6)
     sensors = [
-        replace(probe, force=factor * probe.force, nuisances=(ForceGain(0.01, name),))
+        replace(probe, force=factor * probe.force, nuisances=(force_gain(0.01, name),))
         for probe, factor, name in zip(probes, (1.0, 1.2), "ab", strict=True)
     ]
     sources = {one.source for one in contradictions(_fitted(sensors))}

@@ -8,11 +8,15 @@ from estimation.fitted import RANGE, minimum_of, problem_of
 from estimation.half_space import half_space_probes
 from scipy.optimize import minimize
 
-from palpate.estimation import ForceGain, ModelStep, ProbeObservations
+from palpate.estimation import (
+    ProbeObservations,
+)
 from palpate.estimation.gauss_newton import fitted, gauss_newton
 from palpate.estimation.noise import StudentT
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
+from palpate.pipeline.model.measurement_errors import force_gain
+from palpate.pipeline.observations.converged_observations import model_step
 
 
 def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:
@@ -21,7 +25,7 @@ def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:
 
 
 def test_every_step_lowers_the_objective() -> None:
-    probes = [replace(p, nuisances=(ForceGain(0.05),)) for p in _probes()]
+    probes = [replace(p, nuisances=(force_gain(0.05),)) for p in _probes()]
     wild = probes[0].displacement.copy()
     wild[::7] += 2e-3
     problem = problem_of([replace(probes[0], displacement=wild), *probes[1:]], "student-t")
@@ -39,7 +43,7 @@ def test_every_step_lowers_the_objective() -> None:
 
 
 def test_the_minimum_is_that_of_a_general_optimiser() -> None:
-    probes = [replace(p, nuisances=(ForceGain(0.05),)) for p in _probes()]
+    probes = [replace(p, nuisances=(force_gain(0.05),)) for p in _probes()]
     found = minimum_of(problem_of(probes, "student-t"))
     problem = found.problem
 
@@ -83,7 +87,7 @@ def test_noise_that_nobody_told_is_found() -> None:
 
 def _stepped(probe: ProbeObservations, share: float) -> ProbeObservations:
     """With an error of the model that is a share of what moves, of the same shape."""
-    step = ModelStep(
+    step = model_step(
         "mesh", share,
         lambda nu: probe.response.value(nu)[:, None],
         lambda nu: 2.0 * probe.response.value(nu)[:, None],

@@ -8,15 +8,10 @@ from estimation.fitted import RANGE, dense_information, minimum_of, problem_of
 from estimation.half_space import Cantilever, half_space_probes, surface_grid
 
 from palpate.estimation import (
-    ForceDirection,
-    ForceGain,
-    LengthScale,
-    ModelStep,
     ProbeObservations,
     fit,
 )
 from palpate.estimation.gauss_newton import gauss_newton
-from palpate.estimation.normal_equations import covariance, own_covariances
 from palpate.estimation.posterior import (
     POINTS,
     Profile,
@@ -27,6 +22,8 @@ from palpate.estimation.posterior import (
     reported_intervals,
     uncertainty_budget,
 )
+from palpate.pipeline.model.measurement_errors import force_direction, force_gain, length_scale
+from palpate.pipeline.observations.converged_observations import model_step
 
 EVERY = {"poisson_ratio": True, "shear_modulus": True, "young_modulus": True}
 
@@ -36,11 +33,11 @@ def _probes(**options: object) -> list[ProbeObservations]:
     probes = []
     for probe in half_space_probes(np.random.default_rng(4), **given):
         value = probe.response.value
-        step = ModelStep(
+        step = model_step(
             "mesh", 0.01, lambda nu, v=value: v(nu)[:, None],
             lambda nu, v=value: (2.0 + nu) * v(nu)[:, None],
         )  # fmt: skip
-        kinds = (ForceGain(0.03), ForceDirection(0.01), LengthScale(0.004), step)
+        kinds = (force_gain(0.03), force_direction(0.01), length_scale(0.004), step)
         probes.append(replace(probe, nuisances=kinds))
     return probes
 
@@ -53,9 +50,14 @@ def minimum():
 def test_eliminating_blocks_is_inverting_the_whole(minimum) -> None:
     whole = np.linalg.inv(dense_information(minimum))
     d = minimum.problem.layout.common
-    np.testing.assert_allclose(covariance(minimum.normal), whole[:d, :d], rtol=1e-6)
-    own = np.concatenate([np.diag(own) for own in own_covariances(minimum.normal)])
-    np.testing.assert_allclose(own, np.diag(whole)[d:], rtol=1e-6)
+    np.testing.assert_allclose(minimum.normal.covariance, whole[:d, :d], rtol=1e-6)
+    np.testing.assert_allclose(minimum.normal.std, np.sqrt(np.diag(whole)), rtol=1e-6)
+    direction = np.array([0.7, -1.2])
+    np.testing.assert_allclose(
+        minimum.normal.covariance_with(direction),
+        whole[:, :2] @ direction,
+        atol=1e-6 * np.abs(whole[:, :2] @ direction).max(),
+    )
 
 
 @pytest.mark.parametrize("noise", [1e-8, 5e-5, 5e-3])
@@ -168,7 +170,7 @@ def test_bending_tells_young_s_modulus_alone() -> None:
 
 def test_an_interval_as_wide_as_a_factor_of_two_is_no_measurement() -> None:
     """A gain that nobody knows to 34 %: nu is determined, the moduli are not."""
-    probes = [replace(p, nuisances=(ForceGain(0.34),)) for p in _probes(noise=1e-6)]
+    probes = [replace(p, nuisances=(force_gain(0.34),)) for p in _probes(noise=1e-6)]
     estimate = fit(probes).estimate
     assert not estimate.identifiable["young_modulus"]
     assert not estimate.identifiable["shear_modulus"]

@@ -7,9 +7,14 @@ import pytest
 from estimation.fitted import RANGE, minimum_of, problem_of
 from estimation.half_space import half_space_probes
 
-from palpate.estimation import FittedModel, ForceGain, IntervalSet, ProbeFit
+from palpate.estimation import (
+    FittedModel,
+    IntervalSet,
+    ProbeFit,
+)
 from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.predictions import probe_estimate, probe_fits
+from palpate.pipeline.model.measurement_errors import force_gain
 from palpate.records import Constant
 
 KNOWN = {"shear_modulus": True, "poisson_ratio": True, "young_modulus": True}
@@ -20,7 +25,7 @@ def probes():
     rng = np.random.default_rng(5)
     found = half_space_probes(rng, count=3, grid=6, noise=5e-5, force_noise=0.01)
     # An error that all probings share: its prior is part of the objective.
-    return [replace(one, nuisances=(ForceGain(0.01),)) for one in found]
+    return [replace(one, nuisances=(force_gain(0.01),)) for one in found]
 
 
 @pytest.fixture(scope="module")

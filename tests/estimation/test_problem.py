@@ -9,20 +9,21 @@ from estimation.half_space import HalfSpace, half_space_probes
 
 from palpate.errors import InputError
 from palpate.estimation import (
-    ContactError,
-    CorrectionError,
-    ForceDirection,
-    ForceGain,
-    LengthScale,
-    ModelStep,
+    Nuisance,
     NuisanceParameter,
     ProbeObservations,
+    ResponseTerms,
     Settlement,
-    SupportCompliance,
-    ToolSlip,
+    fixed_displacement,
 )
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
+from palpate.pipeline.model.contacts import contact_error, tool_slip
+from palpate.pipeline.model.measurement_errors import force_direction, force_gain, length_scale
+from palpate.pipeline.observations.converged_observations import model_step
+
+# Where contacts are tried, in standard deviations of two parameters.
+STEPS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,23 +44,27 @@ def _everything(rng: np.random.Generator) -> list[ProbeObservations]:
     for probe in half_space_probes(rng, count=2, grid=6, noise=3e-5, force_noise=0.02, tip=True):
         count = len(probe.position)
         response = _Moving(probe.response)
-        rows, columns = response.value(0.3).shape
+        columns = response.value(0.3).shape[1]
         name = probe.name
 
         def wider(nu: float, moving: _Moving = response) -> np.ndarray:
             return 1.02 * moving.value(nu)[:, None] + nu
 
         def change(nu: float, moving: _Moving = response) -> np.ndarray:
-            return 1e3 * nu**2 * moving.value(nu)[:, :2]
+            return 1e3 * nu**2 * moving.value(nu)[:, :5]
 
-        def give(nu: float, _: int, shape: tuple[int, int] = (rows, columns)) -> np.ndarray:
-            return np.full(shape, 1e-3 * nu)
+        def give(at: ResponseTerms, columns: int = columns) -> np.ndarray:
+            own = np.full((len(at.rows), columns, 1), 5e-4 * at.poisson_ratio)
+            return np.stack([np.zeros_like(own), own], axis=1)
+
+        def corrected(at: ResponseTerms) -> np.ndarray:
+            return fixed_displacement(np.ones((len(at.rows), 1)), at)
 
         slips = (NuisanceParameter(f"{name} a", 1e-4, "m"), NuisanceParameter(f"{name} b", 1e-4))
         contact = tuple(
             NuisanceParameter(f"{name} {k}", 0.1, is_model_error=k == 1) for k in range(2)
         )
-        turned, bend = rng.normal(size=(count, 3, 3)), rng.normal(size=(2, 2, 2))
+        turned = rng.normal(size=(count, 3, 3))
         probes.append(
             replace(
                 probe,
@@ -69,14 +74,14 @@ def _everything(rng: np.random.Generator) -> list[ProbeObservations]:
                 settlement=Settlement(1.7e4, lambda nu, m=response: 0.1 * nu * m.value(nu)),
                 covariance=1e-10 * (np.eye(3) + turned @ turned.swapaxes(1, 2)),
                 nuisances=(
-                    ForceGain(0.01),
-                    ForceDirection(0.02),
-                    LengthScale(0.003),
-                    ModelStep("mesh step", 0.4, lambda nu, m=response: m.value(nu)[:, None], wider),
-                    SupportCompliance((1,), 0.5, give),
-                    CorrectionError((NuisanceParameter("correction", 1.0),), np.ones((rows, 1))),
-                    ContactError(contact, change, np.eye(2), bend + bend.swapaxes(1, 2), count),
-                    ToolSlip(slips, np.eye(3)[:2], count),
+                    force_gain(0.01),
+                    force_direction(0.02),
+                    length_scale(0.003),
+                    model_step("mesh", 0.4, lambda nu, m=response: m.value(nu)[:, None], wider),
+                    Nuisance((NuisanceParameter("compliance of support 1", 0.5, "m/Pa"),), give),
+                    Nuisance((NuisanceParameter("correction", 1.0),), corrected),
+                    contact_error(contact, STEPS, change, count),
+                    tool_slip(slips, np.eye(3)[:2], count),
                 ),
             )
         )  # fmt: skip
@@ -137,7 +142,7 @@ def test_the_prediction_is_the_formula() -> None:
 
 def test_the_objective_is_noise_and_priors() -> None:
     probes = half_space_probes(np.random.default_rng(5), count=2, grid=5, noise=3e-5)
-    probes = [replace(p, nuisances=(ForceGain(0.01),), force_std=np.full(3, 0.01)) for p in probes]
+    probes = [replace(p, nuisances=(force_gain(0.01),), force_std=np.full(3, 0.01)) for p in probes]
     problem = replace(problem_of(probes), information=0.7)
     theta = np.random.default_rng(6).normal(size=problem.layout.size)
     theta[:2] = 0.3, np.log(2e4)

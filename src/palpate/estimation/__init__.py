@@ -7,11 +7,6 @@ Depends on : `records`, `geometry`.
 Read first : `problem.py`, `gauss_newton.py`, `posterior.py`, then `fit.py`.
 """
 
-from palpate.estimation.contact_errors import (
-    ContactError as ContactError,
-    ToolSlip as ToolSlip,
-    contact_error as contact_error,
-)
 from palpate.estimation.fit import (
     FitMethod as FitMethod,
     FitResult as FitResult,
@@ -24,22 +19,12 @@ from palpate.estimation.information import (
     cramer_rao_bound as cramer_rao_bound,
     fisher_information as fisher_information,
 )
-from palpate.estimation.measurement_errors import (
-    ForceDirection as ForceDirection,
-    ForceGain as ForceGain,
-    LengthScale as LengthScale,
-    Pose as Pose,
-    SpaceStretch as SpaceStretch,
-)
-from palpate.estimation.model_errors import (
-    CorrectionError as CorrectionError,
-    ModelStep as ModelStep,
-    SupportCompliance as SupportCompliance,
-)
 from palpate.estimation.nuisance import (
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     ResponseTerms as ResponseTerms,
+    fixed_displacement as fixed_displacement,
+    padded as padded,
 )
 from palpate.estimation.observations import (
     ProbeObservations as ProbeObservations,

@@ -11,10 +11,9 @@ from scipy.special import chdtrc, ndtri
 
 from palpate.estimation.gauss_newton import with_noise
 from palpate.estimation.noise import FINEST
-from palpate.estimation.normal_equations import Evaluation, covariance, own_covariances
+from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_NAMES
-from palpate.estimation.posterior import FORCES
-from palpate.estimation.problem import Problem
+from palpate.estimation.problem import FORCES, Problem
 from palpate.geometry import morton_order
 from palpate.records import IMPOSSIBLE
 from palpate.shapes import Points, Vector3
@@ -136,7 +135,7 @@ def force_deviations(minimum: Evaluation) -> Float[np.ndarray, " k"]:
     -------
     (k,) float [-]
     """
-    problem, covariances = minimum.problem, own_covariances(minimum.normal)
+    problem, covariances = minimum.problem, minimum.normal.own_covariances
     deviations = []
     for probe, block, own in zip(problem.probes, problem.layout.blocks, covariances, strict=True):
         seen = probe.observations
@@ -221,17 +220,12 @@ def _chance(errors: Sequence[tuple[float, float]]) -> float:
 def _errors(minimum: Evaluation) -> Iterator[tuple[str, float, float]]:
     """Source, value and standard deviation of every named error, in standard deviations of its
     prior; then the deviations of the forces."""
-    problem, layout, theta = minimum.problem, minimum.problem.layout, minimum.theta
-    std = np.sqrt(np.diag(covariance(minimum.normal))[layout.errors])
-    for parameter, value, one in zip(problem.shared, theta[layout.errors], std, strict=True):
-        yield parameter.source, float(value), float(one)
-    for index, (block, own) in enumerate(
-        zip(layout.blocks, own_covariances(minimum.normal), strict=True)
-    ):
-        first = block.errors.start - block.whole.start
-        std, named = np.sqrt(np.diag(own))[first:], problem.own(index)
-        for parameter, value, one in zip(named, theta[block.errors], std, strict=False):
-            yield parameter.source, float(value), float(one)
+    layout, sources = minimum.problem.layout, minimum.problem.sources
+    std = minimum.normal.std
+    for named in (layout.errors, *(block.errors for block in layout.blocks)):
+        yield from zip(
+            sources[named], minimum.theta[named].tolist(), std[named].tolist(), strict=True
+        )
     deviation = force_deviations(minimum)
     yield from ((FORCES, float(each), 0.0) for each in deviation[deviation != 0.0])
 

@@ -12,7 +12,7 @@ from palpate.errors import InputError
 from palpate.estimation.checks import contradictions, with_outlying_forces_freed
 from palpate.estimation.gauss_newton import fitted, gauss_newton
 from palpate.estimation.noise import NOISE_MODELS
-from palpate.estimation.normal_equations import Evaluation, covariance, determined
+from palpate.estimation.normal_equations import Evaluation, determined
 from palpate.estimation.notes import fit_notes
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
@@ -150,9 +150,7 @@ def fit(
     progress("validation", 0.95)
     fits = probe_fits(minimum, settings.poisson_range)
     found = contradictions(minimum)
-    layout, shared = minimum.problem.layout, minimum.problem.shared
-    std = np.sqrt(np.diag(covariance(minimum.normal))[2:])
-    errors = error_estimates(shared, minimum.theta[layout.errors], std)
+    errors = error_estimates(minimum.problem.shared, minimum, minimum.problem.layout.errors)
     every = [*errors, *(error for probe_fit in fits for error in probe_fit.errors)]
     status = Status.from_identifiable(identifiable)
     if not minimum.converged:

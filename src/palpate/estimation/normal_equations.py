@@ -19,7 +19,7 @@ SMALLEST_SLOPE = 0.3
 _RIDGE = 1e-13
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Gauss-Newton equations at a point, with the parameters of each probing eliminated.
 
@@ -40,6 +40,34 @@ class NormalEquations:
     part_gradients: Float[np.ndarray, "k d"]
     own: tuple[Float[np.ndarray, "_ _"], ...]
     solutions: tuple[Float[np.ndarray, "_ _"], ...]
+
+    @cached_property
+    def covariance(self) -> Float[np.ndarray, "d d"]:
+        """Posterior covariance of the common parameters; very large but finite along a combination
+        without information."""
+        scale = diagonal_root(self.common)
+        unit = self.common / np.outer(scale, scale)
+        return np.linalg.inv(unit + _RIDGE * np.eye(len(unit))) / np.outer(scale, scale)
+
+    @cached_property
+    def own_covariances(self) -> list[Float[np.ndarray, "_ _"]]:
+        """Posterior covariance of each probing's own parameters, (n, n)."""
+        return [
+            np.linalg.inv(own) + solution[:, :-1] @ self.covariance @ solution[:, :-1].T
+            for own, solution in zip(self.own, self.solutions, strict=True)
+        ]
+
+    @property
+    def std(self) -> Float[np.ndarray, " n"]:
+        """Posterior standard deviation of every entry of theta."""
+        every = (self.covariance, *self.own_covariances)
+        return np.sqrt(np.concatenate([np.diag(each) for each in every]))
+
+    def covariance_with(self, direction: Float[np.ndarray, "2"]) -> Float[np.ndarray, " n"]:
+        """Posterior covariance of every entry of theta with a combination of (nu, log G)."""
+        common = self.covariance[:, :2] @ direction
+        own = (-solution[:, :-1] @ common for solution in self.solutions)
+        return np.concatenate([common, *own])
 
     def step(
         self, fixed: Sequence[int], poisson_ratio: float, bounds: tuple[float, float]
@@ -216,41 +244,6 @@ def gram(
     return np.block([[own, cross], [cross.T, whole]])
 
 
-def covariance(normal: NormalEquations) -> Float[np.ndarray, "d d"]:
-    """Posterior covariance of the common parameters; very large but finite along a combination
-    without information.
-
-    Parameters
-    ----------
-    normal : NormalEquations
-
-    Returns
-    -------
-    (d, d) float
-    """
-    scale = diagonal_root(normal.common)
-    unit = normal.common / np.outer(scale, scale)
-    return np.linalg.inv(unit + _RIDGE * np.eye(len(unit))) / np.outer(scale, scale)
-
-
-def own_covariances(normal: NormalEquations) -> list[Float[np.ndarray, "n n"]]:
-    """Posterior covariance of each probing's own parameters, in prior standard deviations.
-
-    Parameters
-    ----------
-    normal : NormalEquations
-
-    Returns
-    -------
-    list of (n, n) float
-    """
-    shared = covariance(normal)
-    return [
-        np.linalg.inv(own) + solution[:, :-1] @ shared @ solution[:, :-1].T
-        for own, solution in zip(normal.own, normal.solutions, strict=True)
-    ]
-
-
 def determined(minimum: Evaluation) -> tuple[float, float]:
     """How many parameters the data determine, in all, and among those of the model's error.
 
@@ -266,15 +259,10 @@ def determined(minimum: Evaluation) -> tuple[float, float]:
     ------
     MacKay, Bayesian interpolation, Neural Computation 4 (1992), eq. 4.5
     """
-    normal, layout = minimum.normal, minimum.problem.layout
-    precision = minimum.problem.precision()
-    shared = 1.0 - np.diag(covariance(normal))[layout.errors]
-    total, unknown = 2.0 + float(shared.sum()), 0.0
-    for block, own in zip(layout.blocks, own_covariances(normal), strict=True):
-        kept = 1.0 - precision[block.whole] * np.diag(own)
-        total += float(kept.sum())
-        unknown += float(kept[block.unknown.start - block.whole.start :].sum())
-    return total, unknown
+    layout = minimum.problem.layout
+    kept = 1.0 - minimum.problem.precision() * minimum.normal.std**2
+    unknown = sum(float(kept[block.unknown].sum()) for block in layout.blocks)
+    return float(kept.sum()), unknown
 
 
 def _solved(matrix: np.ndarray, right: np.ndarray, free: np.ndarray) -> Float[np.ndarray, " d"]:

@@ -1,4 +1,4 @@
-"""Errors that points or probings share, as parameters with a prior: the interface of every kind.
+"""Errors that points or probings share, as parameters with a prior.
 
 A force gauge that reads 1 % too much, a tool that pressed half a millimetre off the stated point,
 an object that lies slightly rotated: such errors affect all points of a probing, or all probings,
@@ -6,8 +6,8 @@ together. No number of points averages them out. Each is a parameter b with a Ga
 zero mean, fitted along with the constants.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -60,39 +60,25 @@ class ResponseTerms:
     poisson_ratio: float
 
 
-@runtime_checkable
-class Nuisance(Protocol):
-    """A kind of error and its effect on one probing."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Nuisance:
+    """An error that points or probings share, with its effect on one probing.
 
-    @property
-    def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """The p parameters of this kind in this probing."""
-        ...
+    Parameters
+    ----------
+    parameters : tuple of p NuisanceParameter
+    effects : function              `ResponseTerms` of the probing -> (r, s, c, p) float: change of
+                                    the response per prior standard deviation of each parameter, in
+                                    s = 1 or 2 terms
+    curvature : function or None    `ResponseTerms` -> (r, p, p) float [m Pa]: second derivative of
+                                    displacement times shear modulus, per prior standard deviation
+                                    of each; for errors so large that second order matters, which
+                                    belong to one probing
+    """
 
-    def effects(self, at: ResponseTerms) -> Float[np.ndarray, "r s c p"]:
-        """Change of the response per prior standard deviation of each parameter, in s = 1 or 2
-        terms.
-
-        Parameters
-        ----------
-        at : ResponseTerms          of the probing
-        """
-        ...
-
-
-@runtime_checkable
-class CurvedNuisance(Nuisance, Protocol):
-    """A kind of error so large that second order matters; it belongs to one probing."""
-
-    def curvature(self, at: ResponseTerms) -> Float[np.ndarray, "r p p"]:
-        """Second derivative of displacement times shear modulus, per prior standard deviation of
-        each parameter [m Pa].
-
-        Parameters
-        ----------
-        at : ResponseTerms          of the probing
-        """
-        ...
+    parameters: tuple[NuisanceParameter, ...]
+    effects: Callable[[ResponseTerms], Float[np.ndarray, "r s c p"]]
+    curvature: Callable[[ResponseTerms], Float[np.ndarray, "r p p"]] | None = None
 
 
 def padded(effects: Float[np.ndarray, "r s c p"], terms: int) -> Float[np.ndarray, "r t c p"]:

@@ -5,8 +5,6 @@ parameter is less certain than its prior. Intervals are projections of the regio
 objective, at its minimum over all else, is less than the square of a quantile above its minimum.
 """
 
-from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +12,11 @@ from jaxtyping import Float
 from scipy.interpolate import BarycentricInterpolator
 from scipy.special import chdtri, stdtrit
 
-from palpate.estimation.normal_equations import Evaluation, covariance, gram
+from palpate.estimation.normal_equations import Evaluation, gram
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.records import CONSTANT_NAMES, BudgetEntry, Constant
 
-POINTS, FORCES, MOTIONS = "noise of the points", "measured forces", "motions of supports"
-MODEL = "mesh"
+POINTS = "noise of the points"
 _UPPER_TAIL = 0.975
 # Nodes of the responses over the interval, and points of the curve drawn through them.
 _NODES, _POINTS = 13, 401
@@ -139,7 +136,6 @@ class Posterior:
     ----------
     minimum : Evaluation
     poisson_range : (float, float)
-    covariance : (d, d) float       of the common parameters, the modulus as its logarithm
     quantile : float                half-width of a 95 % interval in standard errors
     profile : Profile               over the interval of nu and a margin; over all of its range
                                     where the data do not determine it
@@ -148,7 +144,6 @@ class Posterior:
 
     minimum: Evaluation
     poisson_range: tuple[float, float]
-    covariance: Float[np.ndarray, "d d"]
     quantile: float
     profile: Profile
     determines_ratio: bool
@@ -156,7 +151,7 @@ class Posterior:
     def error(self, name: str) -> float:
         """Standard error of nu, log G or log E."""
         direction = directions(self.minimum.poisson_ratio)[name]
-        return float(np.sqrt(direction @ self.covariance[:2, :2] @ direction))
+        return float(np.sqrt(direction @ self.minimum.normal.covariance[:2, :2] @ direction))
 
     def is_beyond_range(self) -> bool:
         """Whether the data lead clearly beyond the range of nu."""
@@ -187,8 +182,7 @@ def posterior_of(
     -------
     Posterior
     """
-    shared = covariance(minimum.normal)
-    error = float(np.sqrt(shared[0, 0]))
+    error = float(np.sqrt(minimum.normal.covariance[0, 0]))
     nu, reach = minimum.poisson_ratio, _REACH * error
     ends = (max(poisson_range[0], nu - reach), min(poisson_range[1], nu + reach))
     quantile = float(stdtrit(degrees, _UPPER_TAIL)) if np.isfinite(degrees) else 1.959963984540054
@@ -200,7 +194,7 @@ def posterior_of(
     known = known and bool(np.isfinite(np.nanmax(profile.moduli(np.full(_POINTS, height))[1])))
     if not known:
         profile = profile_of(minimum, poisson_range)
-    return Posterior(minimum, poisson_range, shared, quantile, profile, known)
+    return Posterior(minimum, poisson_range, quantile, profile, known)
 
 
 def _leads_beyond(minimum: Evaluation, error: float) -> bool:
@@ -472,15 +466,17 @@ def uncertainty_budget(
     """
     if not determined["poisson_ratio"]:
         return ()
-    parts: dict[str, dict[str, float]] = {}
+    problem, normal = posterior.minimum.problem, posterior.minimum.normal
+    sources, precision = problem.sources, problem.precision()
+    parts = {}
     for name, direction in directions(posterior.minimum.poisson_ratio).items():
-        variance = defaultdict[str, float](float)
-        for source, effect in _effects(posterior, direction):
-            variance[source] += effect
+        variance = dict.fromkeys(sources[2:], 0.0)
+        contribution = precision * normal.covariance_with(direction) ** 2
+        for source, each in zip(sources[2:], contribution[2:].tolist(), strict=True):
+            variance[source] += each
         total = posterior.error(name) ** 2
         variance[POINTS] = max(total - sum(variance.values()), 0.0)
         parts[name] = variance
-    sources = dict.fromkeys(source for part in parts.values() for source in part)
     entries = [
         BudgetEntry(
             source,
@@ -489,32 +485,9 @@ def uncertainty_budget(
                 for name in CONSTANT_NAMES
             ),
         )
-        for source in sources
+        for source in parts["poisson_ratio"]
     ]
     return tuple(sorted(entries, key=_size, reverse=True))
-
-
-def _effects(
-    posterior: Posterior, direction: Float[np.ndarray, "2"]
-) -> Iterator[tuple[str, float]]:
-    """Source of every parameter with a prior, and its contribution to the variance of a
-    constant: prior precision times squared covariance."""
-    problem, normal = posterior.minimum.problem, posterior.minimum.normal
-    layout, precision = problem.layout, problem.precision()
-    influence = direction @ posterior.covariance[:2]
-    for parameter, effect in zip(problem.shared, influence[2:], strict=True):
-        yield parameter.source, float(effect**2)
-    for index, (block, solution) in enumerate(zip(layout.blocks, normal.solutions, strict=True)):
-        own = precision[block.whole] * (solution[:, :-1] @ influence) ** 2
-        counts = (3, block.motions.stop - block.motions.start)
-        forces, motions, errors = np.split(own, np.cumsum(counts))
-        yield FORCES, float(forces.sum())
-        if len(motions):
-            yield MOTIONS, float(motions.sum())
-        named = problem.own(index)
-        for parameter, effect in zip(named, errors, strict=False):
-            yield parameter.source, float(effect)
-        yield MODEL, float(errors[len(named) :].sum())
 
 
 def _size(entry: BudgetEntry) -> float:

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.noise import relative_weight
-from palpate.estimation.normal_equations import Evaluation, own_covariances
-from palpate.estimation.nuisance import CurvedNuisance, NuisanceParameter, ResponseTerms, padded
+from palpate.estimation.normal_equations import Evaluation
+from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.posterior import IntervalSet
 from palpate.records import ErrorEstimate, ProbeEstimate
@@ -123,49 +123,12 @@ class FittedModel:
         probings = []
         for index, probe in enumerate(held.problem.probes):
             seen = probe.observations
-            predicted = predicted_points(held, index, held.theta)
+            predicted = held.problem.predicted_points(index, held.theta)
             load = held.problem.load(index, held.theta)
             surface = predicted_surface(seen, poisson_ratio, load)
             residual = seen.displacement - predicted
             probings.append(PredictedProbing(seen.name, predicted, residual, surface))
         return ModelState(max(held.value - self.minimum.value, 0.0), tuple(probings))
-
-
-def predicted_points(minimum: Evaluation, index: int, theta: Float[np.ndarray, " t"]) -> Points:
-    """Displacement of every point of a probing, measured or not, without the model's error of
-    unknown shape.
-
-    Parameters
-    ----------
-    minimum : Evaluation
-    index : int                     of the probing
-    theta : (n,) float              of the problem
-
-    Returns
-    -------
-    (n, 3) float [m]
-    """
-    problem, layout = minimum.problem, minimum.problem.layout
-    probe = problem.probes[index]
-    seen, modulus = probe.observations, float(np.exp(theta[1]))
-    values = dict(zip((each.name for each in problem.shared), theta[layout.errors], strict=True))
-    own = problem.own(index)
-    values |= dict(zip((e.name for e in own), theta[layout.blocks[index].errors], strict=True))
-    rows = np.arange(3 * len(seen.position))
-    response = seen.response_terms(float(theta[0]))[rows]
-    at = ResponseTerms(rows, response, float(theta[0]))
-    load = problem.load(index, theta)
-    moved = np.zeros(len(rows))
-    for nuisance in seen.nuisances:
-        size = np.array([values[parameter.name] for parameter in nuisance.parameters])
-        change = nuisance.effects(at) @ size
-        response = padded(response[..., None], max(response.shape[1], change.shape[1]))[..., 0]
-        response[:, : change.shape[1]] += change
-        if isinstance(nuisance, CurvedNuisance):
-            moved += 0.5 * (nuisance.curvature(at) @ size) @ size / modulus
-    for term, factor in zip(range(response.shape[1]), (1.0, modulus), strict=False):
-        moved += factor * (response[:, term] @ load)
-    return moved.reshape(-1, 3)
 
 
 def predicted_surface(
@@ -203,24 +166,18 @@ def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple
     -------
     tuple of ProbeFit               `left_out_predicted` is None where there is one probing only
     """
-    problem, theta = minimum.problem, minimum.theta
+    problem, theta, std = minimum.problem, minimum.theta, minimum.normal.std
     fits = []
-    for k, (probe, block, unknown, square, own) in enumerate(
-        zip(
-            problem.probes, problem.layout.blocks, problem.unknown,
-            minimum.squared, own_covariances(minimum.normal), strict=True,
-        )
-    ):  # fmt: skip
+    for k, (probe, block, unknown, square) in enumerate(
+        zip(problem.probes, problem.layout.blocks, problem.unknown, minimum.squared, strict=True)
+    ):
         variance = probe.sigma(problem.level) ** 2 + problem.scale**2 * unknown.variance
         seen, n = probe.observations, len(probe.observations.position)
-        predicted = predicted_points(minimum, k, theta)
+        predicted = problem.predicted_points(k, theta)
         factor, sigma = np.zeros(n + 1), np.full(3 * n + 3, np.nan)
         factor[probe.point] = relative_weight(problem.noise, square, probe.components)
         sigma[probe.rows] = np.sqrt(probe.component_variance(variance))
-        std = np.sqrt(np.diag(own))
         load = problem.load(k, theta)
-        motion = slice(3, 3 + len(seen.motion))
-        named = slice(motion.stop, motion.stop + len(problem.own(k)))
         fits.append(
             ProbeFit(
                 name=seen.name,
@@ -229,8 +186,8 @@ def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple
                 weight=np.where(np.isfinite(seen.displacement), factor[:n, None], 0.0),
                 left_out_predicted=_left_out(minimum, k, poisson_range),
                 motion=load[4:],
-                motion_std=seen.motion_std * std[motion],
-                errors=error_estimates(problem.own(k), theta[block.errors], std[named]),
+                motion_std=seen.motion_std * std[block.motions],
+                errors=error_estimates(problem.own(k), minimum, block.errors),
                 sigma=sigma[: 3 * n].reshape(-1, 3),
                 surface=predicted_surface(seen, minimum.poisson_ratio, load),
             )
@@ -253,20 +210,19 @@ def _left_out(minimum: Evaluation, index: int, poisson_range: tuple[float, float
     # Others cannot predict the motions of its supports: these stay as fitted.
     for part in (block.force, block.errors, block.unknown):
         theta[part] = 0.0
-    return predicted_points(minimum, index, theta)
+    return problem.predicted_points(index, theta)
 
 
 def error_estimates(
-    parameters: Sequence[NuisanceParameter],
-    value: Float[np.ndarray, " p"],
-    std: Float[np.ndarray, " p"],
+    parameters: Sequence[NuisanceParameter], minimum: Evaluation, where: slice
 ) -> tuple[ErrorEstimate, ...]:
     """Estimates of nuisance parameters, in their own units.
 
     Parameters
     ----------
     parameters : sequence of p NuisanceParameter
-    value, std : (p,) float         best value and standard deviation, in prior standard deviations
+    minimum : Evaluation
+    where : slice                   where they are in theta
 
     Returns
     -------
@@ -280,7 +236,9 @@ def error_estimates(
             float(parameter.std * sigma),
             parameter.std,
         )
-        for parameter, x, sigma in zip(parameters, value, std, strict=True)
+        for parameter, x, sigma in zip(
+            parameters, minimum.theta[where], minimum.normal.std[where], strict=True
+        )
     )
 
 

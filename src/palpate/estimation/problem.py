@@ -22,15 +22,17 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.estimation.model_errors import UnknownRows, correlated_patterns, unknown_rows
 from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
 from palpate.estimation.nuisance import (
-    CurvedNuisance,
     NuisanceParameter,
     ResponseTerms,
 )
 from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, ObservedRows
+from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
+from palpate.shapes import Points
 
+# Sources in the uncertainty budget: of what is no named error.
+FORCES, MOTIONS, MODEL = "measured forces", "motions of supports", "mesh"
 # Half the distance of the two Poisson's ratios from which a model is expanded: the error is of
 # second order.
 _STEP = 1e-4
@@ -143,6 +145,15 @@ class Problem:
         """The errors that belong to one probing alone."""
         return _own(self.probes[index], self.shared)
 
+    @property
+    def sources(self) -> list[str]:
+        """Source in the uncertainty budget of every entry of theta; empty for the constants."""
+        sources = ["", "", *(each.source for each in self.shared)]
+        for index, (seen, rows) in enumerate(zip(self.probes, self.unknown, strict=True)):
+            sources += [FORCES] * 3 + [MOTIONS] * len(seen.observations.motion)
+            sources += [each.source for each in self.own(index)] + [MODEL] * rows.count
+        return sources
+
     def expanded(self, poisson_ratio: float) -> "Problem":
         """The objective with the model expanded about another Poisson's ratio."""
         expansions = (_expansion(probe, self.shared, poisson_ratio) for probe in self.probes)
@@ -204,7 +215,7 @@ class Problem:
         for k, (probe, unknown, block) in enumerate(
             zip(self.probes, self.unknown, self.layout.blocks, strict=True)
         ):
-            moved, table = self._predicted(k, theta)
+            moved, table = self._predicted(k, theta, self.expansions[k])
             residuals.append(probe.measured - moved - unknown.moved(theta[block.unknown]))
             derivatives.append(table)
         return residuals, derivatives
@@ -217,17 +228,26 @@ class Problem:
         motion = seen.motion + seen.motion_std * theta[block.motions]
         return np.concatenate([np.append(force, 1.0) / np.exp(theta[1]), motion])
 
+    def predicted_points(self, index: int, theta: Float[np.ndarray, " t"]) -> Points:
+        """Displacement of every point of a probing, measured or not, without the model's error of
+        unknown shape, (n, 3) [m]."""
+        probe = self.probes[index]
+        every = np.arange(3 * len(probe.observations.position))
+        whole = replace(probe, rows=every, whitening=None)
+        model = _expansion(whole, self.shared, float(theta[0]))
+        return self._predicted(index, theta, model)[0].reshape(-1, 3)
+
     def _errors(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
         """Errors of one probing, in the order of its expansion."""
         block = self.layout.blocks[index]
         return np.append(theta[self.layout.errors][block.shared], theta[block.errors])
 
     def _predicted(
-        self, index: int, theta: Float[np.ndarray, " t"]
+        self, index: int, theta: Float[np.ndarray, " t"], model: Expansion
     ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "s r"]]:
-        """Displacement of one probing's rows without the model's error of unknown shape, and its
+        """Displacement of rows of one probing without the model's error of unknown shape, and its
         derivatives (`linearised`)."""
-        model, block, common = self.expansions[index], self.layout.blocks[index], self.layout.common
+        block, common = self.layout.blocks[index], self.layout.common
         seen, modulus = self.probes[index].observations, float(np.exp(theta[1]))
         own, count = theta[block.errors], len(block.shared)
         errors = self._errors(index, theta)
@@ -384,7 +404,7 @@ def _curvature(
     shear modulus."""
     curvature, first = np.zeros((len(at.rows), len(own), len(own))), 0
     for nuisance in probe.observations.nuisances:
-        if isinstance(nuisance, CurvedNuisance):
+        if nuisance.curvature is not None:
             begin = int(np.searchsorted(own, first))
             chosen = slice(begin, begin + len(nuisance.parameters))
             curvature[:, chosen, chosen] = nuisance.curvature(at)

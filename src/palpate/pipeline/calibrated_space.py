@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation import ProbeObservations, SpaceStretch
+from palpate.estimation import ProbeObservations
+from palpate.pipeline.model import space_stretch
 from palpate.records import Session, covariance_file, read_rig, read_rig_covariance
 from palpate.vision import space_strains
 
@@ -51,7 +52,7 @@ def with_stretch(
     if strains is None:
         return list(observations)
     return [
-        replace(probe, nuisances=(*probe.nuisances, SpaceStretch(strains, len(probe.position))))
+        replace(probe, nuisances=(*probe.nuisances, space_stretch(strains, len(probe.position))))
         for probe in observations
     ]
 

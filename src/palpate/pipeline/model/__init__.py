@@ -35,6 +35,7 @@ from palpate.pipeline.model.grading import (
     resolved_session as resolved_session,
 )
 from palpate.pipeline.model.large_strain import fit_at_finite_strain as fit_at_finite_strain
+from palpate.pipeline.model.measurement_errors import space_stretch as space_stretch
 from palpate.pipeline.model.moving_supports import (
     check_balance as check_balance,
     free_std as free_std,

@@ -8,13 +8,14 @@ from jaxtyping import Float
 
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
-    CorrectionError,
     FitResult,
     FitSettings,
+    Nuisance,
     NuisanceParameter,
     ProbeFit,
     ProbeObservations,
     fit,
+    fixed_displacement,
 )
 from palpate.lab import FinitePress, SplitNeoHookean
 from palpate.pipeline.model.finite_strain import FiniteBody, make_finite_body, strain_corrections
@@ -169,7 +170,7 @@ def _corrected(
     )
 
 
-def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionError:
+def _error(name: str, correction: Points, rough: _Coarser | None) -> Nuisance:
     """Error of a correction: other laws, and the elements."""
     errors = [("finite strain", "from linear to neo-Hookean", _OTHER_LAWS, correction)]
     if rough is not None:
@@ -183,7 +184,8 @@ def _error(name: str, correction: Points, rough: _Coarser | None) -> CorrectionE
         for of, step, std, _ in errors
     )
     steps = [std * moved.ravel() for *_, std, moved in errors]
-    return CorrectionError(tuple(parameters), np.stack(steps, axis=1))
+    moved = np.stack(steps, axis=1)
+    return Nuisance(tuple(parameters), lambda at: fixed_displacement(moved[at.rows], at))
 
 
 def _with_correction(probe: ProbeFit, correction: Points) -> ProbeFit:

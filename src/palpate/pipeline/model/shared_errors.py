@@ -6,18 +6,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array, kron
 
-from palpate.estimation import (
-    ForceDirection,
-    ForceGain,
-    LengthScale,
-    Nuisance,
-    NuisanceParameter,
-    Pose,
-    ToolSlip,
-    contact_error,
-)
+from palpate.estimation import Nuisance, NuisanceParameter
 from palpate.geometry import SurfacePoints, interpolation_matrix
-from palpate.pipeline.model.contacts import named_tangents
+from palpate.pipeline.model.contacts import contact_error, named_tangents, tool_slip
+from palpate.pipeline.model.measurement_errors import (
+    force_direction,
+    force_gain,
+    length_scale,
+    pose_error,
+)
 from palpate.pipeline.model.moving_supports import rigid_modes
 from palpate.pipeline.model.object_model import ObjectModel
 from palpate.pipeline.model.responses import ProbeResponse
@@ -54,15 +51,15 @@ def shared_errors(
     probing = model.session.probings[index]
     pushed, gain = bool(probing.force.any()), priors.gain_std(probing.force_sensor)
     if gain > 0.0 and pushed:
-        nuisances.append(ForceGain(gain, probing.force_sensor))
+        nuisances.append(force_gain(gain, probing.force_sensor))
     if priors.force_direction > 0.0 and pushed:
         measured = _measured_components(probing, priors.force_direction)
-        nuisances.append(ForceDirection(priors.force_direction, measured, probing.force_sensor))
+        nuisances.append(force_direction(priors.force_direction, measured, probing.force_sensor))
     if priors.length_scale > 0.0:
-        nuisances.append(LengthScale(priors.length_scale))
+        nuisances.append(length_scale(priors.length_scale))
     if change:
         nuisances.append(
-            Pose(priors.pose_translation, priors.pose_rotation, tuple(change), vertices)
+            pose_error(priors.pose_translation, priors.pose_rotation, change, vertices)
         )
     nuisances += _contact_errors(model, index, response)
     nuisances += _tool_slip(model, index, response)
@@ -98,7 +95,7 @@ def _tool_slip(model: ObjectModel, index: int, response: ProbeResponse) -> list[
         )
         for name in names
     )
-    return [ToolSlip((first, second), tangents, response.rows.surface.shape[0] // 3)]
+    return [tool_slip((first, second), tangents, response.rows.surface.shape[0] // 3)]
 
 
 def _measured_components(probing: Probing, rotation: float) -> tuple[bool, bool, bool]:

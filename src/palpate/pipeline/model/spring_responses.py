@@ -14,7 +14,14 @@ from palpate.bem import (
     make_spring_model,
     make_spring_system,
 )
-from palpate.estimation import FitMethod, FitSettings, Settlement, SupportCompliance
+from palpate.estimation import (
+    FitMethod,
+    FitSettings,
+    Nuisance,
+    NuisanceParameter,
+    ResponseTerms,
+    Settlement,
+)
 from palpate.pipeline.model.compliant_supports import (
     compliances,
     compliant_supports,
@@ -118,8 +125,12 @@ def settlement(
     return Settlement(shear_modulus, derivative)
 
 
-def compliance_error(model: ObjectModel, response: ProbeResponse) -> SupportCompliance | None:
-    """Error of the supports' compliance stated by the session, as nuisance parameters.
+def compliance_error(model: ObjectModel, response: ProbeResponse) -> Nuisance | None:
+    """Error of the supports' compliance stated by the session: beds of springs in excess of the
+    model's, one parameter for each support, shared by all probings.
+
+    Negative compliance is unphysical, but a symmetric prior keeps noise alone from biasing the
+    estimate towards soft supports.
 
     Parameters
     ----------
@@ -128,14 +139,24 @@ def compliance_error(model: ObjectModel, response: ProbeResponse) -> SupportComp
 
     Returns
     -------
-    SupportCompliance or None       None: compliances are exact
+    Nuisance or None                None: compliances are exact
     """
-    std = model.session.errors.support_compliance
+    std, length = model.session.errors.support_compliance, model.system.traction_length
     if std == 0.0:
         return None
-    length = model.system.traction_length
-    return SupportCompliance(
-        tuple(k + 1 for k in compliant_supports(model.session)),
-        std,
-        lambda poisson_ratio, k: response.compliance_derivative(poisson_ratio, k) / length,
+    supports = compliant_supports(model.session)
+
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r 2 c s"]:
+        moved = [
+            response.compliance_derivative(at.poisson_ratio, k)[at.rows] / length
+            for k in range(len(supports))
+        ]
+        # It does not depend on the material.
+        own = std * np.stack(moved, axis=2)
+        return np.stack([np.zeros_like(own), own], axis=1)
+
+    parameters = (
+        NuisanceParameter(f"compliance of support {k + 1}", std, "m/Pa", "compliance of supports")
+        for k in supports
     )
+    return Nuisance(tuple(parameters), effects)

@@ -1,17 +1,21 @@
 """Observations with a model on compliant supports, taken at the shear modulus that fits best."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from palpate.bem import DENSE_RESIDUAL
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
     FitSettings,
-    ModelStep,
+    Nuisance,
+    NuisanceParameter,
     ProbeObservations,
+    ResponseTerms,
     best_constants_of,
+    padded,
 )
 from palpate.geometry import bounding_diagonal
 from palpate.pipeline.model import REMAINING_FRACTION, ObjectModel
@@ -22,6 +26,8 @@ from palpate.records import Session
 # the change of its logarithm that ends them (the error is of second order in it), and the longest
 # step.
 _MOST_ROUNDS, _STEP_TOLERANCE, _LONGEST_STEP = 12, 1e-3, 5.0
+
+Terms = Callable[[float], Float[np.ndarray, "n_rows t c"]]
 
 _GRADING = "mesh at rims and hollow edges (in steps from the given to the graded one)"
 
@@ -89,7 +95,33 @@ def _with_mesh_errors(
         return list(observations)
     with_errors = []
     for probe, coarse in zip(observations, coarser, strict=True):
-        error = ModelStep(_GRADING, REMAINING_FRACTION, coarse.response_terms, probe.response_terms)
-        steps = (each for each in coarse.nuisances if isinstance(each, ModelStep))
-        with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *steps)))
+        error = model_step(
+            _GRADING, REMAINING_FRACTION, coarse.response_terms, probe.response_terms
+        )
+        with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *coarse.nuisances)))
     return with_errors
+
+
+def model_step(name: str, std: float, model: Terms, alternative: Terms) -> Nuisance:
+    """An error as large as the difference of two models of the same body, the same in all probings.
+
+    Parameters
+    ----------
+    name : str                      of the error, worded so that it can end a sentence
+    std : float [-]                 standard deviation as a fraction of the step, > 0
+    model, alternative : function   Poisson's ratio -> (n_rows, t, c) float: responses of both
+                                    (`ProbeObservations.response_terms`); the step leads from the
+                                    first to the second
+
+    Returns
+    -------
+    Nuisance
+    """
+
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r t c 1"]:
+        steps = [side(at.poisson_ratio)[at.rows] for side in (model, alternative)]
+        count = max(step.shape[1] for step in steps)
+        first, second = (padded(step[..., None], count) for step in steps)
+        return std * (second - first)
+
+    return Nuisance((NuisanceParameter(name, std, of="mesh", is_model_error=True),), effects)

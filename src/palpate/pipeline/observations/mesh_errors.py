@@ -5,14 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from palpate.bem import CENTRE, LARGEST_DENSE, CentredSystem, CompressedSystem, SurfaceSettings
-from palpate.estimation import FitMethod, FitSettings, ModelStep, ProbeObservations
+from palpate.estimation import FitMethod, FitSettings, ProbeObservations
 from palpate.pipeline.model import (
     ObjectModel,
     edge_refined_session,
     graded_session,
     make_object_model,
 )
-from palpate.pipeline.observations.converged_observations import converged_observations
+from palpate.pipeline.observations.converged_observations import converged_observations, model_step
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, Session
 
@@ -160,7 +160,7 @@ def with_mesh_steps(
             ),
         )
         steps = [
-            ModelStep(_STEPS[name], 1.0, probe.response_terms, other.response_terms)
+            model_step(_STEPS[name], 1.0, probe.response_terms, other.response_terms)
             for probe, other in zip(stepped, compared, strict=True)
         ]
         stepped = [

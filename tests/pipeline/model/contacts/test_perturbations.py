@@ -9,7 +9,6 @@ from error_columns import columns_of, curvature_of
 from surfaces import sphere
 
 from palpate.bem import RightHand, correction_columns, indentation_corrections
-from palpate.estimation import ContactError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
 from palpate.pipeline.model.contacts import DIP_ERROR, dipped_columns, perturbations, surface_load
@@ -102,7 +101,7 @@ def _left(deviations: float) -> float:
     told = _session(3, replace(EXACT, contact_point=std))
     (probing,) = told.probings
     seen = _seen(told)
-    error = next(one for one in seen.nuisances if isinstance(one, ContactError))
+    error = next(one for one in seen.nuisances if one.curvature is not None)
     rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / MODULUS
     nominal = seen.response.value(NU)[rows]
     slope = columns_of(error, nominal, load, NU)[:, 0]

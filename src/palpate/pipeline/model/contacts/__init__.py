@@ -9,6 +9,10 @@ Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `perturbations.py`, then `outward.py`.
 """
 
+from palpate.pipeline.model.contacts.contact_errors import (
+    contact_error as contact_error,
+    tool_slip as tool_slip,
+)
 from palpate.pipeline.model.contacts.contact_radii import (
     has_tools as has_tools,
     largest_change as largest_change,

@@ -7,10 +7,12 @@ import pytest
 from estimation.fitted import minimum_of, patterns, problem_of
 from estimation.half_space import half_space_probes
 
-from palpate.estimation import ModelStep, ProbeObservations
-from palpate.estimation.model_errors import UnknownRows, correlated_patterns, unknown_rows
-from palpate.estimation.normal_equations import covariance
+from palpate.estimation import (
+    ProbeObservations,
+)
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
+from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
+from palpate.pipeline.observations.converged_observations import model_step
 
 
 def _probe(grid: int = 12, **options: object) -> ProbeObservations:
@@ -25,7 +27,7 @@ def _unknown(probe: ObservedRows, fields: np.ndarray) -> UnknownRows:
 def test_a_step_is_the_difference_of_two_models() -> None:
     probe = _probe(4)
     value = probe.response.value(0.3)
-    step = ModelStep("mesh", 0.2, lambda nu: value[:, None], lambda nu: 1.05 * value[:, None])
+    step = model_step("mesh", 0.2, lambda nu: value[:, None], lambda nu: 1.05 * value[:, None])
     problem = problem_of([replace(probe, nuisances=(step,))])
     theta = np.zeros(problem.layout.size)
     theta[:2] = 0.3, np.log(2e4)
@@ -76,26 +78,21 @@ def test_information_saturates() -> None:
         probe = replace(_probe(grid), std=None)
         probe = replace(probe, std=np.full_like(probe.displacement, noise))
         value = probe.response.value
-        step = ModelStep(
+        step = model_step(
             "m", 0.01, lambda nu: value(nu)[:, None], lambda nu: 2 * value(nu)[:, None]
         )
         normal = minimum_of(problem_of([replace(probe, nuisances=(step,))])).normal
-        return float(np.sqrt(covariance(normal)[0, 0]))
+        return float(np.sqrt(normal.covariance[0, 0]))
 
     few, many = error(10, 1e-9), error(40, 1e-9)
     assert few / many < 2.5
     assert error(10, 1e-10) == pytest.approx(few, rel=0.01)
     # Without an error of the model it is the noise alone.
-    plain = [
-        np.sqrt(
-            covariance(
-                minimum_of(
-                    problem_of([replace(_probe(grid), std=np.full((n, 3), 1e-9))])
-                ).normal
-            )[0, 0]
-        )
-        for grid, n in ((10, len(_probe(10).position)), (40, len(_probe(40).position)))
-    ]  # fmt: skip
+    plain = []
+    for grid in (10, 40):
+        probe = _probe(grid)
+        sure = replace(probe, std=np.full((len(probe.position), 3), 1e-9))
+        plain.append(np.sqrt(minimum_of(problem_of([sure])).normal.covariance[0, 0]))
     assert plain[0] / plain[1] > 3.0
 
 
@@ -123,14 +120,14 @@ def test_an_error_that_all_probings_share_does_not_average_out() -> None:
     look = half_space_probes(rng, count=1, grid=3, noise=0.0)[0]
     value = look.response.value(0.28)[:, None]
     other = value * (1.0 + size / (value[:, 0, :3] @ look.force / 2.1e4))[:, None, None]
-    step = ModelStep("mesh", 1.0, lambda _: value, lambda _: other)
+    step = model_step("mesh", 1.0, lambda _: value, lambda _: other)
     std = np.full_like(look.displacement, 1e-9)
     looks = [replace(look, name=f"look {k}", std=std, nuisances=(step,)) for k in range(8)]
 
     def found(displacement: np.ndarray, count: int = 8) -> tuple[float, float]:
         probes = [replace(each, displacement=displacement) for each in looks[:count]]
         minimum = minimum_of(problem_of(probes))
-        return minimum.poisson_ratio, float(np.sqrt(covariance(minimum.normal)[0, 0]))
+        return minimum.poisson_ratio, float(np.sqrt(minimum.normal.covariance[0, 0]))
 
     off = look.displacement + size * rng.normal(size=(draws, *look.displacement.shape))
     ratios, claims = np.transpose([found(each) for each in off])

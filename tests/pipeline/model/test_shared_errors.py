@@ -9,20 +9,20 @@ from estimation.half_space import HalfSpace, half_space_probes
 from scipy.sparse import csr_array, kron
 
 from palpate.estimation import (
-    ContactError,
     FitSettings,
-    ForceDirection,
-    ForceGain,
-    LengthScale,
     Nuisance,
     NuisanceParameter,
-    Pose,
     ProbeObservations,
     ResponseTerms,
-    ToolSlip,
-    contact_error,
     cramer_rao_bound,
     fit,
+)
+from palpate.pipeline.model.contacts import contact_error, tool_slip
+from palpate.pipeline.model.measurement_errors import (
+    force_direction,
+    force_gain,
+    length_scale,
+    pose_error,
 )
 
 NU, SHEAR, NOISE = 0.3, 2e4, 2e-5
@@ -76,7 +76,7 @@ class _MovedContact:
         return np.stack([self.at(one, poisson_ratio) - stated for one in STEPS], axis=1)
 
 
-def _contact_error(probe: ProbeObservations, std: float = 5e-4) -> ContactError:
+def _contact_error(probe: ProbeObservations, std: float = 5e-4) -> Nuisance:
     names = (f"contact point of {probe.name} toward +{axis}" for axis in "xy")
     parameters = tuple(NuisanceParameter(name, std, "m") for name in names)
     return contact_error(parameters, STEPS, _MovedContact(probe, std), len(probe.position))
@@ -86,7 +86,7 @@ def test_a_gain_is_a_force_that_is_larger() -> None:
     probe = _probes()[0]
     expected = _predicted(probe, 1.01 * probe.force) - _predicted(probe, probe.force)
     # Linear, so exact but for rounding.
-    np.testing.assert_allclose(_columns(ForceGain(0.01), probe)[:, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(_columns(force_gain(0.01), probe)[:, 0], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -94,13 +94,13 @@ def test_a_direction_is_a_force_that_is_turned(axis: int) -> None:
     probe, angle = _probes()[0], 1e-5
     turn = np.cross(np.eye(3)[axis], probe.force)
     expected = _predicted(probe, probe.force + angle * turn) - _predicted(probe, probe.force)
-    found = _columns(ForceDirection(angle), probe)[:, axis]
+    found = _columns(force_direction(angle), probe)[:, axis]
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_scale_stretches_one_component() -> None:
     probe = _probes()[0]
-    found = _columns(LengthScale(0.002), probe).reshape(-1, 3, 3)
+    found = _columns(length_scale(0.002), probe).reshape(-1, 3, 3)
     moved = _predicted(probe, probe.force).reshape(-1, 3)
     for axis in range(3):
         expected = np.zeros_like(moved)
@@ -113,7 +113,7 @@ def test_a_pose_takes_the_field_of_the_vertices() -> None:
     probe = replace(_probes(tip=True)[0])
     count = len(probe.position)
     whole = kron(csr_array(np.eye(count)), np.eye(3))
-    pose = Pose(1e-4, 0.0, (csr_array(whole),), probe.response.value)
+    pose = pose_error(1e-4, 0.0, (csr_array(whole),), probe.response.value)
     found = _columns(pose, probe)
     moved = _predicted(probe, probe.force)
     np.testing.assert_allclose(found[:-3, 0], moved[:-3], rtol=1e-12)
@@ -150,7 +150,7 @@ def test_a_measured_tool_moves_with_its_contact() -> None:
 
 @pytest.mark.parametrize(
     ("nuisance", "scale"),
-    [(ForceGain(0.02), 0.02), (LengthScale(0.02), 0.02)],
+    [(force_gain(0.02), 0.02), (length_scale(0.02), 0.02)],
     ids=["gain", "length"],
 )
 def test_a_shared_error_widens_the_moduli_and_no_number_of_points_helps(
@@ -171,7 +171,7 @@ def test_intervals_hold_a_gain_that_is_off() -> None:
     for seed in range(30):
         gain = 1.0 + 0.02 * rng.normal()
         probes = [
-            replace(p, force=gain * p.force, nuisances=(ForceGain(0.02),)) for p in _probes(seed)
+            replace(p, force=gain * p.force, nuisances=(force_gain(0.02),)) for p in _probes(seed)
         ]
         low, high = fit(probes).estimate.young_modulus.ci95
         held += low <= 5.2e4 <= high
@@ -182,8 +182,8 @@ def test_intervals_hold_a_gain_that_is_off() -> None:
 def test_a_weight_calibrates_the_gauge_of_the_other_probings() -> None:
     """One probing's force is a weight's, exact; the gauge of the others reads 3 % too much."""
     first, *others = _probes(count=3, noise=0.1 * NOISE)
-    gauge = ForceGain(0.02, "gauge")
-    weighed = [replace(first, nuisances=(ForceGain(1e-4, "weights"),))]
+    gauge = force_gain(0.02, "gauge")
+    weighed = [replace(first, nuisances=(force_gain(1e-4, "weights"),))]
     weighed += [replace(p, force=1.03 * p.force, nuisances=(gauge,)) for p in others]
     found = fit(weighed).estimate
     # What one probing alone has is its own.
@@ -196,7 +196,7 @@ def test_a_weight_calibrates_the_gauge_of_the_other_probings() -> None:
     assert gain.std < 0.005
     assert found.young_modulus.value == pytest.approx(5.2e4, abs=4 * found.young_modulus.std)
     # With one sensor for all, the gain is not learnt.
-    shared = fit([replace(p, nuisances=(ForceGain(0.02),)) for p in weighed])
+    shared = fit([replace(p, nuisances=(force_gain(0.02),)) for p in weighed])
     assert found.young_modulus.std < 0.3 * shared.intervals.young_modulus.std
     assert {entry.source for entry in found.budget} >= {"gain of the force sensor"}
 
@@ -238,7 +238,7 @@ def test_an_error_beyond_chance_contradicts_the_model(beside: float, status: str
 
 
 def test_errors_that_are_not_there_stay_small() -> None:
-    nuisances = (ForceGain(0.01), ForceDirection(0.01), LengthScale(0.003))
+    nuisances = (force_gain(0.01), force_direction(0.01), length_scale(0.003))
     probes = [replace(p, nuisances=(*nuisances, _contact_error(p))) for p in _probes()]
     found = fit(probes).estimate
     every = [*found.errors, *(error for one in found.probes for error in one.errors)]
@@ -254,7 +254,7 @@ def test_errors_that_are_not_there_stay_small() -> None:
 
 
 def test_simplex_and_scoring_agree_with_errors() -> None:
-    nuisances = (ForceGain(0.01), LengthScale(0.003))
+    nuisances = (force_gain(0.01), length_scale(0.003))
     probes = [
         replace(p, nuisances=(*nuisances, _contact_error(p))) for p in _probes(count=2, grid=5)
     ]
@@ -270,7 +270,7 @@ def test_simplex_and_scoring_agree_with_errors() -> None:
 def test_one_probing_alone_is_no_surer_than_its_gauge(noise):
     """Whether the interval comes from a parabola or from the misfit's profile."""
     (probe,) = _probes(count=1, noise=noise)
-    gained = replace(probe, nuisances=(ForceGain(0.05),))
+    gained = replace(probe, nuisances=(force_gain(0.05),))
     plain, found = (fit([one]).estimate for one in (probe, gained))
     for name in ("shear_modulus", "young_modulus"):
         low, high = getattr(found, name).ci95
@@ -281,8 +281,8 @@ def test_one_probing_alone_is_no_surer_than_its_gauge(noise):
 
 def test_what_the_gauge_did_not_measure_is_not_turned():
     (probe,) = _probes(count=1)
-    turned = _columns(ForceDirection(0.01), probe)
-    along = _columns(ForceDirection(0.01, measured=(False, False, True)), probe)
+    turned = _columns(force_direction(0.01), probe)
+    along = _columns(force_direction(0.01, measured=(False, False, True)), probe)
     response = probe.response.value(NU)
     force = 0.01 * np.cross(np.eye(3), probe.force / SHEAR)
     np.testing.assert_allclose(along, np.outer(response[:, 2], force[:, 2]), atol=1e-15)
@@ -292,7 +292,7 @@ def test_what_the_gauge_did_not_measure_is_not_turned():
 def test_a_tool_that_slips_moves_the_tip_alone() -> None:
     tangents = np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     first, second = (NuisanceParameter(name, std, "m") for name, std in (("a", 2e-3), ("b", 5e-3)))
-    slip = ToolSlip((first, second), tangents, count=2)
+    slip = tool_slip((first, second), tangents, count=2)
     # Two points and the tip, of which z was not measured.
     rows = np.array([0, 1, 2, 4, 6, 7])
     effects = slip.effects(ResponseTerms(rows, np.ones((6, 1, 4)), NU))

@@ -1,5 +1,5 @@
-"""Errors of the model itself: of its mesh, of its supports, of corrections applied to it; and the
-part of them whose shape nobody knows, as a correlated term of known size."""
+"""The part of the model's own error whose shape nobody knows, as a correlated term of known
+size."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,17 +9,9 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from palpate.estimation.nuisance import (
-    NuisanceParameter,
-    ResponseTerms,
-    fixed_displacement,
-    padded,
-)
 from palpate.estimation.observed_rows import ObservedRows, weighted_products
 from palpate.geometry import morton_order
 from palpate.shapes import Points
-
-Terms = Callable[[float], Float[np.ndarray, "n_rows t c"]]
 
 # The model's error is taken as a process whose correlation decays over this fraction of the body
 # on all scales, as far as its modes resolve; this share of its variance varies from point to point.
@@ -32,93 +24,6 @@ _MOST_PLACES = 200
 # The error at a point is at most the largest among its neighbours: this share of all points, and at
 # least so many.
 _NEIGHBOURHOOD, _FEWEST_NEIGHBOURS = 0.02, 12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelStep:
-    """An error as large as the difference of two models of the same body (`Nuisance`).
-
-    Parameters
-    ----------
-    name : str                      of the error, worded so that it can end a sentence
-    std : float [-]                 standard deviation as a fraction of the step, > 0
-    model, alternative : function   Poisson's ratio -> (n_rows, t, c) float: responses of both
-                                    (`ProbeObservations.response_terms`); the step leads from the
-                                    first to the second
-    """
-
-    name: str
-    std: float
-    model: Terms
-    alternative: Terms
-
-    @property
-    def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """One, shared by all probings."""
-        return (NuisanceParameter(self.name, self.std, of="mesh", is_model_error=True),)
-
-    def effects(self, at: ResponseTerms) -> Float[np.ndarray, "r t c 1"]:
-        """`std` times the step (`Nuisance.effects`)."""
-        steps = [side(at.poisson_ratio)[at.rows] for side in (self.model, self.alternative)]
-        count = max(step.shape[1] for step in steps)
-        first, second = (padded(step[..., None], count) for step in steps)
-        return self.std * (second - first)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrectionError:
-    """Error of a correction that was applied to the measurements (`Nuisance`).
-
-    Parameters
-    ----------
-    parameters : tuple of p NuisanceParameter
-    steps : (n_rows, p) float [m]   change of the correction per standard deviation of each
-    """
-
-    parameters: tuple[NuisanceParameter, ...]
-    steps: Float[np.ndarray, "n_rows p"]
-
-    def effects(self, at: ResponseTerms) -> Float[np.ndarray, "r 2 c p"]:
-        """The measured rows of `steps` (`Nuisance.effects`)."""
-        return fixed_displacement(self.steps[at.rows], at)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SupportCompliance:
-    """Compliance of some supports in excess of the model's: a bed of springs (`Nuisance`).
-
-    Negative compliance is unphysical, but a symmetric prior keeps noise alone from biasing the
-    estimate towards soft supports.
-
-    Parameters
-    ----------
-    supports : tuple of s int       numbers of the supports, from 1
-    std : float [m/Pa]              of each: displacement over traction, > 0
-    derivative : function           Poisson's ratio, index in `supports` -> (n_rows, c) float [unit
-                                    of the response, per m]: derivative of the response with respect
-                                    to shear modulus times compliance
-    """
-
-    supports: tuple[int, ...]
-    std: float
-    derivative: Callable[[float, int], Float[np.ndarray, "n_rows c"]]
-
-    @property
-    def parameters(self) -> tuple[NuisanceParameter, ...]:
-        """One for each support, shared by all probings."""
-        return tuple(
-            NuisanceParameter(
-                f"compliance of support {number}", self.std, "m/Pa", "compliance of supports"
-            )
-            for number in self.supports
-        )
-
-    def effects(self, at: ResponseTerms) -> Float[np.ndarray, "r 2 c s"]:
-        """Response with springs under each support; it does not depend on the material
-        (`Nuisance.effects`)."""
-        moved = [self.derivative(at.poisson_ratio, k)[at.rows] for k in range(len(self.supports))]
-        effects = self.std * np.stack(moved, axis=2)
-        return np.stack([np.zeros_like(effects), effects], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
