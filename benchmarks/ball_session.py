@@ -107,7 +107,7 @@ def _displacements(session: Session) -> list[np.ndarray]:
     unit = solve(elastic.factorised, model.right.at(POISSON_RATIO)) / SHEAR_MODULUS
     return [
         elastic.state(unit[:, 3 * patch : 3 * patch + 3] @ probing.force).displacement
-        for patch, probing in zip(model.patch_of, session.probings, strict=True)
+        for patch, probing in zip(model.loads.patch_of, session.probings, strict=True)
     ]
 
 

@@ -224,7 +224,7 @@ def _fields_on(mesh: TriangleMesh) -> list[DisplacementField]:
     elastic = make_elastic_map(
         model.system, shear_modulus=SHEAR_MODULUS, poisson_ratio=POISSON_RATIO
     )
-    loads = [surface_load(patch) for patch in model.patches.values()]
+    loads = [surface_load(patch) for patch in model.loads.patches.values()]
     states = elastic.respond(loads, np.array([one.force for one in silent.probings]))
     rng = np.random.default_rng(0)
     return [

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from estimation.fitted import RANGE, minimum_of, problem_of
 from estimation.half_space import HalfSpace, half_space_probes
+from scipy.stats import norm
 
 from palpate.estimation import (
     ProbeObservations,
+    checks,
     fit,
 )
 from palpate.estimation.checks import (
@@ -69,6 +71,19 @@ def test_a_force_that_is_off_is_found_and_does_no_harm(seed: int) -> None:
     # As without that force.
     without = _fitted(probes[:3] + probes[4:])
     assert found.shear_modulus == pytest.approx(without.shear_modulus, rel=0.003)
+
+
+@pytest.mark.parametrize(("beyond", "freed"), [(0.99, 0), (1.01, 1)])
+def test_of_four_hundred_sound_sessions_one_loses_a_force(
+    monkeypatch: pytest.MonkeyPatch, beyond: float, freed: int
+) -> None:
+    """Whichever of its forces, and however signed: the chance of each is an eighth of 1 / 400."""
+    limit = norm.isf(1 / 400 / 2 / 4)
+    minimum = _fitted(_probes(0, grid=6)[:4])
+    assert len(minimum.problem.probes) == 4
+    deviation = np.array([0.3, -beyond * limit, 0.1, 0.2])
+    monkeypatch.setattr(checks, "force_deviations", lambda _: deviation)
+    assert len(with_outlying_forces_freed(minimum, RANGE)[1]) == freed
 
 
 def test_no_sound_force_is_left_out() -> None:

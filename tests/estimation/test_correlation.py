@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimation.fitted import minimum_of, problem_of
 from estimation.half_space import half_space_probes
 
 from palpate.estimation import ProbeObservations, fit
+from palpate.estimation.correlation import _neighbours_sharing, _scores
 from palpate.records import PointCorrelation
 
 
@@ -58,3 +60,17 @@ def test_pictures_at_rest_that_probings_share_do_not_average_out() -> None:
     shared = fit([replace(p, reference="rest") for p in same]).estimate.poisson_ratio.std
     # One of four independent ones, plus half of one that all share: (1/2 + 1/2 * 4) / 1.
     assert (shared / apart) ** 2 == pytest.approx(2.5, rel=0.15)
+
+
+def test_what_neighbours_share_is_their_scores_product_over_the_expected() -> None:
+    """Each pair once and its reverse, three components, by the formula."""
+    (probe, *_) = _clumped(1, 3, known=True)
+    pair = np.array([[0, 1], [2, 9]])
+    few = replace(probe, correlation=PointCorrelation(pair, np.array([0.5, 0.8])))
+    at = minimum_of(problem_of([few]))
+    (score,) = _scores(at)
+    first, second = score.reshape(-1, 3)[pair.T]
+    observed = 2.0 * np.array([0.5, 0.8]) @ (first * second).sum(axis=1)
+    expected = 6.0 * at.moments().power * (0.5**2 + 0.8**2)
+    assert 0.0 < observed < expected
+    assert _neighbours_sharing(at) == pytest.approx(observed / expected, rel=1e-9)

@@ -158,15 +158,13 @@ def test_outward_traction_is_as_well_known_as_the_circle(measured: Session) -> N
     (probing,) = measured.probings
     known = replace(measured, errors=replace(EXACT, touched_radius=0.05))
     model = make_object_model(known)
-    (pulled,) = (each for each in model.perturbations if each.outward)
-    assert not pulled.is_dip
+    perturbed = zip(model.loads.perturbation_columns, model.loads.perturbations, strict=True)
+    ((column, pulled),) = (pair for pair in perturbed if pair[1].outward)
     # Its column is the prior's share of the whole traction, which a contact without it lacks.
     bare = replace(probing, contact=replace(probing.contact, outward=0.0))
     without = make_object_model(replace(known, probings=(bare,)))
     change = (model.right.terms[:, :, :3] - without.right.terms[:, :, :3]) @ (0.05 * probing.force)
-    columns = [each for each in model.perturbations if each.patch is not None or each.outward]
-    last = 3 + len(columns) - 1
-    np.testing.assert_allclose(model.right.terms[:, :, last], change, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(model.right.terms[:, :, column], change, rtol=1e-9, atol=1e-12)
     assert [parameter.name for parameter in pulled.steps] == ["outward traction in n"]
 
 

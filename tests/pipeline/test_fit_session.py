@@ -419,8 +419,8 @@ def test_one_contact_is_one_patch(still: Session) -> None:
     first, second, third = still.probings
     again = replace(third, contact=first.contact)
     model = make_object_model(replace(still, probings=(first, second, again)))
-    assert model.patch_of.tolist() == [0, 1, 0]
-    assert len(model.patches) == 2
+    assert model.loads.patch_of.tolist() == [0, 1, 0]
+    assert len(model.loads.patches) == 2
     # Three columns a contact, two of gravity; of every probing's contact five other places, another
     # radius and another mesh about it.
     assert model.right.terms.shape[2] == 3 * 2 + 2 + 7 * 3

@@ -29,7 +29,7 @@ def compared(shared_data):
     matrix = equations.matrix[0] + POISSON * equations.matrix[1]
     right = equations.by_point(model.tips.right.at(POISSON)) / SHEAR
     fields, tips = [], []
-    for probing, patch in zip(probings, model.patch_of, strict=True):
+    for probing, patch in zip(probings, model.loads.patch_of, strict=True):
         columns = slice(3 * patch, 3 * patch + 3)
         unknowns = x[:, columns] @ probing.force
         state = sorted_state(model.system, unknowns, SHEAR)

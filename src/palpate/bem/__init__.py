@@ -33,6 +33,7 @@ from palpate.bem.integrals import (
 )
 from palpate.bem.interior import InteriorState as InteriorState, interior_state as interior_state
 from palpate.bem.loads import (
+    LOAD_CELLS as LOAD_CELLS,
     BodyForce as BodyForce,
     IndentationCorrection as IndentationCorrection,
     LoadCells as LoadCells,

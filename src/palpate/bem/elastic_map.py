@@ -190,10 +190,9 @@ def load_right_hand(
     loads: Sequence[SurfaceLoad],
     corrections: Sequence[IndentationCorrection | None] | None = None,
     *,
-    forces: Float[np.ndarray, "k 3"] | None = None,
     cells: LoadCells = LOAD_CELLS,
 ) -> RightHand:
-    """Right-hand sides of surface loads: for one newton along each axis, or for one given force.
+    """Right-hand sides of surface loads, for one newton along each axis.
 
     Parameters
     ----------
@@ -201,12 +200,11 @@ def load_right_hand(
     loads : sequence of k SurfaceLoad
     corrections : sequence of k IndentationCorrection or None    for the local indentation around
                                       each load (`indentation_corrections`)
-    forces : (k, 3) float [N] or None             None: one newton along each axis
     cells : LoadCells                             subdivision of the loads, see `load_points`
 
     Returns
     -------
-    RightHand                         three columns per load; one per load where forces are given
+    RightHand                         three columns per load
 
     Raises
     ------
@@ -214,20 +212,18 @@ def load_right_hand(
     """
     balance = -np.eye(3) / system.traction_length
     parts = []
-    for k, load in enumerate(loads):
+    for load in loads:
         fields = integrate_load(system.surface, load, system.collocation, system.rows, cells=cells)
-        columns = load_columns(fields, balance)
-        parts.append(columns if forces is None else columns.under(forces[k]))
+        parts.append(load_columns(fields, balance))
     right = joined(parts)
-    significant, numbers = [], []
-    for k, correction in enumerate(corrections or ()):
-        if correction is not None and correction.midside_nodes.size:
-            significant.append(correction if forces is None else correction.under(forces[k]))
-            numbers.append(k)
+    significant = {
+        k: correction
+        for k, correction in enumerate(corrections or ())
+        if correction is not None and correction.midside_nodes.size
+    }
     if significant:
-        each = 3 if forces is None else 1
-        columns_of = (each * np.array(numbers)[:, None] + np.arange(each)).ravel()
-        right = right.plus(correction_columns(system, significant), columns_of)
+        columns = (3 * np.array([*significant])[:, None] + np.arange(3)).ravel()
+        right.terms[:, :, columns] += correction_columns(system, [*significant.values()]).terms
     return right
 
 

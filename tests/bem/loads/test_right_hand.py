@@ -36,14 +36,12 @@ def columns(system, seed=0):
     return [RightHand(rng.normal(size=(3, 4, k))) for k in (1, 2)]
 
 
-def test_at_is_the_polynomial_and_sums_add(ball):
+def test_at_is_the_polynomial(ball):
     a, _ = columns(ball)
-    b, _ = columns(ball, 1)
     nu = 0.37
     np.testing.assert_allclose(
         a.at(nu), a.terms[0] + nu * a.terms[1] + nu**2 * a.terms[2], rtol=1e-14
     )
-    np.testing.assert_allclose((a + b).at(nu), a.at(nu) + b.at(nu), rtol=0, atol=1e-14)
 
 
 def test_joined_keeps_the_order(ball):
@@ -136,5 +134,5 @@ def test_a_traction_at_shifted_points_too():
     triangles = np.flatnonzero(~system.surface.held)
     # A uniform normal pressure on the free part of a closed surface and its opposite cancel.
     one = np.broadcast_to([1.0, 2.0, 3.0], (triangles.size, 6, 3)).copy()
-    both = traction_column(system, triangles, one) + traction_column(system, triangles, -one)
-    assert not both.at(0.3).any()
+    there, back = (traction_column(system, triangles, sign * one).terms for sign in (1, -1))
+    assert np.array_equal(there, -back)

@@ -43,30 +43,6 @@ class RightHand:
         constant, slope, curvature = self.terms
         return constant + poisson_ratio * (slope + poisson_ratio * curvature)
 
-    def under(self, force: Float[np.ndarray, " c"]) -> "RightHand":
-        """The linear combination of the columns with these coefficients, (c,): one column."""
-        return RightHand((self.terms @ force)[:, :, None])
-
-    def __add__(self, other: "RightHand") -> "RightHand":
-        """Column-wise sum of two right-hand sides with the same number of columns."""
-        return self.plus(other, np.arange(self.terms.shape[2]))
-
-    def plus(self, other: "RightHand", columns: Int[np.ndarray, " c"]) -> "RightHand":
-        """These columns with others added to some of them.
-
-        Parameters
-        ----------
-        other : RightHand         c columns
-        columns : (c,) int        distinct columns to which they are added
-
-        Returns
-        -------
-        RightHand
-        """
-        terms = self.terms.copy()
-        terms[:, :, columns] += other.terms
-        return RightHand(terms)
-
     def on_springs(
         self,
         compliance: Float[np.ndarray, " e"],

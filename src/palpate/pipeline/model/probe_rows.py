@@ -10,7 +10,7 @@ from scipy.sparse import csr_array, hstack, kron
 from palpate.bem import BodyForce, BoundarySystem, dilation_factor
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.pipeline.model.compliant_supports import springs_at, support_force
-from palpate.pipeline.model.object_model import ContactPoints, ObjectModel, contact_key
+from palpate.pipeline.model.object_model import ContactPoints, ObjectModel
 from palpate.records import RIGID, SurfaceAverage
 
 
@@ -222,8 +222,8 @@ def _observed(
 
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
-    """Indices of a probing's perturbed contacts in `ObjectModel.perturbations`."""
-    return np.flatnonzero(np.array([each.probing == index for each in model.perturbations]))
+    """Indices of a probing's perturbed contacts in `LoadTable.perturbations`."""
+    return np.flatnonzero([each.probing == index for each in model.loads.perturbations])
 
 
 def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v 3"]:
@@ -238,29 +238,27 @@ def _columns(
 ) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
     """Right-hand sides of a probing in the order of `ProbeRows`, and the multipliers of its known
     loads."""
-    probing = model.session.probings[index]
-    patches, pressed = list(model.patches), list(model.pressed)
+    probing, table = model.session.probings[index], model.loads
     columns, known_loads = [], []
     if probing.contact.profile != RIGID:
-        columns.append(3 * model.patch_of[index] + np.arange(3))
+        columns.append(table.force_columns(probing.contact))
     for load in probing.loads:
         if load.force is None:
-            columns.append(3 * len(patches) + np.array([pressed.index(contact_key(load.contact))]))
+            columns.append(table.pressure_columns(load.contact))
             known_loads.append(np.array([load.pressure]))
         else:
-            columns.append(3 * patches.index(contact_key(load.contact)) + np.arange(3))
+            columns.append(table.force_columns(load.contact))
             known_loads.append(load.force)
-    last = 3 * len(patches) + len(pressed)
-    if model.body is not None:
-        columns.append(last + np.arange(2))
-        last += 2
-    columns.append(last + _own_motions(model, index))
-    columns.append(last + model.shapes.shape[2] + perturbations)
+    columns += [
+        table.weight_columns,
+        table.motion_columns[_own_motions(model, index)],
+        table.perturbation_columns[perturbations],
+    ]
     return np.concatenate(columns), np.concatenate([np.zeros(0), *known_loads])
 
 
 def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
-    """Indices of a probing's motions in `ObjectModel.shapes`: rigid ones, and the given strain."""
+    """Indices of a probing's motions in `LoadTable.shapes`: rigid ones, and the given strain."""
     rigid = 6 * len(model.supports)
     return np.append(np.arange(rigid), [rigid + index] * model.gives_motions).astype(np.int64)
 
@@ -268,7 +266,7 @@ def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
 def _motions(
     model: ObjectModel, index: int, observed: csr_array, *, with_tip: bool
 ) -> ProbeMotions:
-    shapes = model.shapes[:, :, _own_motions(model, index)]
+    shapes = model.loads.shapes[:, :, _own_motions(model, index)]
     own = observed @ shapes.reshape(-1, shapes.shape[2])
     if with_tip:
         at_tip = np.zeros((3, own.shape[1]))
@@ -289,11 +287,11 @@ def _motions(
 def _tip_rows(
     model: ObjectModel, tips: ContactPoints, index: int, columns: Int[np.ndarray, " c"]
 ) -> PointRows:
-    patch = int(model.patch_of[index])
+    patch = int(model.loads.patch_of[index])
     right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
     particular = np.zeros(3)
     if model.body is not None:
-        contact = list(model.patches.values())[patch]
+        contact = list(model.loads.patches.values())[patch]
         nodes = model.system.surface.displacement
         where = np.array([contact.triangle]), contact.barycentric[None]
         at_tip = interpolation_matrix(nodes, *where)

@@ -70,7 +70,7 @@ def shared_errors(
 
 def _contact_errors(model: ObjectModel, index: int, response: ProbeResponse) -> list[Nuisance]:
     """Errors of one probing's contact, and of the mesh about it."""
-    own = [each.steps for each in model.perturbations if each.probing == index]
+    own = [each.steps for each in model.loads.perturbations if each.probing == index]
     if not own:
         return []
     parameters = tuple(dict.fromkeys(parameter for steps in own for parameter in steps))
@@ -82,10 +82,10 @@ def _contact_errors(model: ObjectModel, index: int, response: ProbeResponse) -> 
 def _tool_slip(model: ObjectModel, index: int, response: ProbeResponse) -> list[Nuisance]:
     """Slip of a tool whose displacement was measured, where it slides: by as much as it touches."""
     probing = model.session.probings[index]
-    tool, patch = probing.contact.tool, model.patch_of[index]
+    tool, patch = probing.contact.tool, model.loads.patch_of[index]
     if probing.tip_displacement is None or tool is None or tool.friction != SLIDES or patch < 0:
         return []
-    tangents, names = named_tangents(model.session.mesh, list(model.patches.values())[patch])
+    tangents, names = named_tangents(model.session.mesh, list(model.loads.patches.values())[patch])
     first, second = (
         NuisanceParameter(
             f"slip of the tool in {probing.name} toward {name}",

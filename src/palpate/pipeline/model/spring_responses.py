@@ -90,9 +90,9 @@ def _known_traction(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "
     if model.body is None:
         return None
     traction = np.zeros((len(springs.support_fraction), model.right.terms.shape[2]))
-    # The traction column of the body force, which is the first of its two.
-    column = 3 * len(model.patches) + len(model.pressed)
-    traction[:, column] = weight_on_springs(model.system, springs, model.body)
+    # That of the body force is the first of its two columns.
+    first = model.loads.weight_columns[0]
+    traction[:, first] = weight_on_springs(model.system, springs, model.body)
     return traction
 
 

@@ -98,7 +98,8 @@ def _with_mesh_errors(
         error = model_step(
             _GRADING, REMAINING_FRACTION, coarse.response_terms, probe.response_terms
         )
-        with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *coarse.nuisances)))
+        steps = (each for each in coarse.nuisances if each.parameters[0].is_model_error)
+        with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *steps)))
     return with_errors
 
 

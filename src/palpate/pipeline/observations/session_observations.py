@@ -154,9 +154,8 @@ def reduced_model_of(
     ------
     SingularSystemError, NotConvergedError    as `session_observations_at`
     """
-    # The perturbed contacts come last.
     tolerance = np.full(model.right.terms.shape[2], residual)
-    tolerance[len(tolerance) - len(model.perturbations) :] = _PERTURBATION_TOLERANCE
+    tolerance[model.loads.perturbation_columns] = _PERTURBATION_TOLERANCE
     return make_reduced_model(
         model.centred or model.system, model.right, poisson_range=settings.poisson_range,
         tolerance=tolerance,

@@ -8,10 +8,9 @@ import pytest
 from error_columns import columns_of, curvature_of
 from surfaces import sphere
 
-from palpate.bem import RightHand, correction_columns, indentation_corrections
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
-from palpate.pipeline.model.contacts import DIP_ERROR, dipped_columns, perturbations, surface_load
+from palpate.pipeline.model.contacts import DIP_ERROR, perturbations
 from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4
@@ -45,22 +44,6 @@ def _seen(session: Session):
     return session_observations(session, make_object_model(session))[0]
 
 
-def test_the_dips_of_all_patches_are_those_of_each_alone() -> None:
-    model = make_object_model(_session(2, EXACT))
-    (patch,) = model.patches.values()
-    beside = replace(patch, contact=replace(patch.contact, radius=4e-3))
-    loads = [surface_load(one) for one in (patch, beside)]
-    dips = indentation_corrections(model.system.surface, loads)
-    dips.insert(1, None)
-    bare = [RightHand(np.ones((3, model.system.size, 3)))] * 3
-    first, nothing, last = dipped_columns(model.system, dips, bare)
-    assert not nothing.terms.any()
-    for found, dip in ((first, dips[0]), (last, dips[2])):
-        wanted = correction_columns(model.system, [dip]).terms
-        assert np.array_equal(found.terms, wanted)
-        assert wanted.any()
-
-
 def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the model whose elements know nothing of dips."""
     seen = _seen(_session(2, GAIN))
@@ -70,7 +53,7 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
     with_dips = seen.response.value(NU)[rows]
     column = columns_of(error, with_dips, load, NU)[:, -1]
     monkeypatch.setattr(
-        "palpate.pipeline.model.object_model.indentation_corrections",
+        "palpate.pipeline.model.load_table.indentation_corrections",
         lambda _, loads: [None] * len(loads),
     )
     without = _seen(_session(2, GAIN))

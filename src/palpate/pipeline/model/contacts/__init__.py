@@ -22,7 +22,6 @@ from palpate.pipeline.model.contacts.contact_radii import (
 from palpate.pipeline.model.contacts.outward import (
     OUTWARD_ERROR as OUTWARD_ERROR,
     has_outward_traction as has_outward_traction,
-    outward_columns as outward_columns,
     outward_load as outward_load,
     outward_perturbations as outward_perturbations,
     outward_pushes as outward_pushes,
@@ -32,11 +31,8 @@ from palpate.pipeline.model.contacts.perturbations import (
     RADIUS_ERROR as RADIUS_ERROR,
     ContactPerturbation as ContactPerturbation,
     contact_perturbations as contact_perturbations,
-    dip_columns as dip_columns,
     dip_perturbations as dip_perturbations,
-    dipped_columns as dipped_columns,
     named_tangents as named_tangents,
-    perturbation_columns as perturbation_columns,
     surface_load as surface_load,
 )
 from palpate.pipeline.model.contacts.sideways import displaced_contacts as displaced_contacts

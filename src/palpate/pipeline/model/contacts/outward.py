@@ -14,19 +14,12 @@ from scipy.integrate import cumulative_trapezoid
 
 from palpate.arrays import tangents_of
 from palpate.bem import (
-    BoundarySystem,
     PressureDisc,
-    RightHand,
     SurfaceLoad,
-    indentation_corrections,
-    load_right_hand,
 )
-from palpate.errors import InputError
 from palpate.estimation import NuisanceParameter
-from palpate.geometry import unit_normals
 from palpate.lab import Solid, pressure_load
 from palpate.pipeline.model.contacts.perturbations import (
-    PERTURBATION_CELLS,
     ContactPerturbation,
 )
 from palpate.probe import ContactPatch
@@ -66,35 +59,6 @@ def has_outward_traction(contact: Contact) -> bool:
     return _potential(contact) is not None
 
 
-def outward_columns(system: BoundarySystem, patch: ContactPatch) -> RightHand:
-    """Contribution of the outward traction to a patch's columns, for one newton along each axis.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    patch : ContactPatch            of a contact that `has_outward_traction`
-
-    Returns
-    -------
-    RightHand                       three columns, in proportion to the normal component of the
-                                    force
-
-    Raises
-    ------
-    InputError                      no outward traction, or none on the free surface
-    """
-    normal = unit_normals(system.surface.mesh)[patch.triangle]
-    pushes = outward_pushes(patch, normal, -normal)
-    if not pushes:
-        raise InputError("the traction of the contact has no outward part")
-    loads, forces = zip(*pushes, strict=True)
-    shapes = indentation_corrections(system.surface, loads)
-    parts = load_right_hand(
-        system, loads, shapes, forces=np.array(forces), cells=PERTURBATION_CELLS
-    )
-    return RightHand(parts.terms.sum(axis=2)[:, :, None] * -normal)
-
-
 def outward_pushes(
     patch: ContactPatch, normal: Vector3, force: Vector3
 ) -> list[tuple[SurfaceLoad, Vector3]]:
@@ -121,14 +85,14 @@ def outward_pushes(
 
 
 def outward_perturbations(
-    session: Session, patch_index: Int[np.ndarray, " k"]
+    session: Session, patch_of: Int[np.ndarray, " k"]
 ) -> tuple[ContactPerturbation, ...]:
     """Perturbed outward tractions: as well known as the circle under a tool.
 
     Parameters
     ----------
     session : Session
-    patch_index : (k,) int          index of each probing's patch in the model
+    patch_of : (k,) int          index of each probing's patch in the model
 
     Returns
     -------
@@ -138,14 +102,11 @@ def outward_perturbations(
     return tuple(
         ContactPerturbation(
             k,
-            int(patch_index[k]),
             {NuisanceParameter(f"{OUTWARD_ERROR} {probing.name}", std, of="contact radii"): 1.0},
-            None,
-            probing.force,
             outward=std,
         )
         for k, probing in enumerate(session.probings)
-        if std > 0.0 and patch_index[k] >= 0 and has_outward_traction(probing.contact)
+        if std > 0.0 and patch_of[k] >= 0 and has_outward_traction(probing.contact)
     )
 
 

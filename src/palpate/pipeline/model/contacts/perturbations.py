@@ -8,29 +8,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.bem import (
-    BoundarySystem,
     IndentationCorrection,
-    LoadCells,
     PressureDisc,
-    RightHand,
     SurfaceLoad,
-    correction_columns,
-    joined,
-    load_right_hand,
 )
 from palpate.errors import InputError
 from palpate.estimation import NuisanceParameter
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Contact, Probing, Session
-from palpate.shapes import Vector3
 
 # Begins the name of the error of a contact's radius.
 RADIUS_ERROR = "contact radius of"
 # Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
-# Cells for loads of perturbed contacts and outward tractions: fewer points than for contacts.
-PERTURBATION_CELLS = LoadCells(degree=3, rim_points=3, polar_points=6, coarsest=0, finest=0)
 # Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
 # are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra
 # (benchmarks/coverage_of_bodies.py prints them).
@@ -43,41 +34,30 @@ _PLACES = np.sqrt(3.0) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPerturbation:
-    """A perturbed contact of a probing, or a perturbed dip or outward traction about it.
+    """An error of a probing's contact, of its outward traction, or of the mesh about it.
 
     Attributes
     ----------
     probing : int                   index of the probing
-    patch_index : int               index of its patch in the model
     steps : parameter -> float      size of the perturbation, in standard deviations
-    patch : ContactPatch or None    the perturbed contact; None: the nominal contact, with the half
-                                    space's dip changed by `DIP_ERROR`, or the outward traction
-    force : (3,) float [N]          of the probing
+    patch : ContactPatch or None    the perturbed contact; None: the nominal one
     outward : float [-]             relative change of the outward traction
+    dip : float [-]                 relative change of the half space's dip
     """
 
     probing: int
-    patch_index: int
     steps: Mapping[NuisanceParameter, float]
-    patch: ContactPatch | None
-    force: Vector3
+    patch: ContactPatch | None = None
     outward: float = 0.0
-
-    @property
-    def is_dip(self) -> bool:
-        """True for a perturbed dip, False for a perturbed contact."""
-        return self.patch is None and self.outward == 0.0
+    dip: float = 0.0
 
 
-def contact_perturbations(
-    session: Session, patch_index: Int[np.ndarray, " k"]
-) -> tuple[ContactPerturbation, ...]:
+def contact_perturbations(session: Session) -> tuple[ContactPerturbation, ...]:
     """Perturbed contacts of a session's probings.
 
     Parameters
     ----------
     session : Session
-    patch_index : (k,) int          index of each probing's patch in the model
 
     Returns
     -------
@@ -90,16 +70,13 @@ def contact_perturbations(
         if probing.contact.profile != RIGID and probing.contact.radius is not None:
             patch = _covering_patch(session, probing, probing.contact.radius)
             for steps, contact in _perturbed(session, probing, patch):
-                perturbed = replace(patch, contact=contact)
-                perturbations.append(
-                    ContactPerturbation(k, int(patch_index[k]), steps, perturbed, probing.force)
-                )
+                perturbations.append(ContactPerturbation(k, steps, replace(patch, contact=contact)))
     return tuple(perturbations)
 
 
 def dip_perturbations(
     session: Session,
-    patch_index: Int[np.ndarray, " k"],
+    patch_of: Int[np.ndarray, " k"],
     dips: Sequence[IndentationCorrection | None],
 ) -> tuple[ContactPerturbation, ...]:
     """Perturbed dips: errors of the displacement about contacts that the mesh does not resolve.
@@ -107,7 +84,7 @@ def dip_perturbations(
     Parameters
     ----------
     session : Session
-    patch_index : (k,) int          index of each probing's patch in the model
+    patch_of : (k,) int          index of each probing's patch in the model
     dips : sequence of IndentationCorrection or None     of the patches
 
     Returns
@@ -116,11 +93,9 @@ def dip_perturbations(
                                     the session
     """
     return tuple(
-        ContactPerturbation(
-            k, int(patch_index[k]), {_dip_parameter(probing.name): 1.0}, None, probing.force
-        )
+        ContactPerturbation(k, {_dip_parameter(probing.name): 1.0}, dip=DIP_ERROR)
         for k, probing in enumerate(session.probings)
-        if patch_index[k] >= 0 and adds(dips[patch_index[k]])
+        if patch_of[k] >= 0 and adds(dips[patch_of[k]])
     )
 
 
@@ -153,83 +128,6 @@ def surface_load(patch: ContactPatch) -> SurfaceLoad:
     if contact.radius is not None:
         disc = PressureDisc(contact.point, contact.reach, contact.pressure)
     return SurfaceLoad(patch.triangles, patch.density, disc)
-
-
-def perturbation_columns(
-    system: BoundarySystem,
-    perturbations: Sequence[ContactPerturbation],
-    shapes: Sequence[IndentationCorrection | None],
-    nominal: Sequence[RightHand],
-) -> list[RightHand]:
-    """Columns of perturbed contacts minus the nominal ones, under the forces of their probings.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    perturbations : sequence of ContactPerturbation     those without a patch are skipped
-    shapes : sequence                       `indentation_corrections` of the others; may hold None
-    nominal : sequence of RightHand         of every perturbation's nominal contact
-
-    Returns
-    -------
-    list of RightHand                       none, or one with a column for each perturbation that
-                                            has a patch
-
-    Raises
-    ------
-    InputError                              a perturbed contact covers no part of the free surface
-    """
-    moved = [each for each in zip(perturbations, nominal, strict=True) if each[0].patch is not None]
-    if not moved:
-        return []
-    loads = [surface_load(contact.patch) for contact, _ in moved if contact.patch is not None]
-    forces = np.array([contact.force for contact, _ in moved])
-    perturbed = load_right_hand(system, loads, shapes, forces=forces, cells=PERTURBATION_CELLS)
-    unperturbed = joined([columns.under(contact.force) for contact, columns in moved])
-    return [RightHand(perturbed.terms - unperturbed.terms)]
-
-
-def dip_columns(
-    perturbations: Sequence[ContactPerturbation], dipped: Sequence[RightHand]
-) -> list[RightHand]:
-    """Columns of perturbed dips: `DIP_ERROR` of each, under the force of its probing.
-
-    Parameters
-    ----------
-    perturbations : sequence of ContactPerturbation
-    dipped : sequence of RightHand          contribution of each patch's dip to its three columns
-
-    Returns
-    -------
-    list of RightHand                       one column for each perturbation that is a dip
-    """
-    return [
-        dipped[dip.patch_index].under(DIP_ERROR * dip.force) for dip in perturbations if dip.is_dip
-    ]
-
-
-def dipped_columns(
-    system: BoundarySystem, dips: Sequence[IndentationCorrection | None], bare: Sequence[RightHand]
-) -> list[RightHand]:
-    """Contribution of each patch's dip to its columns; all integrals are computed in one pass.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    dips : sequence                         `indentation_corrections` of every patch
-    bare : sequence of RightHand            columns of every patch without its dip
-
-    Returns
-    -------
-    list of RightHand                       zero where the mesh resolves the contact
-    """
-    contributions = [RightHand(np.zeros_like(columns.terms)) for columns in bare]
-    unresolved = {k: dip for k, dip in enumerate(dips) if dip is not None and adds(dip)}
-    if unresolved:
-        terms = correction_columns(system, list(unresolved.values())).terms
-        for k, own in zip(unresolved, np.split(terms, len(unresolved), axis=2), strict=True):
-            contributions[k] = RightHand(own)
-    return contributions
 
 
 def _covering_patch(session: Session, probing: Probing, radius: float) -> ContactPatch:
