@@ -9,7 +9,6 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
 from palpate.figures import (
@@ -311,7 +310,6 @@ def fit(
     fitted = fit_session(
         measured,
         settings=FitSettings(method=method, poisson_range=poisson_range),
-        surface=SurfaceSettings(),
         cache=folder,
         finite_strain=finite_strain,
         progress=progress,

@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from surfaces import sphere
 
-from palpate.bem import SurfaceSettings
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
 from palpate.geometry import TriangleMesh, closest_points
@@ -174,13 +173,12 @@ def test_both_methods_end_at_the_same_minimum(still: Session) -> None:
 
 def test_settings_are_kept_with_the_result(session: Session, result: FitResult) -> None:
     assert result.estimate.settings["poisson_range"] == (0.0, 0.4999)
-    assert result.estimate.settings["surface"]["smooth"] is True
+    assert result.estimate.settings["surface"] == "smooth"
     narrow = fit_session(
-        replace(session, notes=("Told by the session.",)),
+        replace(session, notes=("Told by the session.",), smooth=False),
         settings=FitSettings(poisson_range=(0.0, 0.25)),
-        surface=SurfaceSettings(smooth=False),
     ).estimate
-    assert narrow.settings["surface"]["smooth"] is False
+    assert narrow.settings["surface"] == "flat"
     assert "Told by the session." in (*narrow.notes, *narrow.details)
     assert narrow.poisson_ratio.ci95[1] == pytest.approx(0.25)
 

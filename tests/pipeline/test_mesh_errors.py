@@ -9,7 +9,6 @@ import pytest
 from error_columns import columns_of
 from surfaces import box, sphere
 
-from palpate.bem import SurfaceSettings
 from palpate.estimation import ProbeObservations, fit
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import (
@@ -129,11 +128,7 @@ def _block() -> Session:
     return Session("block", Path("b"), mesh, held, (probing,), None, None, None, (), errors=EXACT)
 
 
-def test_neither_linear_nor_very_fine_meshes_have_it(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    linear = SurfaceSettings(quadratic=False)
-    _, seen = ungraded_observations(session, surface=linear)
-    assert with_mesh_steps(session, seen, surface=linear) == seen
+def test_very_fine_meshes_have_none(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, seen = ungraded_observations(session)
     monkeypatch.setattr(mesh_errors, "LARGEST_DENSE", len(session.mesh.vertices) - 1)
     assert with_mesh_steps(session, seen) == seen

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from palpate.bem import SurfaceSettings, check_memory
+from palpate.bem import check_memory
 from palpate.campaign.package import Package, PackedSession, pack_files, unpack
 from palpate.errors import PalpateError
 from palpate.estimation import FitSettings
@@ -66,11 +66,6 @@ class FitOptions:
     def fit_settings(self) -> FitSettings:
         """As `fit_session` takes them."""
         return FitSettings(poisson_range=self.poisson_range)
-
-    @property
-    def surface_settings(self) -> SurfaceSettings:
-        """As `fit_session` takes them."""
-        return SurfaceSettings(smooth=self.surface == "smooth")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,6 +162,7 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
     """Do the work; gives the files of the result."""
     allow = partial(check_memory, available=memory)
     given = read_session(own_folder / "given" / work.session.session, allow=allow)
+    given = replace(given, smooth=work.options.surface == "smooth")
     require_probings(given)
     result = own_folder / "result"
     result.mkdir()
@@ -176,7 +172,6 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
         prepare_body(
             given,
             settings=work.options.fit_settings,
-            surface=work.options.surface_settings,
             cache=cache,
         )
     else:
@@ -224,7 +219,6 @@ def _fit(work: Work, session: Session, result: Path, own_folder: Path, cache: Pa
     fitted = fit_session(
         session,
         settings=options.fit_settings,
-        surface=options.surface_settings,
         cache=cache,
         finite_strain=options.strain == "finite",
     )

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from palpate.bem import SurfaceSettings
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
 from palpate.pipeline.model import (
@@ -43,7 +42,6 @@ def fit_session(
     session: Session,
     *,
     settings: FitSettings = FitSettings(),
-    surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     finite_strain: bool = False,
     progress: Progress = silent,
@@ -54,7 +52,6 @@ def fit_session(
     ----------
     session : Session                 every probing with a displacement
     settings : FitSettings            method, noise model and range of Poisson's ratio
-    surface : SurfaceSettings         interpolation of the surface between the vertices
     cache : Path or None              folder in which what is computed of the body is kept for reuse
     finite_strain : bool              True: correct for finite strain
     progress : callable               called with the current step (text) and the fraction done
@@ -74,18 +71,16 @@ def fit_session(
     require_probings(session)
     strains = calibration_strains(session)
     progress("the given mesh", 0.0)
-    resolved = resolved_session(session, surface=surface)
+    resolved = resolved_session(session)
     # First, so that its memory is free again before the graded model is made.
     report = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
-    resolved, ungraded = _on_ungraded_mesh(
-        resolved, settings, surface, cache, not finite_strain, report
-    )
+    resolved, ungraded = _on_ungraded_mesh(resolved, settings, cache, not finite_strain, report)
     compared = time.perf_counter()
     progress("integrals over the surface", _GRADED)
-    graded = graded_session(resolved, surface=surface)
+    graded = graded_session(resolved)
     integrals = part_of(progress, _GRADED, _ASSEMBLED)
-    model = make_object_model(graded, surface=surface, cache=cache, progress=integrals)
+    model = make_object_model(graded, cache=cache, progress=integrals)
     assembled = time.perf_counter()
     progress("factorisation", _ASSEMBLED)
     observations = converged_observations(
@@ -110,7 +105,7 @@ def fit_session(
         seconds=stages | {"total": time.perf_counter() - start},
         settings={
             **result.estimate.settings,
-            "surface": asdict(surface),
+            "surface": "smooth" if session.smooth else "flat",
             "finite_strain": finite_strain,
             "lengths": length_error(session, strains),
             **_described(session, resolved, graded),
@@ -142,7 +137,6 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
 def _on_ungraded_mesh(
     session: Session,
     settings: FitSettings,
-    surface: SurfaceSettings,
     cache: Path | None,
     displaced: bool,
     progress: Progress,
@@ -154,7 +148,6 @@ def _on_ungraded_mesh(
         session, observations = with_consistent_contacts(
             session,
             settings=settings,
-            surface=surface,
             cache=cache,
             displaced=displaced,
             progress=report,
@@ -162,10 +155,10 @@ def _on_ungraded_mesh(
     else:
         # The model is not kept, so that its memory is free before the next model is made.
         observations = ungraded_observations(
-            session, settings=settings, surface=surface, cache=cache, progress=report
+            session, settings=settings, cache=cache, progress=report
         )[1]
     return session, with_mesh_steps(
-        session, observations, settings=settings, surface=surface, cache=cache,
+        session, observations, settings=settings, cache=cache,
         progress=part_of(progress, _OWN, 1.0),
     )  # fmt: skip
 

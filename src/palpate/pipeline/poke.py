@@ -10,12 +10,10 @@ from jaxtyping import Float
 from palpate.bem import (
     BoundarySystem,
     InteriorState,
-    SurfaceSettings,
     check_memory,
     held_system,
     interior_state,
     make_elastic_map,
-    make_surface,
 )
 from palpate.errors import InputError
 from palpate.geometry import bounding_diagonal, interpolation_matrix, unit_normals
@@ -24,10 +22,10 @@ from palpate.pipeline.model import (
     compliances,
     compliant_supports,
     graded_session,
-    held_directions,
     outward_pushes,
     resolved_session,
     session_springs,
+    session_surface,
     settled_contact,
     sliding_motion,
     surface_load,
@@ -74,7 +72,6 @@ def poke_session(
     shear_modulus: float,
     poisson_ratio: float,
     interior: Points | None = None,
-    surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     progress: Progress | None = None,
 ) -> PokedState:
@@ -90,7 +87,6 @@ def poke_session(
     poisson_ratio : float [-]           -1 < nu <= 0.5
     interior : (n, 3) float [m]         points inside the object, at least 5 % of a triangle's
                                         radius from its surface
-    surface : SurfaceSettings           interpolation of the surface between the vertices
     cache : Path or None                folder in which what is computed of the body is kept
     progress : callable                 called with the current step (text) and the fraction done
 
@@ -116,7 +112,7 @@ def poke_session(
     )
     report("integrals over the surface", 0.0)
     dense = bool(compliant_supports(session))
-    session, system = held_object(session, surface=surface, cache=cache, dense=dense)
+    session, system = held_object(session, cache=cache, dense=dense)
     patch = find_contact_patch(
         session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
     )
@@ -157,7 +153,6 @@ def poke_session(
 def held_object(
     session: Session,
     *,
-    surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     dense: bool = False,
 ) -> tuple[Session, BoundarySystem]:
@@ -166,7 +161,6 @@ def held_object(
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings           interpolation of the surface between the vertices
     cache : Path or None                folder in which what is computed of the body is kept
     dense : bool                        True: dense matrices for a mesh of any size
 
@@ -179,13 +173,10 @@ def held_object(
     ------
     InputError                          the model does not fit into memory
     """
-    session = graded_session(resolved_session(session, surface=surface), surface=surface)
+    session = graded_session(resolved_session(session))
     rollers = any(support.directions is not None for support in session.supports)
     check_memory(len(session.mesh.vertices), rollers=rollers, dense=dense)
-    boundary = make_surface(
-        session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
-    )
-    return session, held_system(boundary, dense=dense, cache=cache)
+    return session, held_system(session_surface(session), dense=dense, cache=cache)
 
 
 def tool_contact(session: Session, point: Vector3, radius: float | None) -> Contact:

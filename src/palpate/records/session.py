@@ -72,6 +72,9 @@ class Session:
     supports : tuple of Support     supports that make up `held_triangles`; by default one that is
                                     fixed
     errors : ErrorPriors            prior standard deviations of systematic errors
+    smooth : bool                   True: the mesh samples a smooth object, with edges where its
+                                    triangles meet at more than 40 degrees; False: the object has
+                                    exactly the flat facets of the mesh
 
     Raises
     ------
@@ -95,6 +98,7 @@ class Session:
     metres_per_unit: float = 1.0
     supports: tuple[Support, ...] = ()
     errors: ErrorPriors = field(default_factory=ErrorPriors)
+    smooth: bool = True
 
     def __post_init__(self) -> None:
         fix_fields(self, integer=True, held_triangles=(None,))

@@ -23,7 +23,6 @@ from palpate.bem import (
     BoundarySystem,
     CentredSystem,
     SurfaceLoad,
-    SurfaceSettings,
     load_right_hand,
     solve,
 )
@@ -114,7 +113,6 @@ def make_green_functions(
     *,
     nodes: Int[np.ndarray, " n"] | None = None,
     most: int | None = None,
-    surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     progress: Progress | None = None,
 ) -> GreenFunctions:
@@ -129,7 +127,6 @@ def make_green_functions(
                                         that would make the compliance indefinite
     most : int                          largest number of nodes where `nodes` is None: the free
                                         vertices nearest to the contacts; None: all
-    surface : SurfaceSettings           interpolation between the vertices
     cache : Path or None                folder in which what is computed of the body is kept
     progress : callable                 called with the current step (text) and the fraction done
                                         (0 to 1)
@@ -167,7 +164,7 @@ def make_green_functions(
             " touched"
         )
     say("integrals over the surface", 0.0)
-    _, system = held_object(session, surface=surface, cache=cache, dense=True)
+    _, system = held_object(session, cache=cache, dense=True)
     everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), say)
     left_out = chosen[:0]
     if nodes is None:

@@ -58,8 +58,8 @@ def calls(monkeypatch):
     """The estimation and the plots replaced; what they were asked for is collected."""
     asked = []
 
-    def fit_session(session, *, settings, surface, cache, finite_strain, progress):
-        asked.append((session, settings, surface))
+    def fit_session(session, *, settings, cache, finite_strain, progress):
+        asked.append((session, settings))
         if progress is not None:
             progress("fit", 1.0)
         return _result(session)
@@ -103,9 +103,9 @@ def test_options_reach_the_estimation(palpate, calls, cube_session, tmp_path):
     options = ("--out", tmp_path / "mine", "--method", "nelder-mead", "--probe", "n01")
     more = ("--poisson-range", "-0.5", "0.4", "--surface", "flat")
     assert palpate("fit", cube_session, *options, *more)[0] == 0
-    session, settings, surface = calls[0]
+    session, settings = calls[0]
     assert ([p.name for p in session.probings], settings.method) == (["n01"], "nelder-mead")
-    assert (settings.poisson_range, surface.smooth) == ((-0.5, 0.4), False)
+    assert (settings.poisson_range, session.smooth) == ((-0.5, 0.4), False)
     assert json.loads((tmp_path / "mine" / "estimate.json").read_text())["status"] == "ok"
 
 

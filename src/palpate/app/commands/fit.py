@@ -20,7 +20,7 @@ from palpate.app.terminal import (
     progress_bar,
 )
 from palpate.app.versions import versions
-from palpate.bem import SurfaceSettings, check_memory
+from palpate.bem import check_memory
 from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import (
     PoseChoice,
@@ -119,6 +119,7 @@ def fit(
     target = out or default_folder(session, "result")
     with result_folder(target, kind="fit", force=force) as folder:
         given = read_session(session, probes=probe, allow=check_memory)
+        given = replace(given, smooth=surface == "smooth")
         record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)
@@ -135,7 +136,6 @@ def fit(
             result = fit_session(
                 measured,
                 settings=settings,
-                surface=SurfaceSettings(smooth=surface == "smooth"),
                 cache=cache,
                 finite_strain=strain == "finite",
                 progress=part_of(progress, fit_begins, _DRAWING_BEGINS),

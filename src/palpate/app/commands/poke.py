@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,7 +14,7 @@ from rich.table import Table
 from palpate.app.environment import check_cache
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
 from palpate.app.units import Force, Length, Modulus, Place
-from palpate.bem import InteriorState, SurfaceSettings, check_memory
+from palpate.bem import InteriorState, check_memory
 from palpate.errors import InputError
 from palpate.geometry import bounding_diagonal
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
@@ -103,11 +104,11 @@ def poke(
     print_notes(given.notes)
     contact = tool_contact(given, np.array(at), radius)
     points = None if interior is None else np.array(interior)
+    given = replace(given, smooth=surface == "smooth")
     with progress_bar() as progress:
         found = poke_session(
             given, np.array(force), contact, shear_modulus=shear, poisson_ratio=ratio,
-            interior=points, surface=SurfaceSettings(smooth=surface == "smooth"), cache=cache,
-            progress=progress,
+            interior=points, cache=cache, progress=progress,
         )  # fmt: skip
     moved = float(np.linalg.norm(found.largest)) / bounding_diagonal(given.mesh)
     if moved > _SMALL_DEFORMATION:

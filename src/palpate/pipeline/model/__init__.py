@@ -44,6 +44,7 @@ from palpate.pipeline.model.moving_supports import (
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
     rigid_modes as rigid_modes,
+    session_surface as session_surface,
     sliding_motion as sliding_motion,
 )
 from palpate.pipeline.model.object_model import (

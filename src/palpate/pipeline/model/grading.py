@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.bem import BoundarySurface, SurfaceSettings, make_surface
+from palpate.bem import BoundarySurface
 from palpate.geometry import (
     SurfacePoints,
     TriangleMesh,
@@ -27,7 +27,7 @@ from palpate.geometry import (
     distinct_points,
     unit_normals,
 )
-from palpate.pipeline.model.moving_supports import held_directions
+from palpate.pipeline.model.moving_supports import session_surface
 from palpate.records import FLAT, Contact, DisplacementField, Probing, Session
 
 # Width of the row at the rim over the length of the edges there.
@@ -42,14 +42,13 @@ _LONG_AT_PUNCH = 0.5
 _HOLLOW = 0.1
 
 
-def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
+def resolved_session(session: Session) -> Session:
     """A session on a mesh whose faces are all at least two elements wide, and that is finer
     about flat punches.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       interpolation of the surface that new vertices lie on
 
     Returns
     -------
@@ -57,40 +56,36 @@ def resolved_session(session: Session, *, surface: SurfaceSettings = SurfaceSett
                                     fields are located anew on the new mesh
     """
     contacts = [probing.contact for probing in session.probings]
-    return _divided_session(session, *resolved_mesh(_boundary(session, surface), contacts))
+    return _divided_session(session, *resolved_mesh(session_surface(session), contacts))
 
 
-def graded_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
+def graded_session(session: Session) -> Session:
     """A session on a mesh graded at the rims of its supports and at hollow edges.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       as in `resolved_session`
 
     Returns
     -------
     Session                         as from `resolved_session`
     """
-    return _divided_session(session, *graded_mesh(_boundary(session, surface)))
+    return _divided_session(session, *graded_mesh(session_surface(session)))
 
 
-def edge_refined_session(
-    session: Session, *, surface: SurfaceSettings = SurfaceSettings()
-) -> Session:
+def edge_refined_session(session: Session) -> Session:
     """A session on a mesh whose edges at creases are halved, except at those creases (rims,
     hollow edges) that grading refines.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       as in `resolved_session`
 
     Returns
     -------
     Session                         as from `resolved_session`
     """
-    boundary = _boundary(session, surface)
+    boundary = session_surface(session)
     ends, on_rim = _edge_ends(boundary), _at_rim(boundary)
     creases = boundary.sides.cut & ~_hollow_edges(boundary) & ~on_rim[ends].all(axis=1)
     at_crease = np.zeros(len(boundary.mesh.vertices), dtype=bool)
@@ -99,19 +94,18 @@ def edge_refined_session(
     return _divided_session(session, *_divided(boundary, cuts, 0.5))
 
 
-def halved_session(session: Session, *, surface: SurfaceSettings = SurfaceSettings()) -> Session:
+def halved_session(session: Session) -> Session:
     """A session on a mesh with every edge halved.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings       as in `resolved_session`
 
     Returns
     -------
     Session                         as from `resolved_session`
     """
-    boundary = _boundary(session, surface)
+    boundary = session_surface(session)
     return _divided_session(session, *_divided(boundary, _edge_ends(boundary), 0.5))
 
 
@@ -180,12 +174,6 @@ def _hollow_edges(boundary: BoundarySurface) -> Bool[np.ndarray, " e"]:
     hollow = np.zeros(len(sides.cut), dtype=bool)
     hollow[sides.edge[rise > _HOLLOW]] = True
     return hollow & sides.cut
-
-
-def _boundary(session: Session, surface: SurfaceSettings) -> BoundarySurface:
-    return make_surface(
-        session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
-    )
 
 
 def _divided_session(

@@ -8,7 +8,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.arrays import known_median
-from palpate.bem import make_surface, unrestrained_motions
+from palpate.bem import (
+    BoundarySurface,
+    SurfaceSettings,
+    make_surface,
+    unrestrained_motions,
+)
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.records import (
@@ -290,6 +295,26 @@ def held_directions(session: Session) -> Float[np.ndarray, "k 3 3"]:
     return directions
 
 
+def session_surface(session: Session, *, rings: int = 1) -> BoundarySurface:
+    """Surface of a session's object with its supports.
+
+    Parameters
+    ----------
+    session : Session
+    rings : int                     as `bem.SurfaceSettings`
+
+    Returns
+    -------
+    BoundarySurface
+    """
+    return make_surface(
+        session.mesh,
+        session.held_triangles,
+        directions=held_directions(session),
+        settings=SurfaceSettings(smooth=session.smooth, rings=rings),
+    )
+
+
 def sliding_motion(session: Session) -> MovingSupport | None:
     """The rigid motions of the whole object that its supports do not constrain, as a support.
 
@@ -305,7 +330,7 @@ def sliding_motion(session: Session) -> MovingSupport | None:
     if not rollers:
         return None
     mesh, held = session.mesh, session.held_triangles
-    loose = unrestrained_motions(make_surface(mesh, held, directions=held_directions(session)))
+    loose = unrestrained_motions(session_surface(session))
     if not loose.shape[2]:
         return None
     vertices = mesh.vertices

@@ -12,10 +12,8 @@ from palpate.bem import (
     PointEquations,
     RightHand,
     Springs,
-    SurfaceSettings,
     check_memory,
     held_system,
-    make_surface,
     point_equations,
 )
 from palpate.pipeline.model.compliant_supports import (
@@ -25,16 +23,14 @@ from palpate.pipeline.model.compliant_supports import (
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.pipeline.model.moving_supports import (
     MovingSupport,
-    held_directions,
     moving_supports,
     require_balance,
+    session_surface,
     sliding_motion,
     support_shapes,
 )
 from palpate.progress import Progress, silent
 from palpate.records import GIVEN, RIGID, Session
-
-ContactKey = tuple[object, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +98,7 @@ class ObjectModel:
 def make_object_model(
     session: Session,
     *,
-    surface: SurfaceSettings = SurfaceSettings(),
+    rings: int = 1,
     cache: Path | None = None,
     perturbed: bool = True,
     like: ObjectModel | None = None,
@@ -113,7 +109,7 @@ def make_object_model(
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings
+    rings : int                       as `bem.SurfaceSettings`
     cache : Path or None              folder in which what is computed of the body is kept for
                                       reuse
     perturbed : bool                  False: without perturbed contacts, and without the error of
@@ -140,9 +136,7 @@ def make_object_model(
     sliding = sliding_motion(session)
     require_balance(session, sliding)
     supports = (*moving_supports(session), *filter(None, [sliding]))
-    boundary = make_surface(
-        session.mesh, session.held_triangles, directions=held_directions(session), settings=surface
-    )
+    boundary = session_surface(session, rings=rings)
     loads = make_load_table(
         session, boundary, support_shapes(session, supports), perturbed=perturbed
     )

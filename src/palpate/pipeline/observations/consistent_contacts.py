@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.bem import SurfaceSettings
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
     FitSettings,
@@ -34,7 +33,6 @@ def with_consistent_contacts(
     session: Session,
     *,
     settings: FitSettings,
-    surface: SurfaceSettings,
     cache: Path | None,
     displaced: bool,
     progress: Progress,
@@ -45,7 +43,6 @@ def with_consistent_contacts(
     ----------
     session : Session
     settings : FitSettings
-    surface : SurfaceSettings
     cache : Path or None            folder in which what is computed of the body is kept for reuse
     displaced : bool                True: contacts move sideways with the object
     progress : callable             called with the current step (text) and the fraction done
@@ -63,7 +60,7 @@ def with_consistent_contacts(
     for iteration in range(_MOST_CONTACT_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
         model, observations = ungraded_observations(
-            session, settings=settings, surface=surface, cache=cache, like=model,
+            session, settings=settings, cache=cache, like=model,
             with_surface=displaced,
             progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
         )  # fmt: skip

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from palpate.bem import CENTRE, LARGEST_DENSE, CentredSystem, CompressedSystem, SurfaceSettings
+from palpate.bem import CENTRE, LARGEST_DENSE, CentredSystem, CompressedSystem
 from palpate.estimation import FitMethod, FitSettings, ProbeObservations
 from palpate.pipeline.model import (
     ObjectModel,
@@ -33,7 +33,7 @@ def ungraded_observations(
     session: Session,
     *,
     settings: FitSettings = FitSettings(),
-    surface: SurfaceSettings = SurfaceSettings(),
+    rings: int = 1,
     cache: Path | None = None,
     like: ObjectModel | None = None,
     with_surface: bool = False,
@@ -47,7 +47,7 @@ def ungraded_observations(
     ----------
     session : Session                     k probings, each with displacements
     settings : FitSettings
-    surface : SurfaceSettings
+    rings : int                           as `bem.SurfaceSettings`
     cache : Path or None                  folder in which what is computed of the body is kept
     like : ObjectModel or None            as `make_object_model`
     with_surface : bool                   True: with responses of all vertices
@@ -63,7 +63,7 @@ def ungraded_observations(
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
     model = ungraded_model(
-        session, settings=settings, surface=surface, cache=cache, like=like,
+        session, settings=settings, rings=rings, cache=cache, like=like,
         progress=part_of(progress, 0.0, _SOLVED),
     )  # fmt: skip
     progress("reduced model", _SOLVED)
@@ -80,7 +80,7 @@ def ungraded_model(
     session: Session,
     *,
     settings: FitSettings = FitSettings(),
-    surface: SurfaceSettings = SurfaceSettings(),
+    rings: int = 1,
     cache: Path | None = None,
     like: ObjectModel | None = None,
     progress: Progress = silent,
@@ -89,7 +89,7 @@ def ungraded_model(
 
     Parameters
     ----------
-    session, settings, surface, cache, like, progress    as in `ungraded_observations`
+    session, settings, rings, cache, like, progress    as in `ungraded_observations`
 
     Returns
     -------
@@ -102,7 +102,7 @@ def ungraded_model(
     plain = replace(session, errors=EXACT)
     progress("integrals", 0.0)
     model = make_object_model(
-        plain, surface=surface, cache=cache, perturbed=False, like=like, progress=progress
+        plain, rings=rings, cache=cache, perturbed=False, like=like, progress=progress
     )
     if _can_be_centred(model, settings) and model.centred is None:
         # In solutions, a residual of 1e-5 allows for errors at least as large as single precision.
@@ -121,7 +121,6 @@ def with_mesh_steps(
     observations: Sequence[ProbeObservations],
     *,
     settings: FitSettings = FitSettings(),
-    surface: SurfaceSettings = SurfaceSettings(),
     cache: Path | None = None,
     progress: Progress = silent,
 ) -> list[ProbeObservations]:
@@ -133,66 +132,55 @@ def with_mesh_steps(
     session : Session                     k probings, each with displacements
     observations : sequence of k ProbeObservations    `ungraded_observations` of it, in this order
     settings : FitSettings
-    surface : SurfaceSettings
     cache : Path or None                  folder in which what is computed of the body is kept
     progress : callable                   called with the current step (text) and the fraction done
 
     Returns
     -------
-    list of k ProbeObservations           unchanged where elements are linear, and where the mesh is
-                                          so large that its integrals are compressed: four times as
-                                          many vertices reduce the error between them to a tenth
+    list of k ProbeObservations           unchanged where the mesh is so large that its integrals
+                                          are compressed: four times as many vertices reduce the
+                                          error between them to a tenth
 
     Raises
     ------
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
     stepped = list(observations)
-    meshes = compared_meshes(session, surface)
-    for number, (name, compared_session, compared_surface) in enumerate(meshes):
+    meshes = compared_meshes(session)
+    for number, (name, compared_session, rings) in enumerate(meshes):
         _, compared = ungraded_observations(
             compared_session,
             settings=replace(settings, method=FitMethod.REDUCED.value),
-            surface=compared_surface,
+            rings=rings,
             cache=cache,
             progress=part_of(
                 progress, number / len(meshes), (number + 1) / len(meshes), prefix=f"{name}, "
             ),
         )
-        steps = [
-            model_step(_STEPS[name], 1.0, probe.response_terms, other.response_terms)
-            for probe, other in zip(stepped, compared, strict=True)
-        ]
-        stepped = [
-            replace(probe, nuisances=(*probe.nuisances, step))
-            for probe, step in zip(stepped, steps, strict=True)
-        ]
+        for k, other in enumerate(compared):
+            probe = stepped[k]
+            step = model_step(_STEPS[name], 1.0, probe.response_terms, other.response_terms)
+            stepped[k] = replace(probe, nuisances=(*probe.nuisances, step))
     return stepped
 
 
-def compared_meshes(
-    session: Session, surface: SurfaceSettings = SurfaceSettings()
-) -> list[tuple[str, Session, SurfaceSettings]]:
+def compared_meshes(session: Session) -> list[tuple[str, Session, int]]:
     """The meshes and fits between vertices with which the model of the given mesh is compared.
 
     Parameters
     ----------
     session : Session
-    surface : SurfaceSettings
 
     Returns
     -------
-    list of (name, Session, SurfaceSettings)    "wider fits" and "finer edges"; without the latter
-                                          where the mesh has no sharp edges, without those that are
-                                          too large for dense matrices; none where elements are
-                                          linear
+    list of (name, Session, int)          "wider fits" and "finer edges", each with the rings of its
+                                          fits; without the latter where the mesh has no sharp
+                                          edges, without those that are too large for dense matrices
     """
-    if not surface.quadratic:
-        return []
-    refined = edge_refined_session(session, surface=surface)
-    meshes = [("wider fits", session, replace(surface, rings=2))]
+    refined = edge_refined_session(session)
+    meshes = [("wider fits", session, 2)]
     if len(refined.mesh.vertices) > len(session.mesh.vertices):
-        meshes.append(("finer edges", refined, surface))
+        meshes.append(("finer edges", refined, 1))
     return [each for each in meshes if len(each[1].mesh.vertices) <= LARGEST_DENSE]
 
 

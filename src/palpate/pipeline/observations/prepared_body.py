@@ -7,7 +7,6 @@ from palpate.bem import (
     DENSE_RESIDUAL,
     CentredSystem,
     CompressedSystem,
-    SurfaceSettings,
 )
 from palpate.estimation import FitSettings
 from palpate.pipeline.model import (
@@ -30,7 +29,6 @@ def prepare_body(
     session: Session,
     *,
     settings: FitSettings = FitSettings(),
-    surface: SurfaceSettings = SurfaceSettings(),
     cache: Path,
 ) -> None:
     """Compute what `fit_session` needs of a body, and keep it in the cache where it finds it.
@@ -43,22 +41,21 @@ def prepare_body(
     ----------
     session : Session                     displacements are not needed
     settings : FitSettings                with the method reduced
-    surface : SurfaceSettings             interpolation of the surface between the vertices
     cache : Path                          folder, created if absent
 
     Raises
     ------
     InputError, SingularSystemError, NotConvergedError    as `session_observations`
     """
-    resolved = resolved_session(session, surface=surface)
+    resolved = resolved_session(session)
     with_loads = not has_tools(session)
-    compared = [(each, own) for _, each, own in compared_meshes(resolved, surface)]
-    for each, own in [(resolved, surface), *compared]:
-        model = ungraded_model(each, settings=settings, surface=own, cache=cache)
+    compared = [(each, rings) for _, each, rings in compared_meshes(resolved)]
+    for each, rings in [(resolved, 1), *compared]:
+        model = ungraded_model(each, settings=settings, rings=rings, cache=cache)
         _keep(model, settings, UNGRADED_RESIDUAL, with_loads=with_loads)
     if with_loads:
-        graded = graded_session(resolved, surface=surface)
-        model = make_object_model(graded, surface=surface, cache=cache)
+        graded = graded_session(resolved)
+        model = make_object_model(graded, cache=cache)
         _keep(model, settings, DENSE_RESIDUAL, with_loads=True)
 
 
