@@ -29,7 +29,8 @@ from palpate.pipeline.model.finite_strain import (
     strain_corrections as strain_corrections,
 )
 from palpate.pipeline.model.grading import (
-    REMAINING_FRACTION as REMAINING_FRACTION,
+    GRADED as GRADED,
+    GRADED_STD as GRADED_STD,
     edge_refined_session as edge_refined_session,
     graded_session as graded_session,
     resolved_session as resolved_session,
