@@ -35,7 +35,7 @@ ROW = 0.3
 # Multiple of the change by grading that is left, and its standard deviation: the error falls with
 # the first to second power of the element size at the rim, which leaves 0.43 to 0.10 of it
 # (benchmarks/mesh_steps.py measures it on twelve bodies).
-GRADED, GRADED_STD = 0.25, 0.25
+GRADED, GRADED_STD = 0.25, 0.35
 # Edges about a flat punch that are longer than this fraction of its radius are split.
 _LONG_AT_PUNCH = 0.5
 # Sine of the elevation of a neighbour's centre above a triangle's plane beyond which their common
