@@ -31,9 +31,9 @@ from benchmarks.body_truth import (
 )
 from benchmarks.coverage_of_bodies import MESHES, NOISE, constants, errors_of, held
 from palpate.geometry import TriangleMesh, closest_points
-from palpate.lab import half_ball
-from palpate.lab.bodies.contact import Press, press, press_to_force
-from palpate.lab.bodies.tips import Sphere
+from palpate.lab import (
+    half_ball,
+)
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,
@@ -46,6 +46,8 @@ from palpate.records import (
     Session,
     Tool,
 )
+from palpate.solids.contact import Press, press, press_to_force
+from palpate.solids.tips import Sphere
 
 # The half ball has some 600 vertices, too.
 SHAPES = {"half_ball": Shape(lambda edge: half_ball(radius=0.04, edge=edge), 5.1e-3), **BODIES}

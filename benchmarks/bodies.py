@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from scipy.interpolate import PchipInterpolator
 
 from palpate.geometry import TriangleMesh
-from palpate.lab.bodies.specimens import revolved, straight_rings
+from palpate.lab.specimens import revolved, straight_rings
 
 _MM = 1e-3
 

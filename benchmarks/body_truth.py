@@ -9,16 +9,16 @@ from scipy.spatial import cKDTree
 
 from benchmarks.bodies import Shape
 from palpate.geometry import TriangleMesh, unit_normals, wall_thickness
-from palpate.lab.bodies.finite_elements import (
+from palpate.records.contacts import smooth_pressure
+from palpate.shapes import Points
+from palpate.solids.finite_elements import (
     Body,
     make_body,
     pressure_load,
     solve_load,
     surface_values,
 )
-from palpate.lab.bodies.tetrahedra import Solid, make_solid
-from palpate.records.contacts import smooth_pressure
-from palpate.shapes import Points
+from palpate.solids.tetrahedra import Solid, make_solid
 
 SHEAR_MODULUS = 2e4
 RADIUS = 5e-3

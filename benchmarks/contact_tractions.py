@@ -15,10 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from palpate.geometry import closest_points
-from palpate.lab import built_in, half_ball, held_nodes, make_body, read_lab_config
+from palpate.lab import (
+    built_in,
+    half_ball,
+    read_lab_config,
+)
 from palpate.lab.bench.arm import aim, solid_under
-from palpate.lab.bodies import press_to_force, surface_values
-from palpate.lab.bodies.finite_elements import solve_load
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,
@@ -29,6 +31,13 @@ from palpate.records import (
     Session,
     Tool,
 )
+from palpate.solids import (
+    held_nodes,
+    make_body,
+    press_to_force,
+    surface_values,
+)
+from palpate.solids.finite_elements import solve_load
 
 _EDGE, _AWAY = 0.0042, 0.010
 

@@ -24,15 +24,6 @@ import numpy as np
 from benchmarks.bodies import box_mesh
 from benchmarks.calculix_press import BALL, DEPTHS, SHEAR_MODULUS, pressed_body, session_mesh
 from palpate.geometry import TriangleMesh, closest_points
-from palpate.lab import (
-    held_nodes,
-    make_body,
-    make_solid,
-    pressure_load,
-    solve_finite,
-    solve_load,
-    surface_values,
-)
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,
@@ -43,6 +34,15 @@ from palpate.records import (
     Probing,
     Session,
     Tool,
+)
+from palpate.solids import (
+    held_nodes,
+    make_body,
+    make_solid,
+    pressure_load,
+    solve_finite,
+    solve_load,
+    surface_values,
 )
 
 SHEAR, NU, SIDE, RADIUS = 2e4, 0.3, 0.04, 12e-3

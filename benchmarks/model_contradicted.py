@@ -22,7 +22,11 @@ from benchmarks.coverage import unit_noise
 from benchmarks.coverage_of_bodies import NAMES, held
 from palpate.estimation import ProbeObservations, fit
 from palpate.geometry import TriangleMesh, closest_points
-from palpate.lab.bodies.finite_elements import (
+from palpate.lab.specimens import block, cylinder, half_ball, toy
+from palpate.pipeline import graded_observations, resolved_session
+from palpate.records import Contact, DisplacementField, Probing, Session, Status
+from palpate.records.contacts import smooth_pressure
+from palpate.solids.finite_elements import (
     free_part,
     hooke_moduli,
     pressure_load,
@@ -30,12 +34,8 @@ from palpate.lab.bodies.finite_elements import (
     stiffness_matrix,
     surface_values,
 )
-from palpate.lab.bodies.sparse_cholesky import factorise
-from palpate.lab.bodies.specimens import block, cylinder, half_ball, toy
-from palpate.lab.bodies.tetrahedra import Solid
-from palpate.pipeline import graded_observations, resolved_session
-from palpate.records import Contact, DisplacementField, Probing, Session, Status
-from palpate.records.contacts import smooth_pressure
+from palpate.solids.sparse_cholesky import factorise
+from palpate.solids.tetrahedra import Solid
 
 POISSON_RATIO = 0.3
 TRUTH = dict(

@@ -11,15 +11,17 @@ from palpate.geometry import closest_points
 from palpate.lab import (
     Sensor,
     half_ball,
+)
+from palpate.pipeline import fit_session
+from palpate.records import DisplacementField, Probing, Session, Tool
+from palpate.solids import (
     held_nodes,
     make_body,
     make_solid,
     press,
 )
-from palpate.lab.bodies.finite_elements import surface_values
-from palpate.lab.bodies.tips import TIPS
-from palpate.pipeline import fit_session
-from palpate.records import DisplacementField, Probing, Session, Tool
+from palpate.solids.finite_elements import surface_values
+from palpate.solids.tips import TIPS
 
 YOUNG_MODULUS, POISSON_RATIO = 52e3, 0.21  # truth
 RADIUS, TIP_RADIUS, DEPTH = 0.04, 0.012, 0.0015  # m

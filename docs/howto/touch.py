@@ -14,7 +14,6 @@ from matplotlib.patches import Circle
 from palpate.figures.displacement import make_view, projected
 from palpate.figures.style import BLUE, GREY, INK, ORANGE, open_frame, save_figure, styled
 from palpate.geometry import TriangleMesh
-from palpate.lab import make_solid
 from palpate.records import Session, read_session
 from palpate.simulation import (
     GreenFunctions,
@@ -27,6 +26,9 @@ from palpate.simulation import (
     start_contact,
     surface_displacement,
     touch,
+)
+from palpate.solids import (
+    make_solid,
 )
 
 ROOT = Path(__file__).parents[2]

@@ -14,12 +14,7 @@ from palpate.geometry import vertex_normals
 from palpate.lab import (
     built_in,
     choose_variant,
-    held_nodes,
-    make_body,
-    make_solid,
     read_lab_config,
-    solve_load,
-    surface_values,
 )
 from palpate.lab.pictures import make_head
 from palpate.paper.constants import (
@@ -31,6 +26,13 @@ from palpate.paper.constants import (
 from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
 from palpate.paper.sessions import measured_session, reduced, true_material
 from palpate.records import camera_centre
+from palpate.solids import (
+    held_nodes,
+    make_body,
+    make_solid,
+    solve_load,
+    surface_values,
+)
 from palpate.vision import LangPaiFlow, project
 
 COUNT = 3

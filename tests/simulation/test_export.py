@@ -16,12 +16,15 @@ from exported_result import RADIUS, SIDE, written_result
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import enclosed_volume, read_mesh, unit_normals
-from palpate.lab import make_body, solve_load
 from palpate.records import Constant, Status
 from palpate.simulation import FORMATS, export_fit, read_fit, read_green_functions
 from palpate.simulation.formats import npz, registry
 from palpate.simulation.material import exact_material
 from palpate.simulation.solid_model import make_estimated_object, make_solid_model
+from palpate.solids import (
+    make_body,
+    solve_load,
+)
 
 
 @pytest.fixture(scope="module")

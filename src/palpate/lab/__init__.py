@@ -3,9 +3,9 @@
 Purpose    : simulate the data of a measurement whose ground truth is known.
 Takes      : a configuration in TOML, format `palpate-lab/1`, and a seed.
 Gives      : a session folder that also holds `truth.toml` and truth maps.
-Depends on : `vision`, `records`, `geometry`; never on `bem`: the model that estimates the constants
-             must not have generated the data.
-Read first : `config.py`, `bench/facility.py`, then `bodies/contact.py`, `pictures/studio.py`.
+Depends on : `solids`, `vision`, `records`, `geometry`; never on `bem`: the model that estimates the
+             constants must not have generated the data.
+Read first : `config.py`, `bench/facility.py`, then `specimens.py`, `pictures/studio.py`.
 """
 
 from palpate.lab.bench import (
@@ -22,28 +22,6 @@ from palpate.lab.bench import (
     rest_pictures as rest_pictures,
     solve_press as solve_press,
     write_film as write_film,
-)
-from palpate.lab.bodies import (
-    SHAPES as SHAPES,
-    FinitePress as FinitePress,
-    LawOf as LawOf,
-    NeoHookean as NeoHookean,
-    Punch as Punch,
-    Solid as Solid,
-    Sphere as Sphere,
-    SplitNeoHookean as SplitNeoHookean,
-    Tip as Tip,
-    cylinder as cylinder,
-    half_ball as half_ball,
-    held_nodes as held_nodes,
-    make_body as make_body,
-    make_solid as make_solid,
-    press as press,
-    press_finite as press_finite,
-    pressure_load as pressure_load,
-    solve_finite as solve_finite,
-    solve_load as solve_load,
-    surface_values as surface_values,
 )
 from palpate.lab.config import (
     Arm as Arm,
@@ -65,4 +43,9 @@ from palpate.lab.pictures import (
     Variant as Variant,
     choose_variant as choose_variant,
     miscalibrated as miscalibrated,
+)
+from palpate.lab.specimens import (
+    SHAPES as SHAPES,
+    cylinder as cylinder,
+    half_ball as half_ball,
 )

@@ -11,9 +11,11 @@ import numpy as np
 
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.lab.bodies import TipName
 from palpate.records import MODULUS_RANGE
 from palpate.shapes import Indices, Vector3
+from palpate.solids import (
+    TipName,
+)
 
 # Largest size of a picture: that of the largest image sensors; truth maps take 100 bytes a pixel.
 _MOST_PIXELS = 1e8

@@ -17,11 +17,14 @@ from palpate.geometry import (
     read_mesh,
     triangle_areas,
 )
-from palpate.lab.bodies import SHAPES, TIPS
 from palpate.lab.config import LabConfig, Probe, Specimen
 from palpate.lab.pictures import dot_count, make_head
+from palpate.lab.specimens import SHAPES
 from palpate.records import STIFFNESS_UNITS, TomlTable, read_support, read_toml
 from palpate.shapes import Indices
+from palpate.solids import (
+    TIPS,
+)
 
 LAB_FORMAT = "palpate-lab/1"
 # Keys that are not fields of `LabConfig`, or are converted before they become fields.

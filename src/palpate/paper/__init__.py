@@ -4,7 +4,8 @@ Purpose    : reproduce tables 1 to 3 and figures 2 to 4 of Lang and Pai (2001), 
              budget of table 3.
 Takes      : built-in configurations of the lab.
 Gives      : `PaperResult`: text, tables and pictures, as files and as a page.
-Depends on : `figures`, `pipeline`, `lab`, `estimation`, `vision`, `records`, `geometry`.
+Depends on : `figures`, `pipeline`, `lab`, `estimation`, `vision`, `solids`, `records`,
+             `geometry`.
 Read first : `published.py`, `experiments.py`, `sessions.py`.
 """
 

@@ -4,7 +4,7 @@ Purpose    : measure the motion of a session's object from its pictures, estimat
              poke it; rehearse all that, so that kernels are compiled.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model that links them, and the files that hold them.
-Depends on : `lab`, `vision`, `probe`, `bem`, `estimation`, `records`, `geometry`.
+Depends on : `lab`, `vision`, `probe`, `bem`, `solids`, `estimation`, `records`, `geometry`.
 Read first : `fit_session.py`, then `result_files.py`.
 """
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from palpate.errors import InputError
-from palpate.lab.bodies.specimens import half_ball
 from palpate.lab.config import Calibration, Head
 from palpate.lab.pictures.head import make_head, miscalibrated
+from palpate.lab.specimens import half_ball
 from palpate.vision.cameras.projection import project
 
 MESH = half_ball(radius=0.04, edge=0.01)

@@ -10,16 +10,6 @@ from surfaces import box
 
 from palpate.errors import InputError
 from palpate.geometry import closest_points
-from palpate.lab import (
-    SplitNeoHookean,
-    held_nodes,
-    make_body,
-    make_solid,
-    pressure_load,
-    solve_finite,
-    solve_load,
-    surface_values,
-)
 from palpate.pipeline import fit_session
 from palpate.pipeline.model import make_finite_body, strain_corrections
 from palpate.records import (
@@ -33,6 +23,16 @@ from palpate.records import (
     Probing,
     Session,
     Support,
+)
+from palpate.solids import (
+    SplitNeoHookean,
+    held_nodes,
+    make_body,
+    make_solid,
+    pressure_load,
+    solve_finite,
+    solve_load,
+    surface_values,
 )
 
 SHEAR, NU, RADIUS = 2e4, 0.3, 12e-3

@@ -15,7 +15,11 @@ from palpate.geometry import (
     triangle_areas,
     vertex_normals,
 )
-from palpate.lab.bodies import (
+from palpate.lab.config import Arm, Material, Probe, Specimen
+from palpate.lab.specimens import rod
+from palpate.records import Camera, camera_centre
+from palpate.shapes import Points, Vector3
+from palpate.solids import (
     TIPS,
     Body,
     Press,
@@ -24,12 +28,8 @@ from palpate.lab.bodies import (
     make_solid,
     press,
     press_to_force,
-    rod,
     solve_finite,
 )
-from palpate.lab.config import Arm, Material, Probe, Specimen
-from palpate.records import Camera, camera_centre
-from palpate.shapes import Points, Vector3
 
 # Largest distance of a commanded point from the surface, in tip radii.
 _MAX_DISTANCE = 0.25

@@ -24,7 +24,6 @@ from palpate.lab.bench.session_text import (
     step_tables,
     write_session,
 )
-from palpate.lab.bodies import Body, Solid, held_nodes, make_body, surface_values
 from palpate.lab.config import LabConfig, Stage
 from palpate.lab.pictures import (
     Studio,
@@ -41,6 +40,13 @@ from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, read_rig, write_rig
 from palpate.shapes import Vertices
+from palpate.solids import (
+    Body,
+    Solid,
+    held_nodes,
+    make_body,
+    surface_values,
+)
 from palpate.threads import Distribute
 from palpate.vision import project
 

@@ -14,11 +14,13 @@ from palpate.geometry import (
     split_sides,
 )
 from palpate.lab.bench.arm import aim, rod_at
-from palpate.lab.bodies import TipName
 from palpate.lab.config import Arm, LabConfig, Look, Material, Pictures, Probe, Specimen
 from palpate.lab.pictures import Variant, make_studio, photograph
 from palpate.records import FLAT, Probing, Rig, Session, read_rig
 from palpate.shapes import Vertices
+from palpate.solids import (
+    TipName,
+)
 
 # Speckle diameter that is matched best [px].
 _SPECKLE_PX = 4.0

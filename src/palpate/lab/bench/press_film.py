@@ -19,7 +19,11 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 from palpate.errors import RecordError
 from palpate.lab.bench.arm import rod_at, solid_under
-from palpate.lab.bodies import (
+from palpate.lab.config import LabConfig
+from palpate.lab.pictures import Variant, make_studio, photograph
+from palpate.records import Camera, Rig, picture_size
+from palpate.shapes import Vector3
+from palpate.solids import (
     Solid,
     Tip,
     held_nodes,
@@ -28,10 +32,6 @@ from palpate.lab.bodies import (
     press_to_force,
     surface_values,
 )
-from palpate.lab.config import LabConfig
-from palpate.lab.pictures import Variant, make_studio, photograph
-from palpate.records import Camera, Rig, picture_size
-from palpate.shapes import Vector3
 from palpate.vision import open_video, project, surface_map
 
 # Grey level of the rod.

@@ -3,7 +3,7 @@
 Purpose    : one model for all probings, and the observations of each as functions of its solutions.
 Takes      : a `Session`.
 Gives      : `ObjectModel`, the rows of a probing, motions of supports, nuisance parameters.
-Depends on : `pipeline.model.contacts`, `lab`, `bem`, `estimation`, `probe`, `records`,
+Depends on : `pipeline.model.contacts`, `solids`, `bem`, `estimation`, `probe`, `records`,
              `geometry`.
 Read first : `object_model.py`, then `shared_errors.py`.
 """

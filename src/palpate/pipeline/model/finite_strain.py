@@ -17,7 +17,12 @@ from scipy.sparse import csr_array
 
 from palpate.errors import InputError
 from palpate.geometry import mesh_quality
-from palpate.lab import (
+from palpate.pipeline.model.contacts import outward_load
+from palpate.pipeline.model.grading import halved_session
+from palpate.progress import Progress, silent
+from palpate.records import FIXED, SLIDES, SPHERE, Probing, Session
+from palpate.shapes import Points
+from palpate.solids import (
     FinitePress,
     LawOf,
     NeoHookean,
@@ -33,11 +38,6 @@ from palpate.lab import (
     solve_load,
     surface_values,
 )
-from palpate.pipeline.model.contacts import outward_load
-from palpate.pipeline.model.grading import halved_session
-from palpate.progress import Progress, silent
-from palpate.records import FIXED, SLIDES, SPHERE, Probing, Session
-from palpate.shapes import Points
 
 # Element size away from the tools over the mean edge of the mesh; element size under a tool and the
 # radius of that region, over the contact radius.

@@ -17,11 +17,14 @@ from palpate.estimation import (
     fit,
     fixed_displacement,
 )
-from palpate.lab import FinitePress, SplitNeoHookean
 from palpate.pipeline.model.finite_strain import FiniteBody, make_finite_body, strain_corrections
 from palpate.progress import Progress, part_of
 from palpate.records import Session
 from palpate.shapes import Points
+from palpate.solids import (
+    FinitePress,
+    SplitNeoHookean,
+)
 
 # A correction of 10 % changes by 10 % of itself if the modulus changes by 10 %: each round gains
 # about one digit.

@@ -5,7 +5,7 @@ Purpose    : loads of a tool's contact for given elastic constants, and the erro
 Takes      : a `Session`, a `BoundarySystem`, `ContactPatch`.
 Gives      : sessions with the places and radii of their tools' contacts, columns of right-hand
              sides.
-Depends on : `lab`, `bem`, `estimation`, `probe`, `records`, `geometry`.
+Depends on : `solids`, `bem`, `estimation`, `probe`, `records`, `geometry`.
 Read first : `perturbations.py`, then `outward.py`.
 """
 

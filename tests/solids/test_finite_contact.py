@@ -5,12 +5,12 @@ import pytest
 from surfaces import box
 
 from palpate.errors import InputError, NotConvergedError
-from palpate.lab.bodies.finite_contact import press_finite
-from palpate.lab.bodies.finite_elements import Body, make_body, quadratic_basis
-from palpate.lab.bodies.finite_strain import internal_forces
-from palpate.lab.bodies.laws import NeoHookean
-from palpate.lab.bodies.tetrahedra import make_solid
-from palpate.lab.bodies.tips import Punch, Sphere, Tip
+from palpate.solids.finite_contact import press_finite
+from palpate.solids.finite_elements import Body, make_body, quadratic_basis
+from palpate.solids.finite_strain import internal_forces
+from palpate.solids.laws import NeoHookean
+from palpate.solids.tetrahedra import make_solid
+from palpate.solids.tips import Punch, Sphere, Tip
 
 SHEAR, SIDE = 2e4, 0.02
 TOP = np.array([SIDE / 2, SIDE / 2, SIDE])

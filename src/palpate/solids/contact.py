@@ -13,10 +13,10 @@ from scipy.optimize import brentq, nnls
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import TriangleMesh, area_vectors, quadratic_shapes, triangle_areas
-from palpate.lab.bodies.finite_elements import Body, solve_load
-from palpate.lab.bodies.tetrahedra import Solid
-from palpate.lab.bodies.tips import Tip
 from palpate.shapes import Points, Vector3
+from palpate.solids.finite_elements import Body, solve_load
+from palpate.solids.tetrahedra import Solid
+from palpate.solids.tips import Tip
 
 # A ball that touches a circle of 0.6 of its radius takes 80 on a block, 190 on an egg.
 _MAX_ROUNDS = 600

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import skfem
-from lab.solids import even_traction, half_ball, shell, smooth_patch, traction_load
 from scipy.sparse import csr_array
 from skfem.models.elasticity import linear_elasticity
+from solids.bodies import even_traction, half_ball, shell, smooth_patch, traction_load
 from surfaces import box, sphere
 
 from palpate.errors import InputError, SingularSystemError
-from palpate.lab.bodies.finite_elements import (
+from palpate.solids.finite_elements import (
     free_part,
     held_nodes,
     hooke_moduli,
@@ -19,8 +19,8 @@ from palpate.lab.bodies.finite_elements import (
     stiffness_matrix,
     surface_values,
 )
-from palpate.lab.bodies.sparse_cholesky import factorise
-from palpate.lab.bodies.tetrahedra import make_solid
+from palpate.solids.sparse_cholesky import factorise
+from palpate.solids.tetrahedra import make_solid
 
 SHEAR = 7e4
 SIZE = np.array([0.04, 0.03, 0.02])

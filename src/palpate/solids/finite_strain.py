@@ -9,17 +9,17 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 
 from palpate.errors import NotConvergedError, SingularSystemError
-from palpate.lab.bodies.finite_elements import (
+from palpate.optional_imports import late_import
+from palpate.solids.finite_elements import (
     Body,
     free_part,
     quadratic_basis,
     solve_free,
     stiffness_matrix,
 )
-from palpate.lab.bodies.laws import Law, NeoHookean
-from palpate.lab.bodies.newton import Unknowns, find_equilibrium, find_in_increments
-from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
-from palpate.optional_imports import late_import
+from palpate.solids.laws import Law, NeoHookean
+from palpate.solids.newton import Unknowns, find_equilibrium, find_in_increments
+from palpate.solids.sparse_cholesky import Cholesky, factorise
 
 # Tolerance on the residual forces, relative to the load: Newton's last step leaves only rounding.
 _FORCE_TOLERANCE = 1e-9

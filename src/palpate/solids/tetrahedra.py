@@ -15,15 +15,15 @@ from scipy.spatial import Delaunay
 from palpate.arrays import fix_fields, fixed_array
 from palpate.errors import InputError, MeshError
 from palpate.geometry import TriangleMesh, checked_mesh, closest_points
-from palpate.lab.bodies.even_points import (
+from palpate.optional_imports import late_import
+from palpate.shapes import Points
+from palpate.solids.even_points import (
     Spacing,
     inside,
     make_spacing,
     surface_points,
     volume_points,
 )
-from palpate.optional_imports import late_import
-from palpate.shapes import Points
 
 # Corners of the edges with midside nodes 4 to 9, in the order of skfem.ElementTetP2.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])

@@ -14,10 +14,10 @@ from scipy.sparse import csr_array, kron
 
 from palpate.errors import InputError, SingularSystemError
 from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
-from palpate.lab.bodies.sparse_cholesky import Cholesky, factorise
-from palpate.lab.bodies.tetrahedra import QUARTERS, Solid, boundary_surface
 from palpate.optional_imports import late_import
 from palpate.shapes import Points, Vector3
+from palpate.solids.sparse_cholesky import Cholesky, factorise
+from palpate.solids.tetrahedra import QUARTERS, Solid, boundary_surface
 
 # Held nodes closer to a common line than this fraction of the body's size count as collinear: only
 # rounding errors would keep the body from turning about that line.

@@ -6,7 +6,7 @@ from scipy.spatial import Delaunay
 from surfaces import joined, sphere
 
 from palpate.geometry import TriangleMesh
-from palpate.lab.bodies.tetrahedra import Solid, make_solid, quadratic_solid
+from palpate.solids.tetrahedra import Solid, make_solid, quadratic_solid
 
 
 def half_ball(shared_data, name, **options):

@@ -5,8 +5,8 @@ import pytest
 from scipy.sparse import csr_array, random_array
 
 from palpate.errors import SingularSystemError
-from palpate.lab.bodies import sparse_cholesky
-from palpate.lab.bodies.sparse_cholesky import factorise
+from palpate.solids import sparse_cholesky
+from palpate.solids.sparse_cholesky import factorise
 
 
 def _chain_of_neighbours(points: np.ndarray, reach: np.ndarray) -> csr_array:

@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull
 
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume, mesh_quality
-from palpate.lab.bodies.specimens import SHAPES, block, cylinder, glued_ball, half_ball, toy
+from palpate.lab.specimens import SHAPES, block, cylinder, glued_ball, half_ball, toy
 
 LENGTHS = {
     "half-ball": {"radius": 0.04},

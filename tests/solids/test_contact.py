@@ -7,16 +7,16 @@ import pytest
 from surfaces import box
 
 from palpate.errors import InputError
-from palpate.lab.bodies.contact import facet_samples, press, press_to_force, touch
-from palpate.lab.bodies.finite_elements import (
+from palpate.solids.contact import facet_samples, press, press_to_force, touch
+from palpate.solids.finite_elements import (
     hooke_moduli,
     make_body,
     quadratic_basis,
     stiffness_matrix,
     surface_values,
 )
-from palpate.lab.bodies.tetrahedra import make_solid
-from palpate.lab.bodies.tips import Punch, Sphere
+from palpate.solids.tetrahedra import make_solid
+from palpate.solids.tips import Punch, Sphere
 
 SHEAR, POISSON = 7e4, 0.3
 CONTACT_MODULUS = 2 * SHEAR / (1 - POISSON)

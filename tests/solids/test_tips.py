@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.errors import InputError
-from palpate.lab.bodies.tips import TIPS, Punch, Sphere
+from palpate.solids.tips import TIPS, Punch, Sphere
 
 POINT = np.array([0.01, -0.02, 0.03])
 ALONG = np.array([0.3, -0.2, -0.9])

@@ -8,9 +8,9 @@ from surfaces import box, joined, sphere
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry import TriangleMesh, closest_points, enclosed_volume
-from palpate.lab.bodies.finite_elements import quadratic_basis
-from palpate.lab.bodies.specimens import cylinder
-from palpate.lab.bodies.tetrahedra import EDGES, boundary_surface, make_solid, quadratic_solid
+from palpate.lab.specimens import cylinder
+from palpate.solids.finite_elements import quadratic_basis
+from palpate.solids.tetrahedra import EDGES, boundary_surface, make_solid, quadratic_solid
 
 
 def filled(mesh, **options):

@@ -1,4 +1,4 @@
-"""Specimens, their finite elements, and the tips that are pressed into them.
+"""Solids of finite elements, and the rigid tips that are pressed into them.
 
 Purpose    : solve the contact of a rigid tip with a supported body, to a depth or to a force.
 Takes      : a closed surface, held triangles, elastic constants, a tip with a depth or a force.
@@ -7,16 +7,16 @@ Depends on : `geometry`, `records`; scikit-fem for the elements.
 Read first : `finite_elements.py`, `contact.py`, then `tips.py`, `tetrahedra.py`.
 """
 
-from palpate.lab.bodies.contact import (
+from palpate.solids.contact import (
     Press as Press,
     press as press,
     press_to_force as press_to_force,
 )
-from palpate.lab.bodies.finite_contact import (
+from palpate.solids.finite_contact import (
     FinitePress as FinitePress,
     press_finite as press_finite,
 )
-from palpate.lab.bodies.finite_elements import (
+from palpate.solids.finite_elements import (
     Body as Body,
     held_nodes as held_nodes,
     make_body as make_body,
@@ -24,19 +24,13 @@ from palpate.lab.bodies.finite_elements import (
     solve_load as solve_load,
     surface_values as surface_values,
 )
-from palpate.lab.bodies.finite_strain import LawOf as LawOf, solve_finite as solve_finite
-from palpate.lab.bodies.laws import (
+from palpate.solids.finite_strain import LawOf as LawOf, solve_finite as solve_finite
+from palpate.solids.laws import (
     NeoHookean as NeoHookean,
     SplitNeoHookean as SplitNeoHookean,
 )
-from palpate.lab.bodies.specimens import (
-    SHAPES as SHAPES,
-    cylinder as cylinder,
-    half_ball as half_ball,
-    rod as rod,
-)
-from palpate.lab.bodies.tetrahedra import Solid as Solid, make_solid as make_solid
-from palpate.lab.bodies.tips import (
+from palpate.solids.tetrahedra import Solid as Solid, make_solid as make_solid
+from palpate.solids.tips import (
     TIPS as TIPS,
     Punch as Punch,
     Sphere as Sphere,

@@ -2,27 +2,27 @@
 
 import numpy as np
 import pytest
-from lab.solids import even_traction, half_ball, smooth_patch, traction_load
 from scipy.optimize import brentq
+from solids.bodies import even_traction, half_ball, smooth_patch, traction_load
 from surfaces import box
 
 from palpate.errors import NotConvergedError
-from palpate.lab.bodies.finite_elements import (
+from palpate.solids.finite_elements import (
     held_nodes,
     hooke_moduli,
     make_body,
     quadratic_basis,
     solve_load,
 )
-from palpate.lab.bodies.finite_strain import (
+from palpate.solids.finite_strain import (
     deformation_gradient,
     energy,
     internal_forces,
     solve_finite,
     tangent,
 )
-from palpate.lab.bodies.laws import NeoHookean, SplitNeoHookean
-from palpate.lab.bodies.tetrahedra import make_solid
+from palpate.solids.laws import NeoHookean, SplitNeoHookean
+from palpate.solids.tetrahedra import make_solid
 
 SHEAR = 7e4
 LAWS = pytest.mark.parametrize("law", [NeoHookean, SplitNeoHookean])

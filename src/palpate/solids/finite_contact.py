@@ -15,19 +15,19 @@ from scipy.sparse import csr_array, diags_array
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import quadratic_shapes
-from palpate.lab.bodies.contact import facet_samples, touch
-from palpate.lab.bodies.finite_elements import Body, quadratic_basis, solve_free
-from palpate.lab.bodies.finite_strain import (
+from palpate.shapes import Points, PointScalars
+from palpate.solids.contact import facet_samples, touch
+from palpate.solids.finite_elements import Body, quadratic_basis, solve_free
+from palpate.solids.finite_strain import (
     LawOf,
     energy,
     internal_forces,
     stable_factor,
     tangent,
 )
-from palpate.lab.bodies.laws import Law, NeoHookean
-from palpate.lab.bodies.newton import Unknowns, find_equilibrium, find_in_increments
-from palpate.lab.bodies.tips import Tip
-from palpate.shapes import Points, PointScalars
+from palpate.solids.laws import Law, NeoHookean
+from palpate.solids.newton import Unknowns, find_equilibrium, find_in_increments
+from palpate.solids.tips import Tip
 
 # Penalty stiffness in units of shear modulus over tip radius: a pressure equal to the shear modulus
 # causes a penetration of a hundredth of the radius.
