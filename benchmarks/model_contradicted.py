@@ -23,7 +23,7 @@ from benchmarks.coverage_of_bodies import NAMES, held
 from palpate.estimation import ProbeObservations, fit
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.lab.specimens import block, cylinder, half_ball, toy
-from palpate.pipeline import graded_observations, resolved_session
+from palpate.pipeline import graded_observations, refined_session
 from palpate.records import Contact, DisplacementField, Probing, Session, Status
 from palpate.records.contacts import smooth_pressure
 from palpate.solids.finite_elements import (
@@ -158,7 +158,7 @@ def observations(
     )  # fmt: skip
     held = np.flatnonzero(base[mesh.triangles].all(axis=1))
     session = Session("truth", Path(), mesh, held, probings, None, None, None, ())
-    return graded_observations(resolved_session(session))
+    return graded_observations(refined_session(session))
 
 
 def on_base(mesh: TriangleMesh) -> Bool[np.ndarray, " v"]:

@@ -8,20 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from palpate.geometry import closest_points
-from palpate.lab import (
-    Sensor,
-    half_ball,
-)
+from palpate.lab import Sensor, half_ball
 from palpate.pipeline import fit_session
 from palpate.records import DisplacementField, Probing, Session, Tool
-from palpate.solids import (
-    held_nodes,
-    make_body,
-    make_solid,
-    press,
-)
-from palpate.solids.finite_elements import surface_values
-from palpate.solids.tips import TIPS
+from palpate.solids import TIPS, held_nodes, make_body, make_solid, press, surface_values
 
 YOUNG_MODULUS, POISSON_RATIO = 52e3, 0.21  # truth
 RADIUS, TIP_RADIUS, DEPTH = 0.04, 0.012, 0.0015  # m

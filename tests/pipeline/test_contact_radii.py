@@ -17,7 +17,7 @@ from palpate.pipeline import (
     fit_session,
     graded_session,
     make_object_model,
-    resolved_session,
+    refined_session,
     session_observations,
 )
 from palpate.pipeline.model import largest_change
@@ -64,7 +64,7 @@ def measured() -> Session:
     circle = contact_circle(Tool(SPHERE, BALL), 0.0, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
     contact = replace(Tool(SPHERE, BALL).contact(PLACE), radius=circle.radius)
     session = _session(replace(contact, profile=circle.profile, outward=circle.outward))
-    graded = graded_session(resolved_session(session))
+    graded = graded_session(refined_session(session))
     (seen,) = session_observations(graded, make_object_model(graded))
     (probing,) = session.probings
     moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / SHEAR).reshape(-1, 3)

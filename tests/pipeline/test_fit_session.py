@@ -18,7 +18,7 @@ from palpate.pipeline import (
     fit_session,
     graded_session,
     make_object_model,
-    resolved_session,
+    refined_session,
     session_observations,
 )
 from palpate.records import (
@@ -65,7 +65,7 @@ def _probing(mesh: TriangleMesh, name: str, place: list[float], force: list[floa
 def _measured(session: Session, shear: float = SHEAR, noise: float = 0.0) -> Session:
     """The session with what its own model, on the graded mesh, moves by, and noise."""
     rng = np.random.default_rng(3)
-    graded = graded_session(resolved_session(session))
+    graded = graded_session(refined_session(session))
     observed = session_observations(graded, make_object_model(graded))
     probings = []
     for probing, seen in zip(session.probings, observed, strict=True):

@@ -12,7 +12,7 @@ from palpate.pipeline import (
     fit_session,
     graded_session,
     make_object_model,
-    resolved_session,
+    refined_session,
     session_observations,
 )
 from palpate.pipeline.model.moving_supports import moving_supports, rigid_modes
@@ -143,7 +143,7 @@ def test_a_free_motion_is_estimated_along():
     points = side_points(rng, 200)
     session = bar(pulled(np.zeros_like(points), points), Support(FOOT, FREE))
     # On the mesh that the fit takes.
-    seen, value = columns(graded_session(resolved_session(session)), NU)
+    seen, value = columns(graded_session(refined_session(session)), NU)
     motion = np.concatenate([TRANSLATION, ROTATION])
     load = np.concatenate([seen.force / SHEAR, [1.0 / SHEAR], motion])
     moved = (value @ load).reshape(-1, 3) + NOISE * rng.normal(size=points.shape)

@@ -190,7 +190,7 @@ def make_spring_model(
     slope: SystemSlope,
     factors: SpringFactors,
     right: RightHand,
-    give: Float[np.ndarray, " e"],
+    compliance: Float[np.ndarray, " e"],
     changes: Float[np.ndarray, "d e"],
     *,
     known_traction: Float[np.ndarray, "e c"] | None = None,
@@ -204,8 +204,8 @@ def make_spring_model(
     slope : SystemSlope               of the system on a rigid support
     factors : SpringFactors           at the Poisson's ratio `CENTRE`
     right : RightHand                 c columns, for the object on a rigid support
-    give : (e,) float                 dimensionless compliance of each spring (`bem.SpringFactors`)
-    changes : (d, e) float            directions in `give` to differentiate the solutions along
+    compliance : (e,) float           dimensionless, of each spring (`bem.SpringFactors`)
+    changes : (d, e) float            directions in it along which solutions are differentiated
     known_traction : (e, c) float or None    known part of the traction on each spring, times
                                       `traction_length`; None: there is none
     poisson_range : (float, float)
@@ -220,9 +220,9 @@ def make_spring_model(
     ------
     NotConvergedError                 as `make_reduced_model`
     """
-    solver = make_spring_system(factors, give, changes)
+    solver = make_spring_system(factors, compliance, changes)
     on_springs = SpringSlope(slope, factors.columns[1], 1 + len(changes))
-    right = right.on_springs(give, changes, known_traction)
+    right = right.on_springs(compliance, changes, known_traction)
     return _krylov_model(solver.solve, on_springs.apply, right, poisson_range, tolerance)
 
 

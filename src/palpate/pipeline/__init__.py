@@ -1,7 +1,7 @@
 """From files to results: the one place where vision, probe, boundary elements and estimation meet.
 
 Purpose    : measure the motion of a session's object from its pictures, estimate its constants,
-             poke it; rehearse all that, so that kernels are compiled.
+             poke it; warm up: compile the kernels of all that.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model that links them, and the files that hold them.
 Depends on : `lab`, `vision`, `probe`, `bem`, `solids`, `estimation`, `records`, `geometry`.
@@ -19,24 +19,13 @@ from palpate.pipeline.imported_points import (
     triangulated as triangulated,
     without_contradicted as without_contradicted,
 )
-from palpate.pipeline.kept import (
-    MOTION_FILE as MOTION_FILE,
-    SURFACE_FILE as SURFACE_FILE,
-    FittedProbing as FittedProbing,
-    FittedSurface as FittedSurface,
-    keep_motion as keep_motion,
-    kept_motion as kept_motion,
-    kept_motion_keys as kept_motion_keys,
-    read_fitted_surface as read_fitted_surface,
-    write_fitted_surface as write_fitted_surface,
-)
 from palpate.pipeline.model import (
     graded_session as graded_session,
     make_object_model as make_object_model,
     moving_supports as moving_supports,
     outward_pushes as outward_pushes,
+    refined_session as refined_session,
     require_given_motions as require_given_motions,
-    resolved_session as resolved_session,
     sliding_motion as sliding_motion,
     surface_load as surface_load,
 )
@@ -78,7 +67,6 @@ from palpate.pipeline.poke import (
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
 )
-from palpate.pipeline.rehearsal import rehearse as rehearse
 from palpate.pipeline.rejections import (
     Rejections as Rejections,
     rejection_note as rejection_note,
@@ -92,6 +80,17 @@ from palpate.pipeline.result_files import (
     write_residuals as write_residuals,
     write_vertices as write_vertices,
 )
+from palpate.pipeline.saved import (
+    MOTION_FILE as MOTION_FILE,
+    SURFACE_FILE as SURFACE_FILE,
+    FittedProbing as FittedProbing,
+    FittedSurface as FittedSurface,
+    keep_motion as keep_motion,
+    kept_motion as kept_motion,
+    kept_motion_keys as kept_motion_keys,
+    read_fitted_surface as read_fitted_surface,
+    write_fitted_surface as write_fitted_surface,
+)
 from palpate.pipeline.survey import (
     NEAR_RADII as NEAR_RADII,
     ProbingSurvey as ProbingSurvey,
@@ -100,3 +99,4 @@ from palpate.pipeline.survey import (
     survey_field as survey_field,
     survey_probing as survey_probing,
 )
+from palpate.pipeline.warm_up import warm_up as warm_up

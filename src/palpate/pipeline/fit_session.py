@@ -17,7 +17,7 @@ from palpate.pipeline.model import (
     graded_session,
     has_tools,
     make_object_model,
-    resolved_session,
+    refined_session,
 )
 from palpate.pipeline.notes import session_notes
 from palpate.pipeline.observations import (
@@ -72,16 +72,16 @@ def fit_session(
     require_probings(session)
     strains = calibration_strains(session)
     progress("the given mesh", 0.0)
-    resolved = resolved_session(session)
+    refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
     report = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
-    resolved, ungraded, steps = _on_ungraded_mesh(
-        resolved, settings, cache, not finite_strain, report
+    refined, ungraded, steps = _on_ungraded_mesh(
+        refined, settings, cache, not finite_strain, report
     )
     compared = time.perf_counter()
     progress("integrals over the surface", _GRADED)
-    graded = graded_session(resolved)
+    graded = graded_session(refined)
     integrals = part_of(progress, _GRADED, _ASSEMBLED)
     model = make_object_model(graded, cache=cache, progress=integrals)
     assembled = time.perf_counter()
@@ -94,12 +94,12 @@ def fit_session(
     last = part_of(progress, _FIT_STARTS, 1.0)
     result = fit(observations, settings=settings, progress=last)
     if finite_strain:
-        result = fit_at_finite_strain(resolved, observations, result, settings, last)
+        result = fit_at_finite_strain(refined, observations, result, settings, last)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    notes = session_notes(session, resolved, graded, result, probes, finite_strain=finite_strain)
+    notes = session_notes(session, refined, graded, result, probes, finite_strain=finite_strain)
     estimate = replace(
         result.estimate,
         probes=probes,
@@ -111,17 +111,17 @@ def fit_session(
             "surface": "smooth" if session.smooth else "flat",
             "finite_strain": finite_strain,
             "lengths": length_error(session, strains),
-            **_described(session, resolved, graded),
+            **_described(session, refined, graded),
         },
     )
     return replace(result, estimate=estimate, probes=_on_given_mesh(result.probes, session))
 
 
-def _described(session: Session, resolved: Session, graded: Session) -> dict[str, Any]:
+def _described(session: Session, refined: Session, graded: Session) -> dict[str, Any]:
     """Prior errors and assumed forces of a session, and the sizes of its meshes."""
     return {
         "errors": asdict(session.errors),
-        "vertices": [len(each.mesh.vertices) for each in (session, resolved, graded)],
+        "vertices": [len(each.mesh.vertices) for each in (session, refined, graded)],
         "assumed_forces": [
             probing.name for probing in session.probings if probing.force_std is None
         ],

@@ -21,7 +21,7 @@ _MENTIONED = 0.05
 
 def session_notes(
     session: Session,
-    resolved: Session,
+    refined: Session,
     graded: Session,
     result: FitResult,
     probes: Sequence[ProbeEstimate],
@@ -33,7 +33,7 @@ def session_notes(
     Parameters
     ----------
     session : Session               as it was read
-    resolved : Session              with the contacts that were fitted
+    refined : Session              with the contacts that were fitted
     graded : Session                with the mesh that was fitted
     result : FitResult              with the notes of the estimate
     probes : sequence of ProbeEstimate    with the motions of their supports
@@ -51,7 +51,7 @@ def session_notes(
     if finite_strain:
         strained = biased = []
     others = [note for note in session.notes if BIASED not in note]
-    found = _contact_notes(resolved, probes) + _rejection_notes(session)
+    found = _contact_notes(refined, probes) + _rejection_notes(session)
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
     return (*first, *biased, *_rotation_notes(probes), *fitted[1:], *found, *others)
 

@@ -23,7 +23,7 @@ from palpate.pipeline.model import (
     compliant_supports,
     graded_session,
     outward_pushes,
-    resolved_session,
+    refined_session,
     session_springs,
     session_surface,
     settled_contact,
@@ -73,7 +73,7 @@ def poke_session(
     poisson_ratio: float,
     interior: Points | None = None,
     cache: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> PokedState:
     """Response of a session's object to a tool that presses on it.
 
@@ -102,7 +102,6 @@ def poke_session(
     SingularSystemError                 the support does not hold the object
     NotConvergedError                   the iteration for a large object does not converge
     """
-    report = progress or silent
     contact = settled_contact(
         session, contact, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
     )
@@ -110,14 +109,14 @@ def poke_session(
     find_contact_patch(
         session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
     )
-    report("integrals over the surface", 0.0)
+    progress("integrals over the surface", 0.0)
     dense = bool(compliant_supports(session))
     session, system = held_object(session, cache=cache, dense=dense)
     patch = find_contact_patch(
         session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
     )
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
-    report("factorisation", 0.6)
+    progress("factorisation", 0.6)
     elastic_map = make_elastic_map(
         system, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio,
         springs=session_springs(session, system), compliance=compliances(session),
@@ -128,7 +127,7 @@ def poke_session(
     loads, forces = zip(*pushes, strict=True)
     states = elastic_map.respond(loads, np.array(forces))
     displacement = np.sum([state.displacement for state in states], axis=0)
-    report("interior points", 0.8)
+    progress("interior points", 0.8)
     inside = None
     if interior is not None:
         parts = [interior_state(elastic_map, load, each, interior) for load, each in pushes]
@@ -173,7 +172,7 @@ def held_object(
     ------
     InputError                          the model does not fit into memory
     """
-    session = graded_session(resolved_session(session))
+    session = graded_session(refined_session(session))
     rollers = any(support.directions is not None for support in session.supports)
     check_memory(len(session.mesh.vertices), rollers=rollers, dense=dense)
     return session, held_system(session_surface(session), dense=dense, cache=cache)

@@ -149,7 +149,7 @@ def export_fit(
     probe: str | None = None,
     edge: float | None = None,
     cache: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> EstimatedObject:
     """Write the files of one simulator, with README.txt and palpate.json.
 
@@ -176,13 +176,12 @@ def export_fit(
                                     probing
     MeshError                       walls thinner than the tetrahedra
     """
-    say = progress or silent
     if to not in FORMATS:
         raise InputError(f"there is no simulator '{to}'; there are: {', '.join(FORMATS)}")
     form = FORMATS[to]
     check_edge(source.session.mesh, edge)
     material, changed = written_material(form, estimated_material(source.estimate))
-    say("the push in the boundary element model", 0.1)
+    progress("the push in the boundary element model", 0.1)
     body = make_estimated_object(
         source.session, source.estimate, material, probe=probe, cache=cache
     )
@@ -190,13 +189,13 @@ def export_fit(
     body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
-        say(f"files of {form.title}", 0.5)
+        progress(f"files of {form.title}", 0.5)
         if left_out := form.of_surface(folder, body):
             body = replace(body, notes=(*body.notes, left_out))
     elif form.of_solid is not None:
-        say("tetrahedra", 0.4)
+        progress("tetrahedra", 0.4)
         model = make_solid_model(body, edge=edge)
-        say(f"files of {form.title}", 0.8)
+        progress(f"files of {form.title}", 0.8)
         form.of_solid(folder, model)
     write_text(folder / "palpate.json", _facts(form, body, model))
     write_text(folder / "README.txt", _readme(form, body, model))

@@ -114,7 +114,7 @@ def make_green_functions(
     nodes: Int[np.ndarray, " n"] | None = None,
     most: int | None = None,
     cache: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> GreenFunctions:
     """Compute the Green's functions of a part of an object's surface.
 
@@ -141,7 +141,6 @@ def make_green_functions(
                                         table above 2 GB, rollers or compliant supports
     SingularSystemError                 the matrix is singular to working precision
     """
-    say = progress or silent
     material = estimate if isinstance(estimate, Material) else estimated_material(estimate)
     if any(one.directions is not None for one in session.supports):
         raise InputError(
@@ -163,9 +162,9 @@ def make_green_functions(
             f" {_MAX_BYTES / 1e9:.0f} GB are made: choose fewer vertices, those that will be"
             " touched"
         )
-    say("integrals over the surface", 0.0)
+    progress("integrals over the surface", 0.0)
     _, system = held_object(session, cache=cache, dense=True)
-    everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), say)
+    everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), progress)
     left_out = chosen[:0]
     if nodes is None:
         kept = _positive_definite_nodes(_square(everywhere[:, :, chosen]))
@@ -307,17 +306,17 @@ def _responses(
     material: Material,
     nodes: Int[np.ndarray, " n"],
     count: int,
-    say: Progress,
+    progress: Progress,
 ) -> tuple[Float[np.ndarray, "n 3 v 3"], Float[np.ndarray, "n 3 n 3"]]:
     """Displacement of the first vertices per newton, [j, b, i, a], and its slope at the nodes."""
     ratio = material.poisson_ratio
-    say("factorisation", 0.3)
+    progress("factorisation", 0.3)
     centred = CentredSystem(system, ratio)
     everywhere = np.zeros((len(nodes), 3, count, 3))
     slope = np.zeros((len(nodes), 3, len(nodes), 3))
     free = system.unknowns.free_vertices
     for part in _parts(len(nodes)):
-        say("Green's functions", 0.4 + 0.6 * part.start / len(nodes))
+        progress("Green's functions", 0.4 + 0.6 * part.start / len(nodes))
         loads = [hat_load(system.surface.mesh, int(v)) for v in nodes[part]]
         right = load_right_hand(system, loads)
         solution = solve(centred.factorised, right.at(ratio))

@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from pipeline.kept.picture_session import measured_motion, with_pictures
+from pipeline.saved.picture_session import measured_motion, with_pictures
 
 from palpate.app.commands import fit as fit_command
 from palpate.errors import NotConvergedError, SingularSystemError

@@ -12,14 +12,14 @@ from palpate.geometry import TriangleMesh, checked_mesh, closest_points, welded
 from palpate.pipeline import (
     graded_session,
     make_object_model,
-    resolved_session,
+    refined_session,
     session_observations,
 )
 from palpate.pipeline.model.grading import (
     ROW,
     edge_refined_session,
     graded_mesh,
-    resolved_mesh,
+    refined_mesh,
 )
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
@@ -79,7 +79,7 @@ def test_faces_one_element_wide_are_cut_in_their_middle() -> None:
     mesh = box((0.6, 0.1, 0.4), (6, 1, 4))
     held = np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1)
     surface = make_surface(mesh, np.flatnonzero(held))
-    fine, parent = resolved_mesh(surface)
+    fine, parent = refined_mesh(surface)
     _, notes = checked_mesh(fine)
     assert notes == ()
     new = fine.vertices[len(mesh.vertices) :]
@@ -91,7 +91,7 @@ def test_faces_one_element_wide_are_cut_in_their_middle() -> None:
     assert len(wide) <= 8
     assert np.isclose(np.abs(wide[:, 1] - 0.05), 0.05).all()
     # No face is crossed by an edge any more.
-    again, _ = resolved_mesh(
+    again, _ = refined_mesh(
         make_surface(fine, np.flatnonzero(np.isin(parent, np.flatnonzero(held))))
     )
     assert len(again.vertices) == len(fine.vertices)
@@ -99,7 +99,7 @@ def test_faces_one_element_wide_are_cut_in_their_middle() -> None:
 
 def test_a_body_without_creases_stays_as_it_is() -> None:
     mesh, held = _ball()
-    fine, parent = resolved_mesh(make_surface(mesh, np.flatnonzero(held)))
+    fine, parent = refined_mesh(make_surface(mesh, np.flatnonzero(held)))
     np.testing.assert_array_equal(fine.triangles, mesh.triangles)
     np.testing.assert_array_equal(parent, np.arange(len(held)))
 
@@ -176,16 +176,16 @@ def _punched(cells: int, *, profile: str = "flat") -> Session:
 
 def test_long_edges_about_a_flat_punch_are_cut() -> None:
     given = _punched(6)
-    fine = resolved_session(given)
+    fine = refined_session(given)
     place = given.probings[0].contact.point
     # Under a smooth pressure only diagonals that cut off a corner of the cube are.
-    smooth = resolved_session(_punched(6, profile="hertz")).mesh.vertices
+    smooth = refined_session(_punched(6, profile="hertz")).mesh.vertices
     new = fine.mesh.vertices[~np.isin(fine.mesh.vertices, smooth).all(axis=1)]
     away = np.linalg.norm(new - place, axis=1)
     assert 15 < len(new) < 60
     # Its own length from the punch: 6.7 mm, 9.4 mm across a square.
     assert away.max() < 0.004 + 0.0095
-    again = resolved_session(resolved_session(fine)).mesh
+    again = refined_session(refined_session(fine)).mesh
     edge = again.vertices[again.triangles] - np.roll(again.vertices[again.triangles], 1, axis=1)
     under = np.linalg.norm(again.vertices[again.triangles].mean(axis=1) - place, axis=1) < 0.004
     # At most half its radius.
@@ -196,7 +196,7 @@ def test_the_error_about_a_flat_punch_falls() -> None:
     """Against more than twice as many cells along an edge, which need not be cut."""
     given = _punched(6)
     truth = _moved(_punched(13), 0.3)
-    error = [np.linalg.norm(_moved(one, 0.3) - truth) for one in (given, resolved_session(given))]
+    error = [np.linalg.norm(_moved(one, 0.3) - truth) for one in (given, refined_session(given))]
     # The rim of the support is a part of what is left.
     assert error[1] < 0.6 * error[0]
 
@@ -292,7 +292,7 @@ def test_a_plate_bends_as_it_should() -> None:
     truth = _moved(graded_session(_plate(4)), nu)
     given, resolved = (
         np.linalg.norm(_moved(graded_session(one), nu) - truth) / np.linalg.norm(truth)
-        for one in (_plate(1), resolved_session(_plate(1)))
+        for one in (_plate(1), refined_session(_plate(1)))
     )
     assert given > 0.1
     # As much as meshes of 5 mm differ among themselves.

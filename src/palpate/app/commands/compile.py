@@ -7,7 +7,7 @@ from numba.core import event
 
 from palpate.app.environment import check_kernel_cache
 from palpate.app.terminal import print_text, progress_bar
-from palpate.pipeline import rehearse
+from palpate.pipeline import warm_up
 
 
 def compile_kernels() -> int:
@@ -22,7 +22,7 @@ def compile_kernels() -> int:
     check_kernel_cache()
     start = time.perf_counter()
     with progress_bar() as progress, event.install_recorder("numba:compile") as recorder:
-        rehearse(progress)
+        warm_up(progress)
         progress("the list of fonts", 0.99)
         # The figures of a result need it; it takes seconds, once, too.
         import_module("matplotlib.font_manager")

@@ -226,22 +226,22 @@ def _body_key(config: LabConfig) -> object:
 
 
 def _measure_probings(
-    benches: Sequence[_Bench], variant: Variant, say: Progress, distribute: Distribute
+    benches: Sequence[_Bench], variant: Variant, progress: Progress, distribute: Distribute
 ) -> None:
     """All probings of one body in several sessions: contact, pictures, readings, truth."""
     names = [f"probing {probe.name}" for probe in benches[0].config.probes]
     begun = _STUDIO / (_STUDIO + len(names))
-    say("finite elements", 0.0)
+    progress("finite elements", 0.0)
     # Before any rendering: a body that cannot be meshed is refused here.
     first = _solid(benches[0], 0)
     for bench in benches:
-        say("texture and light", 0.0)
+        progress("texture and light", 0.0)
         bench.set_up_studio(variant)
-        say("pictures at rest", 0.5 * begun)
+        progress("pictures at rest", 0.5 * begun)
         for file, content in bench.photograph("rest", 0, [bench.studio.mesh.vertices]).items():
             (bench.folder / file).write_bytes(content)
     measure = partial(_measure_probing, first)
-    _record_all(benches, names, measure, distribute, part_of(say, begun, 1.0))
+    _record_all(benches, names, measure, distribute, part_of(progress, begun, 1.0))
 
 
 def _record_all(
@@ -249,7 +249,7 @@ def _record_all(
     names: Sequence[str],
     measure: Callable[[tuple[Sequence[_Bench], int]], Sequence[_Measured]],
     distribute: Distribute,
-    say: Progress,
+    progress: Progress,
 ) -> None:
     """Record all probings, or all steps, in every session: as stored by an interrupted run, or
     measured now; then write the sessions' texts."""
@@ -260,7 +260,7 @@ def _record_all(
     ]
     fresh = distribute(measure, [(some, k) for k, some in enumerate(missing) if some])
     for k, name in enumerate(names):
-        say(name, k / len(names))
+        progress(name, k / len(names))
         now = iter(next(fresh) if missing[k] else ())
         for bench, part in zip(benches, known[k], strict=True):
             bench.record(bench.parts.stored(name, next(now)) if part is None else part)
@@ -305,12 +305,12 @@ def _photographed(bench: _Bench, k: int, body: Body, interpolation: csr_array) -
 
 
 def _measure_steps(
-    bench: _Bench, stage: Stage, variant: Variant, say: Progress, distribute: Distribute
+    bench: _Bench, stage: Stage, variant: Variant, progress: Progress, distribute: Distribute
 ) -> None:
     """All steps of a rigid object on a motion stage, in one session."""
     bench.set_up_studio(variant)
     names = [f"step s{k}" for k in range(stage.steps + 1)]
-    _record_all([bench], names, partial(_measure_step, stage_motions(stage)), distribute, say)
+    _record_all([bench], names, partial(_measure_step, stage_motions(stage)), distribute, progress)
 
 
 def _measure_step(

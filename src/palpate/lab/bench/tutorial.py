@@ -127,14 +127,14 @@ def _config(size: TutorialSize) -> LabConfig:
 
 
 def _write_boards(
-    folder: Path, rig: Rig, board: Print, config: LabConfig, size: TutorialSize, say: Progress
+    folder: Path, rig: Rig, board: Print, config: LabConfig, size: TutorialSize, progress: Progress
 ) -> None:
     """Pictures of the board: first lying on the table, then held at various poses."""
     rng = np.random.default_rng([config.seed, 10])
     for camera in rig.cameras:
         (folder / camera.name).mkdir(parents=True)
     for number in range(size.boards):
-        say("boards", number / size.boards)
+        progress("boards", number / size.boards)
         pose = _board_pose(rig, board, config, number, rng)
         for camera in rig.cameras:
             picture = board_picture(
@@ -178,14 +178,14 @@ def _write_turntable(
     config: LabConfig,
     size: TutorialSize,
     variant: Variant,
-    say: Progress,
+    progress: Progress,
 ) -> None:
     """The object on a turntable, and scan.toml."""
     folder.mkdir()
     studio = make_studio(config, rig, variant, rng=np.random.default_rng([config.seed, 0, 0]))
     step = 360.0 / size.views
     for k in range(size.views):
-        say("turntable", k / size.views)
+        progress("turntable", k / size.views)
         turn = Rotation.from_euler("z", k * step, degrees=True)
         instant = [studio.mesh.vertices @ turn.as_matrix().T]
         taken = photograph(studio, instant, rng=np.random.default_rng([config.seed, 11, k]))
@@ -204,7 +204,7 @@ def _write_films(
     config: LabConfig,
     size: TutorialSize,
     variant: Variant,
-    say: Progress,
+    progress: Progress,
 ) -> list[SolvedPress]:
     """Videos of the presses and the gauge's log."""
     folder.mkdir()
@@ -212,12 +212,12 @@ def _write_films(
     film = Film(count, size.depths, frame_rate=size.frame_rate, hold=size.hold)
     solved = []
     for k, probe in enumerate(config.probes):
-        say(f"press {k + 1}", 0.4 * k / count)
+        progress(f"press {k + 1}", 0.4 * k / count)
         tip = aim(probe, config.arm, mesh, rng=np.random.default_rng([config.seed, 1, k]))
         solved.append(solve_press(config, tip, k, film))
     rests = rest_pictures(config, rig, variant)
     for number, camera in enumerate(rig.cameras):
-        say(f"film of {camera.name}", 0.4 + 0.6 * number / len(rig.cameras))
+        progress(f"film of {camera.name}", 0.4 + 0.6 * number / len(rig.cameras))
         rng = np.random.default_rng([config.seed, 12, number])
         frames = film_frames(film, config, rig, number, rests[number], solved, rng=rng)
         write_film(folder / f"{camera.name}.avi", frames, film.frame_rate)

@@ -33,7 +33,7 @@ from palpate.pipeline.model.grading import (
     GRADED_STD as GRADED_STD,
     edge_refined_session as edge_refined_session,
     graded_session as graded_session,
-    resolved_session as resolved_session,
+    refined_session as refined_session,
 )
 from palpate.pipeline.model.large_strain import fit_at_finite_strain as fit_at_finite_strain
 from palpate.pipeline.model.measurement_errors import space_stretch as space_stretch

@@ -43,7 +43,7 @@ _LONG_AT_PUNCH = 0.5
 _HOLLOW = 0.1
 
 
-def resolved_session(session: Session) -> Session:
+def refined_session(session: Session) -> Session:
     """A session on a mesh whose faces are all at least two elements wide, and that is finer
     about flat punches.
 
@@ -57,7 +57,7 @@ def resolved_session(session: Session) -> Session:
                                     fields are located anew on the new mesh
     """
     contacts = [probing.contact for probing in session.probings]
-    return _divided_session(session, *resolved_mesh(session_surface(session), contacts))
+    return _divided_session(session, *refined_mesh(session_surface(session), contacts))
 
 
 def graded_session(session: Session) -> Session:
@@ -69,7 +69,7 @@ def graded_session(session: Session) -> Session:
 
     Returns
     -------
-    Session                         as from `resolved_session`
+    Session                         as from `refined_session`
     """
     return _divided_session(session, *graded_mesh(session_surface(session)))
 
@@ -84,7 +84,7 @@ def edge_refined_session(session: Session) -> Session:
 
     Returns
     -------
-    Session                         as from `resolved_session`
+    Session                         as from `refined_session`
     """
     boundary = session_surface(session)
     ends, on_rim = _edge_ends(boundary), _at_rim(boundary)
@@ -104,13 +104,13 @@ def halved_session(session: Session) -> Session:
 
     Returns
     -------
-    Session                         as from `resolved_session`
+    Session                         as from `refined_session`
     """
     boundary = session_surface(session)
     return _divided_session(session, *_divided(boundary, _edge_ends(boundary), 0.5))
 
 
-def resolved_mesh(
+def refined_mesh(
     boundary: BoundarySurface, contacts: Sequence[Contact] = ()
 ) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
     """Halve every edge that crosses a face from one crease or rim to another, and long edges about

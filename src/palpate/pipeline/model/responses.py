@@ -34,7 +34,7 @@ class ProbeResponse:
     rows : ProbeRows
     blocks : callable                 Poisson's ratio -> (1 + d, rows, c): `ProbeRows.observed` of
                                       the solution there, and its derivatives with respect to the
-                                      compliance (give) of each of d compliant supports
+                                      compliance of each of d compliant supports
     """
 
     rows: ProbeRows
@@ -70,7 +70,7 @@ class ProbeResponse:
         size = max(float(np.linalg.norm(change)), _TINY)
         step = _SLOPE_STEP * float(np.linalg.norm(value)) / size
         more, less = (
-            self._value_of(value + give * change, poisson_ratio) for give in (step, -step)
+            self._value_of(value + side * change, poisson_ratio) for side in (step, -step)
         )
         return (more - less) / (2 * step)
 

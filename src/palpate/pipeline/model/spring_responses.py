@@ -62,12 +62,14 @@ def spring_responses(
     if settings.method == FitMethod.NELDER_MEAD:
 
         def exact(shear_modulus: float) -> list[ProbeResponse]:
-            give = springs.compliance(shear_modulus * each)
-            right = model.right.on_springs(give, changes, known_traction)
+            compliance = springs.compliance(shear_modulus * each)
+            right = model.right.on_springs(compliance, changes, known_traction)
 
             def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
                 factors = make_spring_factors(factorise(system, poisson_ratio), system, springs)
-                return make_spring_system(factors, give, changes).solve(right.at(poisson_ratio))
+                return make_spring_system(factors, compliance, changes).solve(
+                    right.at(poisson_ratio)
+                )
 
             return full_responses(solution, rows, blocks=blocks)
 

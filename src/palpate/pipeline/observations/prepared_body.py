@@ -14,7 +14,7 @@ from palpate.pipeline.model import (
     graded_session,
     has_tools,
     make_object_model,
-    resolved_session,
+    refined_session,
 )
 from palpate.pipeline.observations.mesh_errors import (
     UNGRADED_RESIDUAL,
@@ -47,14 +47,14 @@ def prepare_body(
     ------
     InputError, SingularSystemError, NotConvergedError    as `session_observations`
     """
-    resolved = resolved_session(session)
+    refined = refined_session(session)
     with_loads = not has_tools(session)
-    compared = [(each, rings) for _, each, rings in compared_meshes(resolved)]
-    for each, rings in [(resolved, 1), *compared]:
+    compared = [(each, rings) for _, each, rings in compared_meshes(refined)]
+    for each, rings in [(refined, 1), *compared]:
         model = ungraded_model(each, settings=settings, rings=rings, cache=cache)
         _keep(model, settings, UNGRADED_RESIDUAL, with_loads=with_loads)
     if with_loads:
-        graded = graded_session(resolved)
+        graded = graded_session(refined)
         model = make_object_model(graded, cache=cache)
         _keep(model, settings, DENSE_RESIDUAL, with_loads=True)
 

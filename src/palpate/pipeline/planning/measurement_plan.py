@@ -24,7 +24,7 @@ from palpate.lab import (
 from palpate.pipeline.calibrated_space import calibration_strains, with_stretch
 from palpate.pipeline.model import (
     make_object_model,
-    resolved_session,
+    refined_session,
     with_contact_radii,
 )
 from palpate.pipeline.motion import vertex_field
@@ -271,7 +271,7 @@ def _information(session: Session, material: Material) -> Information:
 def _at_guess(session: Session, material: Material) -> Session:
     """The session on a mesh resolved for the model, with the contact radii of its tools."""
     return with_contact_radii(
-        resolved_session(session),
+        refined_session(session),
         shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio,
     )

@@ -16,7 +16,7 @@ from palpate.geometry import (
     vertex_normals,
 )
 from palpate.pipeline.fit_session import fit_session
-from palpate.pipeline.model import make_object_model, resolved_session
+from palpate.pipeline.model import make_object_model, refined_session
 from palpate.pipeline.observations import session_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import DisplacementField, Probing, Session, require_probings
@@ -116,7 +116,7 @@ def plan_next(
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
     # Resolved about the measured contacts only: about all places it would be the whole surface.
-    resolved = resolved_session(replace(session, probings=tuple(given)))
+    resolved = refined_session(replace(session, probings=tuple(given)))
     further = [
         _like(resolved.probings[0], resolved.mesh, place, force * direction, f"further {k}")
         for k, (place, direction) in enumerate(zip(point, inward, strict=True))

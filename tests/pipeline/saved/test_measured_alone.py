@@ -5,7 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from pipeline.kept.seen_session import PROBINGS, write_probings, write_seen_session
+from pipeline.saved.seen_session import PROBINGS, write_probings, write_seen_session
 
 from palpate.pipeline import (
     keep_motion,

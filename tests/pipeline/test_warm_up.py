@@ -1,4 +1,4 @@
-"""After a rehearsal real measurements find every kernel compiled, for their very types."""
+"""After warming up, real measurements find every kernel compiled, for their very types."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ SCRIPT = """\
 import sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
-from palpate.pipeline import fit_session, measure_pictures, rehearse
+from palpate.pipeline import fit_session, measure_pictures, warm_up
 from palpate.records import read_session
 
 def compiled():
@@ -19,12 +19,12 @@ def compiled():
         for signature in value.signatures
     }
 
-rehearse()
-rehearsed = compiled()
+warm_up()
+warm = compiled()
 fit_session(read_session(sys.argv[1]))
 session = read_session(sys.argv[2])
 measure_pictures(replace(session, probings=session.probings[:1]))
-print(*sorted(compiled() - rehearsed), sep="\\n")
+print(*sorted(compiled() - warm), sep="\\n")
 """
 
 

@@ -1,7 +1,7 @@
 """A measurement that is made up: it runs every kernel that the flow and the fit of a real one run.
 
-numba compiles a kernel when it is called for the first time, and keeps it on the disk. After a
-rehearsal no measurement waits for that.
+numba compiles a kernel when it is called for the first time, and keeps it on the disk. After this
+no measurement waits for that.
 """
 
 import tempfile
@@ -22,7 +22,7 @@ from palpate.records import Camera, Rig, Session, read_session, write_rig
 _SIZE, _PIECES = (0.04, 0.03, 0.012), 5
 _SESSION = f"""\
 format = "palpate-session/1"
-name = "a rehearsal"
+name = "warming up"
 
 [object]
 mesh = "mesh.ply"
@@ -48,14 +48,14 @@ _SHAPE, _FOCAL, _DISTANCE, _ANGLES = (300, 400), 1400.0, 0.25, (-0.2, 0.2)
 _WAVES, _WAVE_NUMBER = 60, 3e3
 
 
-def rehearse(progress: Progress = silent) -> None:
+def warm_up(progress: Progress = silent) -> None:
     """Measure the made-up motion in its pictures, and fit constants to it.
 
     Parameters
     ----------
     progress : callable             called with the current step (text) and the fraction done
     """
-    with tempfile.TemporaryDirectory(prefix="palpate-rehearsal-") as name:
+    with tempfile.TemporaryDirectory(prefix="palpate-warm-up-") as name:
         session = _made_up_session(Path(name))
         progress("the flow", 0.0)
         session = with_motions(session, measure_pictures(session))
@@ -65,7 +65,7 @@ def rehearse(progress: Progress = silent) -> None:
 
 def _made_up_session(folder: Path) -> Session:
     """A session with pictures of a push, written into a folder."""
-    rig = Rig(tuple(_camera(f"c{k}", angle) for k, angle in enumerate(_ANGLES)), 0, "rehearsal")
+    rig = Rig(tuple(_camera(f"c{k}", angle) for k, angle in enumerate(_ANGLES)), 0, "warm up")
     write_rig(folder / "rig.toml", rig)
     write_mesh(folder / "mesh.ply", _block())
     (folder / "session.toml").write_text(_SESSION, encoding="utf-8")

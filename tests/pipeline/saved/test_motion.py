@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
-from pipeline.kept.picture_session import measured_motion, with_pictures
+from pipeline.saved.picture_session import measured_motion, with_pictures
 
 import palpate
 from palpate.geometry import TriangleMesh, write_mesh
