@@ -23,10 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
-from palpate.estimation.nuisance import (
-    NuisanceParameter,
-    ResponseTerms,
-)
+from palpate.estimation.nuisance import NuisanceParameter, ResponseTerms
 from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, ObservedRows
 from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
 from palpate.shapes import Points
