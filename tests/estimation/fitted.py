@@ -1,17 +1,17 @@
 """Small problems with closed forms, and dense linear algebra to check them with."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.estimation import Nuisance, NuisanceParameter, ProbeObservations, ResponseTerms
+from palpate.estimation import ProbeObservations
 from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.noise import NOISE_MODELS
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.problem import Problem, make_problem
 
-__all__ = ["RANGE", "dense_information", "minimum_of", "model_step", "patterns", "problem_of"]
+__all__ = ["RANGE", "dense_information", "minimum_of", "patterns", "problem_of"]
 
 RANGE = (0.0, 0.4999)
 
@@ -55,19 +55,3 @@ def dense_information(minimum: Evaluation) -> np.ndarray:
         rows[block.whole] = np.vstack([table[layout.common :], patterns(problem, index)])
         information += rows / variances[index] @ rows.T
     return information
-
-
-def model_step(
-    name: str,
-    std: float,
-    model: Callable[[float], np.ndarray],
-    alternative: Callable[[float], np.ndarray],
-) -> Nuisance:
-    """An error of the model as large as a share of the step between two, (n_rows, t, c) each at a
-    Poisson's ratio."""
-
-    def effects(at: ResponseTerms) -> np.ndarray:
-        first, second = (side(at.poisson_ratio)[at.rows] for side in (model, alternative))
-        return std * (second - first)[..., None]
-
-    return Nuisance((NuisanceParameter(name, std, of="mesh", is_model_error=True),), effects)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimation.fitted import RANGE, minimum_of, model_step, problem_of
+from estimation.fitted import RANGE, minimum_of, problem_of
 from estimation.half_space import HalfSpace, half_space_probes
 from scipy.stats import norm
 
@@ -22,6 +22,7 @@ from palpate.estimation.gauss_newton import fitted
 from palpate.estimation.noise import StudentT
 from palpate.estimation.observed_rows import observed_rows_of
 from palpate.pipeline.model.measurement_errors import force_gain
+from palpate.pipeline.observations.converged_observations import model_step
 
 
 def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:

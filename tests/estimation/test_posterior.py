@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimation.fitted import RANGE, dense_information, minimum_of, model_step, problem_of
+from estimation.fitted import RANGE, dense_information, minimum_of, problem_of
 from estimation.half_space import Cantilever, half_space_probes, surface_grid
 
 from palpate.estimation import (
@@ -23,6 +23,7 @@ from palpate.estimation.posterior import (
     uncertainty_budget,
 )
 from palpate.pipeline.model.measurement_errors import force_direction, force_gain, length_scale
+from palpate.pipeline.observations.converged_observations import model_step
 
 EVERY = {"poisson_ratio": True, "shear_modulus": True, "young_modulus": True}
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from estimation.fitted import model_step, patterns, problem_of
+from estimation.fitted import patterns, problem_of
 from estimation.half_space import HalfSpace, half_space_probes
 
 from palpate.errors import InputError
@@ -20,6 +20,7 @@ from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
 from palpate.pipeline.model.contacts import contact_error, tool_slip
 from palpate.pipeline.model.measurement_errors import force_direction, force_gain, length_scale
+from palpate.pipeline.observations.converged_observations import model_step
 
 # Where contacts are tried, in standard deviations of two parameters.
 STEPS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimation.fitted import minimum_of, model_step, patterns, problem_of
+from estimation.fitted import minimum_of, patterns, problem_of
 from estimation.half_space import half_space_probes
 
 from palpate.estimation import (
@@ -12,6 +12,7 @@ from palpate.estimation import (
 )
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
+from palpate.pipeline.observations.converged_observations import model_step
 
 
 def _probe(grid: int = 12, **options: object) -> ProbeObservations:

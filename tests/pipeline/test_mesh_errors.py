@@ -9,7 +9,7 @@ import pytest
 from error_columns import columns_of
 from surfaces import box, sphere
 
-from palpate.estimation import fit
+from palpate.estimation import ProbeObservations, fit
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import (
     fit_session,
@@ -21,8 +21,8 @@ from palpate.pipeline.model.grading import edge_refined_session, halved_session
 from palpate.pipeline.observations import (
     converged_observations,
     mesh_errors,
-    mesh_steps,
     ungraded_observations,
+    with_mesh_steps,
 )
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
@@ -85,46 +85,34 @@ def test_intervals_hold_what_a_finer_mesh_says(session: Session) -> None:
 
 def test_the_steps_say_how_large_the_model_s_error_is(session: Session) -> None:
     _, plain = ungraded_observations(session)
-    steps = mesh_steps(session, plain)
+    stepped = with_mesh_steps(session, plain)
     graded = graded_session(session)
     model = make_object_model(graded)
     one, other = (
-        fit(converged_observations(graded, model, coarser=plain, steps=given)).estimate
-        for given in ([()] * 3, steps)
+        fit(converged_observations(graded, model, coarser=seen)).estimate.young_modulus
+        for seen in (plain, stepped)
     )
-    assert other.young_modulus.std > one.young_modulus.std
-    change = abs(other.young_modulus.value - one.young_modulus.value)
-    assert change < 2.0 * other.young_modulus.std
+    assert other.std > one.std
+    assert abs(other.value - one.value) < 2.0 * other.std
 
 
 def test_sharp_edges_are_a_step_of_their_own(session: Session) -> None:
-    assert [len(one) for one in mesh_steps(session, ungraded_observations(session)[1])] == [1] * 3
+    assert [len(one.nuisances) for one in _stepped(session)] == [1, 1, 1]
     block = _block()
     _, plain = ungraded_observations(block)
     _, refined = ungraded_observations(edge_refined_session(block))
-    ((between, edges),) = mesh_steps(block, plain)
-    assert between.error().parameters != edges.error().parameters
-    (seen,) = plain
+    (seen,) = _stepped(block)
+    between, edges = seen.nuisances
+    assert between.parameters != edges.parameters
     rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / SHEAR
-    response = seen.response.value(NU)[rows]
-    column = columns_of(edges.error(), response, load, NU, rows)[:, 0]
+    column = columns_of(edges, plain[0].response.value(NU)[rows], load, NU, rows)[:, 0]
     given, finer = (one[0].response.value(NU)[rows] @ load for one in (plain, refined))
-    # Three quarters of the step are one standard deviation.
-    np.testing.assert_allclose(column, 0.75 * (finer - given), atol=1e-9 * np.abs(given).max())
+    np.testing.assert_allclose(column, finer - given, atol=1e-9 * np.abs(given).max())
     assert np.abs(column).max() > 1e-4 * np.abs(given).max()
 
 
-def test_the_expected_part_of_a_step_is_in_the_model() -> None:
-    block = _block()
-    _, plain = ungraded_observations(block)
-    _, refined = ungraded_observations(edge_refined_session(block))
-    graded = graded_session(block)
-    model = make_object_model(graded)
-    bare = session_observations(graded, model)[0].response.value(NU)
-    (seen,) = converged_observations(graded, model, coarser=plain, steps=mesh_steps(block, plain))
-    given, finer = (one[0].response.value(NU) for one in (plain, refined))
-    wanted = bare + 0.25 * (bare - given) + 0.75 * (finer - given)
-    np.testing.assert_allclose(seen.response.value(NU), wanted, atol=1e-9 * np.abs(bare).max())
+def _stepped(session: Session) -> list[ProbeObservations]:
+    return with_mesh_steps(session, ungraded_observations(session)[1])
 
 
 def _block() -> Session:
@@ -143,4 +131,4 @@ def _block() -> Session:
 def test_very_fine_meshes_have_none(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     _, seen = ungraded_observations(session)
     monkeypatch.setattr(mesh_errors, "LARGEST_DENSE", len(session.mesh.vertices) - 1)
-    assert mesh_steps(session, seen) == [()] * 3
+    assert with_mesh_steps(session, seen) == seen

@@ -21,11 +21,10 @@ from palpate.pipeline.model import (
 )
 from palpate.pipeline.notes import session_notes
 from palpate.pipeline.observations import (
-    MeshStep,
     converged_observations,
-    mesh_steps,
     ungraded_observations,
     with_consistent_contacts,
+    with_mesh_steps,
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import ProbeEstimate, Session, SupportEstimate, require_probings
@@ -76,9 +75,7 @@ def fit_session(
     # First, so that its memory is free again before the graded model is made.
     report = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
-    refined, ungraded, steps = _on_ungraded_mesh(
-        refined, settings, cache, not finite_strain, report
-    )
+    refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, report)
     compared = time.perf_counter()
     progress("integrals over the surface", _GRADED)
     graded = graded_session(refined)
@@ -87,7 +84,7 @@ def fit_session(
     assembled = time.perf_counter()
     progress("factorisation", _ASSEMBLED)
     observations = converged_observations(
-        graded, model, settings=settings, coarser=ungraded, steps=steps, with_surface=True
+        graded, model, settings=settings, coarser=ungraded, with_surface=True
     )
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
@@ -143,9 +140,9 @@ def _on_ungraded_mesh(
     cache: Path | None,
     displaced: bool,
     progress: Progress,
-) -> tuple[Session, list[ProbeObservations], list[tuple[MeshStep, ...]]]:
+) -> tuple[Session, list[ProbeObservations]]:
     """A session with the contacts of its tools, `displaced` with the object or where they touched
-    first, its observations with the model of the mesh before grading, and steps to other meshes."""
+    first, and its observations with the model of the mesh before grading."""
     report = part_of(progress, 0.0, _OWN)
     if has_tools(session):
         session, observations = with_consistent_contacts(
@@ -160,11 +157,10 @@ def _on_ungraded_mesh(
         observations = ungraded_observations(
             session, settings=settings, cache=cache, progress=report
         )[1]
-    steps = mesh_steps(
+    return session, with_mesh_steps(
         session, observations, settings=settings, cache=cache,
         progress=part_of(progress, _OWN, 1.0),
     )  # fmt: skip
-    return session, observations, steps
 
 
 def _probe_estimates(model: ObjectModel, result: FitResult) -> tuple[ProbeEstimate, ...]:

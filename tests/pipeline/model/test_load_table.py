@@ -19,7 +19,7 @@ from palpate.bem import (
 )
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.pipeline.model import load_table
-from palpate.pipeline.model.contacts import DIP, DIP_ERROR, surface_load
+from palpate.pipeline.model.contacts import DIP_ERROR, surface_load
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.records import Contact, ErrorPriors, Load, Probing, Session
 
@@ -71,12 +71,6 @@ def _close(found: np.ndarray, wanted: np.ndarray) -> None:
     assert wanted.any()
 
 
-def _dipped(system: BoundarySystem, load, dip, **options: object) -> np.ndarray:
-    """Columns of a load with the expected part of its dip."""
-    bare = load_right_hand(system, [load], **options).terms
-    return bare + DIP * correction_columns(system, [dip]).terms
-
-
 def test_columns_of_a_contact_are_those_of_its_load_and_its_dip(
     session: Session, system: BoundarySystem
 ) -> None:
@@ -88,7 +82,7 @@ def test_columns_of_a_contact_are_those_of_its_load_and_its_dip(
     assert all(dip.midside_nodes.size for dip in dips)
     for probing, load, dip in zip(session.probings, loads, dips, strict=True):
         columns = table.force_columns(probing.contact)
-        _close(terms[:, :, columns], _dipped(system, load, dip))
+        _close(terms[:, :, columns], load_right_hand(system, [load], [dip]).terms)
 
 
 def test_columns_of_what_is_no_contact(session: Session, system: BoundarySystem) -> None:
@@ -126,8 +120,8 @@ def test_a_perturbed_contact_takes_the_place_of_the_stated_one(
             continue
         count += 1
         load, force = surface_load(each.patch), session.probings[each.probing].force
-        (dip,) = indentation_corrections(system.surface, [load])
-        moved = _dipped(system, load, dip, cells=load_table._FEWER)
+        dips = indentation_corrections(system.surface, [load])
+        moved = load_right_hand(system, [load], dips, cells=load_table._FEWER).terms
         k = int(table.patch_of[each.probing])
         wanted = (moved - unit[:, :, 3 * k : 3 * k + 3]) @ force
         np.testing.assert_allclose(terms[:, :, column], wanted, atol=1e-12 * np.abs(unit).max())

@@ -29,8 +29,7 @@ from palpate.pipeline.model.finite_strain import (
     strain_corrections as strain_corrections,
 )
 from palpate.pipeline.model.grading import (
-    GRADED as GRADED,
-    GRADED_STD as GRADED_STD,
+    REMAINING_FRACTION as REMAINING_FRACTION,
     edge_refined_session as edge_refined_session,
     graded_session as graded_session,
     refined_session as refined_session,

@@ -32,10 +32,9 @@ from palpate.records import FLAT, Contact, DisplacementField, Probing, Session
 
 # Width of the row at the rim over the length of the edges there.
 ROW = 0.3
-# Multiple of the change by grading that is left, and its standard deviation: the error falls with
-# the first to second power of the element size at the rim, which leaves 0.43 to 0.10 of it
-# (benchmarks/mesh_steps.py measures it on twelve bodies).
-GRADED, GRADED_STD = 0.25, 0.35
+# The error falls at least with the first power of the element size at the rim, so that at most this
+# fraction of the change from one refinement step is left.
+REMAINING_FRACTION = ROW / (1.0 - ROW)
 # Edges about a flat punch that are longer than this fraction of its radius are split.
 _LONG_AT_PUNCH = 0.5
 # Sine of the elevation of a neighbour's centre above a triangle's plane beyond which their common

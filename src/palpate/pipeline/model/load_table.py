@@ -30,7 +30,6 @@ from palpate.bem import (
 )
 from palpate.geometry import unit_normals
 from palpate.pipeline.model.contacts import (
-    DIP,
     ContactPerturbation,
     contact_perturbations,
     dip_perturbations,
@@ -240,10 +239,10 @@ def _nominal(
     """The traction on a patch: of one newton along each axis; less where a perturbed contact takes
     its place; more of its dip where that is perturbed."""
     force = _units(table, patch)
-    dip_force = {column: DIP * each for column, each in force.items()}
+    dip_force = dict(force)
     for column, each, pushed in _own(session, table, patch):
         force[column] = -pushed if each.patch is not None else np.zeros(3)
-        dip_force[column] = DIP * force[column] + each.dip * pushed
+        dip_force[column] = force[column] + each.dip * pushed
     cells = LOAD_CELLS if patch.contact.triangles is None else None
     traction = _traction(load, cells, dip, force)
     return replace(traction, dip_force=np.stack([*dip_force.values()], axis=1))
@@ -287,7 +286,7 @@ def _traction(
     load: SurfaceLoad, cells: LoadCells | None, dip: IndentationCorrection | None, forces: _Forces
 ) -> Traction:
     columns, force = np.array([*forces], dtype=np.int64), np.stack([*forces.values()], axis=1)
-    return Traction(load, cells, columns, force, dip, DIP * force)
+    return Traction(load, cells, columns, force, dip, force)
 
 
 def _distinct_patches(

@@ -5,8 +5,7 @@ Purpose    : measurement and model of every probing as the one object that the e
 Takes      : a `Session`, its `ObjectModel`.
 Gives      : `ProbeObservations` of the estimation, one for each probing.
 Depends on : `pipeline.model`, `estimation`, `records`, `bem`, `geometry`; errors, shapes.
-Read first : `session_observations.py`, `converged_observations.py`, then `mesh_errors.py`,
-             `mesh_steps.py`.
+Read first : `session_observations.py`, `converged_observations.py`, then `mesh_errors.py`.
 """
 
 from palpate.pipeline.observations.consistent_contacts import (
@@ -17,10 +16,9 @@ from palpate.pipeline.observations.converged_observations import (
 )
 from palpate.pipeline.observations.mesh_errors import (
     graded_observations as graded_observations,
-    mesh_steps as mesh_steps,
     ungraded_observations as ungraded_observations,
+    with_mesh_steps as with_mesh_steps,
 )
-from palpate.pipeline.observations.mesh_steps import MeshStep as MeshStep
 from palpate.pipeline.observations.prepared_body import prepare_body as prepare_body
 from palpate.pipeline.observations.session_observations import (
     session_observations as session_observations,

@@ -1,19 +1,24 @@
 """Observations with a model on compliant supports, taken at the shear modulus that fits best."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from palpate.bem import DENSE_RESIDUAL
 from palpate.errors import NotConvergedError
 from palpate.estimation import (
     FitSettings,
+    Nuisance,
+    NuisanceParameter,
     ProbeObservations,
+    ResponseTerms,
     best_constants_of,
+    padded,
 )
 from palpate.geometry import bounding_diagonal
-from palpate.pipeline.model import GRADED, GRADED_STD, ObjectModel
-from palpate.pipeline.observations.mesh_steps import MeshStep, extrapolated
+from palpate.pipeline.model import REMAINING_FRACTION, ObjectModel
 from palpate.pipeline.observations.session_observations import session_observations_at
 from palpate.records import Session
 
@@ -21,6 +26,8 @@ from palpate.records import Session
 # the change of its logarithm that ends them (the error is of second order in it), and the longest
 # step.
 _MOST_ROUNDS, _STEP_TOLERANCE, _LONGEST_STEP = 12, 1e-3, 5.0
+
+Terms = Callable[[float], Float[np.ndarray, "n_rows t c"]]
 
 _GRADING = "mesh at rims and hollow edges (in steps from the given to the graded one)"
 
@@ -31,7 +38,6 @@ def converged_observations(
     *,
     settings: FitSettings = FitSettings(),
     coarser: Sequence[ProbeObservations] = (),
-    steps: Sequence[Sequence[MeshStep]] = (),
     with_surface: bool = False,
     residual: float = DENSE_RESIDUAL,
 ) -> list[ProbeObservations]:
@@ -43,9 +49,8 @@ def converged_observations(
     session : Session                     k probings, each with displacements
     model : ObjectModel                   of this session
     settings : FitSettings
-    coarser : sequence of k ProbeObservations, or empty    with the model of the mesh before
-                                          grading: adds the error of the mesh
-    steps : sequence of k sequences of MeshStep    further ones, of each probing; with `coarser`
+    coarser : sequence of k ProbeObservations, or empty    the same on a coarser mesh: adds the
+                                          error of the mesh and the errors that it has there
     with_surface : bool                   True: with responses of all vertices
     residual : float                      as `session_observations_at`
 
@@ -63,13 +68,13 @@ def converged_observations(
     )
     stiffnesses = [each.stiffness for each in session.supports if each.stiffness is not None]
     if not stiffnesses:
-        return _with_mesh_errors(make(1.0), coarser, steps)
+        return _with_mesh_errors(make(1.0), coarser)
     length = bounding_diagonal(session.mesh)
     modulus = min(stiffnesses) * length
     if coarser and coarser[0].settlement is not None:
         modulus = coarser[0].settlement.shear_modulus
     for _ in range(_MOST_ROUNDS):
-        observations = _with_mesh_errors(make(modulus), coarser, steps)
+        observations = _with_mesh_errors(make(modulus), coarser)
         _, best = best_constants_of(observations, settings=settings)
         step = float(np.log(best / modulus))
         if abs(step) < _STEP_TOLERANCE:
@@ -83,14 +88,41 @@ def converged_observations(
 
 
 def _with_mesh_errors(
-    observations: Sequence[ProbeObservations],
-    coarser: Sequence[ProbeObservations],
-    steps: Sequence[Sequence[MeshStep]],
+    observations: Sequence[ProbeObservations], coarser: Sequence[ProbeObservations]
 ) -> list[ProbeObservations]:
     """Observations with the error of the mesh from those on a coarser one, if there are any."""
     if not coarser:
         return list(observations)
-    return [
-        extrapolated(probe, (MeshStep(_GRADING, GRADED, GRADED_STD, coarse, probe), *further))
-        for probe, coarse, further in zip(observations, coarser, steps, strict=True)
-    ]
+    with_errors = []
+    for probe, coarse in zip(observations, coarser, strict=True):
+        error = model_step(
+            _GRADING, REMAINING_FRACTION, coarse.response_terms, probe.response_terms
+        )
+        steps = (each for each in coarse.nuisances if each.parameters[0].is_model_error)
+        with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *steps)))
+    return with_errors
+
+
+def model_step(name: str, std: float, model: Terms, alternative: Terms) -> Nuisance:
+    """An error as large as the difference of two models of the same body, the same in all probings.
+
+    Parameters
+    ----------
+    name : str                      of the error, worded so that it can end a sentence
+    std : float [-]                 standard deviation as a fraction of the step, > 0
+    model, alternative : function   Poisson's ratio -> (n_rows, t, c) float: responses of both
+                                    (`ProbeObservations.response_terms`); the step leads from the
+                                    first to the second
+
+    Returns
+    -------
+    Nuisance
+    """
+
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r t c 1"]:
+        steps = [side(at.poisson_ratio)[at.rows] for side in (model, alternative)]
+        count = max(step.shape[1] for step in steps)
+        first, second = (padded(step[..., None], count) for step in steps)
+        return std * (second - first)
+
+    return Nuisance((NuisanceParameter(name, std, of="mesh", is_model_error=True),), effects)

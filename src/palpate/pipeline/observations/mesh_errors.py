@@ -12,8 +12,7 @@ from palpate.pipeline.model import (
     graded_session,
     make_object_model,
 )
-from palpate.pipeline.observations.converged_observations import converged_observations
-from palpate.pipeline.observations.mesh_steps import MeshStep
+from palpate.pipeline.observations.converged_observations import converged_observations, model_step
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, Session
 
@@ -21,13 +20,10 @@ from palpate.records import EXACT, Session
 # thousandth of the displacement, so it is known to a hundredth; on a plate of 5 mm a residual of
 # 1e-4 changes no constant by 1e-7.
 UNGRADED_RESIDUAL = 1e-5
-# What an estimate calls the errors that come out of the compared meshes; the multiple of each step
-# at which the truth lies, and its standard deviation: found on twelve bodies, where wider fits are
-# no better and no worse, and finer edges lead half of the way or all of it; half as large again as
-# these scatter, for bodies that are unlike them (benchmarks/mesh_steps.py).
+# What an estimate calls the errors that come out of the compared meshes.
 _STEPS = {
-    "wider fits": ("fields between the vertices (in steps to wider fits)", 0.0, 0.75),
-    "finer edges": ("sharp edges (in steps to finer ones)", 0.75, 0.75),
+    "wider fits": "fields between the vertices (in steps to wider fits)",
+    "finer edges": "sharp edges (in steps to finer ones)",
 }
 # Fraction of the work that the integrals take.
 _SOLVED = 0.5
@@ -120,15 +116,16 @@ def _can_be_centred(model: ObjectModel, settings: FitSettings) -> bool:
     return settings.method == FitMethod.REDUCED and model.springs is None and not compressed
 
 
-def mesh_steps(
+def with_mesh_steps(
     session: Session,
     observations: Sequence[ProbeObservations],
     *,
     settings: FitSettings = FitSettings(),
     cache: Path | None = None,
     progress: Progress = silent,
-) -> list[tuple[MeshStep, ...]]:
-    """Steps from the given mesh's model to others: between vertices, and along sharp edges.
+) -> list[ProbeObservations]:
+    """Observations with the errors of the given mesh's model between vertices and along sharp
+    edges, as large as the steps to other meshes.
 
     Parameters
     ----------
@@ -140,15 +137,15 @@ def mesh_steps(
 
     Returns
     -------
-    list of k tuples of MeshStep          empty where the mesh is so large that its integrals are
-                                          compressed: four times as many vertices reduce the error
-                                          between them to a tenth
+    list of k ProbeObservations           unchanged where the mesh is so large that its integrals
+                                          are compressed: four times as many vertices reduce the
+                                          error between them to a tenth
 
     Raises
     ------
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
-    steps: list[tuple[MeshStep, ...]] = [()] * len(observations)
+    stepped = list(observations)
     meshes = compared_meshes(session)
     for number, (name, compared_session, rings) in enumerate(meshes):
         _, compared = ungraded_observations(
@@ -160,11 +157,11 @@ def mesh_steps(
                 progress, number / len(meshes), (number + 1) / len(meshes), prefix=f"{name}, "
             ),
         )
-        steps = [
-            (*before, MeshStep(*_STEPS[name], probe, other))
-            for before, probe, other in zip(steps, observations, compared, strict=True)
-        ]
-    return steps
+        for k, other in enumerate(compared):
+            probe = stepped[k]
+            step = model_step(_STEPS[name], 1.0, probe.response_terms, other.response_terms)
+            stepped[k] = replace(probe, nuisances=(*probe.nuisances, step))
+    return stepped
 
 
 def compared_meshes(session: Session) -> list[tuple[str, Session, int]]:
@@ -203,5 +200,6 @@ def graded_observations(session: Session) -> list[ProbeObservations]:
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
     _, ungraded = ungraded_observations(session)
-    steps, graded = mesh_steps(session, ungraded), graded_session(session)
-    return converged_observations(graded, make_object_model(graded), coarser=ungraded, steps=steps)
+    ungraded = with_mesh_steps(session, ungraded)
+    graded = graded_session(session)
+    return converged_observations(graded, make_object_model(graded), coarser=ungraded)

@@ -27,7 +27,6 @@ from palpate.pipeline.model.contacts.outward import (
     outward_pushes as outward_pushes,
 )
 from palpate.pipeline.model.contacts.perturbations import (
-    DIP as DIP,
     DIP_ERROR as DIP_ERROR,
     RADIUS_ERROR as RADIUS_ERROR,
     ContactPerturbation as ContactPerturbation,
