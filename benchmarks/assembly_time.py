@@ -15,7 +15,6 @@ from palpate.bem.integrals.assembly import Collocation, KernelIntegrals, kernel_
 from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION, FieldLayout
 from palpate.geometry import TriangleMesh
 
-ASKED = {3: (0.4, 0.1), 4: (3.0, 0.8)}
 REPEATS = 3
 
 
@@ -45,7 +44,6 @@ def measure(options: Options) -> list[Figure]:
                 f"separated fields, all pairs, warm, {size} vertices",
                 traction + displacement,
                 "s",
-                *ASKED[level],
                 note=how,
             ),
             Figure(

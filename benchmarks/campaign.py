@@ -117,8 +117,6 @@ def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figur
             CAMPAIGN,
             "results of two workers that differ from one process in any byte",
             len(items) - equal,
-            must=0.0,
-            reach=0.0,
             note=f"all files of {len(items)} half balls: estimate, residuals, surface",
         ),
         Figure(
@@ -126,8 +124,6 @@ def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figur
             f"{len(items)} sessions of the half ball, two workers over one process",
             alone / together,
             "x",
-            must=1.8,
-            higher=True,
             note=f"one process {alone:.1f} s, two workers {together:.1f} s, results kept and rows"
             f" written in both, the start of the cluster left out; processor time {used_alone:.1f}"
             f" and {used_together:.1f} s: {2 * used_alone / used_together:.2f} times on free cores",
@@ -181,7 +177,6 @@ def _engine_cost(items: tuple[CampaignItem, ...], folder: Path) -> list[Figure]:
             f"what engine and folder add to a piece of work of {TASK:g} s",
             100 * cost / TASK,
             "%",
-            must=5.0,
             note=f"{len(works)} works on one worker: {1e3 * (through - alone):.0f} ms each, and"
             f" {1e3 * kept:.0f} ms to keep a result and write its row, which other workers do not"
             f" wait for; {sent / 1e3:.0f} kB there, {size / 1e3:.0f} kB back",
@@ -192,7 +187,6 @@ def _engine_cost(items: tuple[CampaignItem, ...], folder: Path) -> list[Figure]:
             " seconds of a work wait",
             1.0 / (through + kept),
             "1/s",
-            higher=True,
             note="10 000 half balls of 5 s on 200 workers need 40 a second",
         ),
     ]
@@ -235,8 +229,6 @@ def _with_kills(items: tuple[CampaignItem, ...], folder: Path, *, every: float) 
         CAMPAIGN,
         f"sessions without a result, a worker killed every {every:g} s",
         _missing(items, folder / "killed"),
-        must=0.0,
-        reach=0.0,
         note=f"{len(items)} half balls, two workers, {killed} killed; exit code"
         f" {process.returncode}",
     )
@@ -262,8 +254,6 @@ def _with_client_killed(items: tuple[CampaignItem, ...], folder: Path) -> Figure
         CAMPAIGN,
         "sessions lost or done twice, the client killed and started again",
         _missing(items, folder / "client") + again,
-        must=0.0,
-        reach=0.0,
         note=f"{len(before)} of {len(items)} had a result when it was killed; {orphans} workers"
         " outlived it by 2 s",
     )
@@ -300,8 +290,6 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
             CAMPAIGN,
             "sessions without a result, two workers without a shared disk, the scheduler killed",
             _missing(items, campaign),
-            must=0.0,
-            reach=0.0,
             note=f"{len(items)} half balls; {watching} processes of workers, watched, opened"
             f" {len(noted) - watching} files where the sessions lie; the first run ended with code"
             f" {first.returncode}: {told.strip()}",

@@ -82,8 +82,6 @@ def _share(one: _Compared) -> Figure:
         FLOW,
         f"{one.name}: share of the paper's method's error that is left",
         ours / theirs,
-        must=0.1,
-        reach=1 / 30,
         note=f"rms of vertex displacement {1e3 * ours:.4f} mm against {1e3 * theirs:.3f} mm at the"
         f" same {count} vertices of {len(one.ours)} instants",
     )

@@ -27,8 +27,7 @@ def measure(options: Options) -> list[Figure]:
     found = _followed(JointFlow())
     return [
         Figure(
-            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / found.seconds,
-            "1/s", must=4.0, reach=10.0, higher=True,
+            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / found.seconds, "1/s",
             note=f"{len(found.flow.point)} points in the reference camera, {found.vertices}"
             " vertices measured; dense start, refinement with retries, judgement and vertices; best"
             f" of three, the first left aside; {found.parts.described()}",

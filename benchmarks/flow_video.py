@@ -59,13 +59,11 @@ def measure(options: Options) -> list[Figure]:
     return [
         Figure(
             FLOW, f"{what}: memory at the last instant over that at the tenth", last / tenth, "x",
-            must=1.05,
             note=f"`palpate flow --no-pictures` in a process of its own: {tenth:.2f} GB resident at"
             f" most while the tenth motion was measured, {last:.2f} GB while the last one was",
         ),
         Figure(
             FLOW, f"{what}: time per instant, last tenth over the first", final / first, "x",
-            must=1.1, reach=1.0,
             note=f"{final:.2f} s, median of the last tenth of the instants; {first:.2f} s, of"
             " motions 2 to 11; reading, measuring and writing; floor: to decode the three pictures"
             f" of an instant, one after the other, takes {reading:.2f} s",

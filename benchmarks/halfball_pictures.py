@@ -1,8 +1,8 @@
 """Are the constants of a half ball unbiased where its motion comes from pictures?
 
 Sessions of the virtual facility: the half ball of the demo, three probings, each session with a
-material, a texture, arm errors and noise of its own. The reach of a mean error counts only as far
-as the scatter of single sessions permits, so its standard error is printed beside it. Run it with
+material, a texture, arm errors and noise of its own. Each mean error is printed with its standard
+error, from the scatter of single sessions. Run it with
 
     python -m benchmarks.halfball_pictures [SESSIONS]
 """

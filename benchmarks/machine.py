@@ -4,7 +4,6 @@ import os
 import platform
 import subprocess
 from datetime import date
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -12,7 +11,6 @@ ROOT = Path(__file__).resolve().parent.parent
 MADE = ROOT / "build" / "benchmarks"
 SHARED = ROOT.parent / "shared" / "data"
 CORES = 2
-PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "trimesh")
 
 
 def use_cores(count: int = CORES) -> int:
@@ -27,18 +25,13 @@ def use_cores(count: int = CORES) -> int:
     return len(chosen)
 
 
-def described() -> list[tuple[str, str]]:
-    """Machine, date, commit and versions as pairs of a heading and a text."""
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    return [
-        ("Date", date.today().isoformat()),
-        ("Commit", _commit()),
-        ("Processor", f"{_processor()}, {os.cpu_count()} cores seen, {CORES} used at most"),
-        ("Memory", f"{memory:.1f} GiB"),
-        ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
-        ("Python", platform.python_version()),
-        ("Packages", ", ".join(f"{name} {_version(name)}" for name in PACKAGES)),
-    ]
+def described() -> dict[str, str]:
+    """Date, commit and processor, by the name of their column in figures.csv."""
+    return {
+        "date": date.today().isoformat(),
+        "commit": _commit(),
+        "processor": f"{_processor()}, {os.cpu_count()} cores seen, {CORES} used at most",
+    }
 
 
 def peak_memory() -> int:
@@ -62,18 +55,13 @@ def _processor() -> str:
     return platform.processor() or "unknown processor"
 
 
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "not installed"
-
-
 def _commit() -> str:
     head = _git("rev-parse", "--short", "HEAD")
     if head is None:
         return "unknown"
-    changed = _git("status", "--porcelain", "--", "src", "benchmarks")
+    # What a run before this one wrote is no change of the program.
+    written = (":!benchmarks/figures.csv", ":!benchmarks/plots")
+    changed = _git("status", "--porcelain", "--", "src", "benchmarks", *written)
     return f"{head} with uncommitted changes" if changed else head
 
 

@@ -32,8 +32,6 @@ def measure(options: Options) -> list[Figure]:
             f"peak memory, {10 * 4**level + 2} vertices, 17 probings",
             int(done.stdout.splitlines()[-1]) / GIGABYTE,
             "GB",
-            must=1.4,
-            reach=1.0,
             note="largest resident memory of `palpate fit` on a ball session: interpreter, fit,"
             " likelihood map and plots included",
         )

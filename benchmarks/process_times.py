@@ -36,8 +36,6 @@ def measure(options: Options) -> list[Figure]:
             "`palpate fit` of the shipped beam, first process, compilation included",
             first,
             "s",
-            must=8.0,
-            reach=2.0,
             note="without `palpate compile`: empty numba cache and empty matplotlib cache, plots"
             " written; files of the packages are warm in memory",
         ),
@@ -46,8 +44,6 @@ def measure(options: Options) -> list[Figure]:
             "`palpate fit` of the shipped beam, later processes",
             min(later),
             "s",
-            must=2.0,
-            reach=1.0,
             note=f"shortest of {len(later)}, plots written; floor: to start the interpreter and to"
             f" import what a fit uses takes {imported:.1f} s",
         ),
@@ -56,8 +52,6 @@ def measure(options: Options) -> list[Figure]:
             "first `palpate fit` after the install: compilation, beam",
             after - min(later),
             "s",
-            must=8.0,
-            reach=0.0,
             note=f"first process after `palpate compile` (which took {compiling:.1f} s) less the"
             f" shortest later one; without it {first - min(later):.1f} s",
         ),
@@ -66,8 +60,6 @@ def measure(options: Options) -> list[Figure]:
             "first `palpate fit` after the install: compilation, half ball from pictures",
             first_seen - min(later_seen),
             "s",
-            must=12.0,
-            reach=0.0,
             note=f"likewise; the first process took {first_seen:.1f} s",
         ),
         Figure(
@@ -75,8 +67,6 @@ def measure(options: Options) -> list[Figure]:
             "`palpate --help`",
             min(help_times),
             "s",
-            must=0.7,
-            reach=0.3,
             note=f"shortest of {len(help_times)}",
         ),
     ]

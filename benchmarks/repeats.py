@@ -60,8 +60,6 @@ def _covered(name: str, outcome: Coverage) -> list[Figure]:
                 f"95 % interval of {symbol} covers the truth, {outcome.repeats} {OWN}, {name}",
                 share,
                 "%",
-                must=(92.0, 98.0),
-                reach=(94.0, 96.0),
                 note=f"+- {chance:.1f} % by chance; displacements made by the model itself",
             )
         )
@@ -75,8 +73,6 @@ def _errors(name: str, outcome: Coverage) -> list[Figure]:
             f"rms error of {symbol} over Cramer-Rao bound, {outcome.repeats} {OWN}, {name}",
             outcome.error_over_bound[constant],
             "x",
-            must=1.5,
-            reach=1.1,
             note=f"17 probings of halfball_probes, every {STEP}th point; bound for Gaussian noise;"
             f" mean error {outcome.bias_over_bound[constant]:+.2f} bounds",
         )

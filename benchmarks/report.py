@@ -1,89 +1,88 @@
-"""BENCHMARK.md from figures."""
+"""figures.csv from figures, and from it BENCHMARK.md: the twenty that a sceptic asks for first."""
 
-from collections.abc import Sequence
+import csv
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from benchmarks.figure import (
-    BEM,
-    CAMPAIGN,
-    DOOR,
-    ESTIMATION,
-    FACILITY,
-    FLOW,
-    SIMULATION,
-    Figure,
-    Limit,
-)
+import numpy as np
 
-HEAD = "| what | unit | must | reach for | reached | kept | how |"
-KEPT = (
-    '"kept" says which demand is met: "reach", "must", or "missed"; "not reached" where only "reach'
-    ' for" is asked. Rows without a demand stand beside the others for comparison. x = times.'
-)
-MARK = "<!-- part: "
-_SECTIONS = (BEM, ESTIMATION, FLOW, FACILITY, SIMULATION, CAMPAIGN, DOOR)
-RULE = "| --- | --- | --- | --- | --- | --- | --- |"
+from benchmarks.figure import Figure
+from benchmarks.headlines import HEADLINES, Headline
+
+COLUMNS = ("part", "date", "commit", "processor", "section", "what", "unit", "figure", "how")
+Row = dict[str, str]
+_UNITS = {"": "", "x": "x", "1/s": " a second", "k": " thousand"}
 
 
-def as_markdown(
-    figures: Sequence[Figure], machine: Sequence[tuple[str, str]], failures: dict[str, str]
-) -> str:
-    """One part of the report.
+def write_part(
+    path: Path, part: str, figures: Sequence[Figure], machine: Mapping[str, str]
+) -> None:
+    """Replace the rows of one part; the other parts stay as they were measured.
 
     Parameters
     ----------
-    figures : sequence of Figure
-    machine : pairs of str          from `machine.described`
-    failures : subject -> message   subjects that stopped before their figures
-    """
-    lines = [f"- {heading}: {text}" for heading, text in machine]
-    for section in _SECTIONS:
-        rows = [_row(figure) for figure in figures if figure.section == section]
-        if rows:
-            lines += ["", f"## {section}", "", HEAD, RULE, *rows]
-    if failures:
-        lines += ["", "## Not measured", ""]
-        lines += [f"- `{name}`: {message}" for name, message in failures.items()]
-    return "\n".join(lines) + "\n"
-
-
-def write_part(path: Path, part: str, text: str) -> None:
-    """Put one part into the report; the other parts stay as they were measured.
-
-    Parameters
-    ----------
-    path : Path                     made where it is not there
+    path : Path                     of figures.csv, made where it is not there
     part : str                      its name; parts stand in alphabetical order
-    text : str                      of `as_markdown`
+    figures : sequence of Figure
+    machine : str -> str            from `machine.described`
     """
-    parts: dict[str, str] = {}
-    if path.exists():
-        pieces = path.read_text(encoding="utf-8").split(MARK)
-        for piece in pieces[1:]:
-            name, _, body = piece.partition(" -->\n")
-            parts[name] = body
-    parts[part] = "\n" + text + "\n"
-    head = "\n".join(
-        ["# Benchmark", "", "Written by `python -m benchmarks.run`; do not edit by hand."]
-    )
-    body = "".join(f"{MARK}{name} -->\n{parts[name]}" for name in sorted(parts))
-    path.write_text(f"{head}\n\n{KEPT}\n\n{body}".rstrip() + "\n", encoding="utf-8")
+    others = [row for row in read_rows(path) if row["part"] != part] if path.exists() else []
+    found = [_row(part, figure, machine) for figure in figures]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(sorted([*others, *found], key=lambda row: row["part"]))
+
+
+def read_rows(path: Path) -> list[Row]:
+    """All rows of figures.csv, each by column."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_page(path: Path, page: Path) -> None:
+    """Write BENCHMARK.md: headlines beside their anchors, and the plots.
+
+    Parameters
+    ----------
+    path : Path                     of figures.csv; what it lacks is left out of the page
+    page : Path                     replaced
+    """
+    rows = {row["what"]: row for row in read_rows(path) if row["figure"]}
+    lines = ["# Benchmark", "", _introduction(list(rows.values()))]
+    for subject, headlines in HEADLINES.items():
+        cells = [_cells(headline, rows) for headline in headlines if headline.what in rows]
+        if cells:
+            lines += [
+                "",
+                f"## {subject}",
+                "",
+                "| what | figure | beside it |",
+                "| --- | ---: | --- |",
+            ]
+            lines += [f"| {' | '.join(each)} |" for each in cells]
+    lines += [
+        "",
+        "## Plots",
+        "",
+        "![rms error against points per CPU second, by program](benchmarks/plots/correlation.svg)",
+        "",
+        "![share of 95 % intervals that hold the truth](benchmarks/plots/coverage.svg)",
+    ]
+    page.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def as_text(figures: Sequence[Figure]) -> str:
     """A short table for the screen."""
     return "\n".join(
-        f"{figure.verdict or '-':>12}  {number(figure.reached):>9} {figure.unit:<2}"
-        f"  (must {_limit(figure.must, figure.higher) or '-'},"
-        f" reach {_limit(figure.reach, figure.higher) or '-'})  {figure.name}"
-        for figure in figures
+        f"{number(figure.reached):>9} {figure.unit:<7}  {figure.name}" for figure in figures
     )
 
 
 def with_notes(figures: Sequence[Figure]) -> str:
     """The same, how each was measured below it."""
     return "\n".join(
-        as_text([figure]) + (f"\n{'':16}{figure.note}" if figure.note else "") for figure in figures
+        as_text([figure]) + (f"\n{'':19}{figure.note}" if figure.note else "") for figure in figures
     )
 
 
@@ -96,22 +95,41 @@ def number(value: float | None) -> str:
     return f"{value:.1e}"
 
 
-def _row(figure: Figure) -> str:
-    limits = (_limit(figure.must, figure.higher), _limit(figure.reach, figure.higher))
-    cells = (
-        figure.name,
-        figure.unit,
-        *limits,
-        number(figure.reached),
-        figure.verdict,
-        figure.note.replace("|", "\\|"),
+def _row(part: str, figure: Figure, machine: Mapping[str, str]) -> Row:
+    return {
+        **{name: machine[name] for name in ("date", "commit", "processor")},
+        "part": part,
+        "section": figure.section,
+        "what": figure.name,
+        "unit": figure.unit,
+        "figure": "" if figure.reached is None else number(figure.reached),
+        "how": figure.note,
+    }
+
+
+def _introduction(rows: Sequence[Row]) -> str:
+    """How to measure again, and where and when it was."""
+    dates, machines = (sorted({row[name] for row in rows}) for name in ("date", "processor"))
+    when = " to ".join(dict.fromkeys([dates[0], dates[-1]]))
+    return (
+        "`make benchmark` measures everything again and writes this page, `python -m benchmarks.run"
+        " --part NAME` one part of it. All figures, with how each was measured, its machine, date"
+        " and commit, are in [benchmarks/figures.csv](benchmarks/figures.csv). Those below:"
+        f" {'; '.join(machines)}; {when}."
     )
-    return "| " + " | ".join(cells) + " |"
 
 
-def _limit(limit: Limit, higher: bool) -> str:
-    if limit is None:
-        return ""
-    if isinstance(limit, tuple):
-        return f"{number(limit[0])} to {number(limit[1])}"
-    return f"{'>=' if higher else '<='} {number(limit)}"
+def _cells(headline: Headline, rows: Mapping[str, Row]) -> tuple[str, str, str]:
+    """Label, figure and anchors; anchors that were not measured are left out."""
+    beside = [
+        anchor if isinstance(anchor, str) else f"{anchor[0]}: {_shown(rows[anchor[1]])}"
+        for anchor in headline.beside
+        if isinstance(anchor, str) or anchor[1] in rows
+    ]
+    return headline.label, _shown(rows[headline.what]), "; ".join(beside)
+
+
+def _shown(row: Row) -> str:
+    """A figure with its unit, without powers of ten."""
+    figure = np.format_float_positional(float(row["figure"]), trim="-")
+    return f"{figure}{_UNITS.get(row['unit'], ' ' + row['unit'])}"

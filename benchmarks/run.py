@@ -1,7 +1,8 @@
-"""The one command: measures every subject in a process of its own and writes BENCHMARK.md.
+"""The one command: measures every subject in a process of its own and writes what it finds.
 
-A full run writes BENCHMARK.md at the root of the project; `--part` writes one part of it anew. With
-`--only` or `--quick` the figures are printed and nothing is written: a part never mixes runs.
+A full run writes figures.csv, and from it BENCHMARK.md at the root of the project and its plots;
+`--part` does so for one part of the figures. With `--only` or `--quick` the figures are printed and
+nothing is written: a part never mixes runs.
 """
 
 import argparse
@@ -11,11 +12,13 @@ import sys
 import time
 from collections.abc import Sequence
 
-from benchmarks.figure import Figure, figure_from_plain
+from benchmarks.figure import NOT_MEASURED, Figure
 from benchmarks.machine import ROOT, described, use_cores
-from benchmarks.report import as_markdown, as_text, write_part
+from benchmarks.plots import draw_plots
+from benchmarks.report import as_text, write_page, write_part
 
-# Each part of the report is measured as a whole and says when, where and on which commit.
+FIGURES = ROOT / "benchmarks" / "figures.csv"
+# Each part of the figures is measured as a whole and says when, where and on which commit.
 PARTS = {
     "model": (
         "cube",
@@ -58,32 +61,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         chosen = {"": options.only}
     failed = False
     for part, subjects in chosen.items():
-        figures, failures = _all_measured(subjects, quick=options.quick, peers=options.peers)
-        failed |= bool(failures)
+        figures = _all_measured(subjects, quick=options.quick, peers=options.peers)
+        failed |= any(figure.section == NOT_MEASURED for figure in figures)
         if part and not options.quick:
-            write_part(ROOT / "BENCHMARK.md", part, as_markdown(figures, machine, failures))
-            print(f"part '{part}' written to {ROOT / 'BENCHMARK.md'}")
+            write_part(FIGURES, part, figures, machine)
+            draw_plots(FIGURES, FIGURES.parent / "plots")
+            write_page(FIGURES, ROOT / "BENCHMARK.md")
+            print(f"part '{part}' written to {FIGURES} and {ROOT / 'BENCHMARK.md'}")
     return 1 if failed else 0
 
 
-def _all_measured(
-    subjects: Sequence[str], *, quick: bool, peers: bool
-) -> tuple[list[Figure], dict[str, str]]:
-    """Figures of some subjects, and the subjects that stopped, with their messages."""
+def _all_measured(subjects: Sequence[str], *, quick: bool, peers: bool) -> list[Figure]:
+    """Figures of some subjects; one that says why for each subject that stopped."""
     figures: list[Figure] = []
-    failures: dict[str, str] = {}
     for name in subjects:
         start = time.perf_counter()
         print(f"{name} ...", end=" ", flush=True)
         found = _measured(name, quick=quick, peers=peers)
         print(f"{time.perf_counter() - start:.0f} s", flush=True)
         if isinstance(found, str):
-            failures[name] = found
+            figures.append(Figure(NOT_MEASURED, name, None, note=found))
             print(f"{name} failed: {found}", file=sys.stderr)
             continue
         print(as_text(found), flush=True)
         figures += found
-    return figures, failures
+    return figures
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -103,7 +105,7 @@ def _measured(name: str, *, quick: bool, peers: bool) -> list[Figure] | str:
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
         return f"stopped with exit code {done.returncode}; its message is on the screen"
-    return [figure_from_plain(values) for values in json.loads(done.stdout.splitlines()[-1])]
+    return [Figure(**values) for values in json.loads(done.stdout.splitlines()[-1])]
 
 
 if __name__ == "__main__":

@@ -155,11 +155,11 @@ def shape_figures(folder: Path, shape: str, vertices: int) -> list[Figure]:
     )
     return [
         Figure(DOOR, f"{name}: what `palpate check` finds wrong with the mesh", float(len(notes)),
-               must=0.0, note="; ".join(notes) or "closed, manifold, outward"),
+               note="; ".join(notes) or "closed, manifold, outward"),
         Figure(DOOR, f"{name}: distance from the true surface, 95 % of what was seen",
-               1e3 * row.near, "mm", must=0.15, reach=0.05, note=distance),
+               1e3 * row.near, "mm", note=distance),
         Figure(DOOR, f"{name}: volume of the flat triangles, off by", 100 * abs(row.flat), "%",
-               must=1.0, reach=0.3, note=f"{100 * row.flat:+.2f} %; of the model's curved ones"
+               note=f"{100 * row.flat:+.2f} %; of the model's curved ones"
                f" {100 * row.smooth:+.2f} %"),
     ]  # fmt: skip
 
@@ -182,7 +182,7 @@ def pose_figures(folder: Path) -> list[Figure]:
         shifts.append(1e3 * np.linalg.norm(one.points.mean(axis=0) - place_true.mean(axis=0)))
     name = f"turntable of {_VIEWS} views, poses not told: largest"
     return [
-        Figure(DOOR, f"{name} {what}", float(max(errors)), unit, must=0.3, reach=0.05,
+        Figure(DOOR, f"{name} {what}", float(max(errors)), unit,
                note=f"rms {np.sqrt(np.mean(np.square(errors))):.3f} {unit}; {seconds:.0f} s")
         for what, errors, unit in (("turn", turns, "deg"), ("shift", shifts, "mm"))
     ]  # fmt: skip
@@ -203,8 +203,7 @@ def view_figure(folder: Path, shape: str) -> Figure:
     size = " x ".join(str(side) for side in rig.cameras[0].size or ())
     return Figure(
         DOOR, f"one dense view of the {shape}, {size} x 3, seconds of processors", min(seconds[1:]),
-        "s", must=3.0, reach=1.0,
-        note=f"{len(found.point)} points; least of 3, threads: {numba.get_num_threads()}",
+        "s", note=f"{len(found.point)} points; least of 3, threads: {numba.get_num_threads()}",
     )  # fmt: skip
 
 
