@@ -126,20 +126,24 @@ class LoadTable:
     @property
     def weight_columns(self) -> Int[np.ndarray, " w"]:
         """Columns of the weight: two, or none."""
-        first = 3 * len(self.patches) + len(self.pressed)
-        return first + np.arange(0 if self.weight is None else 2)
+        return np.arange(*self._ends[2:4])
 
     @property
     def motion_columns(self) -> Int[np.ndarray, " q"]:
         """Columns of the motions of supports."""
-        first = 3 * len(self.patches) + len(self.pressed) + self.weight_columns.size
-        return first + np.arange(self.shapes.shape[2])
+        return np.arange(*self._ends[3:5])
 
     @property
     def perturbation_columns(self) -> Int[np.ndarray, " p"]:
         """Columns of the perturbations."""
-        first = 3 * len(self.patches) + len(self.pressed) + self.weight_columns.size
-        return first + self.shapes.shape[2] + np.arange(len(self.perturbations))
+        return np.arange(*self._ends[4:])
+
+    @property
+    def _ends(self) -> Int[np.ndarray, "6"]:
+        """Where the columns of each kind begin, and where the last ones end."""
+        weight, motions = 0 if self.weight is None else 2, self.shapes.shape[2]
+        counts = (3 * len(self.patches), len(self.pressed), weight, motions)
+        return np.cumsum([0, *counts, len(self.perturbations)])
 
     def integrate(self, system: BoundarySystem) -> tuple[RightHand, BodyForce | None]:
         """All columns for a system on the surface of this table.
@@ -153,9 +157,7 @@ class LoadTable:
         RightHand
         BodyForce or None             None: there is no weight
         """
-        before = 3 * len(self.patches) + len(self.pressed) + self.weight_columns.size
-        count = before + self.motion_columns.size + self.perturbation_columns.size
-        terms = np.zeros((3, 3 * system.n_points + 3, count))
+        terms = np.zeros((3, 3 * system.n_points + 3, self._ends[-1]))
         for traction in self.tractions:
             terms[:, :, traction.columns] += traction.terms(system)
         dips = [(each.columns, *dip) for each in self.tractions for dip in each.dips()]
@@ -250,8 +252,9 @@ def _nominal(
 
 def _outward(session: Session, table: LoadTable) -> Iterator[tuple[SurfaceLoad, _Forces]]:
     """The outward parts of tractions, in proportion to the normal component of the force."""
+    normals = unit_normals(session.mesh)
     for patch in table.patches.values():
-        normal = unit_normals(session.mesh)[patch.triangle]
+        normal = normals[patch.triangle]
         every = _units(table, patch)
         for column, each, pushed in _own(session, table, patch):
             if each.outward:
