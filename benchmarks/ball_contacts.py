@@ -31,9 +31,7 @@ from benchmarks.body_truth import (
 )
 from benchmarks.coverage_of_bodies import MESHES, NOISE, constants, errors_of, held
 from palpate.geometry import TriangleMesh, closest_points
-from palpate.lab import (
-    half_ball,
-)
+from palpate.lab import half_ball
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,

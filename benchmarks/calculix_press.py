@@ -26,15 +26,9 @@ from jaxtyping import Float, Int
 
 from benchmarks.bodies import BODIES
 from palpate.geometry import TriangleMesh
-from palpate.lab import (
-    half_ball,
-)
+from palpate.lab import half_ball
 from palpate.shapes import Points, Vector3
-from palpate.solids import (
-    Solid,
-    make_solid,
-    surface_values,
-)
+from palpate.solids import Solid, make_solid, surface_values
 from palpate.solids.tetrahedra import FACES
 
 SHEAR_MODULUS = 2e4

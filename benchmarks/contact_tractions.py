@@ -15,11 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.geometry import closest_points
-from palpate.lab import (
-    built_in,
-    half_ball,
-    read_lab_config,
-)
+from palpate.lab import built_in, half_ball, read_lab_config
 from palpate.lab.bench.arm import aim, solid_under
 from palpate.pipeline import fit_session
 from palpate.records import (
@@ -31,12 +27,7 @@ from palpate.records import (
     Session,
     Tool,
 )
-from palpate.solids import (
-    held_nodes,
-    make_body,
-    press_to_force,
-    surface_values,
-)
+from palpate.solids import held_nodes, make_body, press_to_force, surface_values
 from palpate.solids.finite_elements import solve_load
 
 _EDGE, _AWAY = 0.0042, 0.010

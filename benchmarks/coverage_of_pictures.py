@@ -16,12 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.coverage_of_bodies import NAMES, held
-from palpate.lab import (
-    LabConfig,
-    choose_variant,
-    make_sessions,
-    read_lab_config,
-)
+from palpate.lab import LabConfig, choose_variant, make_sessions, read_lab_config
 from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.records import ErrorPriors, Session, read_session
 

@@ -9,10 +9,7 @@ import numpy as np
 from benchmarks.clock import shortest
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
-from palpate.lab import (
-    choose_variant,
-    read_lab_config,
-)
+from palpate.lab import choose_variant, read_lab_config
 from palpate.lab.bench.arm import aim, rod_at
 from palpate.lab.config_files import built_in
 from palpate.lab.pictures import scene

@@ -24,9 +24,7 @@ from benchmarks.report import with_notes
 from benchmarks.scanning import RADIUS, turntable
 from palpate.calibration import view_object
 from palpate.geometry import TriangleMesh
-from palpate.lab import (
-    SHAPES,
-)
+from palpate.lab import SHAPES
 from palpate.records import Rig, RigCovariance, read_rig
 from palpate.shapes import Points
 from palpate.vision import calibration_numbers, moved_rig, project, surface_map, triangulate

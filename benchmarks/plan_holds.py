@@ -14,12 +14,7 @@ import numpy as np
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
 from palpate.estimation import FitResult, cramer_rao_bound
-from palpate.lab import (
-    LabConfig,
-    choose_variant,
-    make_sessions,
-    read_lab_config,
-)
+from palpate.lab import LabConfig, choose_variant, make_sessions, read_lab_config
 from palpate.pipeline import MeasurementPlan, fit_session, plan_measurement, with_pictures_measured
 from palpate.records import read_session
 

@@ -27,10 +27,7 @@ from benchmarks.machine import MADE
 from benchmarks.options import Options
 from benchmarks.press_videos import FILM, make_recording
 from benchmarks.report import with_notes
-from palpate.lab import (
-    built_in,
-    read_lab_config,
-)
+from palpate.lab import built_in, read_lab_config
 from palpate.pipeline import fit_session, measure_motion, with_measured_displacement
 from palpate.recording import Recorded, find_presses, read_recording, write_recorded
 from palpate.records import SESSION_FORMAT, read_session, write_text

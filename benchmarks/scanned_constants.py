@@ -24,9 +24,7 @@ from benchmarks.options import Options
 from benchmarks.report import with_notes
 from benchmarks.scanning import RADIUS, turntable
 from palpate.geometry import TriangleMesh, closest_points, read_mesh, write_mesh
-from palpate.lab import (
-    SHAPES,
-)
+from palpate.lab import SHAPES
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,
@@ -40,10 +38,7 @@ from palpate.records import (
 from palpate.scanning import Plane, read_scan, remeshed, scan_surface
 from palpate.scanning.mending import above
 from palpate.shapes import Points
-from palpate.solids import (
-    make_body,
-    make_solid,
-)
+from palpate.solids import make_body, make_solid
 
 POISSON_RATIO, PATCH, FORCE = 0.3, 6e-3, 1.0
 # Edges of the exact surface and of the elements [m]; vertices of the elements' surface, of the mesh

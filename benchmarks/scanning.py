@@ -22,12 +22,7 @@ from benchmarks.machine import MADE
 from benchmarks.options import Options
 from benchmarks.report import with_notes
 from palpate.geometry import TriangleMesh, checked_mesh, enclosed_volume, refined_surface
-from palpate.lab import (
-    SHAPES,
-    choose_variant,
-    make_session,
-    read_lab_config,
-)
+from palpate.lab import SHAPES, choose_variant, make_session, read_lab_config
 from palpate.records import read_rig
 from palpate.scanning import ScannedSurface, distances, read_scan, scan_surface
 from palpate.scanning.joining import posed

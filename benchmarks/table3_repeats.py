@@ -24,13 +24,7 @@ from palpate.campaign import (
     run_campaign,
     started_engine,
 )
-from palpate.lab import (
-    Material,
-    built_in,
-    choose_variant,
-    make_sessions,
-    read_lab_config,
-)
+from palpate.lab import Material, built_in, choose_variant, make_sessions, read_lab_config
 from palpate.paper import (
     CALIBRATION,
     CONSTANTS,

@@ -5,9 +5,7 @@ from functools import cache
 import numpy as np
 
 from palpate.geometry import TriangleMesh
-from palpate.lab import (
-    SHAPES,
-)
+from palpate.lab import SHAPES
 from palpate.records import Camera
 from palpate.scanning import View, make_view
 from palpate.vision import surface_map

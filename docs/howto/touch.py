@@ -27,9 +27,7 @@ from palpate.simulation import (
     surface_displacement,
     touch,
 )
-from palpate.solids import (
-    make_solid,
-)
+from palpate.solids import make_solid
 
 ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"

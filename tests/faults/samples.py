@@ -31,9 +31,7 @@ from palpate.calibration import Charuco, Chessboard
 from palpate.calibration.sightings import eight_bits
 from palpate.campaign import Store, read_items
 from palpate.geometry import read_mesh, write_mesh
-from palpate.lab import (
-    read_lab_config,
-)
+from palpate.lab import read_lab_config
 from palpate.pipeline import read_fitted_surface
 from palpate.probe import read_compression
 from palpate.recording import read_recording

@@ -9,9 +9,7 @@ from cyclopts import CycloptsError
 from make_map import ROOT, SOURCE
 
 from palpate.app.arguments import expanded_words, make_app
-from palpate.lab import (
-    read_lab_config,
-)
+from palpate.lab import read_lab_config
 
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),

@@ -6,13 +6,7 @@ from lab.lab_configs import HALF_BALL, STAGE
 
 from palpate.errors import RecordError
 from palpate.geometry import enclosed_volume, write_mesh
-from palpate.lab import (
-    Arm,
-    Calibration,
-    Head,
-    Pictures,
-    read_lab_config,
-)
+from palpate.lab import Arm, Calibration, Head, Pictures, read_lab_config
 from palpate.lab.config_files import built_in
 from palpate.lab.specimens import block
 

@@ -11,13 +11,7 @@ from lab.planned_sessions import planned_session
 
 from palpate.errors import InputError
 from palpate.geometry import closest_points
-from palpate.lab import (
-    Calibration,
-    Material,
-    Sensor,
-    Variant,
-    read_lab_config,
-)
+from palpate.lab import Calibration, Material, Sensor, Variant, read_lab_config
 from palpate.lab.config_files import built_in
 from palpate.paper import budget
 from palpate.paper.budget import SourceErrors, budget_picture, budget_table, sizes_table

@@ -8,9 +8,7 @@ import pytest
 from estimate_samples import NU, SHEAR, YOUNG, sample_result
 
 from palpate.errors import InputError
-from palpate.lab import (
-    Material,
-)
+from palpate.lab import Material
 from palpate.paper.constants import (
     EstimatedConstants,
     compressed_modulus,

@@ -10,11 +10,7 @@ from lab.planned_sessions import planned_session
 from paper.rigid_sessions import RIGID_SESSION, step_text
 
 from palpate.errors import InputError, RecordError
-from palpate.lab import (
-    Material,
-    choose_variant,
-    read_lab_config,
-)
+from palpate.lab import Material, choose_variant, read_lab_config
 from palpate.paper.motion import flow_rows, vertex_rows
 from palpate.paper.sessions import (
     METHODS,

@@ -7,14 +7,7 @@ from surfaces import box
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
 from palpate.recording.contact_point import ContactModel, find_contact, make_contact_model
-from palpate.solids import (
-    TIPS,
-    held_nodes,
-    make_body,
-    make_solid,
-    press_to_force,
-    surface_values,
-)
+from palpate.solids import TIPS, held_nodes, make_body, make_solid, press_to_force, surface_values
 
 _CONTACT = np.array([0.004, -0.003, 0.0])
 _SIZE = np.array([0.05, 0.05, 0.025])

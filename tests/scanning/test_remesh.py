@@ -6,9 +6,7 @@ from broken_surfaces import ball, box, made
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry import checked_mesh, enclosed_volume, half_edges, mesh_quality
-from palpate.lab import (
-    SHAPES,
-)
+from palpate.lab import SHAPES
 from palpate.scanning import deviation, distances, remeshed
 
 

@@ -21,10 +21,7 @@ from palpate.simulation import FORMATS, export_fit, read_fit, read_green_functio
 from palpate.simulation.formats import npz, registry
 from palpate.simulation.material import exact_material
 from palpate.simulation.solid_model import make_estimated_object, make_solid_model
-from palpate.solids import (
-    make_body,
-    solve_load,
-)
+from palpate.solids import make_body, solve_load
 
 
 @pytest.fixture(scope="module")

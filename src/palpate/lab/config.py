@@ -13,9 +13,7 @@ from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records import MODULUS_RANGE
 from palpate.shapes import Indices, Vector3
-from palpate.solids import (
-    TipName,
-)
+from palpate.solids import TipName
 
 # Largest size of a picture: that of the largest image sensors; truth maps take 100 bytes a pixel.
 _MOST_PIXELS = 1e8

@@ -22,9 +22,7 @@ from palpate.lab.pictures import dot_count, make_head
 from palpate.lab.specimens import SHAPES
 from palpate.records import STIFFNESS_UNITS, TomlTable, read_support, read_toml
 from palpate.shapes import Indices
-from palpate.solids import (
-    TIPS,
-)
+from palpate.solids import TIPS
 
 LAB_FORMAT = "palpate-lab/1"
 # Keys that are not fields of `LabConfig`, or are converted before they become fields.

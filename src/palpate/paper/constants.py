@@ -10,23 +10,14 @@ from jaxtyping import Bool, Float
 from palpate.errors import InputError
 from palpate.estimation import FitResult
 from palpate.figures import Picture, displacement_figure, figure_pixels
-from palpate.lab import (
-    Material,
-    cylinder,
-)
+from palpate.lab import Material, cylinder
 from palpate.paper.motion import PAPER
 from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
 from palpate.paper.result import Cell, ResultTable
 from palpate.paper.sessions import Method, PaperSession
 from palpate.pipeline import fit_session, with_measured_displacement
 from palpate.records import Constant, Estimate, ProbeEstimate, Session
-from palpate.solids import (
-    Punch,
-    held_nodes,
-    make_body,
-    make_solid,
-    press,
-)
+from palpate.solids import Punch, held_nodes, make_body, make_solid, press
 
 # Cylinder cut from foam [m], and the strain of the compression test.
 _RADIUS, _HEIGHT, _STRAIN = 0.015, 0.03, 0.01

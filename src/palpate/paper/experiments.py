@@ -8,12 +8,7 @@ import numpy as np
 
 from palpate.arrays import known_median
 from palpate.figures import Picture, figure_pixels, probings_figure
-from palpate.lab import (
-    LabConfig,
-    Variant,
-    built_in,
-    read_lab_config,
-)
+from palpate.lab import LabConfig, Variant, built_in, read_lab_config
 from palpate.paper.budget import budget_picture, budget_table, error_budget, sizes_table
 from palpate.paper.constants import (
     compressed_modulus,

@@ -10,12 +10,7 @@ from jaxtyping import Float
 
 from palpate.errors import InputError
 from palpate.files import stored_arrays
-from palpate.lab import (
-    LabConfig,
-    Material,
-    Variant,
-    make_session,
-)
+from palpate.lab import LabConfig, Material, Variant, make_session
 from palpate.pipeline import FLOW_METHODS, MeasuredMotion, SessionFlow, measure_motion
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, TomlTable, read_session, read_toml

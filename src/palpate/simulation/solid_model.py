@@ -22,12 +22,7 @@ from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Estimate, Probing, Session
 from palpate.shapes import Points, Vector3
 from palpate.simulation.material import Material
-from palpate.solids import (
-    Solid,
-    held_nodes,
-    make_solid,
-    surface_values,
-)
+from palpate.solids import Solid, held_nodes, make_solid, surface_values
 
 # Density of a body whose session gives none: that of water [kg/m^3].
 USUAL_DENSITY = 1000.0

@@ -18,10 +18,7 @@ from palpate.app.commands import reproduce as reproduce_command
 from palpate.app.commands.reproduce import reproduce
 from palpate.errors import InputError
 from palpate.geometry import write_mesh
-from palpate.lab import (
-    Variant,
-    read_lab_config,
-)
+from palpate.lab import Variant, read_lab_config
 from palpate.lab.config_files import built_in
 from palpate.paper.budget import SourceErrors
 from palpate.paper.experiments import EXPERIMENTS

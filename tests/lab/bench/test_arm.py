@@ -7,14 +7,7 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
-from palpate.lab import (
-    Arm,
-    Head,
-    Material,
-    Probe,
-    built_in,
-    read_lab_config,
-)
+from palpate.lab import Arm, Head, Material, Probe, built_in, read_lab_config
 from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at, solid_under
 from palpate.lab.bench.session_text import probe_tables
 from palpate.lab.config import Specimen

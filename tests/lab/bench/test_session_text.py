@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from lab.lab_configs import HALF_BALL, STAGE
 
-from palpate.lab import (
-    Sensor,
-    read_lab_config,
-)
+from palpate.lab import Sensor, read_lab_config
 from palpate.lab.bench.session_text import probe_tables, step_tables, write_session
-from palpate.solids import (
-    TIPS,
-    Press,
-)
+from palpate.solids import TIPS, Press
 
 
 @pytest.fixture

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.errors import InputError
-from palpate.lab import (
-    Pictures,
-)
+from palpate.lab import Pictures
 from palpate.lab.pictures.sensor import (
     blur_radius,
     defocused,

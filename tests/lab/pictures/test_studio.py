@@ -8,12 +8,7 @@ from lab.lab_configs import HALF_BALL
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.lab import (
-    Look,
-    Pictures,
-    choose_variant,
-    read_lab_config,
-)
+from palpate.lab import Look, Pictures, choose_variant, read_lab_config
 from palpate.lab.pictures.head import make_head
 from palpate.lab.pictures.studio import exposure, make_studio, photograph
 from palpate.lab.specimens import rod

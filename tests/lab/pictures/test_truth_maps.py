@@ -10,9 +10,7 @@ from surfaces import box, sphere
 
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh, read_mesh
-from palpate.lab import (
-    Pictures,
-)
+from palpate.lab import Pictures
 from palpate.lab.pictures.mitsuba_variant import choose_variant
 from palpate.lab.pictures.render_mesh import make_render_mesh
 from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render

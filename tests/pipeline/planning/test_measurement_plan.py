@@ -8,11 +8,7 @@ from lab.lab_configs import HALF_BALL
 from lab.planned_sessions import planned_session
 
 from palpate.errors import InputError
-from palpate.lab import (
-    choose_variant,
-    make_session,
-    read_lab_config,
-)
+from palpate.lab import choose_variant, make_session, read_lab_config
 from palpate.pipeline import plan_measurement, with_pictures_measured
 from palpate.records import read_session
 

@@ -6,9 +6,7 @@ from palpate.app.terminal import print_notes, print_tables, print_text, progress
 from palpate.app.workers import distribution
 from palpate.campaign import check_workers
 from palpate.errors import InputError
-from palpate.lab import (
-    choose_variant,
-)
+from palpate.lab import choose_variant
 from palpate.paper import (
     EXPERIMENTS,
     Workplace,

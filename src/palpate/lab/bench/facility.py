@@ -40,13 +40,7 @@ from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, read_rig, write_rig
 from palpate.shapes import Vertices
-from palpate.solids import (
-    Body,
-    Solid,
-    held_nodes,
-    make_body,
-    surface_values,
-)
+from palpate.solids import Body, Solid, held_nodes, make_body, surface_values
 from palpate.threads import Distribute
 from palpate.vision import project
 

@@ -18,9 +18,7 @@ from palpate.lab.config import Arm, LabConfig, Look, Material, Pictures, Probe, 
 from palpate.lab.pictures import Variant, make_studio, photograph
 from palpate.records import FLAT, Probing, Rig, Session, read_rig
 from palpate.shapes import Vertices
-from palpate.solids import (
-    TipName,
-)
+from palpate.solids import TipName
 
 # Speckle diameter that is matched best [px].
 _SPECKLE_PX = 4.0

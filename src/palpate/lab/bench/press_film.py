@@ -23,15 +23,7 @@ from palpate.lab.config import LabConfig
 from palpate.lab.pictures import Variant, make_studio, photograph
 from palpate.records import Camera, Rig, picture_size
 from palpate.shapes import Vector3
-from palpate.solids import (
-    Solid,
-    Tip,
-    held_nodes,
-    make_body,
-    press,
-    press_to_force,
-    surface_values,
-)
+from palpate.solids import Solid, Tip, held_nodes, make_body, press, press_to_force, surface_values
 from palpate.vision import open_video, project, surface_map
 
 # Grey level of the rod.

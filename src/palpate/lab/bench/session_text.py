@@ -11,10 +11,7 @@ from jaxtyping import Float
 from palpate.geometry import closest_points
 from palpate.lab.config import LabConfig, Probe
 from palpate.records import SESSION_FORMAT, SLIDES, STICKS, write_text
-from palpate.solids import (
-    Press,
-    Tip,
-)
+from palpate.solids import Press, Tip
 
 Table = dict[str, Any]
 

@@ -21,10 +21,7 @@ from palpate.pipeline.model.finite_strain import FiniteBody, make_finite_body, s
 from palpate.progress import Progress, part_of
 from palpate.records import Session
 from palpate.shapes import Points
-from palpate.solids import (
-    FinitePress,
-    SplitNeoHookean,
-)
+from palpate.solids import FinitePress, SplitNeoHookean
 
 # A correction of 10 % changes by 10 % of itself if the modulus changes by 10 %: each round gains
 # about one digit.

@@ -15,12 +15,7 @@ from jaxtyping import Bool, UInt
 from palpate.errors import InputError
 from palpate.estimation import Information, fisher_information
 from palpate.geometry import bounding_diagonal, closest_points
-from palpate.lab import (
-    Material,
-    Pictures,
-    Variant,
-    planned_pictures,
-)
+from palpate.lab import Material, Pictures, Variant, planned_pictures
 from palpate.pipeline.calibrated_space import calibration_strains, with_stretch
 from palpate.pipeline.model import (
     make_object_model,

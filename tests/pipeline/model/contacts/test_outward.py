@@ -17,9 +17,7 @@ from palpate.bem import (
 from palpate.pipeline.model.contacts import has_outward_traction, outward_load, outward_pushes
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import Contact
-from palpate.solids import (
-    make_solid,
-)
+from palpate.solids import make_solid
 
 BALL, RADIUS, SIDE = 0.3, 12e-3, 0.04
 # Under a sphere that slides.

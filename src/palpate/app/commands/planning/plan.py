@@ -17,10 +17,7 @@ from palpate.app.terminal import (
 from palpate.app.units import Modulus
 from palpate.bem import check_memory
 from palpate.errors import InputError
-from palpate.lab import (
-    Pictures,
-    choose_variant,
-)
+from palpate.lab import Pictures, choose_variant
 from palpate.pipeline import MeasurementPlan, plan_measurement
 from palpate.records import (
     default_folder,

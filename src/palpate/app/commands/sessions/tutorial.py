@@ -6,11 +6,7 @@ import numpy as np
 
 from palpate.app.terminal import print_notes, print_text, progress_bar
 from palpate.calibration import Charuco
-from palpate.lab import (
-    Print,
-    choose_variant,
-    make_tutorial,
-)
+from palpate.lab import Print, choose_variant, make_tutorial
 from palpate.records import result_folder
 
 # Board of the pictures, as given to `palpate calibrate`; dots a square of its print.

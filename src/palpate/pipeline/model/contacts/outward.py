@@ -24,10 +24,7 @@ from palpate.pipeline.model.contacts.perturbations import (
 from palpate.probe import ContactPatch
 from palpate.records import Contact, Pressure, Session
 from palpate.shapes import Vector3
-from palpate.solids import (
-    Solid,
-    pressure_load,
-)
+from palpate.solids import Solid, pressure_load
 
 # Begins the name of the error of the outward traction under a tool.
 OUTWARD_ERROR = "outward traction in"
