@@ -92,7 +92,7 @@ def outward_perturbations(
     Parameters
     ----------
     session : Session
-    patch_of : (k,) int          index of each probing's patch in the model
+    patch_of : (k,) int             index of each probing's patch in the model
 
     Returns
     -------

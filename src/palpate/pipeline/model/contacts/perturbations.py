@@ -23,8 +23,7 @@ RADIUS_ERROR = "contact radius of"
 # Cosine above which a tangent is named by an axis.
 _ALONG_AXIS = 0.95
 # Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
-# are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra
-# (benchmarks/coverage_of_bodies.py prints them).
+# are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra.
 DIP_ERROR = 0.35
 # Positions of perturbed contacts, in standard deviations along two tangents, for first and second
 # derivatives. The distance sqrt(3), that of Gauss-Hermite nodes, minimises the error of a cubic for
@@ -84,7 +83,7 @@ def dip_perturbations(
     Parameters
     ----------
     session : Session
-    patch_of : (k,) int          index of each probing's patch in the model
+    patch_of : (k,) int             index of each probing's patch in the model
     dips : sequence of IndentationCorrection or None     of the patches
 
     Returns
