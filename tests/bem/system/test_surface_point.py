@@ -103,8 +103,8 @@ def test_a_linear_field_is_exact_at_every_point(barycentric):
     exact = field.displacement(mesh.vertices)
 
     def right_of(some):
-        column = traction_column(some, free, traction, quadrature=FINE)
-        return (column + support_columns(some, exact[:, :, None])).at(NU)
+        pushed = traction_column(some, free, traction, quadrature=FINE).at(NU)
+        return pushed + support_columns(some, exact[:, :, None]).at(NU)
 
     x = solve(factorise(system, NU), right_of(system))
     triangle, place = free[[3, 20]], np.tile(barycentric, (2, 1))
