@@ -216,14 +216,10 @@ def load_right_hand(
         fields = integrate_load(system.surface, load, system.collocation, system.rows, cells=cells)
         parts.append(load_columns(fields, balance))
     right = joined(parts)
-    significant = {
-        k: correction
-        for k, correction in enumerate(corrections or ())
-        if correction is not None and correction.midside_nodes.size
-    }
-    if significant:
-        columns = (3 * np.array([*significant])[:, None] + np.arange(3)).ravel()
-        right.terms[:, :, columns] += correction_columns(system, [*significant.values()]).terms
+    known = {k: each for k, each in enumerate(corrections or ()) if each is not None}
+    if known:
+        columns = (3 * np.array([*known])[:, None] + np.arange(3)).ravel()
+        right.terms[:, :, columns] += correction_columns(system, [*known.values()]).terms
     return right
 
 

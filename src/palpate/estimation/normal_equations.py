@@ -57,7 +57,7 @@ class NormalEquations:
             for own, solution in zip(self.own, self.solutions, strict=True)
         ]
 
-    @property
+    @cached_property
     def std(self) -> Float[np.ndarray, " n"]:
         """Posterior standard deviation of every entry of theta."""
         every = (self.covariance, *self.own_covariances)

@@ -1,6 +1,6 @@
 """The objective of the estimate, as a function of one vector.
 
-    theta = (nu | log G | shared errors | for each probing: force, motions, own errors, model error)
+    theta = (nu, log G | shared errors | for each probing: force, motions, own errors, model error)
 
 Everything but nu and the material is in units of its prior's standard deviation, so the objective
 is, with r the residual of a point, s its standard deviation and rho minus twice a log density,
@@ -60,16 +60,14 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Names of the parts of theta. Entry 0 is Poisson's ratio.
+    """Names of the parts of theta. Entry 0 is Poisson's ratio, entry 1 log G.
 
     Attributes
     ----------
-    material : slice                parameters of the material: log G
     errors : slice                  shared errors
     blocks : tuple of Block         one for each probing
     """
 
-    material: slice
     errors: slice
     blocks: tuple[Block, ...]
 
@@ -338,7 +336,7 @@ def _layout(
             Block(force, motions, errors, coefficients, whole, np.array(own, dtype=np.int64))
         )
         first = ends[-1]
-    return Layout(slice(1, 2), slice(2, 2 + len(shared)), tuple(blocks))
+    return Layout(slice(2, 2 + len(shared)), tuple(blocks))
 
 
 def _own(

@@ -77,8 +77,9 @@ def indentation_corrections(
     Returns
     -------
     list of k IndentationCorrection or None    None for a load that is not a round patch, for linear
-                                      or flat elements, and where an edge of the object or the rim
-                                      of the support crosses the patch
+                                      or flat elements, where an edge of the object or the rim of
+                                      the support crosses the patch, and where the mesh misses
+                                      next to nothing
     """
     edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
     potentials: dict[Profile, DiscPotentials] = {}
@@ -112,9 +113,9 @@ def _indentation_correction(
     disc: PressureDisc,
     potentials: DiscPotentials,
     normal: Float[np.ndarray, "3"],
-) -> IndentationCorrection:
+) -> IndentationCorrection | None:
     """Indentation of a half space of this outward normal minus its fit, at the midside nodes around
-    the load; `edge`: `_edge_lengths`."""
+    the load, if that is much; `edge`: `_edge_lengths`."""
     mesh, nodes = surface.mesh, surface.displacement
     midside = surface.element_nodes[:, 3:]
     within = lengths(midside - disc.centre) < disc.radius + _REACH_EDGES * edge
@@ -140,6 +141,8 @@ def _indentation_correction(
     correction = edge_taper[midside_nodes, None, None] * (indentation - fitted)
     largest = np.abs(indentation).max(initial=0.0)
     significant = np.abs(correction).max(axis=(0, 2, 3)) > _NEGLIGIBLE * largest
+    if not significant.any():
+        return None
     return IndentationCorrection(midside_nodes[significant], correction[:, significant])
 
 

@@ -81,7 +81,7 @@ class Traction:
 
     def dips(self) -> list[tuple[IndentationCorrection, Float[np.ndarray, " m"]]]:
         """Dips under as few single forces as its columns need, each with its factor in all."""
-        if self.dip is None or not self.dip.midside_nodes.size:
+        if self.dip is None:
             return []
         axis, size, share = np.linalg.svd(self.dip_force, full_matrices=False)
         rank = int((size > _NO_FORCE * size[0]).sum())

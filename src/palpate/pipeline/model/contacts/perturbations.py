@@ -94,7 +94,7 @@ def dip_perturbations(
     return tuple(
         ContactPerturbation(k, {_dip_parameter(probing.name): 1.0}, dip=DIP_ERROR)
         for k, probing in enumerate(session.probings)
-        if patch_of[k] >= 0 and is_significant(dips[patch_of[k]])
+        if patch_of[k] >= 0 and dips[patch_of[k]] is not None
     )
 
 
@@ -105,11 +105,6 @@ def _dip_parameter(name: str) -> NuisanceParameter:
         of="mesh",
         is_model_error=True,
     )
-
-
-def is_significant(dip: IndentationCorrection | None) -> bool:
-    """Whether a dip adds to the displacement that the mesh resolves under a load."""
-    return dip is not None and dip.midside_nodes.size > 0
 
 
 def surface_load(patch: ContactPatch) -> SurfaceLoad:
