@@ -10,7 +10,7 @@ PYTHON_FILES := src tests benchmarks examples docs
 KERNEL_ROOMS := geometry records probe bem vision lab simulation solids
 KERNEL_SOURCES := $(shell find $(KERNEL_ROOMS:%=src/palpate/%) -name '*.py')
 
-.PHONY: demo test fuzz benchmark lint format contract types tests map reference docs notebooks wheel lock \
+.PHONY: demo test slow fuzz benchmark lint format contract types tests map reference docs wheel lock \
     oldest clean clean-cache
 .DEFAULT_GOAL := help
 
@@ -18,11 +18,11 @@ KERNEL_SOURCES := $(shell find $(KERNEL_ROOMS:%=src/palpate/%) -name '*.py')
 help:
 	@echo "make demo   set up, then measure a virtual half ball: from pictures to constants"
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
+	@echo "make slow   the tests that take longer than some seconds each: before a release"
 	@echo "make fuzz   read ten thousand damaged files of every kind (some ten minutes)"
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about two hours)"
 	@echo "make docs   build the documentation site in build/docs (opens from the disk, no network)"
 	@echo "make reference  make docs/reference and the gallery again from the code that reads the files"
-	@echo "make notebooks  run docs/notebooks, all of them (some minutes)"
 	@echo "make wheel  build a wheel, install it in a fresh environment, fit an example there"
 	@echo "make oldest install the oldest versions that the metadata promises, run some tests with them"
 	@echo "make map    draw docs/developer/map.svg again, after a change of rooms or imports"
@@ -67,8 +67,14 @@ types: $(VENV)/dev.stamp
 
 # One thread of linear algebra in each of the two processes: more would wait for each other. Compiled
 # modules are kept whatever the environment says: a hundred tests start processes of their own.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile \
+    --no-loadscope-reorder
+
 tests: $(VENV)/dev.stamp $(VENV)/kernels.stamp
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not slow"
+
+slow: $(VENV)/dev.stamp $(VENV)/kernels.stamp
+	$(PYTEST) -m slow
 
 # numba looks at the file of the kernel that is called, not at those that this one calls: kernels on
 # disk that are older than any source of theirs may hold old code.
@@ -116,9 +122,6 @@ reference: $(VENV)/dev.stamp
 $(VENV)/docs.stamp: requirements-docs.lock $(VENV)/run.stamp
 	$(PIP) install -r requirements-docs.lock
 	touch $@
-
-notebooks: $(VENV)/dev.stamp
-	PALPATE_NOTEBOOKS=1 $(BIN)/python -m pytest tests/docs/test_notebooks.py
 
 docs: $(VENV)/docs.stamp
 	$(BIN)/python -m sphinx -W --keep-going -q -c docs/site docs build/docs

@@ -36,6 +36,7 @@ def test_displacement_converges_faster_than_second_order(balls):
     assert errors[-1] < 1e-4
 
 
+@pytest.mark.slow
 def test_linear_elements_on_facets_converge_to_second_order():
     errors = []
     for level in LEVELS:
@@ -47,5 +48,6 @@ def test_linear_elements_on_facets_converge_to_second_order():
     assert 1.6 < order < 2.6
 
 
+@pytest.mark.slow
 def test_nearly_incompressible_is_no_harder(balls):
     assert error(balls[-1], 0.499) < 1.5 * error(balls[-1], 0.45)

@@ -10,6 +10,7 @@ from palpate.pipeline import fit_session
 from palpate.records import read_rig, read_session
 
 
+@pytest.mark.slow
 def test_a_campaign_estimates_what_plain_fits_do(cube_session, tmp_path):
     file = cube_session / "session.toml"
     (estimate,) = fitted([file], tmp_path / "campaign")

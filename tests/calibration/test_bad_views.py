@@ -58,6 +58,7 @@ def test_no_board_in_any_picture(tmp_path: Path) -> None:
     assert "columns and rows" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_blurred_picture_is_named_and_left_out(tmp_path: Path) -> None:
     """Five pictures as sharp as a sensor draws them, noisy, and one that was moved by 12 px."""
     board = Charuco(7, 5, 0.016, 0.012)

@@ -63,6 +63,7 @@ def _films(folder: Path) -> np.ndarray:
 _WORDS = "--target chessboard --columns 7 --rows 5 --square 16mm --out"
 
 
+@pytest.mark.slow
 def test_still_frames_of_videos_give_the_rig(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

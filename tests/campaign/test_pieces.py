@@ -89,6 +89,7 @@ def test_probings_with_many_instants_are_several_works(instants, expected):
     assert all(sum(instants[k] for k in piece) >= min(25, sum(instants)) for piece in found)
 
 
+@pytest.mark.slow
 def test_one_session_s_pictures_are_measured_by_several_workers(
     seen, scheduler, tmp_path, begun, monkeypatch
 ):
@@ -109,6 +110,7 @@ def test_displacements_in_files_are_no_work(cube):
     assert motion_works(cube, pack_session(cube), GIVEN) == ()
 
 
+@pytest.mark.slow
 def test_motions_apart_give_the_bytes_of_one_fit(seen, scheduler, tmp_path, begun):
     campaign = tmp_path / "campaign"
     (row,) = run_campaign(read_items(seen.parent), campaign, options=GIVEN, scheduler=scheduler)
@@ -124,6 +126,7 @@ def test_motions_apart_give_the_bytes_of_one_fit(seen, scheduler, tmp_path, begu
         assert (result / name).read_bytes() == content, name
 
 
+@pytest.mark.slow
 def test_what_is_measured_stays_so(folder, scheduler, tmp_path, begun):
     items, campaign = read_items(folder.parent), tmp_path / "campaign"
 
@@ -201,6 +204,7 @@ def test_a_body_is_the_mesh_whatever_is_measured_on_it(cubes, tmp_path):
     assert same.isdisjoint({Work("fit", each, GIVEN).digest for each in packed})
 
 
+@pytest.mark.slow
 def test_fits_of_one_body_wait_for_what_they_share(cubes, local, tmp_path, begun):
     shutil.copytree(cubes / "c0", cubes / "other")
     write_mesh(cubes / "other" / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=3))

@@ -30,9 +30,12 @@ NOT_RUN = {
     "dask worker tcp://192.168.1.7:8786 --nworkers auto --nthreads 1": _CLUSTER,
     "palpate campaign apples.txt --scheduler tcp://192.168.1.7:8786": _CLUSTER,
 }
+# A minute or so each; their commands have tests of their own.
+_LONG = {"calibrate", "campaign", "export", "flow", "lab", "next", "scan"}
+RUNNABLE = [pytest.param(name, marks=pytest.mark.slow) if name in _LONG else name for name in PAGES]
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", RUNNABLE)
 def test_the_commands_of_a_guide_run(name, here, capsys):
     assert name in GUIDES, f"{PAGES[name]} has commands: make the files that they need"
     steps = GUIDES[name](here)

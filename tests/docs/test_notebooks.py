@@ -1,6 +1,5 @@
-"""The notebooks run; the slow one where PALPATE_NOTEBOOKS is set, as `make notebooks` does."""
+"""The notebooks run and tell what they do."""
 
-import os
 import runpy
 from pathlib import Path
 
@@ -9,14 +8,11 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.py"))
-# A minute: the examples and the tutorial go the same way from pictures to constants.
-SLOW = ("half_ball_from_pictures",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(notebook, monkeypatch):
-    if notebook.stem in SLOW and not os.environ.get("PALPATE_NOTEBOOKS"):
-        pytest.skip("takes long: run `make notebooks`")
     monkeypatch.chdir(FOLDER)
     monkeypatch.setenv("PALPATE_EDGE", "20")
     # Each ends in what it found out, asserted.

@@ -167,7 +167,9 @@ def test_motion_beyond_the_model_s_error_contradicts_it(noise: float) -> None:
     assert "unexplained" in estimate.notes[0]
 
 
-@pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
+@pytest.mark.parametrize(
+    "noise", [1e-6, *(pytest.param(one, marks=pytest.mark.slow) for one in (1e-4, 1e-3))]
+)
 def test_noise_does_not_contradict(noise: float) -> None:
     for seed in range(5):
         probes = [_with_mesh(p, 0.002) for p in _probes(seed, count=3, noise=noise, grid=10)]

@@ -33,18 +33,21 @@ def _factor(probes: list[ProbeObservations]) -> float:
     return float((fit(probes).estimate.poisson_ratio.std / alone) ** 2)
 
 
+@pytest.mark.slow
 def test_independent_points_count_one_by_one() -> None:
     factors = [_factor(_clumped(seed, 1)) for seed in range(1, 7)]
     # Never below 1, and the scatter of 64 blocks is known to a fifth.
     assert np.mean(factors) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_clumps_have_the_factor_of_their_size() -> None:
     factors = [_factor(_clumped(seed, 3)) for seed in range(1, 7)]
     # Nine points share one value; clumps cut by blocks count for less.
     assert 5 < np.median(factors) < 11
 
 
+@pytest.mark.slow
 def test_correlation_that_is_known_is_not_counted_twice() -> None:
     factors = [_factor(_clumped(seed, 3, known=True)) for seed in range(1, 5)]
     assert 5 < np.median(factors) < 12

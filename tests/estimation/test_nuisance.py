@@ -42,6 +42,7 @@ def test_a_shared_error_widens_the_moduli_and_no_number_of_points_helps(
         assert bound["young_modulus"] / 5.2e4 > 0.5 * scale
 
 
+@pytest.mark.slow
 def test_intervals_hold_a_gain_that_is_off() -> None:
     """A force scale drawn from its prior: 2 % were eight standard errors without it."""
     held, rng = 0, np.random.default_rng(4)

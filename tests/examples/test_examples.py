@@ -64,11 +64,13 @@ def test_stress_inside():
     assert 0.3 * peak < run_example("08_stress_inside.py") < 0.7 * peak
 
 
+@pytest.mark.slow
 def test_every_material():
     # The reduced model promises a residual of 1e-8 at the ends of its range (make_reduced_model).
     assert run_example("09_every_material.py") < 2e-7
 
 
+@pytest.mark.slow
 def test_many_fits():
     # Twelve intervals of 95 %: fewer than nine hold the truth once in 300 such series.
     assert run_example("10_many_fits.py") >= 9 / 12
@@ -108,12 +110,14 @@ def test_examples_stay_small():
     assert sum(path.stat().st_size for path in files if path.suffix != ".pyc") < 2e6
 
 
+@pytest.mark.slow
 def test_whole_result():
     # 52 g sank the middle of the end face by 10.4 mm (load52_a.csv): 20 g by 4.0 mm, and the
     # contact itself gives way a little more.
     assert run_example("14_whole_result.py") == pytest.approx(4.0e-3 * 1.03, rel=0.03)
 
 
+@pytest.mark.slow
 def test_touch_in_real_time():
     # The example's own number; a change of the mesh or the elements may move it by some 0.1 %.
     assert run_example("15_touch_in_real_time.py") == pytest.approx(0.815, rel=0.01)

@@ -35,6 +35,7 @@ def test_points_around_a_box_have_the_closed_form():
     np.testing.assert_allclose(closest_points(mesh, points).distance, expected, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_distance_is_the_brute_force_minimum():
     mesh = sphere(1, radius=0.04)
     points = np.random.default_rng(1).normal(scale=0.04, size=(40, 3))

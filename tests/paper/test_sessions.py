@@ -186,6 +186,7 @@ def test_a_quick_configuration_is_the_same_on_a_coarser_chip(config):
     np.testing.assert_array_equal(many.stage.translation, config.stage.translation)
 
 
+@pytest.mark.slow
 def test_from_a_configuration_to_the_rows_of_both_methods(config, tmp_path: Path):
     said: list[tuple[str, float]] = []
     found = measured_session(

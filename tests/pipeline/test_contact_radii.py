@@ -115,6 +115,7 @@ def _counted(module: ModuleType, name: str, calls: list[object]) -> Callable[...
     return counting
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_given_as_a_mesh_is_as_good(measured: Session) -> None:
     """Solved on a grid, for a polyhedron, with the slope of a sphere: pressure, outward part, load.
 
@@ -201,6 +202,7 @@ def test_the_fit_follows_a_contact_that_the_object_carries_along(measured: Sessi
     assert "mm in n" in note
 
 
+@pytest.mark.slow
 def test_a_tool_slides_as_far_as_its_displacement_says(measured: Session) -> None:
     """The arm's displacement is that of the surface along the normal, and any along it."""
     known = _with_tip(measured, np.array([3e-4, -5e-4, 0.0]), SLIDES)

@@ -148,6 +148,7 @@ def test_every_force_sensor_has_errors_of_its_own(session: Session) -> None:
     assert own == [turn.format("weights") for turn in turns]
 
 
+@pytest.mark.slow
 def test_both_methods_end_at_the_same_minimum(still: Session) -> None:
     noisy = replace(_measured(still, noise=NOISE), gravity=None, density=None, errors=EXACT)
     noisy = replace(noisy, probings=noisy.probings[:2])
@@ -468,6 +469,7 @@ def test_a_turned_session_has_the_same_constants(still: Session) -> None:
         assert getattr(other, name).value == pytest.approx(getattr(one, name).value, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_where_poisson_s_ratio_is_open_the_search_ends_all_the_same() -> None:
     """Bent, a beam says nothing about it: the misfit hardly changes over all of its range."""
     beam = read_session(Path(__file__).parents[2] / "examples" / "beam")

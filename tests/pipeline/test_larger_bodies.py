@@ -36,6 +36,7 @@ def constants(session):
     ]
 
 
+@pytest.mark.slow
 def test_the_estimate_and_its_intervals_are_those_of_the_dense_model(session, request):
     wanted = constants(session)
     request.getfixturevalue("compressed")

@@ -107,6 +107,7 @@ def test_a_tool_touches_what_follows_from_force_and_constants(session):
     np.testing.assert_allclose(found.displacement, alike.displacement, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_outward_traction_of_a_tool_lifts_the_surface_under_it(session):
     """A traction -dQ/dr along a half space lifts it by (1 - 2 nu) / (2 G) Q; in the middle of
     Hertz's circle Q is 5 / (4 pi a) of force times `outward`."""

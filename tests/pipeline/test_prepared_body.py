@@ -54,6 +54,7 @@ def factorised(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("session", ["radius"], indirect=True)
 def test_reduced_models_are_found_as_well(session, tmp_path, monkeypatch):
     def computed(*_):
@@ -66,7 +67,13 @@ def test_reduced_models_are_found_as_well(session, tmp_path, monkeypatch):
 
 # The graded mesh alone is left where its loads are not known before the fit.
 @pytest.mark.parametrize(
-    ("session", "left"), [("radius", 0), ("tool", 1), ("springs", 0)], indirect=["session"]
+    ("session", "left"),
+    [
+        ("radius", 0),
+        pytest.param("tool", 1, marks=pytest.mark.slow),
+        pytest.param("springs", 0, marks=pytest.mark.slow),
+    ],
+    indirect=["session"],
 )
 def test_a_fit_finds_all_that_does_not_depend_on_what_was_measured(
     session, left, factorised, tmp_path
@@ -83,6 +90,7 @@ def test_a_fit_finds_all_that_does_not_depend_on_what_was_measured(
     assert found.poisson_ratio == plain.poisson_ratio
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("session", ["radius"], indirect=True)
 def test_nothing_is_kept_of_a_body_that_is_solved_compressed(session, tmp_path, monkeypatch):
     def solved(*_, **__):

@@ -187,6 +187,7 @@ def test_a_turn_that_nothing_holds_is_refused():
     )
 
 
+@pytest.mark.slow
 def test_a_free_roller_is_estimated_along():
     given = session(Support(BOTTOM, FREE, UP))
     estimate = fit_session(given).estimate
@@ -215,6 +216,7 @@ def platens(force=(0.0, 0.0, -PRESS), upper=UP, lower=UP, motion=FREE, moved=Non
     return session(*supports, contact=pulled, force=force, moved=moved)
 
 
+@pytest.mark.slow
 def test_a_force_on_a_platen_without_friction():
     """Pressed by its upper platen the block is a column, whatever it slides on both."""
 

@@ -65,6 +65,7 @@ def test_a_pressed_block_shows_where(
     assert size < 3.0 * float(np.mean(claims))
 
 
+@pytest.mark.slow
 def test_a_motion_from_nowhere_is_refused(
     model: ContactModel, pressed: tuple[np.ndarray, np.ndarray, np.ndarray, float]
 ) -> None:

@@ -102,6 +102,7 @@ def test_the_command_writes_a_session(
     assert main(["check", "session"]) == 0
 
 
+@pytest.mark.slow
 def test_frames_that_were_dropped_are_counted_and_bridged(recording: Path, tmp_path: Path) -> None:
     folder = tmp_path / "bench"
     shutil.copytree(recording, folder)
@@ -125,6 +126,7 @@ def test_frames_that_were_dropped_are_counted_and_bridged(recording: Path, tmp_p
     assert any("7 frames were dropped" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_log_of_poses_gives_contact_and_travel(recording: Path, tmp_path: Path) -> None:
     folder = tmp_path / "bench"
     shutil.copytree(recording, folder)

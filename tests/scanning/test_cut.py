@@ -1,6 +1,7 @@
 """The cut of a surface by its support's plane."""
 
 import numpy as np
+import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
@@ -9,6 +10,7 @@ from palpate.scanning import Plane
 from palpate.scanning.mending import above
 
 
+@pytest.mark.slow
 def test_a_cut_lies_in_its_plane_however_close_it_passes_by_vertices():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
     rng = np.random.default_rng(0)

@@ -1,6 +1,7 @@
 """An object that is wider above its foot: the foot is where its flank meets the support."""
 
 import numpy as np
+import pytest
 
 from palpate.geometry import triangle_areas
 from palpate.scanning import Plane
@@ -11,6 +12,7 @@ TABLE = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 RADIUS, CENTRE = 0.03, 0.02
 
 
+@pytest.mark.slow
 def test_the_foot_of_a_ball_that_was_cut_has_its_size():
     """Points everywhere but on the foot itself, with its lowest millimetre hidden."""
     count = 3000

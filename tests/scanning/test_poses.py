@@ -11,6 +11,7 @@ from palpate.progress import silent
 from palpate.scanning.joining import posed, poses
 
 
+@pytest.mark.slow
 def test_a_round_of_views_finds_its_poses():
     count = 9
     views = views_around(toy(), count, known=False)
@@ -45,6 +46,7 @@ def test_errors_of_a_chain_are_taken_back_by_the_loop():
         assert np.degrees(turn.magnitude()) < 0.05
 
 
+@pytest.mark.slow
 def test_a_ball_does_not_tell_how_it_was_turned():
     with pytest.raises(InputError, match="the shape does not fix how view 'v01' lies"):
         posed(views_around(made(ball(0.04, (0.0, 0.0, 0.03), fine=4)), 9, known=False, seen=3))

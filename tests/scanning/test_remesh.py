@@ -56,6 +56,7 @@ def test_vertices_lie_on_the_surface_where_sizes_change():
     assert np.quantile(gap, 0.95) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_thin_plate_needs_more_vertices_and_says_how_many():
     plate = made(box((0.03, 0.03, 0.001)))
     with pytest.raises(MeshError, match=r"1 mm thin near .* ask for \S+ vertices"):

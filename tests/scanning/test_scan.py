@@ -73,6 +73,7 @@ def test_a_side_that_nobody_saw_is_no_surface(truth, monkeypatch):
         scan_surface(views_around(truth, seen=3), vertices=800)
 
 
+@pytest.mark.slow
 def test_a_ball_seen_from_all_sides_closes_without_a_table():
     # Points on the seams are in several views: they coincide.
     points = ball(0.03, fine=5)[0]

@@ -241,6 +241,7 @@ def test_calculix_moves_the_point_as_the_model_does(exported):
     assert np.linalg.norm(found - wanted) < 0.02 * np.linalg.norm(wanted)
 
 
+@pytest.mark.slow
 def test_mujoco_moves_the_point_as_the_model_does(exported):
     pytest.importorskip("mujoco")
     done = subprocess.run(
@@ -261,6 +262,7 @@ def with_ratio(source, ratio):
     return replace(source, estimate=replace(source.estimate, **constants))
 
 
+@pytest.mark.slow
 def test_a_material_outside_a_simulators_range_is_refused_or_said(source, tmp_path):
     with pytest.raises(InputError, match=r"ratio is -0\.2; MuJoCo takes 0 to 0\.495: choose"):
         export_fit(tmp_path, with_ratio(source, -0.2), "mujoco")

@@ -132,6 +132,7 @@ def test_a_file_with_any_other_byte_is_refused_or_reads_the_same(tmp_path):
     assert refused > 200
 
 
+@pytest.mark.slow
 def test_vertices_at_narrow_triangles_are_left_out_and_refused_if_chosen(tmp_path):
     """The beam has triangles of 2 degrees near the tip, where its weights hang."""
     beam = read_session(Path(__file__).parents[2] / "examples" / "beam")

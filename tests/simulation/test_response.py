@@ -49,6 +49,7 @@ def deviation(response, compliance, touching):
     return np.abs(response - fresh).max() / np.abs(fresh).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("nearness", "condition", "tolerance"), [(1.0, 1e2, 5e-14), (0.12, 1e4, 1e-9)]
 )

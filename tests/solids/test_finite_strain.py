@@ -152,6 +152,7 @@ def test_drawn_block_without_sideways_strain_is_the_closed_form(block, basis):
     assert energy(law, basis, found) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_block_that_buckles_is_refused(block):
     # Euler: pi^2 E I / (4 L^2) = 0.41 mu A for this block, the other end being free to sway.
     body = make_body(block.solid, block.held, shear_modulus=SHEAR, poisson_ratio=0.0)

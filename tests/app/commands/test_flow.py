@@ -245,6 +245,7 @@ def test_a_failure_leaves_nothing(palpate, measured, session, tmp_path, monkeypa
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
 
 
+@pytest.mark.slow
 def test_motions_are_let_go_once_they_are_written(palpate, session, tmp_path, monkeypatch):
     """A video is long: its files are there, and its flows gone, as it goes."""
     alive, there = [], []

@@ -199,6 +199,7 @@ def test_all_measures_every_session_once_and_makes_the_page(bench, tmp_path, cap
     assert "page" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_quick_run_is_smaller_and_says_so_on_its_page(bench, tmp_path):
     page = tmp_path / "paper.md"
     reproduce("all", quick=True, page=page)

@@ -43,6 +43,7 @@ def test_a_broken_file_becomes_a_sound_mesh(palpate, scan, tmp_path):
     assert folder_changes(tmp_path / "scan-mesh")[1] == {}
 
 
+@pytest.mark.slow
 def test_a_drawing_becomes_a_sound_mesh(palpate, tmp_path):
     written_ball(tmp_path, MILLIMETRE)
     code, _, _ = palpate("mesh", "ball.step", "--vertices", "300")
@@ -106,6 +107,7 @@ def kept_maps(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_depth_maps_become_a_mesh(palpate, depth_maps):
     code, out, _ = palpate("scan", "scan.toml", "--vertices", "600", "--out", "m")
     assert code == 0

@@ -46,6 +46,7 @@ def test_a_vector_in_the_span_has_no_direction(basis, size):
     assert np.linalg.norm(direction[:, 2]) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_the_same_snapshot_again_adds_nothing(compressed):
     surface = compressed.surface
     middle = surface.mesh.vertices[surface.mesh.triangles].mean(axis=1)

@@ -90,6 +90,7 @@ def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
         assert (error < 1e-4 * np.abs(wanted[free]).max(axis=0)).all()
 
 
+@pytest.mark.slow
 def test_the_residual_that_is_asked_for_decides_how_many_solutions_are_made(compressed, right):
     loose, tight = (
         make_reduced_model(compressed, right, poisson_range=(0.1, 0.45), tolerance=residual)
@@ -112,6 +113,7 @@ def test_linear_elements_on_flat_facets_are_served_too(long_surface):
     assert np.abs(found.product(0.3, x) - product).max() < 1e-6 * np.abs(product).max()
 
 
+@pytest.mark.slow
 def test_rules_of_low_degree_alone_serve_too(long_surface):
     """The far field has a rule of its own, whichever are those of the near field."""
     low = Quadrature(tolerance=1e-4, degrees=(2, 4))

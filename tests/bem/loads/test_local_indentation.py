@@ -104,6 +104,7 @@ def pressed_cube(cells, *, corrected):
     return mesh.vertices, sorted_state(system, x, 1.0).displacement
 
 
+@pytest.mark.slow
 def test_the_correction_holds_up_to_an_edge_of_the_object():
     vertices, exact = pressed_cube(12, corrected=True)
     own, with_correction = pressed_cube(4, corrected=True)

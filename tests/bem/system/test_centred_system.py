@@ -54,6 +54,7 @@ def test_rollers_are_eliminated_in_single_precision(for_small_bodies):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_a_thin_plate_is_solved_in_double_precision(for_small_bodies):
     system, right = held_at_low(box(size=(1.0, 0.6, 0.01), cells=6), 0, 0.25)
     chosen = CentredSystem(system, NU, single=True)

@@ -106,6 +106,7 @@ def test_steps_go_evenly_to_the_depth_or_to_the_force(body):
     np.testing.assert_allclose(forces, [0.1, 0.2], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_soft_body_of_finite_strain_gives_way_farther(body):
     tip = aim(_probe(), Arm(radius=6e-3), BALL, rng=_rng())
     probe = _probe(depth=None, force=0.3)
@@ -161,6 +162,7 @@ def test_elements_are_small_where_the_tip_touches(kind, probe, radius):
     assert (reach, edge) == pytest.approx((radius, radius / 3))
 
 
+@pytest.mark.slow
 def test_the_rim_of_a_punch_lies_on_nodes():
     mesh = block(length=0.05, width=0.04, height=0.03, edge=0.01)
     top = np.array([0.0, 0.0, 0.03])
@@ -175,6 +177,7 @@ def test_the_rim_of_a_punch_lies_on_nodes():
     assert gap.max() < 1e-9
 
 
+@pytest.mark.slow
 def test_elements_are_small_where_the_support_ends():
     """Half of the base is held: nodes lie closely along its rim, which crosses the face."""
     mesh = block(length=0.05, width=0.04, height=0.03, edge=0.01)

@@ -92,7 +92,7 @@ def test_an_interrupted_measurement_goes_on_to_the_same_bytes(tmp_path, monkeypa
     assert len(taken) == 1 + plan.stage.steps + 1
 
 
-@pytest.mark.parametrize("kind", ["small", "toy"])
+@pytest.mark.parametrize("kind", ["toy", pytest.param("small", marks=pytest.mark.slow)])
 def test_distributed_work_gives_the_same_bytes(made, together, tmp_path, kind):
     """What travels to another process and back, in any order, is all that a session needs."""
     taken = []
@@ -233,6 +233,7 @@ def test_a_stage_moves_the_toy_rigidly(made):
     np.testing.assert_allclose(last["encoder"], last["t"], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_sessions_made_together_have_the_bytes_of_those_made_alone(together, tmp_path):
     made, bodies, _ = together
     # One body for all balls, and the one with the same configuration comes out the same.

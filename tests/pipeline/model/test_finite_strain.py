@@ -66,6 +66,7 @@ def test_it_is_of_second_order_in_the_load() -> None:
     assert np.linalg.norm(large) / np.linalg.norm(small) == pytest.approx(4.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_an_object_pressed_far_gives_its_constants() -> None:
     """Those that a linear object of the same elements, others than the fit's, would give."""
     session = _session(1.5)

@@ -286,6 +286,7 @@ def _plate(across: int) -> Session:
     )
 
 
+@pytest.mark.slow
 def test_a_plate_bends_as_it_should() -> None:
     """Against four elements across its thickness, where one alone makes it a tenth too stiff."""
     nu = 0.3

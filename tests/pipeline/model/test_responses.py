@@ -123,6 +123,7 @@ def _models_with_directions():
     return sum(len(one.directions) > 0 for one in models)
 
 
+@pytest.mark.slow
 def test_a_response_does_not_hold_the_directions(setting):
     system, right, _, rows, _, _ = setting
     # Other tests may hold models of their own.

@@ -110,6 +110,7 @@ def test_one_more_probing_is_measured_alone(whole, folder, counted, tmp_path):
     assert with_motions(session, found).notes == with_motions(session, whole[2]).notes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("picture", "by", "count"),
     [
@@ -129,6 +130,7 @@ def test_another_picture_is_measured_as_if_it_had_always_been_there(
     _assert_same(found, measure_pictures(read_session(folder), pose="given"))
 
 
+@pytest.mark.slow
 def test_notes_on_shared_pictures_are_told_once_and_name_who_is_there(whole, folder):
     session = read_session(folder)
     colours = "cameras c0, c1: colours were turned into luminance"
@@ -141,6 +143,7 @@ def test_notes_on_shared_pictures_are_told_once_and_name_who_is_there(whole, fol
     assert with_pictures_measured(read_session(folder), pose="given").notes == (note,)
 
 
+@pytest.mark.slow
 def test_parts_of_all_probings_are_those_of_each(whole, folder, counted, tmp_path):
     parts = tmp_path / "parts"
     measure_pictures(read_session(folder), pose="given", parts=parts)

@@ -76,6 +76,7 @@ def _equation_6(one, two, a, p, b, q, *, printed=False):
     return np.sign(cross) * size
 
 
+@pytest.mark.slow
 def test_it_is_equation_6():
     one, two = _pictures()
     a, p = _places(60, 1)

@@ -111,6 +111,7 @@ def test_the_eight_pixels_around_the_best_count_as_agreement(camera, extra):
     assert (found.distance[good] > 0.5).all()
 
 
+@pytest.mark.slow
 def test_it_is_the_vote_that_plain_loops_hold():
     """Bad pictures, so that every outcome of a vote occurs; disparity differs between pixels."""
     rng = np.random.default_rng(2)

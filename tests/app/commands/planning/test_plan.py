@@ -12,6 +12,7 @@ def folder(tmp_path):
     return planned_session(made)
 
 
+@pytest.mark.slow
 def test_a_plan_tells_the_precision_and_shows_the_view(palpate, folder, tmp_path):
     code, out, _ = palpate("lab", "plan", folder, "--young-modulus", 5e4)
     assert code == 0

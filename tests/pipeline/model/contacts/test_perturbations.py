@@ -100,6 +100,7 @@ def _left(deviations: float) -> float:
     return float(np.abs(rest).max() / np.abs(nominal[:, :3] @ seen.force / MODULUS).max())
 
 
+@pytest.mark.slow
 def test_contacts_far_beside_their_place_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     far = [_left(deviations) for deviations in (2.0, 3.0)]
     # A tenth of the contact's radius is one deviation.
