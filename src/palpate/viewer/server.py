@@ -1,6 +1,7 @@
 """The viewer's server: one port, with independent controls for each browser tab."""
 
 import io
+import secrets
 import socket
 import threading
 from contextlib import redirect_stdout
@@ -10,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import InputError
-from palpate.optional_imports import late_import
 from palpate.records import verdict_text
 from palpate.viewer.background_work import BackgroundWork
+from palpate.viewer.gate import guarded_server
 from palpate.viewer.panels import (
     LookPanel,
     MaterialPanel,
@@ -108,7 +109,7 @@ class Tab:
 
 
 class Viewer:
-    """A running viewer.
+    """A running viewer; only who has its address can connect.
 
     Parameters
     ----------
@@ -119,20 +120,21 @@ class Viewer:
     Raises
     ------
     InputError                      viser is not installed; no such port is free
+    PalpateError                    this version of viser cannot be guarded
     """
 
     def __init__(
         self, subject: Subject, *, port: int | None = None, cache: Path | None = None
     ) -> None:
-        viser = late_import("viser", extra="view", purpose="the viewer")
         self.background = BackgroundWork(subject, cache)
         self.tabs: dict[int, Tab] = {}
         self._lock = threading.Lock()
+        self._token = secrets.token_hex(16)
         chosen = free_port(port)
         # Suppress the server's greeting in the command's output.
         with redirect_stdout(io.StringIO()):
-            self._server = viser.ViserServer(
-                host=_HOST, port=chosen, label=subject.session.name, verbose=False
+            self._server = guarded_server(
+                self._token, host=_HOST, port=chosen, label=subject.session.name, verbose=False
             )
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.scene.set_up_direction("+z")
@@ -142,8 +144,8 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """URL of the page."""
-        return f"http://{_HOST}:{self._server.get_port()}"
+        """URL of the page, with the secret that lets in whoever has it."""
+        return f"http://{_HOST}:{self._server.get_port()}/{self._token}/"
 
     def _connected(self, client: Any) -> None:
         tab = Tab(client, self.background)

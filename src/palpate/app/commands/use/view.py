@@ -26,7 +26,7 @@ def view(
 
     Colours show measured and predicted motion; sliders change the constants; a click presses a ball
     into the object, or sets support and contacts. The page is served by this computer, to this
-    computer only. Ctrl-C ends it.
+    computer only, and only to who has the address that is printed. Ctrl-C ends it.
 
     Parameters
     ----------
