@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from cube_session import write_cube_session
+from cube_session import cube_session as cube_session, write_cube_session
 
 # Names as a stranger's file may have them: what they hold must be shown, and do nothing.
 NAMES = (

@@ -4,7 +4,7 @@ from surfaces import box
 
 from palpate.errors import InputError, PalpateError
 from palpate.records import read_session
-from palpate.viewer.placement import SUPPORT_FILE, Draft, flat_face, triangles_near, write_draft
+from palpate.viewer.placement import Draft, flat_face, triangles_near, write_draft
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_a_session_that_could_not_be_read_is_not_written(opened):
     with pytest.raises(PalpateError, match="whole surface"):
         write_draft(opened, Draft().with_support(whole))
     assert opened.path.read_text() == before
-    assert not (opened.path.parent / SUPPORT_FILE).exists()
+    assert not (opened.path.parent / "support_triangles.txt").exists()
 
 
 def test_nothing_set_is_said(opened):

@@ -1,6 +1,8 @@
 """Support and contacts set by clicking, and their writing into session.toml."""
 
+import os
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from palpate.geometry import TriangleMesh, unit_normals
 from palpate.records import Session, read_session, read_text
 from palpate.shapes import Indices, Vector3
 
-SUPPORT_FILE = "support_triangles.txt"
+_SUPPORT_FILE = "support_triangles{}.txt"
 _SELECTORS = ("plane", "box", "triangles")
 # Least cosine between the normals of a flat face's triangles.
 _FLAT = 0.985
@@ -83,10 +85,36 @@ def triangles_near(mesh: TriangleMesh, point: Vector3, radius: float) -> Indices
     return np.flatnonzero(np.linalg.norm(middle - point, axis=1) <= radius)
 
 
+def draft_files(session: Session, draft: Draft) -> tuple[Path, ...]:
+    """Files that `write_draft` writes.
+
+    Parameters
+    ----------
+    session : Session
+    draft : Draft
+
+    Returns
+    -------
+    tuple of Path                   if the support was changed, a new file for its triangles, whose
+                                    name is still free; last the session's, which is changed
+
+    Raises
+    ------
+    InputError                      no changes
+    """
+    if draft.support is None and not draft.contacts:
+        raise InputError("nothing was set; click on the object first")
+    if draft.support is None:
+        return (session.path,)
+    names = (_SUPPORT_FILE.format(f"_{k}" if k > 1 else "") for k in count(1))
+    files = (session.path.with_name(name) for name in names)
+    return next(file for file in files if not os.path.lexists(file)), session.path
+
+
 def write_draft(session: Session, draft: Draft) -> Session:
     """Write the changes into session.toml, preserving comments, order and everything else.
 
-    The support becomes a list of triangles in a separate file. Both files change together, and only
+    The support becomes a list of triangles in a new file. Both files are written together, and only
     if the new session can be read.
 
     Parameters
@@ -103,33 +131,21 @@ def write_draft(session: Session, draft: Draft) -> Session:
     InputError                      no changes; several supports, or a contact without a point
     RecordError                     the new session is invalid, or cannot be written
     """
-    if draft.support is None and not draft.contacts:
-        raise InputError("nothing was set; click on the object first")
-    text = session_text(read_text(session.path), session, draft)
-    lines = "".join(f"{row}\n" for row in draft.support) if draft.support is not None else ""
-    folder = session.path.parent
-    targets = [folder / SUPPORT_FILE] * bool(lines) + [session.path]
-    with atomic_replacement(targets) as staged:
-        if lines:
-            staged[0].write_text(lines, encoding="utf-8")
-        staged[-1].write_text(text, encoding="utf-8", newline="")
-        _check(staged, lines)
+    files, text = draft_files(session, draft), read_text(session.path)
+    with atomic_replacement(files) as staged:
+        if draft.support is not None:
+            staged[0].write_text("".join(f"{row}\n" for row in draft.support), encoding="utf-8")
+        # Readable with the name that the list of triangles has so far, then with its final one.
+        trial, final = (
+            session_text(text, session, draft, each[0].name) for each in (staged, files)
+        )
+        staged[-1].write_text(trial, encoding="utf-8", newline="")
+        read_session(staged[-1], observations=False)
+        staged[-1].write_text(final, encoding="utf-8", newline="")
     return read_session(session.path, observations=False)
 
 
-def _check(staged: tuple[Path, ...], lines: str) -> None:
-    """Refuse a new session that cannot be read."""
-    path = staged[-1]
-    whole = path.read_text(encoding="utf-8")
-    if lines:
-        path.write_text(whole.replace(f'"{SUPPORT_FILE}"', f'"{staged[0].name}"'), encoding="utf-8")
-    try:
-        read_session(path, observations=False)
-    finally:
-        path.write_text(whole, encoding="utf-8", newline="")
-
-
-def session_text(text: str, session: Session, draft: Draft) -> str:
+def session_text(text: str, session: Session, draft: Draft, support_file: str) -> str:
     """Text of a session file with the changes applied.
 
     Parameters
@@ -137,6 +153,7 @@ def session_text(text: str, session: Session, draft: Draft) -> str:
     text : str                      of session.toml
     session : Session               as read from it
     draft : Draft
+    support_file : str              name of the file for the support's triangles, if it was changed
 
     Returns
     -------
@@ -148,13 +165,13 @@ def session_text(text: str, session: Session, draft: Draft) -> str:
     """
     document: Any = tomlkit.parse(text)
     if draft.support is not None:
-        _set_support(document, session)
+        _set_support(document, session, support_file)
     for name, point in draft.contacts.items():
         _set_contact(document, session, name, point)
     return tomlkit.dumps(document)
 
 
-def _set_support(document: Any, session: Session) -> None:
+def _set_support(document: Any, session: Session, file: str) -> None:
     tables = document.get("support", [])
     if isinstance(tables, list) and len(tables) > 1:
         raise InputError(
@@ -167,7 +184,7 @@ def _set_support(document: Any, session: Session) -> None:
     table = table[0] if isinstance(table, list) else table
     for key in _SELECTORS:
         table.pop(key, None)
-    table["triangles"] = SUPPORT_FILE
+    table["triangles"] = file
 
 
 def _set_contact(document: Any, session: Session, name: str, point: Vector3) -> None:

@@ -8,7 +8,13 @@ from palpate.errors import PalpateError
 from palpate.geometry import closest_points
 from palpate.shapes import Vector3
 from palpate.viewer.panels.look import LookPanel
-from palpate.viewer.placement import Draft, flat_face, triangles_near, write_draft
+from palpate.viewer.placement import (
+    Draft,
+    draft_files,
+    flat_face,
+    triangles_near,
+    write_draft,
+)
 from palpate.viewer.stage import Stage
 
 PRESS, CONTACT, FACE, HOLD, FREE = WHAT = (
@@ -30,7 +36,7 @@ class SettingPanel:
     """
 
     def __init__(self, gui: Any, stage: Stage, look: LookPanel) -> None:
-        self._stage, self._look = stage, look
+        self._gui, self._stage, self._look = gui, stage, look
         self.draft = Draft()
         self.click = gui.add_dropdown("a click", WHAT)
         size = stage.size
@@ -39,9 +45,9 @@ class SettingPanel:
             float(f"{0.005 * size:.2g}"), float(f"{_NEAR * size:.2g}"),
         )  # fmt: skip
         self.text = gui.add_markdown("")
-        write = gui.add_button("write session.toml")
+        write = gui.add_button("write session.toml ...")
         forget = gui.add_button("forget what was set")
-        write.on_click(lambda _: self._write())
+        write.on_click(lambda _: self.ask_to_write())
         forget.on_click(lambda _: self._forget())
 
     @property
@@ -83,6 +89,25 @@ class SettingPanel:
             here = ", ".join(f"{x / session.metres_per_unit:.4g}" for x in point)
             lines.append(f"contact of {name}: [{here}]")
         self.text.content = "  \n".join(lines)
+
+    def ask_to_write(self) -> None:
+        """Ask whether the changes are to be written, naming the files."""
+        try:
+            *new, changed = draft_files(self._stage.subject.session, self.draft)
+        except PalpateError as error:
+            self.text.content = f"*{error}*"
+            return
+        with self._gui.add_modal("Write what was set?") as question:
+            what = [f"{changed} is changed.", *(f"{file} is new." for file in new)]
+            self._gui.add_markdown("  \n".join(what))
+            yes, no = self._gui.add_button("write"), self._gui.add_button("do not write")
+
+        def write() -> None:
+            question.close()
+            self._write()
+
+        yes.on_click(lambda _: write())
+        no.on_click(lambda _: question.close())
 
     def _write(self) -> None:
         try:
