@@ -14,7 +14,7 @@ from estimate_samples import constants, sample_result
 from palpate.api import Result
 from palpate.errors import RecordError
 from palpate.pipeline import read_fitted_surface
-from palpate.records import Status, check_fit_result, read_session
+from palpate.records import Status, check_fit_result
 from palpate.report import write_report
 from palpate.report.scene import scene
 
@@ -157,26 +157,6 @@ def test_residuals_are_in_sigmas(tmp_path, session):
     (one,) = json.loads(page_of(folder).scripts[0])["probings"]
     # Left over is half of (0.3, 0, -0.4) mm: 3, 0 and -4 sigmas, their rms over three components.
     np.testing.assert_allclose(unpacked(one["sigmas"], 1), np.sqrt(25 / 3), rtol=1e-4)
-
-
-def test_names_are_no_markup(tmp_path, cube_session):
-    evil = "</script><b>&amp;"
-    file = cube_session / "session.toml"
-    file.write_text(file.read_text(encoding="utf-8").replace("a [bold] cube", evil))
-    session = read_session(cube_session)
-    result = sample_result(session)
-    # The probing's name stands in the view's data too.
-    session = replace(session, probings=(replace(session.probings[0], name=evil),))
-    estimate = replace(result.estimate, probes=(replace(result.estimate.probes[0], name=evil),))
-    fits = (replace(result.probes[0], name=evil),)
-    folder = Result(session, replace(result, estimate=estimate, probes=fits)).save(
-        tmp_path / "evil"
-    )
-    page = page_of(folder)
-    assert json.loads(page.scripts[0])["probings"][0]["name"] == evil
-    assert evil in page.text
-    assert "b" not in page.tags
-    assert len(page.scripts) == 2
 
 
 def test_many_large_probings_stay_below_five_megabytes(saved):

@@ -10,6 +10,7 @@ NAMES = (
     "<img src=x onerror=document.title='taken'>",
     "[x](javascript:alert(1))",
     "<!--<script>",
+    "</script><b>&amp;",
     "=1+1|' & {7*7} `*_\\",
 )
 

@@ -8,6 +8,8 @@ from cube_green import green as green, session as session
 from cube_session import cube_session as cube_session, write_cube_session
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chrome")
+# A name that would act in a page that took it as markup.
+NAME = '<img src=x onerror="document.body.dataset.taken=1">[a](b)'
 # Software draws: no graphics card, no display.
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
@@ -19,6 +21,8 @@ def viewer(tmp_path_factory):
     from palpate.viewer import Viewer, read_subject  # noqa: PLC0415
 
     folder = write_cube_session(tmp_path_factory.mktemp("viewer") / "cube")
+    file = folder / "session.toml"
+    file.write_text(file.read_text().replace('"a [bold] cube"', f"'{NAME}'"))
     running = Viewer(read_subject(folder))
     yield running
     running.stop()

@@ -46,6 +46,25 @@ def test_the_mesh_is_there_and_no_other_host_is_asked(page, viewer):
     assert all(one.startswith((home, "data:")) for one in asked), asked
 
 
+def test_a_name_is_shown_as_it_is_and_does_nothing(page, viewer):
+    page.get_by_text(viewer.background.subject.session.name).first.wait_for(timeout=10_000)
+    assert page.locator("body").get_attribute("data-taken") is None
+    assert page.locator("a[href=b]").count() == 0
+
+
+def test_writing_waits_for_an_answer(page, viewer):
+    tab, written = viewer.tabs[page.number], []
+    tab.setting._write = lambda: written.append(True)
+    tab.setting.draft = tab.setting.draft.with_support(np.arange(9))
+    page.get_by_role("tab", name="Set up").click()
+    page.get_by_role("button", name="write session.toml").click()
+    page.get_by_text("support_triangles.txt is new").wait_for(timeout=10_000)
+    assert written == []
+    page.get_by_role("button", name="write", exact=True).click()
+    until(lambda: written == [True])
+    tab.setting._forget()
+
+
 def test_a_click_presses_and_a_drag_presses_deeper(page, viewer):
     tab = viewer.tabs[page.number]
     until(lambda: drawn(page))

@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 import math
 import time
 from dataclasses import replace
@@ -78,6 +77,8 @@ def write_report(folder: Path, target: Path) -> None:
         loader=PackageLoader("palpate.report"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
+    # Of `tojson`, which leaves no character in the text that could end or change a script.
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     page = environment.get_template("page.html").render(_content(folder, estimate, surface))
     write_bytes(target, page.encode())
 
@@ -104,7 +105,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "drawn": _DRAWINGS,
         "pictures": pictures,
         "missing": missing,
-        "scene": json.dumps(shown, separators=(",", ":")).replace("</", "<\\/"),
+        "scene": shown,
         "shown": [one["name"] for one in shown["probings"]],
         "left_out": shown["left_out"],
         "unit": unit_of_moduli(estimate),

@@ -1,11 +1,10 @@
-"""Colour coding: the quantity shown at the points of a probing, and its colour scale."""
+"""Colour coding: the quantity shown at the points of a probing."""
 
 from dataclasses import dataclass
 
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float, UInt8
-from matplotlib.colors import to_hex
 
 from palpate.figures import LENGTHS, MOST_SIGMAS, RESIDUALS
 from palpate.pipeline import FittedProbing
@@ -14,7 +13,6 @@ from palpate.shapes import Points, PointScalars
 MEASURED, PREDICTED, RESIDUAL, SIGMA = FIELDS = (
     "displacement, measured", "displacement, predicted", "residual, in sigmas", "sigma",
 )  # fmt: skip
-_STOPS = 12
 # Quantile of the values at the end of the scale, so that false matches do not determine it.
 _TOP = 0.97
 
@@ -88,30 +86,6 @@ def colours_of(values: PointScalars, top: float, cmap: str) -> Colours:
     """
     share = np.clip(np.nan_to_num(values) / top, 0.0, 1.0)
     return np.asarray(np.rint(255 * mpl.colormaps[cmap](share)[:, :3]), dtype=np.uint8)
-
-
-def scale_html(top: float, unit: str, cmap: str) -> str:
-    """A colour bar with its numbers, as HTML.
-
-    Parameters
-    ----------
-    top : float                         value at its right end
-    unit : str
-    cmap : str                          colour map of matplotlib
-
-    Returns
-    -------
-    str
-    """
-    stops = ", ".join(to_hex(c) for c in mpl.colormaps[cmap](np.linspace(0.0, 1.0, _STOPS)))
-    numbers = "".join(f"<span>{value:.3g}</span>" for value in (0.0, top / 2))
-    return (
-        '<div style="margin:.3em 1em;font-size:.8em">'
-        '<div style="height:.9em;border:1px solid #888;'
-        f'background:linear-gradient(to right,{stops})">'
-        '</div><div style="display:flex;justify-content:space-between">'
-        f"{numbers}<span>{top:.3g} {unit} and more</span></div></div>"
-    )
 
 
 def linear_light(colours: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

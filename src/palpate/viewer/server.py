@@ -14,6 +14,7 @@ from palpate.errors import InputError
 from palpate.records import verdict_text
 from palpate.viewer.background_work import BackgroundWork
 from palpate.viewer.gate import guarded_server
+from palpate.viewer.markup import text_html
 from palpate.viewer.panels import (
     LookPanel,
     MaterialPanel,
@@ -46,7 +47,7 @@ class Tab:
         # `update` is called both by the background thread and by the one that opens the tab.
         self._updating = threading.Lock()
         self.stage = Stage(client, subject)
-        gui.add_markdown(f"**{subject.session.name}**  \n{heading(subject)}")
+        gui.add_html(text_html(f"\n{heading(subject)}", bold=subject.session.name))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Look"):
             self.look = LookPanel(gui, background, self.stage)

@@ -137,17 +137,17 @@ def force_text(pressed: Pressed) -> str:
 
     Returns
     -------
-    str                             one or two paragraphs of Markdown
+    str                             one line; where there is a warning, it is a second one
     """
     length = float(np.linalg.norm(pressed.force))
     resolved = bool(pressed.state.resolved.all())
     # Unless the contact is resolved, the constants' share would understate the error of the force.
     known = resolved and pressed.sigma > 0.0
     doubt = f" \N{PLUS-MINUS SIGN} {pressed.sigma:.2g}" if known else ""
-    text = f"**{length:.3g}{doubt} N** at {1e3 * pressed.depth:.2f} mm"
+    text = f"{length:.3g}{doubt} N at {1e3 * pressed.depth:.2f} mm"
     if not resolved:
         text += (
-            f"\n\nThe ball touches {pressed.touching} of the mesh's vertices: too few for a force"
+            f"\nThe ball touches {pressed.touching} of the mesh's vertices: too few for a force"
             " that can be trusted. Take a larger ball, or a finer mesh."
         )
     return text

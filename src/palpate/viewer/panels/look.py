@@ -11,8 +11,8 @@ from palpate.viewer.colours import (
     MEASURED,
     PREDICTED,
     coloured_field,
-    scale_html,
 )
+from palpate.viewer.markup import scale_html, text_html
 from palpate.viewer.stage import Stage, length_colours
 
 # Initial drawn length of the largest displacement, as a fraction of the object's size.
@@ -37,7 +37,7 @@ class LookPanel:
         self.probing = gui.add_dropdown("probing", names, hint="Which push is shown.")
         self.field = gui.add_dropdown("colours", FIELDS)
         self.scale = gui.add_html("")
-        self.note = gui.add_markdown("")
+        self.note = gui.add_html("")
         self.magnification = gui.add_slider(
             "deformation drawn, times", 0, _MAX_MAGNIFICATION, 1, self._initial_magnification()
         )
@@ -97,7 +97,7 @@ class LookPanel:
         self._draw_body(one, what, magnification)
         known = field is not None
         self.scale.content = scale_html(field.top, field.unit, field.cmap) if field else ""
-        self.note.content = "" if known else f"*{_why(what)}*"
+        self.note.content = "" if known else text_html(_why(what), italic=True)
 
     def _draw_body(self, one: FittedProbing, what: str, magnification: float) -> None:
         """Draw the surface deformed by the model; coloured if that displacement is selected."""

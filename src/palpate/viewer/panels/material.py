@@ -10,6 +10,7 @@ from palpate.pipeline import FittedProbing
 from palpate.records import length_unit, modulus_unit
 from palpate.viewer.background_work import BackgroundWork
 from palpate.viewer.drawings import LikelihoodPlot
+from palpate.viewer.markup import text_html
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.subject import with_prediction
 
@@ -30,7 +31,7 @@ class MaterialPanel:
 
     def __init__(self, gui: Any, background: BackgroundWork, look: LookPanel) -> None:
         self._gui, self._background, self._look = gui, background, look
-        self.text = gui.add_markdown(f"*{background.model_text}*")
+        self.text = gui.add_html(text_html(background.model_text, italic=True))
         self.modulus: Any = None
         self.ratio: Any = None
         self._plot: LikelihoodPlot | None = None
@@ -40,7 +41,7 @@ class MaterialPanel:
         """Show the progress of the model, and the sliders once it is ready."""
         fitted = self._background.fitted
         if fitted is None:
-            self.text.content = f"*{self._background.model_text}*"
+            self.text.content = text_html(self._background.model_text, italic=True)
         elif self.modulus is None:
             self._add_sliders(fitted)
 
@@ -82,7 +83,7 @@ class MaterialPanel:
         try:
             state = fitted.model.at(nu, modulus)
         except PalpateError as error:
-            self.text.content = f"*{error}*"
+            self.text.content = text_html(str(error), italic=True)
             return
         found = {one.name: one for one in state.probings}
         self._look.override(
@@ -95,10 +96,10 @@ class MaterialPanel:
         young = 2.0 * modulus * (1.0 + nu) / self._unit
         misfit = 0.0 if state is None else max(state.misfit, 0.0)
         name = modulus_unit(self._unit)[1]
-        self.text.content = (
-            f"**misfit {misfit:.1f}** above that of the best constants; 6 is the edge of the 95 %"
-            f" region where noise is independent  \nE = {young:.4g} {name};"
-            f" {rms_text(self._look.shown)}"
+        self.text.content = text_html(
+            " above that of the best constants; 6 is the edge of the 95 % region where noise is"
+            f" independent\nE = {young:.4g} {name}; {rms_text(self._look.shown)}",
+            bold=f"misfit {misfit:.1f}",
         )
         if self._plot is not None:
             self._image.image = self._plot.marked(nu, modulus)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from palpate.viewer.drawings import camera_picture, frames
+from palpate.viewer.markup import text_html
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.stage import Stage
 
@@ -29,7 +30,7 @@ class PicturesPanel:
         self._stop = threading.Event()
         rig = self._subject.rig
         if rig is None:
-            self.text = gui.add_markdown("*This session has no pictures.*")
+            self.text = gui.add_html(text_html("This session has no pictures.", italic=True))
             return
         self._cameras = [camera.name for camera in rig.cameras]
         self.camera = gui.add_dropdown("camera", self._cameras)
@@ -38,7 +39,7 @@ class PicturesPanel:
         self.play = gui.add_button("play")
         self.image: Any = None
         self._gui = gui
-        self.text = gui.add_markdown("")
+        self.text = gui.add_html("")
         for control in (self.camera, self.frame, self.magnification):
             control.on_update(lambda _: self.draw())
         self.play.on_click(lambda _: self._play())
@@ -59,7 +60,7 @@ class PicturesPanel:
             return
         patterns = frames(self._subject.session, probing.name)
         if not patterns:
-            self.text.content = f"*{probing.name} has no pictures.*"
+            self.text.content = text_html(f"{probing.name} has no pictures.", italic=True)
             return
         number = min(int(self.frame.value), len(patterns) - 1)
         last = number == len(patterns) - 1
@@ -68,7 +69,7 @@ class PicturesPanel:
             flow=probing if last else None, magnification=float(self.magnification.value),
         )  # fmt: skip
         if seen is None:
-            self.text.content = f"*{patterns[number]} cannot be read.*"
+            self.text.content = text_html(f"{patterns[number]} cannot be read.", italic=True)
         elif self.image is None:
             self.image = self._gui.add_image(seen, format="jpeg")
         else:
@@ -76,7 +77,9 @@ class PicturesPanel:
         when = "at rest" if number == 0 else f"{number} of {len(patterns) - 1} under load"
         if seen is not None:
             drawn = last and np.isfinite(probing.displacement).all(axis=1).any()
-            self.text.content = when + ("; arrows: measured displacement" if drawn else "")
+            self.text.content = text_html(
+                when + ("; arrows: measured displacement" if drawn else "")
+            )
 
     def _play(self) -> None:
         """Play the pictures once."""

@@ -7,6 +7,7 @@ import numpy as np
 from palpate.errors import PalpateError
 from palpate.geometry import closest_points
 from palpate.shapes import Vector3
+from palpate.viewer.markup import text_html
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.placement import (
     Draft,
@@ -44,7 +45,7 @@ class SettingPanel:
             "near is, mm", float(f"{0.01 * size:.2g}"), float(f"{0.3 * size:.2g}"),
             float(f"{0.005 * size:.2g}"), float(f"{_NEAR * size:.2g}"),
         )  # fmt: skip
-        self.text = gui.add_markdown("")
+        self.text = gui.add_html("")
         write = gui.add_button("write session.toml ...")
         forget = gui.add_button("forget what was set")
         write.on_click(lambda _: self.ask_to_write())
@@ -88,18 +89,18 @@ class SettingPanel:
         for name, point in draft.contacts.items():
             here = ", ".join(f"{x / session.metres_per_unit:.4g}" for x in point)
             lines.append(f"contact of {name}: [{here}]")
-        self.text.content = "  \n".join(lines)
+        self.text.content = text_html("\n".join(lines)) if lines else ""
 
     def ask_to_write(self) -> None:
         """Ask whether the changes are to be written, naming the files."""
         try:
             *new, changed = draft_files(self._stage.subject.session, self.draft)
         except PalpateError as error:
-            self.text.content = f"*{error}*"
+            self.text.content = text_html(str(error), italic=True)
             return
         with self._gui.add_modal("Write what was set?") as question:
             what = [f"{changed} is changed.", *(f"{file} is new." for file in new)]
-            self._gui.add_markdown("  \n".join(what))
+            self._gui.add_html(text_html("\n".join(what)))
             yes, no = self._gui.add_button("write"), self._gui.add_button("do not write")
 
         def write() -> None:
@@ -113,10 +114,12 @@ class SettingPanel:
         try:
             written = write_draft(self._stage.subject.session, self.draft)
         except PalpateError as error:
-            self.text.content = f"*not written: {error}*"
+            self.text.content = text_html(f"not written: {error}", italic=True)
             return
         self.draft = Draft()
-        self.text.content = f"Written to {written.path}. Fit the session again, and open it anew."
+        self.text.content = text_html(
+            f"Written to {written.path}. Fit the session again, and open it anew."
+        )
 
     def _forget(self) -> None:
         self.draft = Draft()

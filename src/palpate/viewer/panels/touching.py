@@ -7,7 +7,7 @@ import numpy as np
 from palpate.errors import PalpateError
 from palpate.shapes import Vector3
 from palpate.viewer.background_work import BackgroundWork
-from palpate.viewer.colours import scale_html
+from palpate.viewer.markup import scale_html, text_html
 from palpate.viewer.panels.look import LookPanel
 from palpate.viewer.stage import Stage, length_colours
 from palpate.viewer.touch import Pressed, force_text, place_ball, press
@@ -31,7 +31,7 @@ class TouchPanel:
         self._background, self._stage, self._look = background, stage, look
         self.pressed: Pressed | None = None
         size = stage.size
-        self.text = gui.add_markdown("")
+        self.text = gui.add_html("")
         self.scale = gui.add_html("")
         self.radius = gui.add_slider(
             "ball's radius, mm", _round(0.02 * size), _round(0.4 * size), _round(0.005 * size),
@@ -54,7 +54,9 @@ class TouchPanel:
                 how += " Nothing was estimated: G 20 kPa and nu 0.3 are assumed."
             if known and self._background.touch_text:
                 how += f" {self._background.touch_text}."
-            self.text.content = how if known else f"*{self._background.touch_text}*"
+            self.text.content = (
+                text_html(how) if known else text_html(self._background.touch_text, italic=True)
+            )
 
     def put(self, point: Vector3) -> None:
         """Press the ball at a point of the surface at rest [m], to the slider's depth."""
@@ -67,7 +69,7 @@ class TouchPanel:
                 ball = place_ball(green, point, 1e-3 * float(self.radius.value))
                 self.pressed = press(green, ball, 1e-3 * float(self.depth.value))
             except PalpateError as error:
-                self.text.content = f"*{error}*"
+                self.text.content = text_html(str(error), italic=True)
                 return
             self._show(self.pressed)
 
@@ -88,7 +90,7 @@ class TouchPanel:
             try:
                 self.pressed = press(green, self.pressed, depth)
             except PalpateError as error:
-                self.text.content = f"*{error}*"
+                self.text.content = text_html(str(error), italic=True)
                 return
             self._show(self.pressed)
 
@@ -98,12 +100,11 @@ class TouchPanel:
         self._stage.draw_points(None, 1.0)
         self._stage.show("probings", False)
         self._stage.draw_body(pressed.displacement, colours)
-        text = force_text(pressed)
-        newtons = text.partition("\n")[0].replace("*", "")
+        force, end, warning = force_text(pressed).partition("\n")
         self._stage.draw_ball(
-            pressed.centre, pressed.state.tools[0].tool.bounding_radius, pressed.force, newtons
+            pressed.centre, pressed.state.tools[0].tool.bounding_radius, pressed.force, force
         )
-        self.text.content = text
+        self.text.content = text_html(end + warning, bold=force)
         self.scale.content = scale_html(top, "mm", "viridis")
 
     def release(self) -> None:

@@ -1,0 +1,110 @@
+"""Names that are markup, in the viewer and in the report: they are shown, and do nothing."""
+
+import ast
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from estimate_samples import sample_result
+from security.conftest import NAMES, write_hostile_session
+from security.fake_page import opened_tab
+
+import palpate.viewer
+from palpate.api import Result
+from palpate.errors import InputError
+from palpate.records import read_session
+from palpate.viewer import read_subject
+from palpate.viewer.background_work import BackgroundWork
+from palpate.viewer.markup import text_html
+from palpate.viewer.placement import Draft
+
+
+class Shown(HTMLParser):
+    """Tags with their attributes, and the text that a reader sees."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.attributes, self.text = set(), set(), ""
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.attributes |= {name for name, _ in attrs}
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_viewer_shows_a_name_as_it_is(tmp_path, monkeypatch, name):
+    def refuse(*_):
+        raise InputError(name)
+
+    monkeypatch.setattr("palpate.viewer.panels.setting.write_draft", refuse)
+    background = BackgroundWork(read_subject(write_hostile_session(tmp_path / "cube", name)), None)
+    background.model_text = background.touch_text = name
+    tab, page = opened_tab(background)
+    tab.setting.draft = Draft().with_contact(name, tab.stage.subject.session.mesh.vertices[0])
+    tab.setting._show()
+    shown = [Shown(one.content) for one in page.of_kind("html")]
+    # Heading, model, touch, what was set.
+    assert sum(name in one.text for one in shown) == 4
+    page.button("write session.toml ...").click()
+    page.button("write").click()
+    shown += [Shown(one.content) for one in page.of_kind("html")]
+    assert f"not written: {InputError(name)}" in Shown(tab.setting.text.content).text
+    assert set().union(*(one.tags for one in shown)) <= {"div", "span", "b", "i"}
+    assert set().union(*(one.attributes for one in shown)) == {"style"}
+
+
+def test_every_text_of_the_viewer_is_made_by_one_function():
+    """viser takes Markdown and HTML unchecked: neither may come from anywhere else."""
+
+    def is_safe(node):
+        if isinstance(node, ast.IfExp):
+            return is_safe(node.body) and is_safe(node.orelse)
+        if isinstance(node, ast.Call):
+            return getattr(node.func, "id", "") in ("text_html", "scale_html")
+        return isinstance(node, ast.Constant) and node.value == ""
+
+    found = 0
+    for file in Path(palpate.viewer.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            name = getattr(getattr(node, "func", None), "attr", "")
+            assert name not in ("add_markdown", "add_notification"), file
+            values = node.args if name == "add_html" else []
+            if isinstance(node, ast.Assign) and getattr(node.targets[0], "attr", "") == "content":
+                values = [node.value]
+            found += len(values)
+            assert all(map(is_safe, values)), f"{file}: line {node.lineno}"
+    assert found > 20
+
+
+def test_line_breaks_and_emphasis_are_ours():
+    assert "<b>a&amp;b</b>\nc" in text_html("\nc", bold="a&b")
+    assert "<i>c</i>" in text_html("c", italic=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_report_shows_a_name_as_it_is(tmp_path, name):
+    session = read_session(write_hostile_session(tmp_path / "cube", name))
+    result = sample_result(session)
+    estimate, (fit,) = result.estimate, result.probes
+    estimate = replace(estimate, probes=(replace(estimate.probes[0], name=name),), notes=(name,))
+    result = replace(result, estimate=estimate, probes=(replace(fit, name=name),))
+    folder = Result(session, result).save(tmp_path / "saved")
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    # A browser reads `<!--<script>` in a script as the begin of another one, which never ends.
+    island = text.partition('<script type="application/json" id="scene">')[2]
+    island = island.partition("</script>")[0]
+    assert "<" not in island
+    assert [one["name"] for one in json.loads(island)["probings"]] == [name]
+    page = Shown(text.replace(island, ""))
+    # Title, heading, choice of the probing, two tables, notes.
+    assert page.text.count(name) == 6
+    assert "b" not in page.tags
+    assert "onerror" not in page.attributes
+    assert text.count("<script") == 2
