@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 
-from palpate.errors import RecordError
+from palpate.errors import RecordError, print_message
 from palpate.files import checked_file
 from palpate.locks import release_lock, take_lock
 
@@ -204,7 +204,7 @@ def _clean_up(finals: Sequence[Path]) -> None:
         interrupted, _ = _read_journal(journal)
         outcome = "was undone" if interrupted else "was tidied up"
         _roll_back(journal)
-        _print_note(f"{finals[-1]}: what an interrupted run had begun {outcome}")
+        print_message(f"note: {finals[-1]}: what an interrupted run had begun {outcome}")
     for final in finals:
         # Earlier versions put the process id into these names.
         pattern = re.compile(rf"\.{re.escape(final.name)}\.(\d+\.)?(partial|draft|older)")
@@ -212,17 +212,13 @@ def _clean_up(finals: Sequence[Path]) -> None:
             leftover = final.with_name(name)
             if not name.endswith(".older"):
                 _remove(leftover)
-                _print_note(f"{leftover}: left by an interrupted run, removed")
+                print_message(f"note: {leftover}: left by an interrupted run, removed")
             elif final.exists():
                 kept = _keep_under_old_name(leftover, final)
-                _print_note(f"{leftover}: left by an interrupted run, kept as {kept}")
+                print_message(f"note: {leftover}: left by an interrupted run, kept as {kept}")
             else:
                 os.rename(leftover, final)
-                _print_note(f"{final}: put back; an interrupted run had left it as {name}")
-
-
-def _print_note(text: str) -> None:
-    print(f"palpate: note: {text}", file=sys.stderr)
+                print_message(f"note: {final}: put back; an interrupted run had left it as {name}")
 
 
 def _put_in_place(
@@ -234,7 +230,7 @@ def _put_in_place(
             shutil.copymode(final, path)
         if final.exists() and keep_old(final):
             kept = _keep_under_old_name(final, final)
-            _print_note(f"{final}: what was there is kept as {kept}")
+            print_message(f"note: {final}: what was there is kept as {kept}")
     if len(finals) > 1:
         _replace_together(staged, finals)
     elif not finals[0].is_dir():

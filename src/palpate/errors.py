@@ -1,5 +1,7 @@
-"""Error classes of Palpate. Bad input raises; a numerical outcome is data (`Status`)."""
+"""Error classes of Palpate, and messages on the terminal. Bad input raises; a numerical outcome is
+data (`Status`)."""
 
+import sys
 from datetime import date, time
 
 # Longest quoted value, and longest message, in characters: no more than a terminal shows.
@@ -33,15 +35,36 @@ def _elided(text: str, max_length: int) -> str:
     )
 
 
+def visible(text: str) -> str:
+    """A line of text as it may be printed: names from files may hold what commands a terminal.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str                             line breaks, control characters and marks that turn the
+                                    direction of writing are shown as in Python: `\\x1b`
+    """
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
+def print_message(text: str) -> None:
+    """Print a line on stderr, after the program's name.
+
+    Parameters
+    ----------
+    text : str
+    """
+    print(f"palpate: {visible(text)}", file=sys.stderr)
+
+
 class PalpateError(Exception):
     """Base class of all errors that Palpate raises deliberately; the text says what to do."""
 
     def __str__(self) -> str:
-        # A name from a file may contain line breaks or terminal control characters: escape them.
-        text = _elided(super().__str__(), _MAX_MESSAGE)
-        return "".join(
-            character if character.isprintable() else repr(character)[1:-1] for character in text
-        )
+        return visible(_elided(super().__str__(), _MAX_MESSAGE))
 
 
 class InputError(PalpateError, ValueError):

@@ -15,7 +15,7 @@ from typing import NoReturn
 
 from palpate.app.exit_codes import BAD_INPUT, BY_SIGNAL, NOT_OK
 from palpate.app.guard import guarded
-from palpate.errors import NotConvergedError, PalpateError
+from palpate.errors import NotConvergedError, PalpateError, print_message
 
 _BROKEN_PIPE = BY_SIGNAL + 13
 _STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
@@ -79,7 +79,7 @@ def _folder_is_gone() -> bool:
 
 def _print_message(text: str) -> None:
     with suppress(OSError):
-        print(f"palpate: {text}", file=sys.stderr)
+        print_message(text)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from palpate.errors import InputError
+from palpate.errors import InputError, print_message
 
 # Fewer columns show no table at all.
 _MIN_COLUMNS = 20
@@ -51,11 +51,10 @@ def kernel_cache() -> Iterator[None]:
             " to a folder that can"
         ) from error
     os.environ["NUMBA_CACHE_DIR"] = folder
-    print(
-        "palpate: note: neither the installation nor the user's cache can be written, so kernels"
+    print_message(
+        "note: neither the installation nor the user's cache can be written, so kernels"
         " are compiled anew every time, for half a minute; set NUMBA_CACHE_DIR to a folder that can"
-        " be written",
-        file=sys.stderr,
+        " be written"
     )
     try:
         yield

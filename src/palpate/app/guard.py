@@ -18,7 +18,7 @@ from pathlib import Path
 from palpate import __version__
 from palpate.app.environment import kernel_cache, usable_columns
 from palpate.app.exit_codes import BAD_INPUT, PROGRAM_ERROR
-from palpate.errors import InputError
+from palpate.errors import InputError, print_message
 
 try:
     import resource
@@ -54,12 +54,12 @@ def guarded(main: Main) -> Main:
                 with kernel_cache():
                     return main(arguments)
             except InputError as error:
-                print(f"palpate: {error}", file=sys.stderr)
+                print_message(str(error))
                 return BAD_INPUT
             except Exception as error:  # noqa: BLE001 - the last guard is for all of them
                 words = sys.argv[1:] if arguments is None else arguments
                 text, code = _outcome(error, words, log.getvalue())
-                print(f"palpate: {text}", file=sys.stderr)
+                print_message(text)
                 return code
 
     return safe
@@ -162,9 +162,8 @@ def _too_little_memory() -> bool:
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY or limit >= _MIN_MEMORY:
         return False
-    print(
-        f"palpate: may use {limit / 2**30:.2g} GiB of memory (ulimit -v), and needs"
-        f" {_MIN_MEMORY / 2**30:g} GiB; raise the limit",
-        file=sys.stderr,
+    print_message(
+        f"may use {limit / 2**30:.2g} GiB of memory (ulimit -v), and needs"
+        f" {_MIN_MEMORY / 2**30:g} GiB; raise the limit"
     )
     return True

@@ -12,6 +12,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
+from palpate.errors import visible
+
 OUTPUT_FORMAT = "palpate-output/1"
 
 
@@ -55,7 +57,7 @@ def output_as(wanted: Output, words: Sequence[str]) -> Iterator[None]:
         _output.reset(token)
     if wanted.json and (wanted.tables or wanted.sentences):
         document = {
-            "format": OUTPUT_FORMAT, "command": list(words), "tables": wanted.tables,
+            "format": OUTPUT_FORMAT, "command": list(map(visible, words)), "tables": wanted.tables,
             "sentences": wanted.sentences,
         }  # fmt: skip
         sys.stdout.write(json.dumps(document, indent=1, ensure_ascii=False) + "\n")

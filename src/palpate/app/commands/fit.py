@@ -1,7 +1,6 @@
 """`palpate fit`: a session in, a table and a result folder out."""
 
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,6 +20,7 @@ from palpate.app.terminal import (
 )
 from palpate.app.versions import versions
 from palpate.bem import check_memory
+from palpate.errors import print_message
 from palpate.estimation import FitResult, FitSettings
 from palpate.pipeline import (
     PoseChoice,
@@ -152,7 +152,7 @@ def fit(
         f"Result in {target}, report in {target / REPORT_FILE} ({estimate.seconds['total']:.1f} s)"
     )
     if estimate.status is not Status.OK:
-        print(f"palpate: {estimate.status.advice}", file=sys.stderr)
+        print_message(estimate.status.advice)
         return NOT_OK
     return 0
 

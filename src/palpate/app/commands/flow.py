@@ -1,7 +1,6 @@
 """`palpate flow`: the pictures of a session in, the motion of its surface out."""
 
 import math
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -10,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
-from rich.markup import escape
 
 from palpate.app.exit_codes import NOT_OK
 from palpate.app.terminal import flow_table, print_notes, print_tables, print_text, progress_bar
-from palpate.errors import InputError
+from palpate.errors import InputError, print_message
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
     FLOW_METHODS,
@@ -230,7 +228,7 @@ def _print_failures(figures: Sequence[MotionFigures]) -> int:
                 " the table and the pictures say why",
             )
     for name, failure in failures.items():
-        print(f"palpate: {name}: {failure}", file=sys.stderr)
+        print_message(f"{name}: {failure}")
     return len(failures)
 
 
@@ -242,6 +240,6 @@ def _with_rate(progress: Progress, count: int) -> Progress:
         seconds = time.perf_counter() - start
         known = seconds > _MIN_RATE_SECONDS and fraction > 0.0
         rate = f" ({fraction * count / seconds:.2g} motions/s)" if known else ""
-        progress(escape(stage) + rate, fraction)
+        progress(stage + rate, fraction)
 
     return report

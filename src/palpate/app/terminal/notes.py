@@ -1,9 +1,9 @@
 """Sentences to the person at the keyboard: below a table, or notes on standard error."""
 
-import sys
 from collections.abc import Iterable
 
 from palpate.app.terminal.output import print_text
+from palpate.errors import print_message
 
 
 def print_notes(notes: Iterable[str]) -> None:
@@ -14,7 +14,7 @@ def print_notes(notes: Iterable[str]) -> None:
     notes : iterable of str
     """
     for note in notes:
-        print(f"palpate: note: {note}", file=sys.stderr)
+        print_message(f"note: {note}")
 
 
 def print_file_notes(notes: Iterable[tuple[str, str]], *, files: int) -> None:

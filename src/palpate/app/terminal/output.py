@@ -9,6 +9,7 @@ from rich.table import Table
 
 from palpate.app.output import wanted_output
 from palpate.app.terminal.shown_table import ShownTable
+from palpate.errors import visible
 from palpate.records import NOT_DETERMINED
 
 # What a cell may say besides a text: nothing, a number, a number and its deviation, an interval, a
@@ -46,6 +47,7 @@ def print_text(text: str, *, wrapped: bool = True) -> None:
     wrapped : bool                  between words at the terminal's width; not where it is copied
     """
     wanted = wanted_output()
+    text = "\n".join(map(visible, text.split("\n")))
     if wanted.json:
         wanted.sentences.extend(text.splitlines())
     else:

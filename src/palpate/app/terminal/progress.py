@@ -11,6 +11,7 @@ from rich import progress as rich_progress
 from rich.console import Console
 
 from palpate.app.output import wanted_output
+from palpate.errors import print_message, visible
 from palpate.progress import Progress
 
 
@@ -29,7 +30,7 @@ def progress_bar() -> Iterator[Progress]:
     bar = rich_progress.Progress(
         # Moves where a stage takes long and says nothing.
         rich_progress.SpinnerColumn(),
-        rich_progress.TextColumn("{task.description}"),
+        rich_progress.TextColumn("{task.description}", markup=False),
         rich_progress.BarColumn(),
         rich_progress.TaskProgressColumn(),
         rich_progress.TimeElapsedColumn(),
@@ -40,7 +41,7 @@ def progress_bar() -> Iterator[Progress]:
     task = bar.add_task("", total=1.0)
 
     def show(stage: str, fraction: float) -> None:
-        bar.update(task, description=stage, completed=fraction)
+        bar.update(task, description=visible(stage), completed=fraction)
 
     with bar, _announce_compilation(show) as report:
         yield report
@@ -81,7 +82,7 @@ def _line_progress() -> Progress:
     def report(stage: str, fraction: float) -> None:
         if stage != last[0]:
             seconds = time.perf_counter() - start
-            print(f"palpate: {seconds:7.1f} s  {100 * fraction:3.0f} %  {stage}", file=sys.stderr)
+            print_message(f"{seconds:7.1f} s  {100 * fraction:3.0f} %  {stage}")
             last[0] = stage
 
     return report

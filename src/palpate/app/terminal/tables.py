@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from rich.table import Table
 
 from palpate.app.terminal.shown_table import ShownTable
+from palpate.errors import visible
 from palpate.pipeline import MotionFigures
 from palpate.records import (
     BudgetEntry,
@@ -47,7 +48,8 @@ def terminal_table(
     ----------
     title : str
     columns : sequence of str       headings; the first column holds names
-    rows : iterable of sequences    as many cells as headings, shown as they are
+    rows : iterable of sequences    as many cells as headings, shown as they are, but for what
+                                    commands a terminal
     caption : str                   below the table
     total : bool                    the last row stands apart
 
@@ -55,7 +57,8 @@ def terminal_table(
     -------
     Table                           of rich
     """
-    return ShownTable(title, columns, [list(row) for row in rows], caption, total=total)
+    names, *cells = ([visible(cell) for cell in row] for row in (columns, *rows))
+    return ShownTable(visible(title), names, cells, visible(caption), total=total)
 
 
 def number_text(value: float | None, form: str) -> str:

@@ -5,7 +5,6 @@ import hashlib
 import json
 import os
 import shutil
-import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.disk import atomic_replacement
-from palpate.errors import InputError, RecordError
+from palpate.errors import InputError, RecordError, print_message
 from palpate.records.files.sums import (
     NOT_LISTED,
     changes,
@@ -103,8 +102,7 @@ def _keep_long_work(parts: Path) -> Iterator[None]:
         yield
     except BaseException:
         if parts.exists() and time.monotonic() - start > _MIN_SECONDS_TO_KEEP:
-            text = f"finished parts are kept in {parts}: run again to go on"
-            print(f"palpate: note: {text}", file=sys.stderr)
+            print_message(f"note: finished parts are kept in {parts}: run again to go on")
         else:
             shutil.rmtree(parts, ignore_errors=True)
         raise

@@ -9,7 +9,7 @@ from typing import Literal, cast
 from rich.prompt import Prompt
 
 from palpate.app.terminal import print_text
-from palpate.errors import InputError, RecordError, quoted
+from palpate.errors import InputError, RecordError, quoted, visible
 from palpate.recording import (
     TEMPLATES,
     FolderSurvey,
@@ -152,7 +152,8 @@ def _choose(what: str, default: str, allowed: list[str], *, interactive: bool) -
     """What the person says, or what is most likely where nobody can be asked."""
     if not interactive or len(allowed) == 1:
         return default
-    return Prompt.ask(what, choices=allowed, default=default)
+    shown = {visible(word): word for word in allowed}
+    return shown[Prompt.ask(what, choices=list(shown), default=visible(default))]
 
 
 def _found_text(survey: FolderSurvey) -> str:
