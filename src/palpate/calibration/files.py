@@ -1,9 +1,7 @@
 """Files of a calibration: rig.toml, covariance, residuals by picture, formats of other programs."""
 
-import csv
 from collections.abc import Sequence
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import cv2
@@ -14,7 +12,14 @@ from jaxtyping import Float
 from palpate.calibration.calibrate import Calibration, known_rig
 from palpate.calibration.quality import picture_errors
 from palpate.errors import RecordError
-from palpate.records import Camera, Rig, write_rig, write_rig_covariance, write_text
+from palpate.records import (
+    Camera,
+    Rig,
+    spreadsheet_text,
+    write_rig,
+    write_rig_covariance,
+    write_text,
+)
 
 
 def write_calibration(
@@ -47,13 +52,11 @@ def write_calibration(
 
 def _write_pictures(path: Path, calibration: Calibration) -> None:
     """Write one row per picture; the rms is left empty where no corner was kept."""
-    with StringIO() as text:
-        table = csv.writer(text, lineterminator="\n")
-        table.writerow(["camera", "view", "corners", "left out", "rms [px]"])
-        for one in picture_errors(calibration):
-            rms = "" if np.isnan(one.rms) else f"{one.rms:.4f}"
-            table.writerow([one.camera, one.view, one.corners, one.rejected, rms])
-        write_text(path, text.getvalue())
+    rows = [("camera", "view", "corners", "left out", "rms [px]")]
+    for one in picture_errors(calibration):
+        rms = "" if np.isnan(one.rms) else f"{one.rms:.4f}"
+        rows.append((one.camera, one.view, str(one.corners), str(one.rejected), rms))
+    write_text(path, spreadsheet_text(rows))
 
 
 def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:

@@ -1,6 +1,5 @@
 """A campaign's table as a CSV or Parquet file."""
 
-import csv
 import io
 from collections.abc import Sequence
 from dataclasses import astuple
@@ -10,6 +9,7 @@ from palpate.campaign.rows import COLUMNS, Row, outliers
 from palpate.disk import write_bytes
 from palpate.errors import InputError
 from palpate.optional_imports import late_import
+from palpate.records import spreadsheet_text
 
 _OUTLIER = "outlier"
 
@@ -46,12 +46,9 @@ def table_text(rows: Sequence[Row]) -> str:
     -------
     str
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*COLUMNS, _OUTLIER))
     outlying = outliers(rows)
-    writer.writerows((*astuple(row), " ".join(outlying.get(row.session, ()))) for row in rows)
-    return text.getvalue()
+    cells = ((*astuple(row), " ".join(outlying.get(row.session, ()))) for row in rows)
+    return spreadsheet_text([(*COLUMNS, _OUTLIER), *cells])
 
 
 def _parquet(rows: Sequence[Row]) -> bytes:

@@ -1,7 +1,5 @@
 """Result of an experiment of the paper: text, tables and pictures, as files and as a page."""
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +9,7 @@ from palpate.disk import write_bytes
 from palpate.errors import InputError
 from palpate.figures import Picture, save_pixels
 from palpate.files import read_bytes
-from palpate.records import write_text
+from palpate.records import spreadsheet_text, write_text
 
 Cell = str | int | float | None
 # Beginning of a generated page; only such pages are overwritten.
@@ -69,14 +67,12 @@ def csv_text(tables: Sequence[ResultTable]) -> str:
     -------
     str
     """
-    texts = []
-    for table in tables:
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(table.columns)
-        writer.writerows([["" if _is_unknown(c) else c for c in row] for row in table.rows])
-        texts.append(stream.getvalue())
-    return "\n".join(texts)
+    return "\n".join(
+        spreadsheet_text(
+            [table.columns, *([None if _is_unknown(c) else c for c in row] for row in table.rows)]
+        )
+        for table in tables
+    )
 
 
 def shown_rows(table: ResultTable) -> list[tuple[str, ...]]:

@@ -16,7 +16,7 @@ from palpate.recording.pictures import MAX_FRAMES, Moment, write_moments
 from palpate.recording.poses import read_poses, tip_motion
 from palpate.recording.record import Press, Recorded
 from palpate.recording.recording_file import Recording
-from palpate.records import SESSION_FORMAT, read_session, write_text
+from palpate.records import SESSION_FORMAT, read_session, spreadsheet_text, write_text
 from palpate.shapes import Vector3
 from palpate.vision import JointFlow, is_valid, read_pictures
 
@@ -216,7 +216,7 @@ _HEADINGS = (
 
 def _table(found: Recorded, placed: list[PlacedPress]) -> str:
     """CSV table with a line for each press, times on the gauge's clock."""
-    lines = [_HEADINGS]
+    rows = [_HEADINGS.split(",")]
     for placed_press in placed:
         press, reading = placed_press.press, placed_press.press.reading
         numbers = (
@@ -224,8 +224,8 @@ def _table(found: Recorded, placed: list[PlacedPress]) -> str:
             *press.rest, *reading.force, *reading.std, reading.creep, hysteresis(found, press),
             placed_press.frames, *placed_press.point, placed_press.point_std,
         )  # fmt: skip
-        lines.append(",".join([str(press.number), press.name, *(f"{x:.6g}" for x in numbers)]))
-    return "\n".join(lines) + "\n"
+        rows.append([str(press.number), press.name, *(f"{x:.6g}" for x in numbers)])
+    return spreadsheet_text(rows)
 
 
 def hysteresis(found: Recorded, press: Press) -> float:

@@ -173,6 +173,7 @@ from palpate.records.text import (
     read_text_table as read_text_table,
     read_toml as read_toml,
     split_cells as split_cells,
+    spreadsheet_text as spreadsheet_text,
     text_lines as text_lines,
     write_text as write_text,
 )

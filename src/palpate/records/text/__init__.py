@@ -14,6 +14,7 @@ from palpate.records.text.csv_table import (
     missing_depth as missing_depth,
     read_text_table as read_text_table,
     split_cells as split_cells,
+    spreadsheet_text as spreadsheet_text,
     text_lines as text_lines,
 )
 from palpate.records.text.file_names import file_stems as file_stems

@@ -1,8 +1,10 @@
-"""Tables of numbers in text files of measuring programs, with any separator and locale."""
+"""Tables of numbers in text files of measuring programs, with any separator and locale; tables for
+spreadsheets."""
 
 import csv
+import io
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.arrays import LARGEST_NUMBER
-from palpate.errors import RecordError, quoted
+from palpate.errors import RecordError, quoted, visible
 from palpate.files import read_bytes
 
 _UNIT = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\]]*)\]$")
@@ -29,6 +31,8 @@ _MAX_BYTES = 2**28
 _LONGEST_LINE = 100_000
 # Longest heading searched for a unit [characters], which takes quadratic time.
 _LONGEST_HEADING = 200
+# Beginnings of what spreadsheets compute.
+_FORMULA_STARTS = ("=", "+", "-", "@")
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -394,3 +398,35 @@ def _decode(path: Path, content: bytes, cure: str) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("cp1252", errors="replace")
+
+
+def spreadsheet_text(rows: Iterable[Iterable[object]]) -> str:
+    """Rows as comma-separated values; what a spreadsheet would compute is a text for it.
+
+    Parameters
+    ----------
+    rows : iterable of iterables    cells; None: empty
+
+    Returns
+    -------
+    str                             texts that begin like a formula, and are no numbers, have an
+                                    apostrophe before them; a tab or line break is shown as `\\t`,
+                                    `\\n`: what comes after it would begin a cell
+
+    Source
+    ------
+    OWASP, CSV Injection
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(map(_spreadsheet_cell, row) for row in rows)
+    return text.getvalue()
+
+
+def _spreadsheet_cell(cell: object) -> object:
+    if not isinstance(cell, str):
+        return cell
+    shown = visible(cell)
+    with suppress(ValueError):
+        float(shown)
+        return shown
+    return f"'{shown}" if shown.startswith(_FORMULA_STARTS) else shown
