@@ -59,7 +59,7 @@ def guarded_server(token: str, **options: Any) -> Any:
     PalpateError                    this version of viser starts its server in another way
     """
     viser = late_import("viser", extra="view", purpose="the viewer")
-    library = late_import("websockets.asyncio.server", extra="view", purpose="the viewer")
+    library: Any = late_import("websockets.asyncio.server", extra="view", purpose="the viewer")
     guarded = []
     # viser offers no check of requests, but hands one of its own to `serve`, before it listens.
     plain = library.serve
