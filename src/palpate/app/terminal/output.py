@@ -39,7 +39,8 @@ def print_tables(*tables: Table) -> None:
 
 
 def print_text(text: str, *, wrapped: bool = True) -> None:
-    """Print sentences as they are: brackets in names are no markup.
+    """Print sentences as they are: brackets in names are no markup, and what would command the
+    terminal is escaped.
 
     Parameters
     ----------
