@@ -292,5 +292,5 @@ def test_a_rate_is_shown_when_it_can_be_known(monkeypatch):
     report("n01", 0.1)
     report("n[b]", 0.5)
     report("n03", 0.0)
-    # Half of twenty in four seconds; the brackets are no markup.
-    assert shown == [("n01", 0.1), (r"n\[b] (2.5 motions/s)", 0.5), ("n03", 0.0)]
+    # Half of twenty in four seconds.
+    assert shown == [("n01", 0.1), ("n[b] (2.5 motions/s)", 0.5), ("n03", 0.0)]
