@@ -239,6 +239,8 @@ def test_workers_that_cannot_be_are_refused_first(bench, tmp_path):
         reproduce("table1", workers=0)
     with pytest.raises(InputError, match="not for one with --scheduler"):
         reproduce("table1", scheduler="tcp://127.0.0.1:9", workers=2)
+    with pytest.raises(InputError, match="has no TLS: anybody who reaches it can run code"):
+        reproduce("table1", scheduler="tcp://127.0.0.1:9")
     assert list(tmp_path.iterdir()) == []
 
 
