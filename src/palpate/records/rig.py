@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fix_fields
 from palpate.errors import CalibrationError, InputError
+from palpate.records.text import check_file_names
 from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -71,7 +72,8 @@ class Rig:
 
     Raises
     ------
-    CalibrationError                fewer than two cameras, duplicate names, no such reference
+    CalibrationError                fewer than two cameras, names that files cannot have or that
+                                    are not distinct, no such reference
     """
 
     cameras: tuple[Camera, ...]
@@ -84,8 +86,7 @@ class Rig:
             raise CalibrationError(
                 f"{self.source}: has {len(names)} camera; depth needs at least two"
             )
-        if len(set(names)) < len(names):
-            raise CalibrationError(f"{self.source}: cameras share a name: {', '.join(names)}")
+        check_file_names(names, what=f"{self.source}: camera", kind=CalibrationError)
         if not 0 <= self.reference < len(names):
             raise CalibrationError(
                 f"{self.source}: reference is camera {self.reference} of {len(names)}"
