@@ -305,7 +305,7 @@ class Probing:
 
     Parameters
     ----------
-    name : str                      unique within its session
+    name : str                      unique within its session; files are named after it
     contact : Contact
     force : (3,) float [N]          total force of the tool on the object; zero only with `loads`
     force_std : (3,) float [N] or None              one standard deviation, >= 0

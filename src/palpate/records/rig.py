@@ -23,7 +23,8 @@ class Camera:
 
     Parameters
     ----------
-    name : str                      replaces `{camera}` in the patterns of image files
+    name : str                      replaces `{camera}` in the patterns of image files; files are
+                                    named after it
     size : (columns, rows) or None  of its pictures [px]; None if the calibration does not give it
     matrix : (3, 3) float [px]      [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0
     distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6; a shorter list is padded with zeros

@@ -33,7 +33,7 @@ class Step:
 
     Parameters
     ----------
-    name : str                      unique within its session
+    name : str                      unique within its session; files are named after it
     images : str                    file pattern of its pictures, with `{camera}` in place of the
                                     camera's name
 
