@@ -6,6 +6,8 @@ import os
 import pickle
 import sys
 import zipfile
+from dataclasses import make_dataclass
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -93,15 +95,27 @@ def test_what_was_not_written_as_a_part_is_computed_again(store, content):
     assert not hasattr(sys, "palpate_was_here")
 
 
-@pytest.mark.parametrize("module", ["palpate_stranger", "palpate.stranger", "antigravity"])
+@pytest.mark.parametrize("module", ["palpate_stranger", "palpate.paper.budget", "antigravity"])
 def test_nothing_is_imported_for_a_name_in_a_part(store, tmp_path, monkeypatch, module):
-    """Neither from the current folder, nor as a module of Palpate's, nor of Python's own."""
+    """Neither from the current folder, nor of Palpate's, nor of Python's own."""
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, module, raising=False)
     (tmp_path / "palpate_stranger.py").write_text("raise SystemExit('imported')")
     _file(store).write_bytes(_npz(json.dumps(["record", module, "Thing", {}])))
     before = set(sys.modules)
     assert store.load("one") is None
     assert set(sys.modules) == before
+
+
+def test_a_record_of_another_package_is_not_made(store, monkeypatch):
+    made, module = [], ModuleType("stranger")
+    module.Thing = make_dataclass("Thing", [])
+    module.Thing.__post_init__ = lambda self: made.append(self)
+    module.Thing.__module__ = "stranger"
+    monkeypatch.setitem(sys.modules, "stranger", module)
+    _file(store).write_bytes(_npz(json.dumps(["record", "stranger", "Thing", {}])))
+    assert store.load("one") is None
+    assert made == []
 
 
 def test_a_link_in_a_cache_is_neither_read_nor_written_through(store, tmp_path):

@@ -90,7 +90,7 @@ def MAP(*_):
 
 
 @contextmanager
-def workers(scheduler, count):
+def workers(scheduler, count, *, insecure):
     """An engine that starts nothing."""
     yield SimpleNamespace(map=MAP)
 
