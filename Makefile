@@ -57,7 +57,7 @@ test: lint
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check $(PYTHON_FILES)
 	$(BIN)/ruff format --check $(PYTHON_FILES)
-	$(BIN)/codespell $(PYTHON_FILES) README.md CHANGELOG.md CONTRIBUTING.md
+	$(BIN)/codespell $(PYTHON_FILES) README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md
 
 contract: $(VENV)/dev.stamp
 	$(BIN)/lint-imports

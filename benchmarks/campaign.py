@@ -22,6 +22,8 @@ from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 
+import dask
+import distributed
 import psutil
 
 from benchmarks.clock import shortest
@@ -104,8 +106,9 @@ def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figur
         alone = time.perf_counter() - start
         used_alone = process.submit(time.process_time).result() - used
     serial = {item.name: files for item, files in zip(items, found, strict=True)}
-    with started_engine(None, 2) as workers:
+    with started_engine(None, 2) as workers, ExitStack() as stack:
         address = workers.client.scheduler.address
+        stack.enter_context(dask.config.set(_certificates(workers.client.security)))
         # Every worker loads its programs and kernels before anything is timed.
         run_campaign(items[:4], folder / "warm-two", scheduler=address)
         start, used = time.perf_counter(), _processor_time(workers)
@@ -129,6 +132,13 @@ def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figur
             f" and {used_together:.1f} s: {2 * used_alone / used_together:.2f} times on free cores",
         ),
     ]
+
+
+def _certificates(security: distributed.Security) -> dict[str, str]:
+    """Dask's configuration for another client of a cluster of one's own."""
+    own = security.get_tls_config_for_role("client")
+    files = {"ca-file": own["ca_file"], "client.cert": own["cert"], "client.key": own["key"]}
+    return {f"distributed.comm.tls.{name}": text for name, text in files.items()}
 
 
 def _processor_time(workers: Engine) -> float:
@@ -268,7 +278,7 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
     watch = folder / "watch.py"
     watch.write_text(WATCH.format(home=str(folder / "few"), log=str(seen)))
     campaign = folder / "apart"
-    words = ["few", "--out", "apart", "--scheduler", scheduler]
+    words = ["few", "--out", "apart", "--scheduler", scheduler, "--insecure"]
     with ExitStack() as stack:
         head = stack.enter_context(_dask(["scheduler", "--port", scheduler[-5:]], folder / "s"))
         for name in ("w1", "w2"):

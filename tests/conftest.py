@@ -2,7 +2,9 @@
 
 import faulthandler
 import os
+import signal
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +117,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next(matching, len(_LONGEST_FIRST))
 
     items.sort(key=place)
+
+
+@pytest.fixture
+def heeded_signals() -> Iterator[None]:
+    """Signals do what they do in a terminal, for this process and those that it starts: what runs
+    the tests in the background, as nohup and cron do, has some of them ignored."""
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -18,6 +18,13 @@ from palpate.errors import InputError, PalpateError, RecordError
 _MAX_BYTES = 4 * 2**30
 # Largest compression ratio of measurements, and size [bytes] up to which any ratio is accepted.
 _MAX_RATIO, _ANY_RATIO_BYTES = 100, 2**28
+# Neither follow a link, nor wait for the other end of a pipe (Windows knows neither).
+_OWN_FILE_FLAGS = (
+    os.O_RDONLY
+    | getattr(os, "O_NOFOLLOW", 0)
+    | getattr(os, "O_NONBLOCK", 0)
+    | getattr(os, "O_BINARY", 0)
+)
 # Things that are not regular files: reading them could block, or never end.
 _IRREGULAR_KINDS = {
     stat.S_IFDIR: "Is a directory",
@@ -51,6 +58,12 @@ def checked_file(
         found = os.stat(path)
     except (OSError, ValueError) as error:
         raise kind(f"{path}: cannot be read ({_reason(error)})") from error
+    _check_kind(path, found, max_bytes, kind)
+    return path
+
+
+def _check_kind(path: Path, found: os.stat_result, max_bytes: int, kind: type[InputError]) -> None:
+    """Refuse what is no regular file of bounded size."""
     if not stat.S_ISREG(found.st_mode):
         what = _IRREGULAR_KINDS.get(stat.S_IFMT(found.st_mode), "no regular file")
         raise kind(f"{path}: cannot be read ({what}); give a file")
@@ -59,7 +72,6 @@ def checked_file(
             f"{path}: has {found.st_size} bytes, more than the {max_bytes} that are read of such a"
             " file; is it the right one?"
         )
-    return path
 
 
 def is_file(path: Path) -> bool:
@@ -99,6 +111,35 @@ def read_bytes(
             return file.read(count)
     except OSError as error:
         raise kind(f"{path}: cannot be read ({_reason(error)})") from error
+
+
+@contextmanager
+def open_own_file(path: Path) -> Iterator[IO[bytes]]:
+    """Open a file that a program of this user wrote: no link, and nobody else's.
+
+    Parameters
+    ----------
+    path : Path
+
+    Yields
+    ------
+    binary file
+
+    Raises
+    ------
+    RecordError                     as `checked_file`; a link; another user's
+    """
+    try:
+        handle = os.open(path, _OWN_FILE_FLAGS)
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{path}: cannot be read ({_reason(error)})") from error
+    with os.fdopen(handle, "rb") as file:
+        found = os.fstat(handle)
+        _check_kind(path, found, _MAX_BYTES, RecordError)
+        # Windows has no such numbers.
+        if hasattr(os, "geteuid") and found.st_uid != os.geteuid():
+            raise RecordError(f"{path}: belongs to another user; give a file of your own")
+        yield file
 
 
 def max_unpacked_size(size: int) -> int:
@@ -176,22 +217,45 @@ def stored_arrays(
     """
     read_bytes(path, 0, max_bytes=max_bytes)
     with read_errors(path, cure, what=what):
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            size = sum(member.file_size for member in members)
-            max_bytes = min(max_bytes, max_unpacked_size(path.stat().st_size))
-            if size > max_bytes:
-                raise RecordError(
-                    f"{path}: its arrays take {size} bytes, more than the {max_bytes} that are read"
-                    " of such a file; is it the right one?"
-                )
-            arrays = {}
-            for member in members:
-                with archive.open(member) as packed:
-                    arrays[member.filename.removesuffix(".npy")] = _read_array(
-                        packed, member.file_size
-                    )
+        with path.open("rb") as file:
+            arrays = unpacked_arrays(file, path, max_bytes=max_bytes)
         yield arrays
+
+
+def unpacked_arrays(
+    file: IO[bytes], path: Path, *, max_bytes: int = _MAX_BYTES
+) -> dict[str, np.ndarray]:
+    """The arrays of an open NPZ file, as `stored_arrays` gives them, whose `read_errors` it needs.
+
+    Parameters
+    ----------
+    file : binary file
+    path : Path                     of it, for the message
+    max_bytes : int                 as in `stored_arrays`
+
+    Returns
+    -------
+    dict of str to array            arrays by name
+
+    Raises
+    ------
+    RecordError                     too large
+    """
+    with zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        max_bytes = min(max_bytes, max_unpacked_size(os.fstat(file.fileno()).st_size))
+        if size > max_bytes:
+            raise RecordError(
+                f"{path}: its arrays take {size} bytes, more than the {max_bytes} that are read"
+                " of such a file; is it the right one?"
+            )
+        arrays = {}
+        for member in members:
+            with archive.open(member) as packed:
+                name = member.filename.removesuffix(".npy")
+                arrays[name] = _read_array(packed, member.file_size)
+    return arrays
 
 
 def parse_array(content: bytes) -> np.ndarray:

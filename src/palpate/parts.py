@@ -1,34 +1,35 @@
 """Checkpoints: finished parts of a long computation, stored on disk by a digest of their inputs."""
 
 import hashlib
+import json
 import os
-import pickle
 import re
 import shutil
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
-from enum import Enum
+from enum import Enum, EnumType
+from functools import partial
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from scipy.sparse import csr_array
 
 import palpate
 from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import InUseError, RecordError
-from palpate.files import checked_file
+from palpate.files import open_own_file, read_errors, unpacked_arrays
 
 T = TypeVar("T")
 # Name of a part's file: a digest.
 _PART_NAME = re.compile(r"[0-9a-f]{64}")
-# Length of the checksum that precedes a part [bytes].
-_CHECKSUM_BYTES = 32
+# Name, among a part's arrays, of the text that says what they are parts of.
+_TREE = "tree"
 # Largest size of a cache [bytes], and fraction of what is free without it. All of a body
 # of 5000 vertices, the largest that is solved with dense matrices, takes 10 GB.
 _MOST_BYTES, _MOST_FRACTION = 16 * 2**30, 0.25
-# The names that numpy needs to unpickle arrays.
-_NUMPY_NAMES = ("_reconstruct", "_frombuffer", "scalar", "ndarray", "dtype")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ class Parts:
         ----------
         name : str                  unique among the parts
         make : callable             computes the part: arrays, Palpate's dataclasses, plain values
-                                    and texts
+                                    and texts, and tuples, lists and dicts of these
         known : mapping of names to objects     objects that every run has: stored by name only and
                                     put back on reading
 
@@ -91,12 +92,13 @@ class Parts:
         if self.folder is not None:
             # A full disk must not stop the computation, nor another process that stores the part:
             # it is then simply not stored.
-            with (
-                suppress(OSError, RecordError, InUseError),
-                created_folder(self.folder),
-                atomic_replacement([self._file(self.folder, name)]) as (staged,),
-            ):
-                _write_part(staged, part, known or {})
+            file = self._file(self.folder, name)
+            with suppress(OSError, RecordError, InUseError), created_folder(self.folder):
+                # A file is replaced where a link leads; a part belongs into this folder.
+                if file.is_symlink():
+                    file.unlink()
+                with atomic_replacement([file]) as (staged,):
+                    _write_part(staged, part, known or {})
             if self.cache:
                 _trim(self.folder)
         return part
@@ -141,75 +143,101 @@ def _update_digest(digest: "hashlib._Hash", value: Any) -> None:
         digest.update(f"{len(text)} ".encode() + text)
 
 
-class _Writer(pickle.Pickler):
-    """Pickler that writes known objects by name."""
-
-    def __init__(self, file: IO[bytes], known: Mapping[str, Any]) -> None:
-        super().__init__(file, protocol=5)
-        self.names = {id(item): name for name, item in known.items() if item is not None}
-
-    def persistent_id(self, item: Any) -> str | None:
-        """Name of a known object, else None."""
-        return self.names.get(id(item))
-
-
-class _Reader(pickle.Unpickler):
-    """Unpickler that resolves known names and creates only arrays, Palpate's dataclasses and enums.
-
-    A forged file can therefore change values, but not run code.
-    """
-
-    def __init__(self, file: IO[bytes], known: Mapping[str, Any]) -> None:
-        super().__init__(file)
-        self.known = known
-
-    def persistent_load(self, name: str) -> Any:
-        """The known object of a name."""
-        return self.known[name]
-
-    def find_class(self, module: str, name: str) -> Any:
-        """The class of that name, if it may be unpickled."""
-        found = super().find_class(module, name)
-        is_record = is_dataclass(found) or (isinstance(found, type) and issubclass(found, Enum))
-        if module.startswith("palpate.") and is_record:
-            return found
-        if module.partition(".")[0] == "numpy" and name in _NUMPY_NAMES:
-            return found
-        raise pickle.UnpicklingError(f"{module}.{name} is nothing that a part is made of")
-
-
 def _write_part(path: Path, part: Any, known: Mapping[str, Any]) -> None:
-    """Write a part, then its checksum before it: large arrays are not copied."""
-    with path.open("w+b") as file:
-        file.seek(_CHECKSUM_BYTES)
-        _Writer(file, known).dump(part)
-        file.seek(_CHECKSUM_BYTES)
-        checksum = hashlib.file_digest(file, "sha256").digest()
-        file.seek(0)
-        file.write(checksum)
+    """Write a part as an NPZ file: its arrays, and a text in JSON that says where each belongs."""
+    arrays: dict[str, np.ndarray] = {}
+    names = {id(item): name for name, item in known.items() if item is not None}
+    text = json.dumps(_as_tree(part, names, arrays)).encode()
+    arrays[_TREE] = np.frombuffer(text, np.uint8)
+    with path.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]  # mypy: a name might be an option's
 
 
-def _is_intact(file: IO[bytes]) -> bool:
-    """Whether what follows the checksum matches it; the file is then at the start of the part."""
-    checksum = file.read(_CHECKSUM_BYTES)
-    found = hashlib.file_digest(file, "sha256").digest()  # type: ignore[arg-type]
-    file.seek(_CHECKSUM_BYTES)
-    return checksum == found
+def _as_tree(value: Any, names: Mapping[int, str], arrays: dict[str, np.ndarray]) -> Any:
+    """What JSON holds of a value: a plain one itself, of any other a list that begins with a word.
+    Arrays are added to `arrays` under their identity: one that belongs to two things once."""
+    inner = partial(_as_tree, names=names, arrays=arrays)
+    key, kind = str(id(value)), type(value)
+    if id(value) in names:
+        return ["known", names[id(value)]]
+    if value is None or kind in (bool, int, float, str):
+        return value
+    if kind in (tuple, list):
+        return [kind.__name__, [inner(item) for item in value]]
+    if kind is dict:
+        return ["dict", [[inner(name), inner(item)] for name, item in value.items()]]
+    if kind is csr_array:
+        return ["sparse", [inner(each) for each in (value.data, value.indices, value.indptr)],
+                [int(length) for length in value.shape]]  # fmt: skip
+    if isinstance(value, Enum):
+        return ["enum", kind.__module__, kind.__qualname__, value.name]
+    if is_dataclass(value):
+        content = {field.name: inner(getattr(value, field.name)) for field in fields(value)}
+        return ["record", kind.__module__, kind.__qualname__, content]
+    if kind is bytes:
+        arrays[key] = np.frombuffer(value, np.uint8)
+        return ["bytes", key]
+    if kind is np.ndarray or isinstance(value, np.generic):
+        arrays[key] = np.asarray(value)
+        return ["array" if kind is np.ndarray else "number", key]
+    raise TypeError(f"{kind.__qualname__} is nothing that a part is made of")
 
 
 def _read_part(path: Path, known: Mapping[str, Any]) -> Any:
-    """A stored part, or None if the file is missing or not intact."""
+    """A stored part, or None if the file is missing, not the user's own or not what was written."""
     try:
-        with checked_file(path).open("rb") as file:
-            if not _is_intact(file):
-                return None
-            # A cache removes what has not been used for longest; one of somebody else, nothing.
+        with open_own_file(path) as file, read_errors(path, "it is computed again"):
+            arrays = unpacked_arrays(file, path)
+            # A cache removes what has not been used for longest.
             with suppress(OSError):
                 os.utime(path)
-            return _Reader(file, known).load()
-    except (RecordError, OSError, ValueError, LookupError, TypeError, AttributeError, ImportError,
-            EOFError, pickle.UnpicklingError):  # fmt: skip
+            return _from_tree(json.loads(arrays[_TREE].tobytes()), known, arrays)
+    except RecordError:
         return None
+
+
+def _from_tree(tree: Any, known: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Any:
+    """The value of which `_as_tree` made a tree. A forged file can change values, but not run code:
+    what is made are plain values, arrays and Palpate's own records and enums."""
+    inner = partial(_from_tree, known=known, arrays=arrays)
+    match tree:
+        case None | bool() | int() | float() | str():
+            return tree
+        case ["known", name]:
+            return known[name]
+        case ["tuple", items]:
+            return tuple(map(inner, items))
+        case ["list", items]:
+            return list(map(inner, items))
+        case ["dict", pairs]:
+            return {inner(name): inner(item) for name, item in pairs}
+        case ["sparse", parts, shape]:
+            matrix = csr_array(tuple(map(inner, parts)), shape=tuple(shape))
+            # An index out of range would be read outside the array.
+            matrix.check_format()
+            return matrix
+        case ["enum", module, name, member]:
+            return _loaded_class(module, name)[member]
+        case ["record", module, name, content]:
+            made = {field: inner(item) for field, item in content.items()}
+            return _loaded_class(module, name)(**made)
+        case ["bytes", key]:
+            return arrays[key].tobytes()
+        case ["array", key]:
+            return arrays[key]
+        case ["number", key]:
+            return arrays[key][()]
+    raise ValueError("a value of another kind")
+
+
+def _loaded_class(module: str, name: str) -> Any:
+    """Palpate's dataclass or enum of a name. A name in a file has nothing imported: whoever reads a
+    part has loaded what it is made of."""
+    found = vars(sys.modules[module])[name] if module.startswith("palpate.") else None
+    is_own = isinstance(found, type) and found.__module__ == module
+    if is_own and (is_dataclass(found) or isinstance(found, EnumType)):
+        return found
+    raise ValueError(f"{module}.{name} is nothing that a part is made of")
 
 
 def _trim(cache: Path) -> None:

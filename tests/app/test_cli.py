@@ -75,6 +75,7 @@ def test_output_that_goes_nowhere(redirection, code, message):
     assert (done.returncode, done.stderr) == (code, message)
 
 
+@pytest.mark.usefixtures("heeded_signals")
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
 )

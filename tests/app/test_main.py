@@ -4,6 +4,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 # A module that interrupts the process as soon as it is looked for.
 _INTERRUPTED = """
 import runpy, signal, sys
@@ -28,6 +30,7 @@ def test_the_module_is_the_command():
     assert done.stdout.startswith("palpate ")
 
 
+@pytest.mark.usefixtures("heeded_signals")
 def test_an_early_interruption_ends_without_a_traceback():
     done = _run("-c", _INTERRUPTED)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask
 import distributed
 import numpy as np
 import pytest
@@ -72,10 +73,21 @@ def _own_environment() -> Iterator[None]:
     os.environ.update(before)
 
 
+@pytest.fixture(scope="package", autouse=True)
+def _certificate() -> Iterator[None]:
+    """One for schedulers, workers and clients, in Dask's configuration as on many machines."""
+    made = distributed.Security.temporary()
+    files = {"ca-file": made.tls_ca_file}
+    for role in ("client", "scheduler", "worker"):
+        files |= {f"{role}.cert": made.tls_client_cert, f"{role}.key": made.tls_client_key}
+    with dask.config.set({f"distributed.comm.tls.{name}": text for name, text in files.items()}):
+        yield
+
+
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
     """Address of a scheduler with two workers, in this process."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tls", dashboard_address=":0"
     ) as cluster:
         yield cluster.scheduler_address

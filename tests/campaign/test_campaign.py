@@ -163,7 +163,7 @@ def _small_worker(*, threads):
     """
     pauses = {f"distributed.worker.memory.{k}": False for k in ("target", "spill", "pause")}
     with dask.config.set(pauses), distributed.LocalCluster(
-        n_workers=1, threads_per_worker=threads, processes=False, protocol="tcp",
+        n_workers=1, threads_per_worker=threads, processes=False, protocol="tls",
         dashboard_address=":0", memory_limit="0.8GiB",
     ) as cluster:  # fmt: skip
         yield cluster.scheduler_address
@@ -209,8 +209,8 @@ def test_what_is_no_campaign_is_left_alone(cubes, tmp_path):
 
 def test_a_campaign_that_cannot_begin_leaves_nothing(cubes, tmp_path, monkeypatch):
     items, folder = read_items(cubes), tmp_path / "a" / "campaign"
-    with pytest.raises(InputError, match="no scheduler answers at nonsense"):
-        run_campaign(items, folder, scheduler="nonsense")
+    with pytest.raises(InputError, match="no scheduler answers at tls://nonsense"):
+        run_campaign(items, folder, scheduler="tls://nonsense")
     assert not (tmp_path / "a").exists()
 
     def full(*_, **__):

@@ -23,7 +23,7 @@ from palpate.errors import InputError, MeshError
 from palpate.locks import take_lock
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://here", "127.0.0.1:no"])
+@pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "tls://127.0.0.1:no"])
 def test_no_scheduler_at_that_address(address, monkeypatch):
     monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
     expected = f"no scheduler answers at {re.escape(address)} .*start one with `dask scheduler`"
@@ -38,7 +38,7 @@ def test_a_scheduler_without_workers(monkeypatch):
     monkeypatch.setattr(cluster_file, "_FIRST_WORKER_TIMEOUT", 0.2)
     with (
         distributed.LocalCluster(
-            n_workers=0, processes=False, protocol="tcp", dashboard_address=":0"
+            n_workers=0, processes=False, protocol="tls", dashboard_address=":0"
         ) as cluster,
         pytest.raises(InputError, match=r"has no workers after 0.2 s; start some with `dask"),
         started_engine(cluster.scheduler_address, None),
@@ -67,7 +67,7 @@ def test_other_versions_are_refused(scheduler, monkeypatch, who, package, versio
     monkeypatch.setattr(distributed.Client, "get_versions", answered)
     with pytest.raises(InputError) as raised, started_engine(scheduler, None):
         pass
-    assert f"the {who} at tcp://" in str(raised.value)
+    assert f"the {who} at tls://" in str(raised.value)
     assert said in str(raised.value)
     assert f"pip install 'palpate[batch]=={__version__}'" in str(raised.value)
 

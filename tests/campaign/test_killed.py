@@ -53,7 +53,7 @@ def test_wherever_it_is_killed_it_goes_on(
     known: dict[str, Outcome] = {}
 
     @contextmanager
-    def started(*_: object) -> Iterator[_Serial]:
+    def started(*_: object, **__: object) -> Iterator[_Serial]:
         yield _Serial(tmp_path / "worker", known)
 
     monkeypatch.setattr(campaign_file, "started_engine", started)

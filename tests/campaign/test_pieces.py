@@ -178,9 +178,8 @@ def test_a_full_disk_ends_the_campaign_and_is_no_row(folder, scheduler, tmp_path
 @pytest.fixture
 def local(scheduler, monkeypatch):
     """Workers of a campaign without `--scheduler`: those in this process."""
-    monkeypatch.setattr(
-        campaign, "started_engine", lambda *_, start=campaign.started_engine: start(scheduler, None)
-    )
+    start = campaign.started_engine
+    monkeypatch.setattr(campaign, "started_engine", lambda *_, **__: start(scheduler, None))
 
 
 def _kinds(begun):

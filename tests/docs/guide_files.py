@@ -130,6 +130,7 @@ def _campaign(here):
     yield
     yield
     yield
+    yield
 
 
 def _compression(here):

@@ -20,15 +20,18 @@ PAGES = {
 # What no test can run, and why. Nothing else is left out.
 _INSTALLS = "installs from the network what the tests have"
 _STAYS = "serves a page for a browser until it is interrupted; tests/viewer opens one"
+_KEYS = "makes a key with a program that not every machine has"
 _CLUSTER = "needs several machines; tests/campaign runs a scheduler and workers on this one"
 NOT_RUN = {
     "pip install 'palpate[surface]'": _INSTALLS,
     "pip install 'palpate[view]'": _INSTALLS,
     "palpate view examples/half_ball": _STAYS,
     "palpate view half_ball": _STAYS,
+    "openssl req -x509 -newkey rsa:2048 -nodes -days 365 -subj /CN=dask"
+    " -keyout dask.key -out dask.crt": _KEYS,
     "dask scheduler": _CLUSTER,
-    "dask worker tcp://192.168.1.7:8786 --nworkers auto --nthreads 1": _CLUSTER,
-    "palpate campaign apples.txt --scheduler tcp://192.168.1.7:8786": _CLUSTER,
+    "dask worker tls://192.168.1.7:8786 --nworkers auto --nthreads 1": _CLUSTER,
+    "palpate campaign apples.txt --scheduler tls://192.168.1.7:8786": _CLUSTER,
 }
 # A minute or so each; their commands have tests of their own.
 _LONG = {"calibrate", "campaign", "export", "flow", "lab", "next", "scan"}

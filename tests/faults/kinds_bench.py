@@ -178,7 +178,7 @@ KINDS = [
             ("campaign", "status", "cube", "holds no campaign.sqlite"),
             ("report", "cube", "no result of this version"),
             ("reproduce", "none", "there is no experiment"),
-            ("campaign", "run", "list.txt", "--scheduler", "nonsense", "no scheduler answers"),
+            ("campaign", "run", "list.txt", "--scheduler", "nonsense", "has no TLS"),
             ("fit", "cube", "--cache", "rig.toml", "rig.toml: the cache cannot be written"),
             ("view", "cube", "--cache", "rig.toml", "rig.toml: the cache cannot be written"),
             (*_POKE, "--cache", "rig.toml/below", "rig.toml/below: the cache cannot be written"),

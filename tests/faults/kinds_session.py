@@ -97,7 +97,7 @@ _CHECKED = [
     (
         "a probing's name as long as a book",
         _in_session('name = "n01"', f'name = "{"y" * 300}"'),
-        ("the name 'yyy", "300 characters"),
+        ("probing 'yyy", "300 characters", "at most 200 bytes"),
     ),
     ("a force of two components", _in_session(_FORCE, "force = [0, -1.2]"), ("toml", "force")),
     (

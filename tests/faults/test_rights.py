@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from fault_injection import without_rights
 
+from palpate.app import environment
 from palpate.app.cli import main
 
 
@@ -68,3 +69,21 @@ def test_where_nothing_may_be_written(work: Path, words: tuple[str, ...]) -> Non
     assert len(said.strip()) > 20
     assert "Traceback" not in said
     assert _tree(work) == before
+
+
+def test_a_home_that_may_not_be_searched_is_as_good_as_none(
+    work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of another user, as in a container: kernels are then compiled into a temporary folder."""
+    (work / "users" / "me").mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(work / "users" / "me"))
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    # The installation, which is asked first, belongs to whoever runs the tests.
+    places = environment._cache_places()[1:]
+    monkeypatch.setattr(environment, "_cache_places", lambda: places)
+    (work / "users").chmod(0o000)
+    code, said = without_rights(lambda: main(["check", "cube"]))
+    (work / "users").chmod(0o755)
+    assert code in (0, 3)
+    assert "set NUMBA_CACHE_DIR to a folder that can be written" in said

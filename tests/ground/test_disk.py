@@ -174,6 +174,7 @@ def test_what_is_no_journal_is_refused_at_once(tmp_path, kind):
     assert not (tmp_path / ".session.lock").exists()
 
 
+@pytest.mark.usefixtures("heeded_signals")
 def test_a_signal_waits_until_all_is_in_place(tmp_path, monkeypatch):
     _start(tmp_path, {"session": "old"})
     real = os.replace

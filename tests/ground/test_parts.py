@@ -1,8 +1,6 @@
 """Parts of long work are read as they were made, and only by the work that made them."""
 
-import hashlib
 import os
-import pickle
 import shutil
 from dataclasses import dataclass
 
@@ -17,6 +15,7 @@ from palpate.records import Constant, Status
 PART = (
     np.arange(6.0).reshape(2, 3)[:, ::-1],
     {"status": Status.OK, "constant": Constant(1.0, np.float64(0.1), (0.5, 1.5)), "text": b"x"},
+    {1: np.asfortranarray(np.arange(6).reshape(2, 3)), None: np.float32(np.nan), "odd": "\ud800\n"},
     [None, True, 3, np.nan],
 )
 
@@ -56,21 +55,9 @@ def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
     (file,) = tmp_path.iterdir()
     content = file.read_bytes()
 
-    class Evil:
-        def __reduce__(self):
-            return (exec, ("raise SystemExit",))
-
-    evil = pickle.dumps((Evil(),))
     changed = content.replace(np.float64(0.1).tobytes(), np.float64(0.2).tobytes())
     assert changed != content
-    for bad in (
-        b"",
-        content[:-10],
-        content[: len(content) // 2],
-        changed,
-        evil,
-        hashlib.sha256(evil).digest() + evil,
-    ):
+    for bad in (b"", content[:-10], content[: len(content) // 2], changed):
         file.write_bytes(bad)
         assert store.load_or_make("one", lambda: "new") == "new"
 
@@ -80,7 +67,7 @@ def test_a_disk_that_keeps_nothing_is_no_reason_to_stop(tmp_path):
     assert Parts(tmp_path / "file" / "parts", "key").load_or_make("one", lambda: "new") == "new"
 
 
-def test_a_part_of_somebody_else_is_read(tmp_path, monkeypatch):
+def test_a_part_whose_time_cannot_be_set_is_read(tmp_path, monkeypatch):
     def refused(path):
         raise PermissionError(1, "Operation not permitted", str(path))
 

@@ -12,7 +12,7 @@ from palpate.app.arguments import expanded_words, make_app
 from palpate.lab import read_lab_config
 
 PAGES = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")),
     *sorted(ROOT.glob("docs/**/*.md")),
 ]
 NAMES = [path.relative_to(ROOT).as_posix() for path in PAGES]

@@ -141,7 +141,7 @@ def test_a_wrong_configuration_gets_one_clear_message(read, old, new, text):
 
 def test_twins_are_refused(read):
     probe = HALF_BALL[HALF_BALL.index("[[probe]]") :]
-    with pytest.raises(RecordError, match="two probes are named 'n01'"):
+    with pytest.raises(RecordError, match="probing 'n01': there are files named 'n01' already"):
         read(HALF_BALL + probe)
 
 

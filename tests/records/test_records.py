@@ -163,12 +163,16 @@ def test_records_cannot_be_changed():
         (_session, {"held_triangles": np.array([48])}, "names triangles 48 to 48, but the mesh"),
         (_session, {"held_triangles": np.arange(48)}, "the whole surface"),
         (_session, {"probings": ()}, "no probings"),
-        (_session, {"probings": (_probing(), _probing())}, "share the name 'a'"),
+        (_session, {"probings": (_probing(), _probing())}, "there are files named 'a' already"),
         (_session, {"probings": (_with_images(),)}, "probing 'a' has images, but no rig is given"),
         (_of_steps, {"rig": None}, "the steps have images, but no rig is given"),
         (_of_steps, {"steps": ()}, "has no probings .*; at least one is needed"),
         (_of_steps, {"steps": (Step("s0", "a"),)}, "has one step, 's0', alone; motion needs"),
-        (_of_steps, {"steps": (Step("b", "x"), Step("b", "y"))}, "steps share the name 'b'"),
+        (
+            _of_steps,
+            {"steps": (Step("b", "x"), Step("b", "y"))},
+            "step 'b': there are files named 'b' already",
+        ),
         (
             _of_steps,
             {"probings": (_probing(),)},
@@ -235,15 +239,12 @@ def test_weights_of_points_that_are_not_there_are_refused():
             SurfaceAverage(np.zeros((3, 3)), bad)
 
 
-def test_an_average_is_pickled_whole_and_checked():
+def test_an_average_is_pickled_whole():
     average = _average()
     found = pickle.loads(pickle.dumps(average))
     np.testing.assert_array_equal(found.points, average.points)
     for part in ("data", "indices", "indptr"):
         np.testing.assert_array_equal(getattr(found.weights, part), getattr(average.weights, part))
-    points, data, *others = average.__getstate__()
-    with pytest.raises(InputError, match="add up to"):
-        found.__setstate__((points, 2 * data, *others))
 
 
 def test_some_of_the_averages_and_averages_among_others():

@@ -78,7 +78,7 @@ def test_a_rotation_written_with_seven_digits_is_one():
     [
         (["left"], 0, "has 1 camera"),
         ([], 0, "has 0 camera"),
-        (["left", "right", "left"], 0, "share a name: left, right, left"),
+        (["left", "right", "left"], 0, "camera 'left': there are files named 'left' already"),
         (["left", "right"], 2, "reference is camera 2 of 2"),
         (["left", "right"], -1, "reference is camera -1 of 2"),
     ],

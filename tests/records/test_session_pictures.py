@@ -57,7 +57,7 @@ def test_a_support_may_stay_in_a_rigid_motion_sequence(steps_folder):
 
 
 BAD_STEPS = [
-    ('name = "s1"', 'name = "s0"', "steps share the name 's0'; names must be distinct"),
+    ('name = "s1"', 'name = "s0"', "step 's0': there are files named 's0' already"),
     ('name = "s1"', "", r"\[\[step\]\] number 2: the key 'name' is missing"),
     ('name = "s1"', "name = 1", r"\[\[step\]\] number 2 name: is 1; must be a text"),
     ('images = "images/s1', 'image = "images/s1', "unknown key 'image'; did you mean 'images'"),

@@ -110,6 +110,7 @@ def _cache_places() -> list[Path]:
 
 def _is_writable(folder: Path) -> bool:
     """Whether a folder, or the nearest one above that is there, can be written."""
-    while not folder.exists() and folder != folder.parent:
+    # One that may not be searched is not there: a home of another user, in a container.
+    while not os.path.exists(folder) and folder != folder.parent:
         folder = folder.parent
-    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+    return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)

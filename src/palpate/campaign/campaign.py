@@ -31,6 +31,7 @@ def run_campaign(
     options: FitOptions = FitOptions(),
     scheduler: str | None = None,
     workers: int | None = None,
+    insecure: bool = False,
     progress: Progress = silent,
 ) -> tuple[Row, ...]:
     """Fit all sessions of a list; results of an earlier run of the same campaign are reused.
@@ -43,7 +44,7 @@ def run_campaign(
     items : sequence of CampaignItem
     folder : Path                   of the campaign: created, or continued
     options : FitOptions
-    scheduler, workers              as in `started_engine`
+    scheduler, workers, insecure    as in `started_engine`
     progress : callable             called with the number of sessions that have ended (text), and
                                     their fraction, 0 to 1
 
@@ -70,7 +71,8 @@ def run_campaign(
     ):
         stack.callback(store.clear)
         store.begin(items)
-        run = _Run(store, options, lambda: stack.enter_context(started_engine(scheduler, workers)))
+        engine = started_engine(scheduler, workers, insecure=insecure)
+        run = _Run(store, options, lambda: stack.enter_context(engine))
         # On workers that share no folder, what is computed of a body would have to travel, which
         # takes longer than to compute it: each of them keeps what its own fits compute.
         run.work_through(items, progress, bodies_first=scheduler is None)

@@ -14,7 +14,7 @@ from typing import Any
 
 from palpate import __version__
 from palpate.campaign.engine import LOCAL_FOLDER_PREFIX, Engine, install_advice
-from palpate.errors import InputError
+from palpate.errors import InputError, quoted
 from palpate.locks import is_abandoned, release_lock, take_lock
 from palpate.optional_imports import late_import
 
@@ -41,16 +41,25 @@ _SETTINGS = {
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.worker.memory.monitor-interval": "500ms",
     "distributed.worker.profile.enabled": False,
+    # Scheduler and workers have a web server each, with sessions and logs for whoever asks: of ours
+    # they have no pages.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
 }
+# Python starts processes that would first look for their modules in the current folder.
+_NOT_FROM_THE_CURRENT_FOLDER = {"PYTHONSAFEPATH": "1"}
+# What addresses begin with where both sides show a certificate.
+_TLS = "tls://"
 _MATCHED_PACKAGES = ("python", "dask", "distributed")
 
 
-def check_workers(scheduler: str | None, workers: int | None) -> None:
-    """Refuse a number of workers that is out of range, or given for a running scheduler.
+def check_workers(scheduler: str | None, workers: int | None, *, insecure: bool = False) -> None:
+    """Refuse a number of workers that is out of range, or given for a running scheduler, and a
+    scheduler without TLS.
 
     Parameters
     ----------
-    scheduler, workers              as in `started_engine`
+    scheduler, workers, insecure    as in `started_engine`
 
     Raises
     ------
@@ -62,18 +71,35 @@ def check_workers(scheduler: str | None, workers: int | None) -> None:
             f"--workers is {workers}; must be 1 to {limit}, {_MAX_PER_CORE} for every core, and is"
             " for the cluster that the command starts itself, not for one with --scheduler"
         )
+    if insecure and scheduler is None:
+        raise InputError(
+            "--insecure without --scheduler: the cluster that the command starts itself has TLS;"
+            " leave --insecure out"
+        )
+    if scheduler is not None and not insecure and not scheduler.startswith(_TLS):
+        raise InputError(
+            f"the scheduler at {quoted(scheduler)} has no TLS: anybody who reaches it can run code"
+            f" as you; start it with certificates and give {_TLS}HOST:PORT, or add --insecure where"
+            " you trust everybody who can reach it"
+        )
 
 
 @contextmanager
-def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engine]:
+def started_engine(
+    scheduler: str | None, workers: int | None, *, insecure: bool = False
+) -> Iterator[Engine]:
     """Connect to workers for the duration of the block.
 
     Parameters
     ----------
-    scheduler : str or None         address of a running scheduler, `tcp://HOST:PORT`; None: start a
-                                    cluster on this machine, which ends with the block
+    scheduler : str or None         address of a running scheduler, `tls://HOST:PORT`, with the
+                                    certificates of Dask's configuration; None: start a cluster on
+                                    this machine, which ends with the block; its certificate is made
+                                    for it, and nobody else has it
     workers : int or None           number of workers of that cluster; None: one per core, fewer
                                     where each would have less than 2 GiB of memory
+    insecure : bool                 accept an address without TLS, `tcp://HOST:PORT`: anybody who
+                                    reaches the scheduler can then run code as this user
 
     Yields
     ------
@@ -81,9 +107,11 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
 
     Raises
     ------
-    InputError                      Dask is not installed; no scheduler at that address; no worker;
-                                    scheduler or worker with other versions, or without Palpate
+    InputError                      Dask is not installed; as `check_workers`; no certificates; no
+                                    scheduler at that address; no worker; scheduler or worker with
+                                    other versions, or without Palpate
     """
+    check_workers(scheduler, workers, insecure=insecure)
     library = late_import("distributed", extra="batch", purpose="a campaign")
     with ExitStack() as stack:
         stack.enter_context(_own_environment())
@@ -103,9 +131,10 @@ def started_engine(scheduler: str | None, workers: int | None) -> Iterator[Engin
 
 @contextmanager
 def _own_environment() -> Iterator[None]:
-    """Restore the environment variables after the block: Dask sets those of its workers in our own
-    process too."""
+    """Environment variables of the processes that the block starts. All are restored after it: Dask
+    sets those of its workers in our own process too."""
     before = dict(os.environ)
+    os.environ.update(_NOT_FROM_THE_CURRENT_FOLDER)
     try:
         yield
     finally:
@@ -154,11 +183,13 @@ def _local_client(library: ModuleType, workers: int | None, folder: str) -> Iter
     """A client of a local cluster of processes, each with one thread and an equal memory share."""
     usable = int(_USABLE_SHARE * library.system.MEMORY_LIMIT)
     count = workers or max(1, min(cores(), usable // _LEAST_SHARE))
+    late_import("cryptography", extra="batch", purpose="a certificate of the workers")
     with ExitStack() as stack:
         with _interrupts_held_back():
             cluster = stack.enter_context(library.LocalCluster(
                 n_workers=count, threads_per_worker=1, processes=True, memory_limit=usable // count,
-                dashboard_address="127.0.0.1:0", local_directory=folder, silence_logs=50,
+                dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                security=library.Security.temporary(), local_directory=folder, silence_logs=50,
             ))  # fmt: skip
         yield stack.enter_context(library.Client(cluster, set_as_default=False))
 
@@ -181,17 +212,27 @@ def _interrupts_held_back() -> Iterator[None]:
 
 @contextmanager
 def _connected_client(library: ModuleType, address: str) -> Iterator[Any]:
-    """A client of a running scheduler."""
+    """A client of a running scheduler; with TLS every connection has it, those to workers too."""
     try:
-        # Check the address first: a client refuses it only when it is half constructed, and would
-        # then be finalised by the garbage collector, where it may deadlock on Dask's global lock.
+        security = library.Security(require_encryption=address.startswith(_TLS))
+        # Check certificates and address first: a client refuses them only when it is half
+        # constructed, and would then be finalised by the garbage collector, where it may deadlock
+        # on Dask's global lock.
+        if (
+            security.require_encryption
+            and not security.get_connection_args("client")["ssl_context"]
+        ):
+            raise ValueError("no certificate is named")
         library.comm.get_address_host_port(address)
-        client = library.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        client = library.Client(
+            address, timeout=_CONNECT_TIMEOUT, set_as_default=False, security=security
+        )
     except (OSError, ValueError, TypeError) as error:
         why = " ".join(str(error).split())[:200]
         raise InputError(
-            f"no scheduler answers at {address} ({why}); start one with `dask scheduler` and give"
-            " the address that it prints, as in tcp://192.168.1.7:8786"
+            f"no scheduler answers at {address} ({why}); start one with `dask scheduler`, give the"
+            " address that it prints, as in tls://192.168.1.7:8786, and name the certificates in"
+            " Dask's configuration, at distributed.comm.tls"
         ) from error
     with client:
         yield client

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from palpate.errors import RecordError
 from palpate.files import read_bytes
-from palpate.records import disk_errors, session_files
+from palpate.records import disk_errors, path_below, session_files
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,9 +130,7 @@ def unpack(package: Package, folder: Path) -> None:
     """
     check_package(package)
     for name, content in package.files.items():
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise RecordError(f"{name}: leads out of the folder that it is unpacked in")
-        target = folder / name
+        target = path_below(folder, name)
         with disk_errors(folder):
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(content)

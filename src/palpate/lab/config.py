@@ -11,7 +11,7 @@ import numpy as np
 
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records import MODULUS_RANGE
+from palpate.records import MODULUS_RANGE, check_file_names
 from palpate.shapes import Indices, Vector3
 from palpate.solids import TipName
 
@@ -366,8 +366,9 @@ class LabConfig(_Limited):
 
     Raises
     ------
-    InputError                      neither probes nor stage, or both; duplicate probe names; a
-                                    support stiffness with a nonlinear law
+    InputError                      neither probes nor stage, or both; names of probes that files
+                                    cannot have or that are not distinct; a support stiffness with a
+                                    nonlinear law
     """
 
     name: str
@@ -393,6 +394,4 @@ class LabConfig(_Limited):
                 f"law is '{self.material.law}' and the support has a stiffness; objects on springs"
                 " are linear: leave one of them out"
             )
-        names = [probe.name for probe in self.probes]
-        if twins := {name for name in names if names.count(name) > 1}:
-            raise InputError(f"two probes are named '{min(twins)}'; give each its own name")
+        check_file_names([probe.name for probe in self.probes], what="probing")

@@ -1,7 +1,6 @@
 """One probing: where the tool pressed, with what force, and how the surface moved."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -107,15 +106,6 @@ class SurfaceAverage:
         if (wrong > _ROUNDING).any():
             row = int(wrong.argmax())
             raise InputError(f"weights of displacement {row} add up to {total[row].tolist()}")
-
-    # Pickled as arrays: stored parts of a computation (`palpate.parts`) hold no class of SciPy.
-    def __getstate__(self) -> tuple[Any, ...]:
-        found = self.weights
-        return self.points, found.data, found.indices, found.indptr, found.shape
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        points, *parts, shape = state
-        self.__init__(points, csr_array(tuple(parts), shape=shape))  # type: ignore[misc]
 
     @property
     def has_weights(self) -> Flags:
@@ -315,7 +305,7 @@ class Probing:
 
     Parameters
     ----------
-    name : str                      unique within its session
+    name : str                      unique within its session; files are named after it
     contact : Contact
     force : (3,) float [N]          total force of the tool on the object; zero only with `loads`
     force_std : (3,) float [N] or None              one standard deviation, >= 0

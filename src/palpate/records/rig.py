@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fix_fields
 from palpate.errors import CalibrationError, InputError
+from palpate.records.text import check_file_names
 from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -22,7 +23,8 @@ class Camera:
 
     Parameters
     ----------
-    name : str                      replaces `{camera}` in the patterns of image files
+    name : str                      replaces `{camera}` in the patterns of image files; files are
+                                    named after it
     size : (columns, rows) or None  of its pictures [px]; None if the calibration does not give it
     matrix : (3, 3) float [px]      [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0
     distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6; a shorter list is padded with zeros
@@ -71,7 +73,8 @@ class Rig:
 
     Raises
     ------
-    CalibrationError                fewer than two cameras, duplicate names, no such reference
+    CalibrationError                fewer than two cameras, names that files cannot have or that
+                                    are not distinct, no such reference
     """
 
     cameras: tuple[Camera, ...]
@@ -84,8 +87,7 @@ class Rig:
             raise CalibrationError(
                 f"{self.source}: has {len(names)} camera; depth needs at least two"
             )
-        if len(set(names)) < len(names):
-            raise CalibrationError(f"{self.source}: cameras share a name: {', '.join(names)}")
+        check_file_names(names, what=f"{self.source}: camera", kind=CalibrationError)
         if not 0 <= self.reference < len(names):
             raise CalibrationError(
                 f"{self.source}: reference is camera {self.reference} of {len(names)}"

@@ -14,6 +14,7 @@ from palpate.records.error_priors import ErrorPriors
 from palpate.records.probing import Probing
 from palpate.records.support import Support
 from palpate.records.support_checks import check_supports
+from palpate.records.text import check_file_names
 from palpate.shapes import Indices, Vector3
 
 # Density of osmium [kg/m^3], and ten times the earth's gravity [m/s^2]: larger values mean a wrong
@@ -22,7 +23,7 @@ _LARGEST_DENSITY = 22600.0
 _LARGEST_GRAVITY = 100.0
 # Number of probings that `repr` names.
 _MAX_NAMED = 6
-# Longest name, in characters, that tables have room for.
+# Longest name of a session, in characters, that tables have room for.
 _LONGEST_NAME = 200
 
 
@@ -32,7 +33,7 @@ class Step:
 
     Parameters
     ----------
-    name : str                      unique within its session
+    name : str                      unique within its session; files are named after it
     images : str                    file pattern of its pictures, with `{camera}` in place of the
                                     camera's name
 
@@ -78,11 +79,11 @@ class Session:
 
     Raises
     ------
-    InputError                      neither probings nor steps, or both; duplicate names; a single
-                                    step; a support that is empty, one triangle or the whole
-                                    surface; supports that overlap; a support's motion that is
-                                    missing or not expected; pictures without a rig; gravity without
-                                    density, or values out of range
+    InputError                      neither probings nor steps, or both; names that are not distinct
+                                    or that files cannot have; a single step; a support that is
+                                    empty, one triangle or the whole surface; supports that overlap;
+                                    a support's motion that is missing or not expected; pictures
+                                    without a rig; gravity without density, or values out of range
     """
 
     name: str
@@ -148,8 +149,8 @@ def require_probings(session: Session) -> None:
 
 
 def _check_contents(session: Session) -> None:
-    """Refuse a session without content, with both probings and steps, with duplicate names, or with
-    pictures but no rig."""
+    """Refuse a session without content, with both probings and steps, with names that no files can
+    have, or with pictures but no rig."""
     probings, steps = session.probings, session.steps
     if probings and steps:
         raise InputError(
@@ -167,16 +168,12 @@ def _check_contents(session: Session) -> None:
             f"the session has one step, '{steps[0].name}', alone; motion needs at least two"
         )
     names = [item.name for item in probings] or [item.name for item in steps]
-    for name in (session.name, *names):
-        if len(name) > _LONGEST_NAME:
-            raise InputError(
-                f"the name {quoted(name)} has {len(name)} characters; must have at most"
-                f" {_LONGEST_NAME}: names stand in tables, pictures and file names"
-            )
-    if len(set(names)) < len(names):
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        kind = "probings" if probings else "steps"
-        raise InputError(f"{kind} share the name {quoted(repeated[0])}; names must be distinct")
+    if len(session.name) > _LONGEST_NAME:
+        raise InputError(
+            f"the name {quoted(session.name)} has {len(session.name)} characters; must have at most"
+            f" {_LONGEST_NAME}: it stands in tables and pictures"
+        )
+    check_file_names(names, what="probing" if probings else "step")
     unmeasured = [item.name for item in probings if item.images and item.displacement is None]
     if session.rig is None and (steps or unmeasured):
         whose = f"probing '{unmeasured[0]}' has" if unmeasured else "the steps have"

@@ -93,7 +93,9 @@ def test_a_scheduler_that_is_not_there_is_no_error_of_the_configuration(
 ):
     monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
     (tmp_path / "toy.toml").write_text(SMALL)
-    code, _, err = palpate("lab", "toy.toml", "made", "--scheduler", "tcp://127.0.0.1:9")
+    code, _, err = palpate(
+        "lab", "toy.toml", "made", "--scheduler", "tcp://127.0.0.1:9", "--insecure"
+    )
     assert code == 2
     assert "palpate: no scheduler answers at tcp://127.0.0.1:9" in err
     assert not (tmp_path / "made").exists()

@@ -90,7 +90,7 @@ def MAP(*_):
 
 
 @contextmanager
-def workers(scheduler, count):
+def workers(scheduler, count, *, insecure):
     """An engine that starts nothing."""
     yield SimpleNamespace(map=MAP)
 
@@ -240,6 +240,8 @@ def test_workers_that_cannot_be_are_refused_first(bench, tmp_path):
         reproduce("table1", workers=0)
     with pytest.raises(InputError, match="not for one with --scheduler"):
         reproduce("table1", scheduler="tcp://127.0.0.1:9", workers=2)
+    with pytest.raises(InputError, match="has no TLS: anybody who reaches it can run code"):
+        reproduce("table1", scheduler="tcp://127.0.0.1:9")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,12 +1,14 @@
 """rig.toml: read, written, and refused with a reason."""
 
+import unicodedata
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from palpate.errors import CalibrationError, InputError, RecordError
-from palpate.records import Camera, Rig
+from palpate.records import Camera, Rig, check_file_names
 from palpate.records.files.rig import read_rig, write_rig
 
 TOML = """\
@@ -55,11 +57,23 @@ def _assert_same(one, other):
 LENGTHS = st.floats(-10.0, 10.0)
 
 
+def _is_name(text):
+    """Whether files may be named after it."""
+    try:
+        check_file_names([text], what="camera")
+    except InputError:
+        return False
+    return True
+
+
+NAMES = st.text(min_size=1, max_size=40).filter(_is_name)
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     cameras=st.lists(
         st.tuples(
-            st.text(min_size=1).filter(str.strip),
+            NAMES,
             st.none() | st.tuples(st.integers(1, 10**5), st.integers(1, 10**5)),
             st.tuples(*[st.floats(1e-3, 1e6)] * 2, *[st.floats(-1e6, 1e6)] * 3),
             st.lists(st.floats(-100.0, 100.0), max_size=8),
@@ -68,16 +82,18 @@ LENGTHS = st.floats(-10.0, 10.0)
         ),
         min_size=2,
         max_size=3,
-        unique_by=lambda camera: camera[0],
+        unique_by=lambda camera: unicodedata.normalize("NFC", camera[0]).casefold(),
     ),
     data=st.data(),
 )
 def test_whatever_is_written_is_read_back(tmp_path_factory, cameras, data):
     path = tmp_path_factory.mktemp("law") / "rig.toml"
     made = []
-    for name, size, (fx, fy, cx, cy, skew), lens, turn, shift in cameras:
+    for k, (name, size, (fx, fy, cx, cy, skew), lens, turn, shift) in enumerate(cameras):
         pose = np.eye(4)
+        # No two of them at one place, which is refused.
         pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+        pose[0, 3] += 100.0 * k
         matrix = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         made.append(Camera(name, size, matrix, np.array(lens), pose))
     rig = Rig(tuple(made), data.draw(st.integers(0, len(made) - 1)), "rig.toml")
@@ -118,7 +134,7 @@ def test_folder_stands_for_its_rig(toml_file):
 def test_written_rig_reads_the_same(tmp_path):
     rng = np.random.default_rng(0)
     cameras = []
-    for name, size in (('odd "name"', (640, 480)), ("second", None)):
+    for name, size in (("odd 'name' # 1", (640, 480)), ("second", None)):
         pose = np.eye(4)
         pose[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         pose[:3, :3] *= np.linalg.det(pose[:3, :3])
@@ -177,12 +193,16 @@ def test_wrong_format_is_a_record_error(toml_file, old, new, message):
         ("[1400.0, 0.5, 319.5]", "[-1400.0, 0.5, 319.5]", "rig.toml: camera 'left': focal lengths"),
         ("[[1, 0, 0], [0, 1, 0]", "[[1, 0.1, 0], [0, 1, 0]", "R is not a rotation"),
         ("[0.1, -0.2, 0.001, 0.002, 0.3]", "[0, 0, 0, 0, 0, 0, 0, 0, 1]", "9 distortion terms"),
-        ('name = "right"\nK', 'name = "left"\nK', "cameras share a name"),
+        (
+            'name = "right"\nK',
+            'name = "left"\nK',
+            "camera 'left': there are files named 'left' already",
+        ),
     ],
 )
 def test_wrong_numbers_are_a_calibration_error(toml_file, old, new, message):
     path = toml_file(old, new)
-    if "share" in message:
+    if "already" in message:
         path.write_text(path.read_text().replace('reference = "right"\n', ""))
     with pytest.raises(CalibrationError, match=message):
         read_rig(path)

@@ -131,7 +131,7 @@ BAD_TEXT = [
     (
         'name = "n02"',
         'name = "n01"',
-        "probings share the name 'n01'; names",
+        "probing 'n01': there are files named 'n01' already",
     ),
     ('name = "n02"', "", r"\[\[probe\]\] number 2: the key 'name' is missing"),
     ('"n01.csv"', '"n03.csv"', "'n01' displacement: no such file: .*did you mean 'n0"),

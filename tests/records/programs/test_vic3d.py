@@ -137,7 +137,7 @@ def test_vic3d_order_of_the_numbers(tmp_path):
         (" 21<", "<", "<orientation> of camera '1' has 5 numbers; must have 6"),
         ("<orientation>10 20 30 59 0.2 21</orientation>", "", "camera '1' has no <orientation>"),
         ("6636 6637", "six 6637", "must be numbers"),
-        ('id="1"', 'id="0"', "cameras share a name"),
+        ('id="1"', 'id="0"', "camera '0': there are files named '0' already"),
     ],
 )
 def test_vic3d_contradictions(tmp_path, old, new, message):

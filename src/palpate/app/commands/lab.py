@@ -36,6 +36,7 @@ def lab(
     force: bool = False,
     scheduler: str | None = None,
     workers: int | None = None,
+    insecure: bool = False,
 ) -> int:
     """Measure a virtual specimen: pictures, forces and the true constants, as a session folder.
 
@@ -54,9 +55,11 @@ def lab(
         kept as NAME.old.
     scheduler
         Address of a Dask scheduler whose workers compute the probings, such as
-        tcp://192.168.1.7:8786. Default: one after the other in this process.
+        tls://192.168.1.7:8786. Default: one after the other in this process.
     workers
         Number of processes on this machine that compute the probings, one thread each.
+    insecure
+        Accept a scheduler without TLS, tcp://HOST:PORT: anybody who reaches it can run code as you.
 
     Returns
     -------
@@ -71,7 +74,7 @@ def lab(
             "give a configuration and a folder: palpate lab CONFIG.toml OUT; --list shows the"
             f" built-in ones: {', '.join(built_in())}"
         )
-    check_workers(scheduler, workers)
+    check_workers(scheduler, workers, insecure=insecure)
     file = _config_file(config)
     plan = read_lab_config(file)
     plan = plan if seed is None else replace(plan, seed=seed)
@@ -83,7 +86,7 @@ def lab(
         print_notes([variant.why])
         with (
             progress_bar() as progress,
-            distribution(scheduler, workers) as distribute,
+            distribution(scheduler, workers, insecure=insecure) as distribute,
             errors_named,
         ):
             make_session(

@@ -33,6 +33,7 @@ def reproduce(
     force: bool = False,
     scheduler: str | None = None,
     workers: int | None = None,
+    insecure: bool = False,
 ) -> int:
     """Repeat an experiment of the paper on the virtual bench, beside the published numbers.
 
@@ -52,9 +53,11 @@ def reproduce(
         kept as NAME.old.
     scheduler
         Address of a Dask scheduler whose workers compute the probings of the virtual bench, such as
-        tcp://192.168.1.7:8786. Default: a cluster on this machine's cores, if Dask is installed.
+        tls://192.168.1.7:8786. Default: a cluster on this machine's cores, if Dask is installed.
     workers
         Processes of that cluster, as in `palpate campaign`.
+    insecure
+        Accept a scheduler without TLS, tcp://HOST:PORT: anybody who reaches it can run code as you.
 
     Returns
     -------
@@ -62,7 +65,7 @@ def reproduce(
         0.
     """
     names = _chosen_experiments(experiment, page)
-    check_workers(scheduler, workers)
+    check_workers(scheduler, workers, insecure=insecure)
     target = out or Path(f"paper-{experiment}")
     # A folder each, unless an experiment is alone.
     subfolder = {name: name if len(names) > 1 else "" for name in names}
@@ -71,7 +74,7 @@ def reproduce(
         print_notes([variant.why])
         with (
             progress_bar() as progress,
-            distribution(scheduler, workers, by_default=True) as distribute,
+            distribution(scheduler, workers, insecure=insecure, by_default=True) as distribute,
         ):
             parts = parts_folder(folder)
             work = Workplace(folder / _SESSIONS, variant, quick, progress, parts, distribute)

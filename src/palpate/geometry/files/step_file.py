@@ -17,7 +17,8 @@ STEP_SUFFIXES = (".step", ".stp")
 _OFF, _TURN = 5e-4, 0.3
 # A part of thousands of faces takes seconds.
 _MOST_SECONDS = 300
-# In a process of its own: OpenCASCADE may crash on a damaged file, and prints to the terminal.
+# In a process of its own: OpenCASCADE may crash on a damaged file, and prints to the terminal. With
+# -P, or a cascadio.py in the current folder would be run; -I would lose the user's own packages.
 _CONVERT = """\
 import sys, cascadio
 source, target, off, turn = sys.argv[1:]
@@ -51,7 +52,7 @@ def read_step(path: Path) -> tuple[Vertices, Triangles]:
         numbers = (str(path.resolve()), str(target), str(_OFF), str(_TURN))
         try:
             done = subprocess.run(
-                [sys.executable, "-c", _CONVERT, *numbers],
+                [sys.executable, "-P", "-c", _CONVERT, *numbers],
                 capture_output=True, timeout=_MOST_SECONDS, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:

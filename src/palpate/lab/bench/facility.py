@@ -18,7 +18,9 @@ from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, write_mesh
 from palpate.lab.bench.arm import aim, probe_body, rod_at, solid_under
 from palpate.lab.bench.session_text import (
+    AT_REST,
     Table,
+    check_picture_names,
     instant_name,
     probe_tables,
     step_tables,
@@ -38,7 +40,7 @@ from palpate.lab.pictures import (
 )
 from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
-from palpate.records import Rig, read_rig, write_rig
+from palpate.records import Rig, path_below, read_rig, write_rig
 from palpate.shapes import Vertices
 from palpate.solids import Body, Solid, held_nodes, make_body, surface_values
 from palpate.threads import Distribute
@@ -70,6 +72,12 @@ class _Bench:
         self.parts = Parts(
             parts, "" if parts is None else content_digest((config, self.rig, variant.name))
         )
+        instants = [
+            instant_name(probe, number)
+            for probe in config.probes
+            for number in range(1, probe.steps + 1)
+        ]
+        check_picture_names(instants, self.rig)
         _check_view(self.rig, mesh)
         self.tips = [
             aim(probe, config.arm, mesh, rng=self.rng(_ARM, k))
@@ -106,7 +114,7 @@ class _Bench:
         """Write what a probing or step gave."""
         files, tables = measured
         for file, content in files.items():
-            (self.folder / file).write_bytes(content)
+            path_below(self.folder, file).write_bytes(content)
         self.measured.append(tables)
 
 
@@ -135,8 +143,9 @@ def make_session(
 
     Raises
     ------
-    InputError                      a head that does not see the object, a probe that misses it, a
-                                    texture without contrast, a body that cannot be filled
+    InputError                      a head that does not see the object, a probe that misses it,
+                                    pictures that would have one name, a texture without contrast,
+                                    a body that cannot be filled
     RecordError                     the folder cannot be written
     SingularSystemError             the held nodes of the specimen are collinear
     NotConvergedError               as in `probe_body`
@@ -232,7 +241,7 @@ def _measure_probings(
         progress("texture and light", 0.0)
         bench.set_up_studio(variant)
         progress("pictures at rest", 0.5 * begun)
-        for file, content in bench.photograph("rest", 0, [bench.studio.mesh.vertices]).items():
+        for file, content in bench.photograph(AT_REST, 0, [bench.studio.mesh.vertices]).items():
             (bench.folder / file).write_bytes(content)
     measure = partial(_measure_probing, first)
     _record_all(benches, names, measure, distribute, part_of(progress, begun, 1.0))

@@ -14,6 +14,7 @@ from palpate.geometry import (
     split_sides,
 )
 from palpate.lab.bench.arm import aim, rod_at
+from palpate.lab.bench.session_text import AT_REST, check_picture_names
 from palpate.lab.config import Arm, LabConfig, Look, Material, Pictures, Probe, Specimen
 from palpate.lab.pictures import Variant, make_studio, photograph
 from palpate.records import FLAT, Probing, Rig, Session, read_rig
@@ -58,11 +59,13 @@ def planned_pictures(
 
     Raises
     ------
-    InputError                      no rig; a contact that is not on the object
+    InputError                      no rig; a contact that is not on the object; pictures that would
+                                    have one name
     """
     if session.rig is None:
         raise InputError(f'{session.path}: has no cameras; add [rig] cameras = "rig.toml"')
     rig = read_rig(session.rig)
+    check_picture_names([probing.name for probing in session.probings], rig)
     rods = [
         _rod(session, probing, displacement, material, rig)
         for probing, displacement in zip(session.probings, displacements, strict=True)
@@ -75,7 +78,7 @@ def planned_pictures(
     closest = closest_points(session.mesh, rest)
     interpolation = interpolation_matrix(nodes, closest.triangle, closest.barycentric)
     rng = np.random.default_rng(2)
-    yield "rest", photograph(studio, [rest], rng=rng)
+    yield AT_REST, photograph(studio, [rest], rng=rng)
     for probing, displacement, rod in zip(session.probings, displacements, rods, strict=True):
         yield probing.name, photograph(studio, [rest + interpolation @ displacement], rod, rng=rng)
 

@@ -10,10 +10,19 @@ from jaxtyping import Float
 
 from palpate.geometry import closest_points
 from palpate.lab.config import LabConfig, Probe
-from palpate.records import SESSION_FORMAT, SLIDES, STICKS, write_text
+from palpate.records import (
+    SESSION_FORMAT,
+    SLIDES,
+    STICKS,
+    Rig,
+    check_file_names,
+    write_text,
+)
 from palpate.solids import Press, Tip
 
 Table = dict[str, Any]
+# Name of the pictures before any push.
+AT_REST = "rest"
 
 
 def instant_name(probe: Probe, number: int) -> str:
@@ -29,6 +38,24 @@ def instant_name(probe: Probe, number: int) -> str:
     str                             the probing's own name for the last load step
     """
     return probe.name if number == probe.steps else f"{probe.name}_{number}"
+
+
+def check_picture_names(instants: Sequence[str], rig: Rig) -> None:
+    """Refuse instants that would overwrite the pictures of another one, or those at rest.
+
+    Parameters
+    ----------
+    instants : sequence of str      after the one at rest; pictures are named INSTANT_CAMERA
+    rig : Rig
+
+    Raises
+    ------
+    InputError                      as `check_file_names`
+    """
+    check_file_names(instants, what="probing", taken=[AT_REST])
+    cameras = [camera.name for camera in rig.cameras]
+    pictures = [f"{name}_{camera}" for name in (AT_REST, *instants) for camera in cameras]
+    check_file_names(pictures, what="picture")
 
 
 def probe_tables(
@@ -67,7 +94,7 @@ def probe_tables(
         "tip_displacement": position.read(travel, rng=rng).tolist(),
         "tip_displacement_std": position.std(travel),
         "images": {
-            "rest": "images/rest_{camera}.png",
+            "rest": f"images/{AT_REST}_{{camera}}.png",
             "loaded": [f"images/{name}_{{camera}}.png" for name in loaded],
         },
     }

@@ -33,6 +33,7 @@ LLVM_FOLDERS = (
 )
 _LIBRARY = re.compile(r"(libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*|LLVM-C\.dll)")
 # Prints what is wrong with the library of argument 1, or "LLVM <version>" if nothing is.
+# With -P, or a drjit.py in the current folder would be run; -I would lose the user's own packages.
 # LLVMGetVersion exists from LLVM 16 on. The kernel is the proof that Mitsuba's compiler can use it.
 _TRIAL = """
 import ctypes, sys
@@ -156,7 +157,7 @@ def _try(library: Path) -> tuple[bool, str]:
     """Whether Mitsuba's compiler works with a library, and its version or what is wrong."""
     try:
         trial = subprocess.run(
-            [sys.executable, "-c", _TRIAL, str(library)],
+            [sys.executable, "-P", "-c", _TRIAL, str(library)],
             capture_output=True,
             text=True,
             errors="replace",

@@ -17,7 +17,11 @@ from palpate.records.text.csv_table import (
     spreadsheet_text as spreadsheet_text,
     text_lines as text_lines,
 )
-from palpate.records.text.file_names import file_stems as file_stems
+from palpate.records.text.file_names import (
+    check_file_names as check_file_names,
+    file_stems as file_stems,
+    path_below as path_below,
+)
 from palpate.records.text.hdf5 import (
     HDF5_SIGNATURE as HDF5_SIGNATURE,
     checked_size as checked_size,

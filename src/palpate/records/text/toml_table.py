@@ -170,7 +170,7 @@ class TomlTable:
         return self.checked(str.strip, key, "not be empty")
 
     def label(self, key: str) -> str:
-        """A one-line text for use in tables, pictures and file names."""
+        """A one-line text for use in tables and pictures."""
         self.text(key)
         return self.checked(str.isprintable, key, "have no line break or control character")
 

@@ -52,6 +52,7 @@ def run(
     out: Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
+    insecure: bool = False,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
@@ -71,11 +72,13 @@ def run(
         Folder of the campaign, created or resumed. Default: the list's or folder's name followed by
         -campaign, in the current folder.
     scheduler
-        Address of a running Dask scheduler, such as tcp://192.168.1.7:8786. Default: a cluster on
+        Address of a running Dask scheduler, such as tls://192.168.1.7:8786. Default: a cluster on
         this machine's cores, for as long as the command runs.
     workers
         Processes of that cluster, one thread each. Default: one per core, or fewer if each would
         have less than 2 GiB of memory.
+    insecure
+        Accept a scheduler without TLS, tcp://HOST:PORT: anybody who reaches it can run code as you.
     poisson_range
         As in `palpate fit`.
     surface
@@ -90,14 +93,15 @@ def run(
     int
         0, or 3 where a session has no result.
     """
-    check_workers(scheduler, workers)
+    check_workers(scheduler, workers, insecure=insecure)
     items = read_items(sessions)
     folder = out or Path(f"{sessions.resolve().stem}-campaign")
     options = FitOptions(poisson_range, surface, strain, pose)
     with progress_bar() as progress:
         rows = run_campaign(
-            items, folder, options=options, scheduler=scheduler, workers=workers, progress=progress
-        )
+            items, folder, options=options, scheduler=scheduler, workers=workers,
+            insecure=insecure, progress=progress,
+        )  # fmt: skip
     _print_summary(rows)
     print_text(
         f"Table in {folder / 'table.csv'}; all of it: palpate campaign table {folder}; a picture:"
