@@ -10,7 +10,7 @@ from benchmarks.figure import ESTIMATION, Figure
 from benchmarks.floors import counted_operations
 from benchmarks.options import Options
 from palpate.bem import CENTRE, BoundarySurface, boundary_system, make_surface
-from palpate.bem.system import matrix_and_slope
+from palpate.bem.system.matrix import matrix_and_slope
 from palpate.pipeline import fit_session
 from palpate.records import Session, read_session
 

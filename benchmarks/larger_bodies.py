@@ -38,14 +38,15 @@ from palpate.bem import (
     make_surface,
     solve,
 )
-from palpate.bem.compressed import choice, cluster_inverse, solve_compressed
+from palpate.bem.compressed import choice
 from palpate.bem.compressed.moments import LeafMoments
 from palpate.bem.compressed.near_field import NearBlock
-from palpate.bem.system import LARGEST_DENSE as SIZE_CHOOSES
+from palpate.bem.compressed.preconditioner import cluster_inverse, solve_compressed
+from palpate.bem.system.memory import LARGEST_DENSE as SIZE_CHOOSES
 from palpate.figures.style import BLUE, GREY, ORANGE, STYLE, open_frame, save_figure
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session, make_object_model
-from palpate.pipeline.model import surface_load
+from palpate.pipeline.model.contacts.perturbations import surface_load
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
 SIZES = (16, 22, 32, 45, 63)

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.shapes import Flags
-from palpate.vision.matching import Scatter, local_field
+from palpate.vision.matching.local_regression import local_field
+from palpate.vision.matching.scatter import Scatter
 
 # Radius of the displacements that have a say, in half windows.
 _REACH = 3.0

@@ -28,7 +28,7 @@ from palpate.lab import (
     write_film,
 )
 from palpate.lab.bench.arm import aim
-from palpate.lab.pictures import make_head
+from palpate.lab.pictures.head import make_head
 from palpate.records import Rig, write_rig, write_text
 
 FILM = Film(presses=10)

@@ -20,7 +20,7 @@ from typing import Any
 from reference_words import COLUMNS, FORMS, READS, WORDS
 
 from palpate.records.programs.registry import PROGRAMS
-from palpate.records.text import TomlTable
+from palpate.records.text.toml_table import TomlTable
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -13,7 +13,7 @@ from palpate.bem import (
     solve,
     support_columns,
 )
-from palpate.bem.loads import load_points
+from palpate.bem.loads.surface_load import load_points
 from palpate.bem.system import centred_system
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, interpolation_matrix

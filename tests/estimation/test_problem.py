@@ -18,7 +18,7 @@ from palpate.estimation import (
 )
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import observed_rows_of
-from palpate.pipeline.model.contacts import contact_error, tool_slip
+from palpate.pipeline.model.contacts.contact_errors import contact_error, tool_slip
 from palpate.pipeline.model.measurement_errors import force_direction, force_gain, length_scale
 from palpate.pipeline.observations.converged_observations import model_step
 

@@ -1,5 +1,6 @@
 """A wheel holds all that the program reads of itself, and nothing else."""
 
+import re
 import subprocess
 import sys
 import zipfile
@@ -52,7 +53,9 @@ def test_what_it_says_of_itself(wheel):
     needed = [line for line in said.get_all("Requires-Dist") if "extra ==" not in line]
     heavy = ("viser", "mitsuba", "mujoco", "libigl", "meshio", "playwright", "sphinx", "pytest")
     assert [line for line in needed if line.startswith(heavy)] == []
-    assert set(said.get_all("Provides-Extra")) == {
+    extras = set(said.get_all("Provides-Extra"))
+    assert extras == {
+        "all",
         "bags",
         "batch",
         "cad",
@@ -65,6 +68,15 @@ def test_what_it_says_of_itself(wheel):
         "surface",
         "view",
     }
+    of_extra = {
+        extra: {
+            re.match(r"[\w-]+", line)[0]
+            for line in said.get_all("Requires-Dist")
+            if line.endswith(f"extra == '{extra}'")
+        }
+        for extra in extras
+    }
+    assert of_extra["all"] == set().union(*of_extra.values())
     assert said["License-Expression"] == "BSD-3-Clause"
     points = opened.read(name.replace("METADATA", "entry_points.txt")).decode()
     assert "palpate = palpate.__main__:main" in points

@@ -12,7 +12,7 @@ import pytest
 
 from palpate.geometry import vertex_normals
 from palpate.lab import built_in, choose_variant, read_lab_config
-from palpate.lab.pictures import make_head
+from palpate.lab.pictures.head import make_head
 from palpate.paper.constants import (
     CONSTANTS,
     constant_errors,

@@ -20,7 +20,7 @@ from palpate.pipeline import (
     refined_session,
     session_observations,
 )
-from palpate.pipeline.model import largest_change
+from palpate.pipeline.model.contacts.contact_radii import largest_change
 from palpate.pipeline.notes import _contact_notes
 from palpate.pipeline.observations.consistent_contacts import _consistent_modulus
 from palpate.probe import contact_circle

@@ -18,12 +18,9 @@ from palpate.pipeline import (
     session_observations,
 )
 from palpate.pipeline.model.grading import edge_refined_session, halved_session
-from palpate.pipeline.observations import (
-    converged_observations,
-    mesh_errors,
-    ungraded_observations,
-    with_mesh_steps,
-)
+from palpate.pipeline.observations import mesh_errors
+from palpate.pipeline.observations.converged_observations import converged_observations
+from palpate.pipeline.observations.mesh_errors import ungraded_observations, with_mesh_steps
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
 SHEAR, NU, RADIUS = 2e4, 0.3, 0.03

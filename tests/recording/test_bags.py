@@ -9,7 +9,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from palpate.errors import RecordError
-from palpate.recording.force import Gauge, read_force_log
+from palpate.recording.force.log import Gauge, read_force_log
 from palpate.recording.poses import read_poses
 
 _TIMES = 1.7e9 + 0.01 * np.arange(200)

@@ -11,8 +11,9 @@ from palpate.recording.clock import (
     fine_clock,
     hysteresis_of,
 )
-from palpate.recording.force import Touch
-from palpate.recording.pictures import CameraMotion, Ramp
+from palpate.recording.force.touches import Touch
+from palpate.recording.pictures.motion import CameraMotion
+from palpate.recording.pictures.ramps import Ramp
 
 _OFFSET, _FRAME = 0.4137, 1.0 / 30.0
 

@@ -23,7 +23,7 @@ from palpate.records.quantities import (
     modulus_unit,
     verdict_text,
 )
-from palpate.records.text import FILE_LENGTH_UNITS, LENGTH_UNITS, unit_name
+from palpate.records.text.units import FILE_LENGTH_UNITS, LENGTH_UNITS, unit_name
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ import palpate
 from palpate.api import Result
 from palpate.app.cli import main
 from palpate.app.output import Output, output_as
-from palpate.app.terminal import print_tables, print_text, progress_bar, terminal_table
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import progress_bar
+from palpate.app.terminal.tables import terminal_table
 from palpate.errors import PalpateError, print_message
 from palpate.records import read_session
 

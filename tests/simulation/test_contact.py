@@ -6,7 +6,7 @@ from cube_green import SHEAR, TOP, top_functions
 from surfaces import box
 
 from palpate.bem import factorise, load_right_hand
-from palpate.bem.system import system_matrix
+from palpate.bem.system.matrix import system_matrix
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import held_object
@@ -21,8 +21,7 @@ from palpate.simulation import (
     touch,
 )
 from palpate.simulation.green_functions import hat_load
-from palpate.simulation.kernels import STICKS
-from palpate.simulation.kernels.state import BY_FORCE
+from palpate.simulation.kernels.state import BY_FORCE, STICKS
 
 RADIUS = 0.03
 BALL = Sphere(RADIUS)

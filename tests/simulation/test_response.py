@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.simulation import PlacedTool, Sphere
-from palpate.simulation.kernels import Nodal
 from palpate.simulation.kernels.response import REBUILT_AFTER, updated_response
+from palpate.simulation.kernels.state import Nodal
 from palpate.simulation.tools import tool_arrays
 
 # Nodes that touch all the time, and those that come in and leave around them.

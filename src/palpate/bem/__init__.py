@@ -9,14 +9,16 @@ Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
 
-from palpate.bem.compressed import (
-    CompressedSystem as CompressedSystem,
-    Compression as Compression,
+from palpate.bem.compressed.choice import held_system as held_system
+from palpate.bem.compressed.operator import Compression as Compression
+from palpate.bem.compressed.snapshots import (
     ReducedBasis as ReducedBasis,
-    compressed_system as compressed_system,
-    held_system as held_system,
     orthogonalised as orthogonalised,
     reduced_basis as reduced_basis,
+)
+from palpate.bem.compressed.system import (
+    CompressedSystem as CompressedSystem,
+    compressed_system as compressed_system,
 )
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
@@ -24,33 +26,44 @@ from palpate.bem.elastic_map import (
     load_right_hand as load_right_hand,
     make_elastic_map as make_elastic_map,
 )
-from palpate.bem.integrals import (
+from palpate.bem.integrals.quadrature import Quadrature as Quadrature
+from palpate.bem.integrals.surface import (
     BoundarySurface as BoundarySurface,
-    Quadrature as Quadrature,
     SurfaceSettings as SurfaceSettings,
     integral_weights as integral_weights,
     make_surface as make_surface,
 )
-from palpate.bem.interior import InteriorState as InteriorState, interior_state as interior_state
-from palpate.bem.loads import (
-    LOAD_CELLS as LOAD_CELLS,
+from palpate.bem.interior.interior import (
+    InteriorState as InteriorState,
+    interior_state as interior_state,
+)
+from palpate.bem.loads.body_force import (
     BodyForce as BodyForce,
-    IndentationCorrection as IndentationCorrection,
-    LoadCells as LoadCells,
-    PressureDisc as PressureDisc,
-    RightHand as RightHand,
-    SurfaceLoad as SurfaceLoad,
     body_force_columns as body_force_columns,
-    correction_columns as correction_columns,
     dilation_factor as dilation_factor,
+)
+from palpate.bem.loads.half_space import (
+    PressureDisc as PressureDisc,
     disc_displacement as disc_displacement,
     disc_potentials as disc_potentials,
-    face_columns as face_columns,
+)
+from palpate.bem.loads.local_indentation import (
+    IndentationCorrection as IndentationCorrection,
+    correction_columns as correction_columns,
     indentation_corrections as indentation_corrections,
+)
+from palpate.bem.loads.right_hand import (
+    RightHand as RightHand,
+    face_columns as face_columns,
     joined as joined,
     pressure_column as pressure_column,
     support_columns as support_columns,
     traction_column as traction_column,
+)
+from palpate.bem.loads.surface_load import (
+    LOAD_CELLS as LOAD_CELLS,
+    LoadCells as LoadCells,
+    SurfaceLoad as SurfaceLoad,
 )
 from palpate.bem.reduced_model import (
     CENTRE as CENTRE,
@@ -60,27 +73,34 @@ from palpate.bem.reduced_model import (
     make_reduced_model as make_reduced_model,
     make_spring_model as make_spring_model,
 )
-from palpate.bem.system import (
-    LARGEST_DENSE as LARGEST_DENSE,
-    BoundarySystem as BoundarySystem,
-    CentredSystem as CentredSystem,
+from palpate.bem.system.centred_system import CentredSystem as CentredSystem
+from palpate.bem.system.factors import (
     FactorisedSystem as FactorisedSystem,
-    PointEquations as PointEquations,
+    factorise as factorise,
+    solve as solve,
+)
+from palpate.bem.system.memory import (
+    LARGEST_DENSE as LARGEST_DENSE,
+    check_memory as check_memory,
+    memory_needed as memory_needed,
+)
+from palpate.bem.system.rollers import unrestrained_motions as unrestrained_motions
+from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope
+from palpate.bem.system.springs import (
     SpringFactors as SpringFactors,
     Springs as Springs,
     SpringSlope as SpringSlope,
     SpringSystem as SpringSystem,
-    SystemSlope as SystemSlope,
-    boundary_system as boundary_system,
-    check_memory as check_memory,
-    factorise as factorise,
     make_spring_factors as make_spring_factors,
     make_spring_system as make_spring_system,
     make_springs as make_springs,
-    memory_needed as memory_needed,
-    point_equations as point_equations,
-    solve as solve,
     spring_columns as spring_columns,
-    system_slope as system_slope,
-    unrestrained_motions as unrestrained_motions,
+)
+from palpate.bem.system.surface_point import (
+    PointEquations as PointEquations,
+    point_equations as point_equations,
+)
+from palpate.bem.system.system import (
+    BoundarySystem as BoundarySystem,
+    boundary_system as boundary_system,
 )

@@ -9,35 +9,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.bem.compressed import (
-    ClusterInverse,
-    CompressedSystem,
-    cluster_inverse,
-    solve_compressed,
-)
-from palpate.bem.integrals import check_material, integral_weights
-from palpate.bem.loads import (
-    LOAD_CELLS,
+from palpate.bem.compressed.preconditioner import ClusterInverse, cluster_inverse, solve_compressed
+from palpate.bem.compressed.system import CompressedSystem
+from palpate.bem.integrals.kelvin import check_material
+from palpate.bem.integrals.surface import integral_weights
+from palpate.bem.loads.load_integrals import integrate_load
+from palpate.bem.loads.local_indentation import (
     IndentationCorrection,
-    LoadCells,
-    RightHand,
-    SurfaceLoad,
     correction_columns,
     indentation_corrections,
-    integrate_load,
-    joined,
-    load_columns,
 )
-from palpate.bem.system import (
-    BoundarySystem,
-    CentredSystem,
-    FactorisedSystem,
+from palpate.bem.loads.right_hand import RightHand, joined, load_columns
+from palpate.bem.loads.surface_load import LOAD_CELLS, LoadCells, SurfaceLoad
+from palpate.bem.system.centred_system import CentredSystem
+from palpate.bem.system.factors import FactorisedSystem, solve
+from palpate.bem.system.springs import (
     Springs,
     SpringSystem,
     make_spring_factors,
     make_spring_system,
-    solve,
 )
+from palpate.bem.system.system import BoundarySystem
 from palpate.errors import InputError
 
 

@@ -23,17 +23,14 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.compressed import CompressedSystem, orthogonalised, reduced_basis
-from palpate.bem.loads import RightHand
-from palpate.bem.system import (
-    BoundarySystem,
-    CentredSystem,
-    SpringFactors,
-    SpringSlope,
-    SystemSlope,
-    make_spring_system,
-    solve,
-)
+from palpate.bem.compressed.snapshots import orthogonalised, reduced_basis
+from palpate.bem.compressed.system import CompressedSystem
+from palpate.bem.loads.right_hand import RightHand
+from palpate.bem.system.centred_system import CentredSystem
+from palpate.bem.system.factors import solve
+from palpate.bem.system.slope import SystemSlope
+from palpate.bem.system.springs import SpringFactors, SpringSlope, make_spring_system
+from palpate.bem.system.system import BoundarySystem
 from palpate.errors import NotConvergedError
 from palpate.parts import Parts, content_digest
 

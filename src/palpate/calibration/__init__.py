@@ -16,11 +16,10 @@ from palpate.calibration.calibrate import (
     calibrate as calibrate,
 )
 from palpate.calibration.files import write_calibration as write_calibration
-from palpate.calibration.known_object import (
+from palpate.calibration.known_object.refine import Refined as Refined, refined_rig as refined_rig
+from palpate.calibration.known_object.view import (
     ObjectView as ObjectView,
-    Refined as Refined,
     find_instants as find_instants,
-    refined_rig as refined_rig,
     view_object as view_object,
     write_object_view as write_object_view,
 )

@@ -14,13 +14,13 @@ from palpate.geometry.closest_point import (
     triangle_distances as triangle_distances,
 )
 from palpate.geometry.convex_planes import convex_planes as convex_planes
-from palpate.geometry.files import (
+from palpate.geometry.files.mesh_files import (
     MESH_SUFFIXES as MESH_SUFFIXES,
-    check_packed_arrays as check_packed_arrays,
     read_mesh as read_mesh,
     welded as welded,
     write_mesh as write_mesh,
 )
+from palpate.geometry.files.vtp_file import check_packed_arrays as check_packed_arrays
 from palpate.geometry.mesh_quality import (
     MeshQuality as MeshQuality,
     checked_mesh as checked_mesh,
@@ -46,13 +46,15 @@ from palpate.geometry.refinement import (
     piece_middles as piece_middles,
     refined_surface as refined_surface,
 )
-from palpate.geometry.registration import (
+from palpate.geometry.registration.coarse_pose import (
+    compact_groups as compact_groups,
+    initial_pose as initial_pose,
+)
+from palpate.geometry.registration.registration import (
     Registration as Registration,
     RegistrationSettings as RegistrationSettings,
     check_registration as check_registration,
-    compact_groups as compact_groups,
     free_motions_text as free_motions_text,
-    initial_pose as initial_pose,
     register as register,
 )
 from palpate.geometry.self_intersection import intersecting_pairs as intersecting_pairs

@@ -8,20 +8,21 @@ Depends on : `solids`, `vision`, `records`, `geometry`; never on `bem`: the mode
 Read first : `config.py`, `bench/facility.py`, then `specimens.py`, `pictures/studio.py`.
 """
 
-from palpate.lab.bench import (
+from palpate.lab.bench.facility import make_session as make_session, make_sessions as make_sessions
+from palpate.lab.bench.planned_pictures import planned_pictures as planned_pictures
+from palpate.lab.bench.press_film import (
     Film as Film,
-    Print as Print,
     SolvedPress as SolvedPress,
-    TutorialSize as TutorialSize,
     film_frames as film_frames,
     gauge_readings as gauge_readings,
-    make_session as make_session,
-    make_sessions as make_sessions,
-    make_tutorial as make_tutorial,
-    planned_pictures as planned_pictures,
     rest_pictures as rest_pictures,
     solve_press as solve_press,
     write_film as write_film,
+)
+from palpate.lab.bench.tutorial import (
+    Print as Print,
+    TutorialSize as TutorialSize,
+    make_tutorial as make_tutorial,
 )
 from palpate.lab.config import (
     Arm as Arm,
@@ -39,10 +40,10 @@ from palpate.lab.config_files import (
     built_in as built_in,
     read_lab_config as read_lab_config,
 )
-from palpate.lab.pictures import (
+from palpate.lab.pictures.head import miscalibrated as miscalibrated
+from palpate.lab.pictures.mitsuba_variant import (
     Variant as Variant,
     choose_variant as choose_variant,
-    miscalibrated as miscalibrated,
 )
 from palpate.lab.specimens import (
     SHAPES as SHAPES,

@@ -19,45 +19,57 @@ from palpate.pipeline.imported_points import (
     triangulated as triangulated,
     without_contradicted as without_contradicted,
 )
-from palpate.pipeline.model import (
+from palpate.pipeline.model.contacts.outward import outward_pushes as outward_pushes
+from palpate.pipeline.model.contacts.perturbations import surface_load as surface_load
+from palpate.pipeline.model.grading import (
     graded_session as graded_session,
-    make_object_model as make_object_model,
-    moving_supports as moving_supports,
-    outward_pushes as outward_pushes,
     refined_session as refined_session,
+)
+from palpate.pipeline.model.moving_supports import (
+    moving_supports as moving_supports,
     require_given_motions as require_given_motions,
     sliding_motion as sliding_motion,
-    surface_load as surface_load,
 )
-from palpate.pipeline.motion import (
-    FLOW_METHODS as FLOW_METHODS,
-    MeasuredMotion as MeasuredMotion,
-    MotionFigures as MotionFigures,
-    MotionNotes as MotionNotes,
+from palpate.pipeline.model.object_model import make_object_model as make_object_model
+from palpate.pipeline.motion.displacement import (
     ProbingMotion as ProbingMotion,
-    SessionFlow as SessionFlow,
-    measure_motion as measure_motion,
     measure_pictures as measure_pictures,
-    measured_motions as measured_motions,
-    motion_names as motion_names,
-    picture_files as picture_files,
     unread_probings as unread_probings,
     with_measured_displacement as with_measured_displacement,
     with_motions as with_motions,
     with_pictures_measured as with_pictures_measured,
+)
+from palpate.pipeline.motion.figures import (
+    MotionFigures as MotionFigures,
     write_flow_document as write_flow_document,
 )
+from palpate.pipeline.motion.measure_motion import (
+    FLOW_METHODS as FLOW_METHODS,
+    MeasuredMotion as MeasuredMotion,
+    SessionFlow as SessionFlow,
+    measure_motion as measure_motion,
+    measured_motions as measured_motions,
+)
+from palpate.pipeline.motion.notes import MotionNotes as MotionNotes
+from palpate.pipeline.motion.sequences import (
+    motion_names as motion_names,
+    picture_files as picture_files,
+)
 from palpate.pipeline.object_pose import PoseChoice as PoseChoice
-from palpate.pipeline.observations import (
+from palpate.pipeline.observations.converged_observations import (
     converged_observations as converged_observations,
-    graded_observations as graded_observations,
-    prepare_body as prepare_body,
+)
+from palpate.pipeline.observations.mesh_errors import graded_observations as graded_observations
+from palpate.pipeline.observations.prepared_body import prepare_body as prepare_body
+from palpate.pipeline.observations.session_observations import (
     session_observations as session_observations,
 )
-from palpate.pipeline.planning import (
+from palpate.pipeline.planning.measurement_plan import (
     MeasurementPlan as MeasurementPlan,
-    NextProbings as NextProbings,
     plan_measurement as plan_measurement,
+)
+from palpate.pipeline.planning.next_probings import (
+    NextProbings as NextProbings,
     plan_next as plan_next,
 )
 from palpate.pipeline.poke import (
@@ -80,16 +92,18 @@ from palpate.pipeline.result_files import (
     write_residuals as write_residuals,
     write_vertices as write_vertices,
 )
-from palpate.pipeline.saved import (
-    MOTION_FILE as MOTION_FILE,
+from palpate.pipeline.saved.fitted_surface import (
     SURFACE_FILE as SURFACE_FILE,
     FittedProbing as FittedProbing,
     FittedSurface as FittedSurface,
+    read_fitted_surface as read_fitted_surface,
+    write_fitted_surface as write_fitted_surface,
+)
+from palpate.pipeline.saved.motion import (
+    MOTION_FILE as MOTION_FILE,
     keep_motion as keep_motion,
     kept_motion as kept_motion,
     kept_motion_keys as kept_motion_keys,
-    read_fitted_surface as read_fitted_surface,
-    write_fitted_surface as write_fitted_surface,
 )
 from palpate.pipeline.survey import (
     NEAR_RADII as NEAR_RADII,

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.estimation import ProbeObservations
-from palpate.pipeline.model import space_stretch
+from palpate.pipeline.model.measurement_errors import space_stretch
 from palpate.records import Session, covariance_file, read_rig, read_rig_covariance
 from palpate.vision import space_strains
 

@@ -11,21 +11,14 @@ import numpy as np
 
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
-from palpate.pipeline.model import (
-    ObjectModel,
-    fit_at_finite_strain,
-    graded_session,
-    has_tools,
-    make_object_model,
-    refined_session,
-)
+from palpate.pipeline.model.contacts.contact_radii import has_tools
+from palpate.pipeline.model.grading import graded_session, refined_session
+from palpate.pipeline.model.large_strain import fit_at_finite_strain
+from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.notes import session_notes
-from palpate.pipeline.observations import (
-    converged_observations,
-    ungraded_observations,
-    with_consistent_contacts,
-    with_mesh_steps,
-)
+from palpate.pipeline.observations.consistent_contacts import with_consistent_contacts
+from palpate.pipeline.observations.converged_observations import converged_observations
+from palpate.pipeline.observations.mesh_errors import ungraded_observations, with_mesh_steps
 from palpate.progress import Progress, part_of, silent
 from palpate.records import ProbeEstimate, Session, SupportEstimate, require_probings
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from palpate.estimation import FitResult, ProbeFit
-from palpate.pipeline.model import OUTWARD_ERROR, RADIUS_ERROR
+from palpate.pipeline.model.contacts.outward import OUTWARD_ERROR
+from palpate.pipeline.model.contacts.perturbations import RADIUS_ERROR
 from palpate.pipeline.rejections import rejection_note, rejections
 from palpate.records import BIASED, SLIDES, STICKS, ProbeEstimate, Session, Status
 

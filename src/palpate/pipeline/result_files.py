@@ -12,7 +12,9 @@ from jaxtyping import Float
 
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh
-from palpate.pipeline.motion import MeasuredMotion, MotionFigures, motion_figures, vertex_field
+from palpate.pipeline.motion.displacement import vertex_field
+from palpate.pipeline.motion.figures import MotionFigures, motion_figures
+from palpate.pipeline.motion.measure_motion import MeasuredMotion
 from palpate.records import Camera, Rig, Session, file_stems, write_displacement, write_text
 from palpate.shapes import Flags
 from palpate.vision import (

@@ -8,7 +8,7 @@ import numpy as np
 from palpate.arrays import known_median
 from palpate.bem import LARGEST_DENSE, memory_needed
 from palpate.geometry import triangle_distances, unit_normals
-from palpate.pipeline.model import compliant_supports
+from palpate.pipeline.model.compliant_supports import compliant_supports
 from palpate.records import DisplacementField, Probing, Session, observed_rows
 
 # Within this many contact radii a push shows as an indentation, farther away only as bending.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from palpate.geometry import TriangleMesh, refined_surface, welded, write_mesh
 from palpate.pipeline.fit_session import fit_session
-from palpate.pipeline.motion import measure_pictures, with_motions
+from palpate.pipeline.motion.displacement import measure_pictures, with_motions
 from palpate.progress import Progress, silent
 from palpate.records import Camera, Rig, Session, read_session, write_rig
 

@@ -9,15 +9,11 @@ from jaxtyping import Bool, Float
 from palpate.errors import RecordError
 from palpate.progress import Progress, part_of, silent
 from palpate.recording.clock import Clock, ForceMagnitude, coarse_offset, fine_clock, hysteresis_of
-from palpate.recording.force import ResampledForce, Touch, Zero, true_runs
-from palpate.recording.pictures import (
-    CameraMotion,
-    Footage,
-    RampTimes,
-    camera_motion,
-    camera_ramps,
-    still_frames,
-)
+from palpate.recording.force.log import true_runs
+from palpate.recording.force.touches import ResampledForce, Touch, Zero
+from palpate.recording.pictures.footage import Footage
+from palpate.recording.pictures.motion import CameraMotion, camera_motion, still_frames
+from palpate.recording.pictures.ramps import RampTimes, camera_ramps
 from palpate.recording.recording_file import Recording
 from palpate.threads import map_in_threads
 

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.recording.force import Touch
-from palpate.recording.pictures import MARGIN, CameraMotion, Ramp
+from palpate.recording.force.touches import Touch
+from palpate.recording.pictures.motion import CameraMotion
+from palpate.recording.pictures.ramps import MARGIN, Ramp
 
 # Step of the coarse search [s].
 _COARSE_STEP = 0.02

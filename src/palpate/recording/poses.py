@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import RecordError
-from palpate.recording.force import POSITIONS, Reading, Touch, read_log_table
+from palpate.recording.force.bags import POSITIONS, read_log_table
+from palpate.recording.force.plateaus import Reading
+from palpate.recording.force.touches import Touch
 from palpate.records import LENGTH_UNITS, TIME_UNITS
 from palpate.shapes import Points, Vector3
 

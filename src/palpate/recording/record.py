@@ -10,22 +10,23 @@ from palpate.errors import RecordError
 from palpate.progress import Progress, silent
 from palpate.recording.camera_clocks import Camera, rest_before, still_pictures, synchronise_cameras
 from palpate.recording.clock import Clock
-from palpate.recording.force import (
-    ForceLog,
+from palpate.recording.force.log import ForceLog, read_force_log
+from palpate.recording.force.plateaus import (
     Reading,
-    ResampledForce,
-    Touch,
-    Zero,
     find_plateau,
-    find_touches,
-    find_zero,
     read_force,
-    read_force_log,
-    resample_force,
     still_force,
     unreadable_reason,
 )
-from palpate.recording.pictures import CameraMotion
+from palpate.recording.force.touches import (
+    ResampledForce,
+    Touch,
+    Zero,
+    find_touches,
+    find_zero,
+    resample_force,
+)
+from palpate.recording.pictures.motion import CameraMotion
 from palpate.recording.recording_file import Recording, check_contact_count
 
 _NO_REST_REASON = (

@@ -12,7 +12,7 @@ from palpate.errors import RecordError
 from palpate.geometry import closest_points, unit_normals
 from palpate.progress import Progress, part_of, silent
 from palpate.recording.contact_point import ContactModel, find_contact, make_contact_model
-from palpate.recording.pictures import MAX_FRAMES, Moment, write_moments
+from palpate.recording.pictures.moments import MAX_FRAMES, Moment, write_moments
 from palpate.recording.poses import read_poses, tip_motion
 from palpate.recording.record import Press, Recorded
 from palpate.recording.recording_file import Recording

@@ -7,22 +7,24 @@ Depends on : `geometry`, `arrays`, `optional_imports`, `shapes`, `errors`.
 Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
-from palpate.records.checks import copied_rows as copied_rows
-from palpate.records.contacts import (
+from palpate.records.checks.displacements import copied_rows as copied_rows
+from palpate.records.contacts.contact import (
     CONE as CONE,
     CYLINDER as CYLINDER,
     FLAT as FLAT,
     MESH as MESH,
-    PRESSURES as PRESSURES,
-    RIGID as RIGID,
     SLIDES as SLIDES,
     SPHERE as SPHERE,
     STICKS as STICKS,
     Contact as Contact,
-    Pressure as Pressure,
-    PressureMap as PressureMap,
     Tool as Tool,
     mesh_tool as mesh_tool,
+)
+from palpate.records.contacts.pressure import (
+    PRESSURES as PRESSURES,
+    RIGID as RIGID,
+    Pressure as Pressure,
+    PressureMap as PressureMap,
 )
 from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
@@ -112,7 +114,7 @@ from palpate.records.program import (
     camera_matrix as camera_matrix,
     make_pose as make_pose,
 )
-from palpate.records.programs import (
+from palpate.records.programs.registry import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,
     read_measured as read_measured,
@@ -153,29 +155,31 @@ from palpate.records.support import (
     RigidMotion as RigidMotion,
     Support as Support,
 )
-from palpate.records.text import (
+from palpate.records.text.csv_table import (
+    Column as Column,
+    TextTable as TextTable,
+    make_table as make_table,
+    read_text_table as read_text_table,
+    split_cells as split_cells,
+    spreadsheet_text as spreadsheet_text,
+    text_lines as text_lines,
+)
+from palpate.records.text.file_names import (
+    check_file_names as check_file_names,
+    file_stems as file_stems,
+    path_below as path_below,
+)
+from palpate.records.text.json_file import json_text as json_text
+from palpate.records.text.text_file import read_text as read_text, write_text as write_text
+from palpate.records.text.toml_table import TomlTable as TomlTable, read_toml as read_toml
+from palpate.records.text.units import (
     FILE_LENGTH_UNITS as FILE_LENGTH_UNITS,
     FORCE_UNITS as FORCE_UNITS,
     LENGTH_UNITS as LENGTH_UNITS,
     MODULUS_UNITS as MODULUS_UNITS,
     STIFFNESS_UNITS as STIFFNESS_UNITS,
     TIME_UNITS as TIME_UNITS,
-    Column as Column,
     Quantity as Quantity,
-    TextTable as TextTable,
-    TomlTable as TomlTable,
-    check_file_names as check_file_names,
-    file_stems as file_stems,
-    json_text as json_text,
-    make_table as make_table,
-    path_below as path_below,
     quantities as quantities,
     quantity as quantity,
-    read_text as read_text,
-    read_text_table as read_text_table,
-    read_toml as read_toml,
-    split_cells as split_cells,
-    spreadsheet_text as spreadsheet_text,
-    text_lines as text_lines,
-    write_text as write_text,
 )

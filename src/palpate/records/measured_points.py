@@ -10,7 +10,7 @@ from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, mesh_quality
 from palpate.records.probing import DisplacementField, measured_rows
 from palpate.records.program import ProgramPoints
-from palpate.records.text import LENGTH_UNITS, unit_name
+from palpate.records.text.units import LENGTH_UNITS, unit_name
 from palpate.shapes import Flags, Points, PointScalars
 
 # The measured points cover a good part of the object: an extent of three times its size, or of a

@@ -9,7 +9,8 @@ from scipy.sparse import csr_array, diags_array, kron
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
-from palpate.records.contacts import RIGID, Contact
+from palpate.records.contacts.contact import Contact
+from palpate.records.contacts.pressure import RIGID
 from palpate.records.large_rotation import check_rotation
 from palpate.records.support import RigidMotion
 from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3

@@ -12,7 +12,10 @@ from scipy.spatial.transform import Rotation
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
 from palpate.records.rig import DISTORTION_TERMS, Camera, PictureTracks, Rig
-from palpate.records.text import FILE_LENGTH_UNITS, TREE_SUFFIXES, not_allowed, read_toml, read_tree
+from palpate.records.text.nearest import not_allowed
+from palpate.records.text.toml_table import read_toml
+from palpate.records.text.tree_file import TREE_SUFFIXES, read_tree
+from palpate.records.text.units import FILE_LENGTH_UNITS
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
 # Largest error of a rotation matrix that counts as rounding in print; `Camera` refuses larger ones.

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fix_fields
 from palpate.errors import CalibrationError, InputError
-from palpate.records.text import check_file_names
+from palpate.records.text.file_names import check_file_names
 from palpate.shapes import Matrix3, PointScalars, Vector3
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

@@ -9,12 +9,12 @@ import numpy as np
 from palpate.arrays import fix_fields
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records.contacts import RIGID
+from palpate.records.contacts.pressure import RIGID
 from palpate.records.error_priors import ErrorPriors
 from palpate.records.probing import Probing
 from palpate.records.support import Support
 from palpate.records.support_checks import check_supports
-from palpate.records.text import check_file_names
+from palpate.records.text.file_names import check_file_names
 from palpate.shapes import Indices, Vector3
 
 # Density of osmium [kg/m^3], and ten times the earth's gravity [m/s^2]: larger values mean a wrong

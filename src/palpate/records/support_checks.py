@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.records.contacts import RIGID
+from palpate.records.contacts.pressure import RIGID
 from palpate.records.probing import Probing
 from palpate.records.support import FIXED, FREE, GIVEN, Support
 from palpate.shapes import Indices

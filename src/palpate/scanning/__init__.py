@@ -8,15 +8,13 @@ Depends on : `vision`, `geometry`, `records`.
 Read first : `prepare.py`, `mending/mend.py`, `remesh.py`; `scan.py`, `joining/fusion.py`.
 """
 
-from palpate.scanning.mending import (
-    Action as Action,
+from palpate.scanning.mending.action import Action as Action, place_text as place_text
+from palpate.scanning.mending.deviation import (
     Deviation as Deviation,
-    Mended as Mended,
     deviation as deviation,
     distances as distances,
-    mend as mend,
-    place_text as place_text,
 )
+from palpate.scanning.mending.mend import Mended as Mended, mend as mend
 from palpate.scanning.plane import (
     Plane as Plane,
     plane_from_text as plane_from_text,
@@ -32,12 +30,8 @@ from palpate.scanning.scan import (
     scan_surface as scan_surface,
 )
 from palpate.scanning.surface_file import write_surface as write_surface
-from palpate.scanning.views import (
-    Scan as Scan,
-    Turntable as Turntable,
-    View as View,
-    depth_points as depth_points,
-    make_view as make_view,
-    read_points as read_points,
-    read_scan as read_scan,
-)
+from palpate.scanning.views.depth_maps import depth_points as depth_points
+from palpate.scanning.views.point_files import read_points as read_points
+from palpate.scanning.views.scan_file import Scan as Scan, read_scan as read_scan
+from palpate.scanning.views.turntable import Turntable as Turntable
+from palpate.scanning.views.view import View as View, make_view as make_view

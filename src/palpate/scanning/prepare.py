@@ -7,7 +7,9 @@ from jaxtyping import Bool
 
 from palpate.geometry import MeshQuality, TriangleMesh, mesh_quality, triangle_areas
 from palpate.progress import Progress, silent
-from palpate.scanning.mending import Action, Deviation, deviation, distances, mend
+from palpate.scanning.mending.action import Action
+from palpate.scanning.mending.deviation import Deviation, deviation, distances
+from palpate.scanning.mending.mend import mend
 from palpate.scanning.plane import Plane
 from palpate.scanning.remesh import remeshed
 from palpate.shapes import Points

@@ -16,7 +16,9 @@ from palpate.geometry import (
     triangle_areas,
     wall_thickness,
 )
-from palpate.scanning.mending import adapted, distances, place_text
+from palpate.scanning.mending.action import place_text
+from palpate.scanning.mending.adapt import adapted
+from palpate.scanning.mending.deviation import distances
 from palpate.scanning.plane import Plane
 from palpate.shapes import Points, Vertices
 

@@ -17,11 +17,16 @@ from palpate.geometry import (
     triangle_areas,
 )
 from palpate.progress import Progress, part_of, silent
-from palpate.scanning.joining import Agreement, agreements, fitted, fused, posed
-from palpate.scanning.mending import above, distances, place_text
+from palpate.scanning.joining.agreement import Agreement, agreements
+from palpate.scanning.joining.fusion import fused
+from palpate.scanning.joining.poses import posed
+from palpate.scanning.joining.vertex_fit import fitted
+from palpate.scanning.mending.action import place_text
+from palpate.scanning.mending.deviation import distances
+from palpate.scanning.mending.solid import above
 from palpate.scanning.plane import Plane
 from palpate.scanning.remesh import remeshed
-from palpate.scanning.views import View
+from palpate.scanning.views.view import View
 from palpate.shapes import Points
 
 # Largest fraction of the surface that may be guessed without a support.

@@ -18,7 +18,7 @@ from palpate.simulation.export import (
     export_fit as export_fit,
     read_fit as read_fit,
 )
-from palpate.simulation.formats import FORMATS as FORMATS
+from palpate.simulation.formats.registry import FORMATS as FORMATS
 from palpate.simulation.green_files import (
     read_green_functions as read_green_functions,
     write_green_functions as write_green_functions,

@@ -14,14 +14,9 @@ from scipy.linalg import block_diag
 from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import TriangleMesh
 from palpate.simulation.green_functions import GreenFunctions
-from palpate.simulation.kernels import (
-    STICKS,
-    Nodal,
-    ToolArrays,
-    add_resultants,
-    settle,
-    tool_gap,
-)
+from palpate.simulation.kernels.nodes import tool_gap
+from palpate.simulation.kernels.settle import add_resultants, settle
+from palpate.simulation.kernels.state import STICKS, Nodal, ToolArrays
 from palpate.simulation.tools import PlacedTool, tool_arrays
 
 # Tolerance relative to the largest nodal force, and largest number of rounds to reach it.

@@ -22,7 +22,7 @@ from palpate.records import (
     sums_in,
     write_text,
 )
-from palpate.simulation.formats import FORMATS
+from palpate.simulation.formats.registry import FORMATS
 from palpate.simulation.material import Material, estimated_material
 from palpate.simulation.solid_model import (
     EstimatedObject,

@@ -8,7 +8,7 @@ from palpate.geometry import closest_points
 from palpate.shapes import Points, Vertices
 from palpate.simulation.contact import ContactState
 from palpate.simulation.green_functions import GreenFunctions
-from palpate.simulation.kernels import move_surface
+from palpate.simulation.kernels.linear import move_surface
 
 
 def surface_displacement(green: GreenFunctions, state: ContactState) -> Vertices:

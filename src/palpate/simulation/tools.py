@@ -13,7 +13,7 @@ from jaxtyping import Float
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, convex_planes
 from palpate.shapes import Matrix3, Vector3
-from palpate.simulation.kernels import FACES, SPHERE, ToolArrays
+from palpate.simulation.kernels.state import FACES, SPHERE, ToolArrays
 
 # Sides of the prism that approximates a round punch.
 _SIDES = 48

@@ -15,13 +15,11 @@ from palpate.records import verdict_text
 from palpate.viewer.background_work import BackgroundWork
 from palpate.viewer.gate import guarded_server
 from palpate.viewer.markup import text_html
-from palpate.viewer.panels import (
-    LookPanel,
-    MaterialPanel,
-    PicturesPanel,
-    SettingPanel,
-    TouchPanel,
-)
+from palpate.viewer.panels.look import LookPanel
+from palpate.viewer.panels.material import MaterialPanel
+from palpate.viewer.panels.pictures import PicturesPanel
+from palpate.viewer.panels.setting import SettingPanel
+from palpate.viewer.panels.touching import TouchPanel
 from palpate.viewer.stage import Stage
 from palpate.viewer.subject import Subject
 from palpate.viewer.touch import ray_intersection

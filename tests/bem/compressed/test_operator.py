@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from palpate.bem.compressed.moments import KernelWeights
-from palpate.bem.system import for_each_block
+from palpate.bem.system.system import for_each_block
 
 PARTS = {
     "A": KernelWeights(1.0, 0.0, 0.0, 0.0),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.bem import face_columns, orthogonalised
-from palpate.bem.compressed import cluster_inverse
+from palpate.bem.compressed.preconditioner import cluster_inverse
 from palpate.bem.compressed.snapshots import _Snapshots
 
 ROWS, COLUMNS = 500, 3

@@ -23,8 +23,10 @@ from palpate.bem import (
     support_columns,
     system_slope,
 )
-from palpate.bem.compressed import CompressedSystem, choice, cluster_inverse, solve_compressed
-from palpate.bem.system import system_matrix
+from palpate.bem.compressed import choice
+from palpate.bem.compressed.preconditioner import cluster_inverse, solve_compressed
+from palpate.bem.compressed.system import CompressedSystem
+from palpate.bem.system.matrix import system_matrix
 from palpate.errors import InputError
 
 # The operator's own error of 1e-7, made larger by the condition of a beam that bends, some tens.

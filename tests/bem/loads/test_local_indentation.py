@@ -15,7 +15,7 @@ from palpate.bem import (
 )
 from palpate.bem.elastic_map import sorted_state
 from palpate.bem.loads.local_indentation import IndentationCorrection, correction_columns
-from palpate.bem.system import system_matrix
+from palpate.bem.system.matrix import system_matrix
 
 TOP = np.array([0.0, 0.0, 1.0])
 RADIUS = 0.25

@@ -17,7 +17,7 @@ from palpate.bem import (
     traction_column,
     unrestrained_motions,
 )
-from palpate.bem.system import system_matrix
+from palpate.bem.system.matrix import system_matrix
 
 FINE = Quadrature(tolerance=1e-9)
 MESH, FACE = cube_with_faces(2)

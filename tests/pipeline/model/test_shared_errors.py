@@ -14,7 +14,7 @@ from palpate.estimation import (
     ProbeObservations,
     ResponseTerms,
 )
-from palpate.pipeline.model.contacts import tool_slip
+from palpate.pipeline.model.contacts.contact_errors import tool_slip
 from palpate.pipeline.model.measurement_errors import (
     force_direction,
     force_gain,

@@ -6,7 +6,7 @@ from scipy.io import savemat
 
 from palpate import files
 from palpate.errors import RecordError
-from palpate.records.text import read_mat
+from palpate.records.text.mat_file import read_mat
 
 CONTENT = {
     "cell": np.array([np.eye(2), np.arange(3.0), "text"], dtype=object),

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from palpate.errors import RecordError
-from palpate.records.text import json_text, read_text, write_text
+from palpate.records.text.json_file import json_text
+from palpate.records.text.text_file import read_text, write_text
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.text() | st.floats(),

@@ -10,8 +10,9 @@ import pytest
 
 from palpate.errors import CalibrationError, RecordError
 from palpate.records import Camera, Rig
-from palpate.vision.images import pictures, read_grey
+from palpate.vision.images import pictures
 from palpate.vision.images.picture_file import decode_picture
+from palpate.vision.images.pictures import read_grey
 
 GREY = np.random.default_rng(0).integers(3, 253, (12, 20), dtype=np.uint8)
 KINDS = (".png", ".jpg", ".tif", ".bmp")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.errors import RecordError
-from palpate.vision.images import video_frames
+from palpate.vision.images.video import video_frames
 
 _SIZE = (64, 48)
 

@@ -15,11 +15,11 @@ from vision.scenes import (
     rigid,
 )
 
-from palpate.vision.images import spline_pictures
+from palpate.vision.images.spline import spline_pictures
 from palpate.vision.joint.acceptance import _matching_bias, accepted_flow
 from palpate.vision.joint.match import match_scene
-from palpate.vision.range_flow import Outcome, is_valid
-from palpate.vision.refinement import Match
+from palpate.vision.range_flow.flow import Outcome, is_valid
+from palpate.vision.refinement.window_match import Match
 
 NOISE = 1.5
 SHIFT = rigid((0.0, 0.0, 0.0), (1.2e-3, 6e-4, 0.0))

@@ -9,9 +9,9 @@ from vision.scenes import STILL, bump, example, followed, noisy_views
 
 from palpate.geometry import TriangleMesh
 from palpate.vision import JointFlow
-from palpate.vision.cameras import pixel_sizes
+from palpate.vision.cameras.projection import pixel_sizes
 from palpate.vision.joint import averaging
-from palpate.vision.matching import LocalFits
+from palpate.vision.matching.fit_operators import LocalFits
 
 # Windows of 6.3 mm on a bump of this width.
 BUMP = bump((4e-4, -2e-4, -6e-4), 0.007)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from palpate.vision.joint.match import BEND_REACH, _inflation
-from palpate.vision.matching import Scatter, local_field
+from palpate.vision.matching.local_regression import local_field
+from palpate.vision.matching.scatter import Scatter
 
 PITCH, SUBSET, PIXELS, DRAWS = 3e-4, 21, 141, 60
 HALF_WINDOW = SUBSET // 2 * PITCH

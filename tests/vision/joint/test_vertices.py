@@ -21,7 +21,7 @@ from vision.scenes import (
 from palpate.geometry import vertex_normals
 from palpate.vision import JointFlow
 from palpate.vision.joint.vertices import vertex_displacement
-from palpate.vision.range_flow import Outcome, is_valid
+from palpate.vision.range_flow.flow import Outcome, is_valid
 
 NOISE = 3.0
 

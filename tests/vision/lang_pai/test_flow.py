@@ -17,7 +17,7 @@ from palpate.vision.cameras.projection import project
 from palpate.vision.lang_pai import flow as flow_file
 from palpate.vision.lang_pai.rectified_head import head_disparity, head_points, make_head
 from palpate.vision.lang_pai.vertices import lang_pai_vertices
-from palpate.vision.range_flow import Outcome, RangeFlow, is_valid
+from palpate.vision.range_flow.flow import Outcome, RangeFlow, is_valid
 
 SHAPE = (110, 120)
 FOCAL, DEPTH, BASELINE = 400.0, 0.5, 0.02

@@ -7,7 +7,7 @@ from vision.textures import Speckle, Warp, noisy, window_correlation
 
 from palpate.vision.lang_pai.disparity import COLUMNS, ROWS, Instant, Views
 from palpate.vision.lang_pai.voting import vote
-from palpate.vision.range_flow import Outcome
+from palpate.vision.range_flow.flow import Outcome
 
 SHAPE = (70, 90)
 VIEWS = Views(np.array([0, COLUMNS, ROWS]), np.array([0.0, 1.0, 0.7]), np.array([0.0, -3.4, 1.3]))

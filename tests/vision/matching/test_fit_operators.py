@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from palpate.vision.matching import Scatter, coefficient_operators, local_field, local_fits
+from palpate.vision.matching.fit_operators import coefficient_operators, local_fits
+from palpate.vision.matching.local_regression import local_field
+from palpate.vision.matching.scatter import Scatter
 
 REACH = 6e-3
 RADIUS = 0.04

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
-from palpate.vision.matching import Scatter, local_field
+from palpate.vision.matching.local_regression import local_field
 from palpate.vision.matching.noise_correlation import noise_correlation
+from palpate.vision.matching.scatter import Scatter
 
 PITCH = 3e-4
 SUBSET = 21

@@ -3,14 +3,8 @@
 import numpy as np
 
 from palpate.vision.cameras.surface_map import SurfaceMap
-from palpate.vision.range_flow import (
-    Outcome,
-    RangeFlow,
-    cause_counts,
-    dense_maps,
-    grid_points,
-    grid_triangles,
-)
+from palpate.vision.range_flow.flow import Outcome, RangeFlow, cause_counts
+from palpate.vision.range_flow.grid import dense_maps, grid_points, grid_triangles
 
 
 def _flow(rejected: int | None = None) -> RangeFlow:

@@ -22,10 +22,11 @@ from vision.textures import pixel_grid
 
 from palpate.vision.cameras.projection import project_jacobian
 from palpate.vision.images.spline import make_spline_picture
-from palpate.vision.range_flow import Outcome
-from palpate.vision.refinement import Limits, refine_joint
+from palpate.vision.range_flow.flow import Outcome
+from palpate.vision.refinement.refinement import refine_joint
 from palpate.vision.refinement.scene import make_scene
 from palpate.vision.refinement.window import deformed_frame_kernel, mapping_kernel
+from palpate.vision.refinement.window_match import Limits
 
 # No low-pass: white noise stays white, so that the bound and the claim are the same thing.
 PLAIN = {"subset": 21, "smoothing": 0.0, "step": 6}

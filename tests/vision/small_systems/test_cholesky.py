@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.vision.small_systems import (
+from palpate.vision.small_systems.cholesky import (
     add_congruence_kernel,
     add_transposed_kernel,
     cholesky_inverse_kernel,

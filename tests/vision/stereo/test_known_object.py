@@ -7,7 +7,7 @@ from surfaces import box, hull_mesh, sphere
 from vision.scenes import make_rig
 
 from palpate.geometry import TriangleMesh
-from palpate.vision.cameras import project
+from palpate.vision.cameras.projection import project
 from palpate.vision.stereo.known_object import (
     MIN_POSE_POINTS,
     near_object,

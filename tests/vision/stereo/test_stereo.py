@@ -27,7 +27,7 @@ from palpate.records.rig import Camera, Rig
 from palpate.vision.cameras.projection import project
 from palpate.vision.images.features import prepare_pictures
 from palpate.vision.images.pictures import read_pictures
-from palpate.vision.range_flow import Outcome
+from palpate.vision.range_flow.flow import Outcome
 from palpate.vision.stereo.stereo import (
     StereoPoints,
     StereoSettings,

@@ -6,7 +6,7 @@ from vision.textures import Speckle, affine, noisy, pixel_grid, turned
 
 from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.matching.planar_match import refine_planar
-from palpate.vision.range_flow import Outcome
+from palpate.vision.range_flow.flow import Outcome
 from palpate.vision.stereo.pair_disparity import StereoStart
 from palpate.vision.stereo.window_matches import (
     MIN_WINDOW_PX,

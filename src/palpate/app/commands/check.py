@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from palpate.app.terminal import number_text, print_tables, print_text, terminal_table
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.tables import number_text, terminal_table
 from palpate.bem import check_memory
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (

@@ -6,7 +6,8 @@ from importlib import import_module
 from numba.core import event
 
 from palpate.app.environment import check_kernel_cache
-from palpate.app.terminal import print_text, progress_bar
+from palpate.app.terminal.output import print_text
+from palpate.app.terminal.progress import progress_bar
 from palpate.pipeline import warm_up
 
 

@@ -9,15 +9,10 @@ from cyclopts import Parameter
 
 from palpate.app.environment import check_cache
 from palpate.app.exit_codes import NOT_OK
-from palpate.app.terminal import (
-    StageLog,
-    constants_table,
-    print_notes,
-    print_tables,
-    print_text,
-    probes_table,
-    progress_bar,
-)
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import StageLog, progress_bar
+from palpate.app.terminal.tables import constants_table, probes_table
 from palpate.app.versions import versions
 from palpate.bem import check_memory
 from palpate.errors import print_message

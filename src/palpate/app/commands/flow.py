@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from palpate.app.exit_codes import NOT_OK
-from palpate.app.terminal import flow_table, print_notes, print_tables, print_text, progress_bar
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import progress_bar
+from palpate.app.terminal.tables import flow_table
 from palpate.errors import InputError, print_message
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (

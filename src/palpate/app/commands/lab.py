@@ -7,7 +7,10 @@ from typing import Annotated, get_args, get_type_hints
 from cyclopts import Parameter
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import progress_bar
+from palpate.app.terminal.tables import terminal_table
 from palpate.app.workers import distribution
 from palpate.campaign import check_workers
 from palpate.errors import InputError

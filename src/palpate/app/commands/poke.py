@@ -12,7 +12,10 @@ from jaxtyping import Float
 from rich.table import Table
 
 from palpate.app.environment import check_cache
-from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import progress_bar
+from palpate.app.terminal.tables import terminal_table
 from palpate.app.units import Force, Length, Modulus, Place
 from palpate.bem import InteriorState, check_memory
 from palpate.errors import InputError

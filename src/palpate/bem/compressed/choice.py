@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from palpate.bem.compressed.system import compressed_system
-from palpate.bem.integrals import BoundarySurface
-from palpate.bem.system import LARGEST_DENSE, BoundarySystem, boundary_system
+from palpate.bem.integrals.surface import BoundarySurface
+from palpate.bem.system.memory import LARGEST_DENSE
+from palpate.bem.system.system import BoundarySystem, boundary_system
 from palpate.progress import Progress, silent
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.bem.integrals import LANES
+from palpate.bem.integrals.kelvin import LANES
 
 
 @dataclass(frozen=True, slots=True, eq=False)

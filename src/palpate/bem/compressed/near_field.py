@@ -11,16 +11,10 @@ from scipy.sparse import csr_array
 
 from palpate.bem.compressed.clusters import ClusterTree
 from palpate.bem.compressed.moments import KernelWeights
-from palpate.bem.integrals import (
-    DISPLACEMENT,
-    TRACTION,
-    BoundarySurface,
-    Collocation,
-    FieldBlocks,
-    FieldLayout,
-    Quadrature,
-    kernel_integrals,
-)
+from palpate.bem.integrals.assembly import Collocation, FieldBlocks, kernel_integrals
+from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION, FieldLayout
+from palpate.bem.integrals.quadrature import Quadrature
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.geometry import QuadraticNodes
 from palpate.progress import Progress, silent
 from palpate.threads import in_threads

@@ -22,8 +22,11 @@ from palpate.bem.compressed.clusters import (
 from palpate.bem.compressed.far_field import FarField, make_child_to_parent, make_receivers
 from palpate.bem.compressed.moments import KernelWeights, LeafMoments, leaf_moments
 from palpate.bem.compressed.near_field import NearField, near_field
-from palpate.bem.integrals import BoundarySurface, Collocation, Quadrature, triangle_rule
-from palpate.bem.system import Unknowns, restricted_nodes
+from palpate.bem.integrals.assembly import Collocation
+from palpate.bem.integrals.quadrature import Quadrature, triangle_rule
+from palpate.bem.integrals.surface import BoundarySurface
+from palpate.bem.system.boundary import Unknowns
+from palpate.bem.system.system import restricted_nodes
 from palpate.geometry import (
     QuadraticNodes,
     element_points,

@@ -7,8 +7,11 @@ from jaxtyping import Float
 
 from palpate.bem.compressed.moments import KernelWeights
 from palpate.bem.compressed.operator import CompressedOperator, Compression, compress
-from palpate.bem.integrals import BoundarySurface, Quadrature, integral_weights, point_blocks
-from palpate.bem.system import BoundarySystem, find_unknowns, place_collocation
+from palpate.bem.integrals.assembly import point_blocks
+from palpate.bem.integrals.quadrature import Quadrature
+from palpate.bem.integrals.surface import BoundarySurface, integral_weights
+from palpate.bem.system.boundary import find_unknowns, place_collocation
+from palpate.bem.system.system import BoundarySystem
 from palpate.errors import InputError
 from palpate.progress import Progress, silent
 

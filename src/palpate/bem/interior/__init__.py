@@ -6,8 +6,3 @@ Gives      : `InteriorState`.
 Depends on : `bem.integrals`, `bem.loads`, `geometry`.
 Read first : `interior.py`, `somigliana.py`.
 """
-
-from palpate.bem.interior.interior import (
-    InteriorState as InteriorState,
-    interior_state as interior_state,
-)

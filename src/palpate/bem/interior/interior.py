@@ -11,9 +11,11 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 
 from palpate.bem.elastic_map import ElasticMap, ElasticState
-from palpate.bem.integrals import Quadrature, all_rules
+from palpate.bem.integrals.assembly import all_rules
+from palpate.bem.integrals.quadrature import Quadrature
 from palpate.bem.interior.somigliana import VALUES, sum_forces, sum_surface
-from palpate.bem.loads import LoadCells, SurfaceLoad, indentation_corrections, load_points
+from palpate.bem.loads.local_indentation import indentation_corrections
+from palpate.bem.loads.surface_load import LoadCells, SurfaceLoad, load_points
 from palpate.errors import InputError
 from palpate.geometry import QuadraticNodes
 from palpate.threads import in_threads

@@ -16,7 +16,7 @@ Source: Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), eq. 5.4.
 import numba
 import numpy as np
 
-from palpate.bem.integrals import next_part, part_point, whole_triangle
+from palpate.bem.integrals.element_integrals import next_part, part_point, whole_triangle
 
 # Displacement, stress by rows, solid angle.
 VALUES = 13

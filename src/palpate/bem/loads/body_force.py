@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals import BoundarySurface, Quadrature
+from palpate.bem.integrals.quadrature import Quadrature
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.loads.right_hand import RightHand, joined, support_columns, traction_column
-from palpate.bem.system import BoundarySystem
+from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import ELEMENT_NODES, element_points
 
 

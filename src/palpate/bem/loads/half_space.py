@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.chebyshev import chebfit, chebpts1, chebval
 
-from palpate.bem.integrals import unit_gauss
+from palpate.bem.integrals.quadrature import unit_gauss
 
 # Beyond this many radii the patch is treated as a point.
 _FAR = 8.0

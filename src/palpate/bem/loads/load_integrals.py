@@ -7,15 +7,9 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals import (
-    DISPLACEMENT,
-    LANES,
-    BoundarySurface,
-    Collocation,
-    add_point_fields,
-    lane_fields,
-    lanes_of,
-)
+from palpate.bem.integrals.assembly import Collocation, lanes_of
+from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, add_point_fields, lane_fields
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.loads.polar_rule import polar_points
 from palpate.bem.loads.surface_load import (
     LOAD_CELLS,

@@ -14,13 +14,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from palpate.arrays import lengths
-from palpate.bem.integrals import (
-    TRACTION,
-    BoundarySurface,
-    Quadrature,
-    kernel_integrals,
-    traction_parts,
-)
+from palpate.bem.integrals.assembly import kernel_integrals
+from palpate.bem.integrals.kelvin import TRACTION, traction_parts
+from palpate.bem.integrals.quadrature import Quadrature
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.loads.half_space import (
     DiscPotentials,
     PressureDisc,
@@ -30,7 +27,7 @@ from palpate.bem.loads.half_space import (
 )
 from palpate.bem.loads.right_hand import RightHand
 from palpate.bem.loads.surface_load import SurfaceLoad, find_foot
-from palpate.bem.system import BoundarySystem
+from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import QuadraticNodes, TriangleMesh, cut_distance
 
 # Midside nodes within this many edge lengths of the patch may be corrected.

@@ -6,15 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from palpate.bem.compressed import CompressedSystem
-from palpate.bem.integrals import (
-    DISPLACEMENT,
-    Quadrature,
-    displacement_parts,
-    kernel_integrals,
-    triangle_rule,
-)
-from palpate.bem.system import BoundarySystem, held_columns
+from palpate.bem.compressed.system import CompressedSystem
+from palpate.bem.integrals.assembly import kernel_integrals
+from palpate.bem.integrals.kelvin import DISPLACEMENT, displacement_parts
+from palpate.bem.integrals.quadrature import Quadrature, triangle_rule
+from palpate.bem.system.matrix import held_columns
+from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import ELEMENT_NODES, QuadraticNodes, element_points, quadratic_shapes
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from palpate.bem.integrals import BoundarySurface, triangle_rule
+from palpate.bem.integrals.quadrature import triangle_rule
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.loads.half_space import PressureDisc
 from palpate.bem.loads.polar_rule import polar_points
 from palpate.errors import InputError

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.bem.integrals import BoundarySurface, Collocation
+from palpate.bem.integrals.assembly import Collocation
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.geometry import quadratic_shapes
 
 # How far a collocation point is moved off its vertex, as a barycentric coordinate.

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
-from palpate.bem.integrals import displacement_parts, integral_weights, traction_parts
+from palpate.bem.integrals.kelvin import displacement_parts, traction_parts
+from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.system.slope import SystemSlope, slope_to_fill
 from palpate.bem.system.system import BlockUse, BoundarySystem, Precision, for_each_block
 

@@ -18,7 +18,8 @@ from jaxtyping import Float, Int
 from scipy.linalg import orth
 from scipy.sparse import block_diag, csr_array, eye_array
 
-from palpate.bem.integrals import BoundarySurface, Collocation
+from palpate.bem.integrals.assembly import Collocation
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.system.boundary import Unknowns, find_unknowns
 
 # Singular value, relative to the largest, up to which a rigid-body motion counts as not held.

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.blas import get_blas_funcs
 
-from palpate.bem.integrals import DISPLACEMENT, TRACTION
+from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION
 from palpate.bem.system.system import BlockUse, BoundarySystem, Precision, for_each_block
 
 

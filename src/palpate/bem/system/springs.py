@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse import csr_array
 
-from palpate.bem.integrals import integral_weights
+from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.system.factors import FactorisedSystem, solve
 from palpate.bem.system.matrix import held_columns
 from palpate.bem.system.rollers import bases

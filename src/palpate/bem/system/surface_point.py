@@ -10,7 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals import TRACTION, BoundarySurface, Collocation, Quadrature, traction_parts
+from palpate.bem.integrals.assembly import Collocation
+from palpate.bem.integrals.kelvin import TRACTION, traction_parts
+from palpate.bem.integrals.quadrature import Quadrature
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.system.matrix import matrix_to_fill
 from palpate.bem.system.system import BoundarySystem, equations_at, for_each_block
 from palpate.geometry import quadratic_shapes

@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.integrals import (
-    DISPLACEMENT,
-    LANES,
-    TRACTION,
-    BoundarySurface,
+from palpate.bem.integrals.assembly import (
     Collocation,
-    Quadrature,
     add_rigid_body_sum,
     kernel_integrals,
     point_blocks,
 )
+from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION
+from palpate.bem.integrals.quadrature import Quadrature
+from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.system.boundary import Unknowns, find_unknowns, place_collocation
 from palpate.geometry import QuadraticNodes
 from palpate.parts import Parts, content_digest

@@ -27,17 +27,10 @@ from palpate.lab.bench.session_text import (
     write_session,
 )
 from palpate.lab.config import LabConfig, Stage
-from palpate.lab.pictures import (
-    Studio,
-    Variant,
-    exposure,
-    make_head,
-    make_studio,
-    miscalibrated,
-    photograph,
-    truth_map,
-    write_truth_map,
-)
+from palpate.lab.pictures.head import make_head, miscalibrated
+from palpate.lab.pictures.mitsuba_variant import Variant
+from palpate.lab.pictures.studio import Studio, exposure, make_studio, photograph
+from palpate.lab.pictures.truth_maps import truth_map, write_truth_map
 from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, path_below, read_rig, write_rig

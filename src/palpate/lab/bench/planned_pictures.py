@@ -16,7 +16,8 @@ from palpate.geometry import (
 from palpate.lab.bench.arm import aim, rod_at
 from palpate.lab.bench.session_text import AT_REST, check_picture_names
 from palpate.lab.config import Arm, LabConfig, Look, Material, Pictures, Probe, Specimen
-from palpate.lab.pictures import Variant, make_studio, photograph
+from palpate.lab.pictures.mitsuba_variant import Variant
+from palpate.lab.pictures.studio import make_studio, photograph
 from palpate.records import FLAT, Probing, Rig, Session, read_rig
 from palpate.shapes import Vertices
 from palpate.solids import TipName

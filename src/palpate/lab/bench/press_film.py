@@ -20,7 +20,8 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 from palpate.errors import RecordError
 from palpate.lab.bench.arm import rod_at, solid_under
 from palpate.lab.config import LabConfig
-from palpate.lab.pictures import Variant, make_studio, photograph
+from palpate.lab.pictures.mitsuba_variant import Variant
+from palpate.lab.pictures.studio import make_studio, photograph
 from palpate.records import Camera, Rig, picture_size
 from palpate.shapes import Vector3
 from palpate.solids import Solid, Tip, held_nodes, make_body, press, press_to_force, surface_values

@@ -26,7 +26,10 @@ from palpate.lab.bench.press_film import (
 )
 from palpate.lab.config import LabConfig
 from palpate.lab.config_files import built_in, read_lab_config
-from palpate.lab.pictures import Variant, board_picture, make_head, make_studio, photograph
+from palpate.lab.pictures.board_view import board_picture
+from palpate.lab.pictures.head import make_head
+from palpate.lab.pictures.mitsuba_variant import Variant
+from palpate.lab.pictures.studio import make_studio, photograph
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Rig, camera_centre, write_rig, write_text
 from palpate.shapes import Vector3

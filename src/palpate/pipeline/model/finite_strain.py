@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from palpate.errors import InputError
 from palpate.geometry import mesh_quality
-from palpate.pipeline.model.contacts import outward_load
+from palpate.pipeline.model.contacts.outward import outward_load
 from palpate.pipeline.model.grading import halved_session
 from palpate.progress import Progress, silent
 from palpate.records import FIXED, SLIDES, SPHERE, Probing, Session

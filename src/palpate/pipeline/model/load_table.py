@@ -29,12 +29,11 @@ from palpate.bem import (
     support_columns,
 )
 from palpate.geometry import unit_normals
-from palpate.pipeline.model.contacts import (
+from palpate.pipeline.model.contacts.outward import outward_perturbations, outward_pushes
+from palpate.pipeline.model.contacts.perturbations import (
     ContactPerturbation,
     contact_perturbations,
     dip_perturbations,
-    outward_perturbations,
-    outward_pushes,
     surface_load,
 )
 from palpate.probe import ContactPatch, find_contact_patch

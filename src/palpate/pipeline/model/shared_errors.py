@@ -8,7 +8,8 @@ from scipy.sparse import csr_array, kron
 
 from palpate.estimation import Nuisance, NuisanceParameter
 from palpate.geometry import SurfacePoints, interpolation_matrix
-from palpate.pipeline.model.contacts import contact_error, named_tangents, tool_slip
+from palpate.pipeline.model.contacts.contact_errors import contact_error, tool_slip
+from palpate.pipeline.model.contacts.perturbations import named_tangents
 from palpate.pipeline.model.measurement_errors import (
     force_direction,
     force_gain,

@@ -13,7 +13,8 @@ from palpate.estimation import (
     best_constants_of,
     predicted_surface,
 )
-from palpate.pipeline.model import displaced_contacts, largest_change, with_contact_radii
+from palpate.pipeline.model.contacts.contact_radii import largest_change, with_contact_radii
+from palpate.pipeline.model.contacts.sideways import displaced_contacts
 from palpate.pipeline.observations.mesh_errors import ungraded_observations
 from palpate.progress import Progress, part_of
 from palpate.records import Session

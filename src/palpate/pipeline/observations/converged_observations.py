@@ -18,7 +18,8 @@ from palpate.estimation import (
     padded,
 )
 from palpate.geometry import bounding_diagonal
-from palpate.pipeline.model import REMAINING_FRACTION, ObjectModel
+from palpate.pipeline.model.grading import REMAINING_FRACTION
+from palpate.pipeline.model.object_model import ObjectModel
 from palpate.pipeline.observations.session_observations import session_observations_at
 from palpate.records import Session
 

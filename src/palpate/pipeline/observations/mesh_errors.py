@@ -6,12 +6,8 @@ from pathlib import Path
 
 from palpate.bem import CENTRE, LARGEST_DENSE, CentredSystem, CompressedSystem
 from palpate.estimation import FitMethod, FitSettings, ProbeObservations
-from palpate.pipeline.model import (
-    ObjectModel,
-    edge_refined_session,
-    graded_session,
-    make_object_model,
-)
+from palpate.pipeline.model.grading import edge_refined_session, graded_session
+from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.observations.converged_observations import converged_observations, model_step
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, Session

@@ -9,13 +9,9 @@ from palpate.bem import (
     CompressedSystem,
 )
 from palpate.estimation import FitSettings
-from palpate.pipeline.model import (
-    ObjectModel,
-    graded_session,
-    has_tools,
-    make_object_model,
-    refined_session,
-)
+from palpate.pipeline.model.contacts.contact_radii import has_tools
+from palpate.pipeline.model.grading import graded_session, refined_session
+from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.observations.mesh_errors import (
     UNGRADED_RESIDUAL,
     compared_meshes,

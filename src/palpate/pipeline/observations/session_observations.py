@@ -18,19 +18,12 @@ from palpate.bem import (
 from palpate.errors import InputError
 from palpate.estimation import FitMethod, FitSettings, Nuisance, ProbeObservations
 from palpate.geometry import SurfacePoints, TriangleMesh, distinct_points
-from palpate.pipeline.model import (
-    ObjectModel,
-    ProbeResponse,
-    free_std,
-    full_responses,
-    given_motion,
-    pose_changes,
-    probe_rows,
-    reduced_responses,
-    settlement,
-    shared_errors,
-    spring_responses,
-)
+from palpate.pipeline.model.moving_supports import free_std, given_motion
+from palpate.pipeline.model.object_model import ObjectModel
+from palpate.pipeline.model.probe_rows import probe_rows
+from palpate.pipeline.model.responses import ProbeResponse, full_responses, reduced_responses
+from palpate.pipeline.model.shared_errors import pose_changes, shared_errors
+from palpate.pipeline.model.spring_responses import settlement, spring_responses
 from palpate.records import GIVEN, DisplacementField, Probing, Session
 from palpate.shapes import Vertices
 

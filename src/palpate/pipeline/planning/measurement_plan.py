@@ -17,13 +17,12 @@ from palpate.estimation import Information, fisher_information
 from palpate.geometry import bounding_diagonal, closest_points
 from palpate.lab import Material, Pictures, Variant, planned_pictures
 from palpate.pipeline.calibrated_space import calibration_strains, with_stretch
-from palpate.pipeline.model import (
-    make_object_model,
-    refined_session,
-    with_contact_radii,
-)
-from palpate.pipeline.motion import vertex_field
-from palpate.pipeline.observations import graded_observations, session_observations
+from palpate.pipeline.model.contacts.contact_radii import with_contact_radii
+from palpate.pipeline.model.grading import refined_session
+from palpate.pipeline.model.object_model import make_object_model
+from palpate.pipeline.motion.displacement import vertex_field
+from palpate.pipeline.observations.mesh_errors import graded_observations
+from palpate.pipeline.observations.session_observations import session_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BudgetEntry,

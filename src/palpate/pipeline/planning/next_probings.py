@@ -16,8 +16,9 @@ from palpate.geometry import (
     vertex_normals,
 )
 from palpate.pipeline.fit_session import fit_session
-from palpate.pipeline.model import make_object_model, refined_session
-from palpate.pipeline.observations import session_observations
+from palpate.pipeline.model.grading import refined_session
+from palpate.pipeline.model.object_model import make_object_model
+from palpate.pipeline.observations.session_observations import session_observations
 from palpate.progress import Progress, part_of, silent
 from palpate.records import DisplacementField, Probing, Session, require_probings
 from palpate.shapes import Points

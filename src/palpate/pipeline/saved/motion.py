@@ -13,12 +13,9 @@ from palpate.disk import write_bytes
 from palpate.errors import InputError
 from palpate.files import stored_arrays
 from palpate.geometry import closest_points
-from palpate.pipeline.motion import (
-    MotionNotes,
-    ProbingMotion,
-    motion_keys,
-    unread_probings,
-)
+from palpate.pipeline.motion.displacement import ProbingMotion, unread_probings
+from palpate.pipeline.motion.notes import MotionNotes
+from palpate.pipeline.motion.sequences import motion_keys
 from palpate.pipeline.object_pose import PoseChoice
 from palpate.records import (
     DisplacementField,

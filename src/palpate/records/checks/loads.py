@@ -12,7 +12,8 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records.contacts import RIGID, Contact
+from palpate.records.contacts.contact import Contact
+from palpate.records.contacts.pressure import RIGID
 from palpate.records.probing import Probing, observed_rows
 from palpate.records.quantities import HIGHEST_PRESSURE, MODULUS_RANGE, modulus_unit
 from palpate.shapes import Indices

@@ -18,7 +18,9 @@ from palpate.records.estimate import (
     Status,
     SupportEstimate,
 )
-from palpate.records.text import TomlTable, json_text, read_json, write_text
+from palpate.records.text.json_file import json_text, read_json
+from palpate.records.text.text_file import write_text
+from palpate.records.text.toml_table import TomlTable
 
 T = TypeVar("T")
 

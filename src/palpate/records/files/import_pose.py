@@ -8,7 +8,8 @@ from jaxtyping import Float
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, quoted
 from palpate.records.program import nearest_rotation
-from palpate.records.text import LENGTH_UNITS, TomlTable, read_toml
+from palpate.records.text.toml_table import TomlTable, read_toml
+from palpate.records.text.units import LENGTH_UNITS
 
 # A rotation typed with four digits is this far from orthogonal; a larger error is a mistake.
 _MAX_TYPED_ERROR = 1e-3

@@ -12,22 +12,21 @@ from palpate.geometry import (
     closest_points,
     read_mesh,
 )
-from palpate.records.contacts import (
+from palpate.records.contacts.contact import (
     FRICTIONS,
     MESH,
-    RIGID,
     SLIDES,
     TOOL_SHAPES,
-    UNIFORM,
     Contact,
     Tool,
-    contact_profiles,
     mesh_tool,
 )
+from palpate.records.contacts.pressure import RIGID, UNIFORM, contact_profiles
 from palpate.records.files.support import HeldObject, listed_triangles
 from palpate.records.probing import Load
 from palpate.records.support import RigidMotion
-from palpate.records.text import ANGLE_UNITS, LENGTH_UNITS, TomlTable
+from palpate.records.text.toml_table import TomlTable
+from palpate.records.text.units import ANGLE_UNITS, LENGTH_UNITS
 from palpate.shapes import Indices, Vector3
 
 

@@ -22,7 +22,8 @@ from palpate.records.files.sums import (
     sums_text,
     unreadable_errors,
 )
-from palpate.records.text import json_text, read_text, write_text
+from palpate.records.text.json_file import json_text
+from palpate.records.text.text_file import read_text, write_text
 
 CONTENTS_FILE, INPUTS_FILE = "contents.txt", "inputs.txt"
 RESULT_FORMAT = "palpate-result/1"

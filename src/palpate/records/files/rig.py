@@ -10,9 +10,13 @@ import tomlkit
 from palpate.errors import CalibrationError, RecordError, quoted
 from palpate.files import is_file
 from palpate.records.program import CalibrationFile, make_pose
-from palpate.records.programs import holds_camera_tables, read_calibration
+from palpate.records.programs.registry import read_calibration
+from palpate.records.programs.toml_cameras import holds_camera_tables
 from palpate.records.rig import Camera, Rig, check_baselines
-from palpate.records.text import FILE_LENGTH_UNITS, TomlTable, nearest_file, read_toml, write_text
+from palpate.records.text.nearest import nearest_file
+from palpate.records.text.text_file import write_text
+from palpate.records.text.toml_table import TomlTable, read_toml
+from palpate.records.text.units import FILE_LENGTH_UNITS
 
 _FILE = "rig.toml"
 _ROOT_KEYS = ("length_unit", "reference", "camera")

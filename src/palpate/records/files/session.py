@@ -11,14 +11,9 @@ from palpate.disk import roll_back_interrupted
 from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
-from palpate.records.checks import (
-    check_contact,
-    check_copies,
-    check_error_lengths,
-    check_load,
-    check_observed_points,
-    plausibility_notes,
-)
+from palpate.records.checks.displacements import check_copies, check_observed_points
+from palpate.records.checks.loads import check_contact, check_load
+from palpate.records.checks.plausibility import check_error_lengths, plausibility_notes
 from palpate.records.error_priors import read_error_priors
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.loads import read_loads, read_push, read_support_motion
@@ -27,15 +22,9 @@ from palpate.records.files.support import HeldObject, read_supports
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.session import Session, Step
 from palpate.records.support import Support
-from palpate.records.text import (
-    FILE_LENGTH_UNITS,
-    LENGTH_UNITS,
-    TomlTable,
-    is_list_of,
-    nearest_file,
-    nearest_word,
-    read_toml,
-)
+from palpate.records.text.nearest import nearest_file, nearest_word
+from palpate.records.text.toml_table import TomlTable, is_list_of, read_toml
+from palpate.records.text.units import FILE_LENGTH_UNITS, LENGTH_UNITS
 from palpate.shapes import Vector3
 
 SESSION_FORMAT = "palpate-session/1"

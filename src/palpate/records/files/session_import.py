@@ -10,7 +10,8 @@ from tomlkit.items import AoT, Table
 
 from palpate.errors import RecordError
 from palpate.records.session import Session
-from palpate.records.text import nearest_word, read_text
+from palpate.records.text.nearest import nearest_word
+from palpate.records.text.text_file import read_text
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,8 @@ from palpate.errors import RecordError
 from palpate.files import checked_file
 from palpate.records.files.rig_covariance import covariance_file
 from palpate.records.files.session import session_file
-from palpate.records.text import read_text, read_toml
+from palpate.records.text.text_file import read_text
+from palpate.records.text.toml_table import read_toml
 
 CHANGED, MISSING, NOT_LISTED = "changed", "missing", "not listed"
 # Escapes of `sha256sum` in names that contain a backslash or a line break.

@@ -8,7 +8,9 @@ from jaxtyping import Float
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
 from palpate.records.support import FIXED, MOTIONS, Support
-from palpate.records.text import STIFFNESS_UNITS, TomlTable, is_list_of, read_text
+from palpate.records.text.text_file import read_text
+from palpate.records.text.toml_table import TomlTable, is_list_of
+from palpate.records.text.units import STIFFNESS_UNITS
 from palpate.shapes import Indices
 
 _SELECTORS = ("plane", "box", "triangles")

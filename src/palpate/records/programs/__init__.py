@@ -7,11 +7,3 @@ Gives      : a `Rig`, or `MeasuredPoints` in metres.
 Depends on : `records.text`, `geometry`, `optional_imports`, `shapes`, `errors`.
 Read first : `registry.py`, then `opencorr.py`, the shortest.
 """
-
-from palpate.records.programs.registry import (
-    import_kinds as import_kinds,
-    kinds_text as kinds_text,
-    read_calibration as read_calibration,
-    read_measured as read_measured,
-)
-from palpate.records.programs.toml_cameras import holds_camera_tables as holds_camera_tables

@@ -21,7 +21,8 @@ from palpate.records.program import (
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import HDF5_SIGNATURE, checked_size, open_hdf5, read_text_table
+from palpate.records.text.csv_table import read_text_table
+from palpate.records.text.hdf5 import HDF5_SIGNATURE, checked_size, open_hdf5
 
 _POSITION = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _DISPLACEMENT = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")

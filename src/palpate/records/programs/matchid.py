@@ -16,7 +16,7 @@ from palpate.records.program import (
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import missing_depth, read_text_table
+from palpate.records.text.csv_table import missing_depth, read_text_table
 
 # Long column names without category and unit, and the short ones of version 2023.
 _COLUMNS = {

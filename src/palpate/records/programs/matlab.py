@@ -9,7 +9,9 @@ import numpy as np
 
 from palpate.records.program import CalibrationFile, Program, make_pose
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import FILE_LENGTH_UNITS, checked_size, open_mat, unit_name
+from palpate.records.text.hdf5 import checked_size
+from palpate.records.text.mat_file import open_mat
+from palpate.records.text.units import FILE_LENGTH_UNITS, unit_name
 
 _CAMERAS = ("CameraParameters1", "CameraParameters2")
 _ROTATION, _TRANSLATION = "RotationOfCamera2", "TranslationOfCamera2"

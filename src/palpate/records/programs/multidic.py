@@ -18,7 +18,8 @@ from palpate.records.program import (
     make_pose,
 )
 from palpate.records.rig import Camera, PictureTracks, Rig
-from palpate.records.text import checked_size, open_mat, read_mat
+from palpate.records.text.hdf5 import checked_size
+from palpate.records.text.mat_file import open_mat, read_mat
 
 _POSITIONS, _PIXELS = "Points3D", "Points"
 _PATTERN = "DLTstruct_cam_*.mat"

@@ -7,7 +7,7 @@ import numpy as np
 
 from palpate.errors import RecordError
 from palpate.records.program import MIN_CORRELATION, Program, ProgramPoints, chosen_frame
-from palpate.records.text import Column, TextTable, read_text_table
+from palpate.records.text.csv_table import Column, TextTable, read_text_table
 from palpate.shapes import PointScalars
 
 _COLUMNS = {name: (name,) for name in ("u", "v", "w", "ref_x", "ref_y", "ref_z")}

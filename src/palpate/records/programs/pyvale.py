@@ -7,7 +7,7 @@ import numpy as np
 from palpate.errors import RecordError
 from palpate.files import read_bytes
 from palpate.records.program import Program, ProgramPoints, chosen_frame
-from palpate.records.text import TextTable, read_text_table
+from palpate.records.text.csv_table import TextTable, read_text_table
 from palpate.shapes import Flags, Points
 
 _NAMES = [f"stereo_{quantity}_mm" for quantity in ("disp_u", "disp_v", "disp_w", "x", "y", "z")]

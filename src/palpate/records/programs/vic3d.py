@@ -16,7 +16,7 @@ from palpate.records.program import (
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
-from palpate.records.text import missing_depth, read_text_table
+from palpate.records.text.csv_table import missing_depth, read_text_table
 
 _COLUMNS = {name: (name,) for name in "XYZUVW"}
 _STD_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")

@@ -11,7 +11,7 @@ from palpate.files import read_bytes, read_errors
 from palpate.geometry import check_packed_arrays
 from palpate.optional_imports import late_import
 from palpate.records.program import Program, ProgramPoints, chosen_frame
-from palpate.records.text import nearest_word
+from palpate.records.text.nearest import nearest_word
 from palpate.shapes import Points
 
 _SUFFIXES = (".vtu", ".vtk")

@@ -6,11 +6,3 @@ Gives      : `TriangleMesh`; `FittedSurface`; the agreement of each view with th
 Depends on : `geometry`, `scanning.mending`, `scanning.views`; libigl.
 Read first : `fusion.py`, then `vertex_fit.py`.
 """
-
-from palpate.scanning.joining.agreement import (
-    Agreement as Agreement,
-    agreements as agreements,
-)
-from palpate.scanning.joining.fusion import fused as fused
-from palpate.scanning.joining.poses import posed as posed
-from palpate.scanning.joining.vertex_fit import FittedSurface as FittedSurface, fitted as fitted

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palpate.errors import InputError
-from palpate.scanning.views import View
+from palpate.scanning.views.view import View
 
 # Points of a view that are compared with the others.
 _SAMPLES = 4000

@@ -9,7 +9,9 @@ from palpate.arrays import tangents_of
 from palpate.errors import MeshError
 from palpate.geometry import TriangleMesh
 from palpate.optional_imports import late_import
-from palpate.scanning.mending import adapted, compacted, largest_piece
+from palpate.scanning.mending.adapt import adapted
+from palpate.scanning.mending.cleaning import compacted
+from palpate.scanning.mending.solid import largest_piece
 from palpate.scanning.plane import Plane
 from palpate.shapes import Points, PointScalars, Vector3
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError
 from palpate.progress import Progress, part_of, silent
-from palpate.scanning.views import Pose, View
+from palpate.scanning.views.view import Pose, View
 from palpate.shapes import Points
 
 # Points of a view for the many starts, and for the adjustment.

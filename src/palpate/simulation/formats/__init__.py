@@ -6,5 +6,3 @@ Gives      : the simulator's files; `FORMATS`, the list of all.
 Depends on : `records`, `geometry`.
 Read first : `registry.py`, then `calculix.py`.
 """
-
-from palpate.simulation.formats.registry import FORMATS as FORMATS

@@ -18,7 +18,7 @@ from palpate.errors import CalibrationError
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Matrix3, Vector3
 from palpate.vision.cameras.projection import check_picture_size, normalised, project
-from palpate.vision.images import interpolate, make_spline_picture
+from palpate.vision.images.spline import interpolate, make_spline_picture
 
 # Rotating the image plane by 60 degrees stretches the picture's centre by a factor of two, and its
 # far edge without bound.

@@ -12,7 +12,7 @@ from palpate.shapes import PointIndices, Points, PointScalars
 from palpate.threads import in_threads
 from palpate.vision.cameras.lens import jacobian_kernel
 from palpate.vision.cameras.projection import normalised, packed_rig
-from palpate.vision.small_systems import (
+from palpate.vision.small_systems.cholesky import (
     cholesky_inverse_kernel,
     cholesky_kernel,
     cholesky_solve_kernel,

@@ -8,6 +8,3 @@ Depends on : `vision.refinement`, `vision.matching`, `vision.range_flow`, `visio
              `vision.images`, `geometry`, `records`.
 Read first : `flow.py`, then `match.py`.
 """
-
-from palpate.vision.joint.flow import JointFlow as JointFlow
-from palpate.vision.joint.vertices import vertex_displacement as vertex_displacement

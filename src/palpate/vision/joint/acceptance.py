@@ -4,8 +4,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from palpate.vision.cameras import pixel_sizes, project_jacobian
-from palpate.vision.images import moments, slope_gain, smoothing_gain
+from palpate.vision.cameras.projection import pixel_sizes, project_jacobian
+from palpate.vision.images.normalisation import moments
+from palpate.vision.images.spline import slope_gain, smoothing_gain
 from palpate.vision.joint.match import (
     changed_cameras,
     mean_over,
@@ -13,9 +14,10 @@ from palpate.vision.joint.match import (
     predicted_motion,
     used_cameras,
 )
-from palpate.vision.matching import median_around
-from palpate.vision.range_flow import Outcome, RangeFlow
-from palpate.vision.refinement import BLOCKS, Match, Scene
+from palpate.vision.matching.outliers import median_around
+from palpate.vision.range_flow.flow import Outcome, RangeFlow
+from palpate.vision.refinement.scene import Scene
+from palpate.vision.refinement.window_match import BLOCKS, Match
 
 # Largest standard deviation by noise [px]; a usual match is ten times better. Bias is not included,
 # because errors of the rig have nothing to do with the texture.

@@ -30,8 +30,13 @@ from palpate.geometry import (
 )
 from palpate.records import Camera, Rig, SurfaceAverage, camera_centre
 from palpate.shapes import Points, PointScalars
-from palpate.vision.cameras import pixel_sizes, project
-from palpate.vision.matching import LocalFits, coefficient_operators, local_terms, sum_over_points
+from palpate.vision.cameras.projection import pixel_sizes, project
+from palpate.vision.matching.fit_operators import (
+    LocalFits,
+    coefficient_operators,
+    local_terms,
+    sum_over_points,
+)
 
 # Side of the surface pieces that represent pixels, in sides of a window.
 _PIECE = 0.25

@@ -10,19 +10,16 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.vision.cameras import pixel_sizes
-from palpate.vision.images import SplinePicture
-from palpate.vision.matching import (
-    BASES,
-    LocalField,
-    Prediction,
-    Scatter,
-    local_field,
-    predicted,
-    sum_variance,
-)
-from palpate.vision.range_flow import Outcome
-from palpate.vision.refinement import Limits, Match, Scene, refine_joint
+from palpate.vision.cameras.projection import pixel_sizes
+from palpate.vision.images.spline import SplinePicture
+from palpate.vision.matching.local_regression import LocalField, local_field
+from palpate.vision.matching.outliers import Prediction, predicted
+from palpate.vision.matching.scatter import Scatter, sum_variance
+from palpate.vision.matching.window_sums import BASES
+from palpate.vision.range_flow.flow import Outcome
+from palpate.vision.refinement.refinement import refine_joint
+from palpate.vision.refinement.scene import Scene
+from palpate.vision.refinement.window_match import Limits, Match
 
 # Rounds of second attempts: in each, the front of found points advances by a few windows.
 _RETRIES = 2

@@ -14,14 +14,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.threads import in_threads
-from palpate.vision.images import SplinePicture, make_spline_picture, spline_pictures
+from palpate.vision.images.spline import SplinePicture, make_spline_picture, spline_pictures
 from palpate.vision.joint.window_blur import (
     CameraInstants,
     MovedWindows,
     window_variances_kernel,
 )
-from palpate.vision.range_flow import Outcome
-from palpate.vision.refinement import Limits, Match, Scene, refine_joint
+from palpate.vision.range_flow.flow import Outcome
+from palpate.vision.refinement.refinement import refine_joint
+from palpate.vision.refinement.scene import Scene
+from palpate.vision.refinement.window_match import Limits, Match
 
 # Number of windows used: enough for the blur to 0.1 px, few compared with those of the flow.
 _WINDOWS = 100

@@ -8,17 +8,14 @@ from jaxtyping import Float
 from palpate.geometry import TriangleMesh, vertex_normals
 from palpate.records import INDEPENDENT, Camera, PointCorrelation, Rig, camera_centre
 from palpate.shapes import Flags, Triangles, Vertices
-from palpate.vision.cameras import pixel_sizes
+from palpate.vision.cameras.projection import pixel_sizes
 from palpate.vision.joint.averaging import surface_average
 from palpate.vision.joint.match import BEND_REACH
-from palpate.vision.matching import (
-    LocalField,
-    Scatter,
-    local_field,
-    local_fits,
-    noise_correlation,
-)
-from palpate.vision.range_flow import (
+from palpate.vision.matching.fit_operators import local_fits
+from palpate.vision.matching.local_regression import LocalField, local_field
+from palpate.vision.matching.noise_correlation import noise_correlation
+from palpate.vision.matching.scatter import Scatter
+from palpate.vision.range_flow.flow import (
     RangeFlow,
     VertexDisplacement,
     is_valid,

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from palpate.vision.cameras import project_kernel
-from palpate.vision.images import sample_kernel
+from palpate.vision.cameras.lens import project_kernel
+from palpate.vision.images.spline import sample_kernel
 
 # What gain, offset and shading multiply: 1, the grey level, column and row of a pixel.
 _ILLUMINATION = 4

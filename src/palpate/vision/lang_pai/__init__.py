@@ -7,6 +7,3 @@ Gives      : `LangPaiFlow`, a `FlowMethod`.
 Depends on : `vision.cameras`, `vision.images`, `vision.range_flow`, `records`, `geometry`.
 Read first : `flow.py`, then `voting.py`, then `vertices.py`.
 """
-
-from palpate.vision.lang_pai.flow import LangPaiFlow as LangPaiFlow
-from palpate.vision.lang_pai.vertices import lang_pai_vertices as lang_pai_vertices

@@ -23,8 +23,9 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars
-from palpate.vision.cameras import project, surface_map
-from palpate.vision.images import moments
+from palpate.vision.cameras.projection import project
+from palpate.vision.cameras.surface_map import surface_map
+from palpate.vision.images.normalisation import moments
 from palpate.vision.lang_pai.disparity import MIN_CONTRAST, WINDOW, Instant
 from palpate.vision.lang_pai.rectified_head import (
     StereoHead,
@@ -35,7 +36,8 @@ from palpate.vision.lang_pai.rectified_head import (
 )
 from palpate.vision.lang_pai.vertices import lang_pai_vertices
 from palpate.vision.lang_pai.voting import Vote, vote
-from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, grid_points
+from palpate.vision.range_flow.flow import Outcome, RangeFlow, VertexDisplacement
+from palpate.vision.range_flow.grid import grid_points
 
 # Largest difference from the mesh's disparity for a pixel on its surface [px]: the error of
 # matching in whole pixels is smaller.

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from palpate.records import Rig, camera_centre
 from palpate.shapes import Points, PointScalars
-from palpate.vision.cameras import Rectified, rectify, remapped
+from palpate.vision.cameras.rectification import Rectified, rectify, remapped
 from palpate.vision.lang_pai.disparity import Instant, Views, disparity_map
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 
 from palpate.shapes import Flags, Points, PointScalars, Triangles, Vertices
 from palpate.threads import map_in_threads
-from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
+from palpate.vision.range_flow.flow import RangeFlow, VertexDisplacement, is_valid
 
 # Radius of the flow used for a vertex [m]; the source's 1 cm.
 _REACH = 0.01

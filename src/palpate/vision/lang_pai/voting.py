@@ -28,7 +28,7 @@ from numba import njit
 from palpate.shapes import PointIndices, PointScalars
 from palpate.threads import in_threads
 from palpate.vision.lang_pai.disparity import Instant, Views
-from palpate.vision.range_flow import Outcome
+from palpate.vision.range_flow.flow import Outcome
 
 # Fast-math flags that preserve NaN, which marks pixels without data.
 _FAST = {"contract", "reassoc", "arcp", "nsz"}

@@ -17,7 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from palpate.errors import InputError
-from palpate.vision.images import WINDOW, NormalisedImage, cropped, make_normalised_image, moments
+from palpate.vision.images.normalisation import (
+    WINDOW,
+    NormalisedImage,
+    cropped,
+    make_normalised_image,
+    moments,
+)
 from palpate.vision.matching.sparse_flow import (
     NOT_GIVEN,
     Samples,

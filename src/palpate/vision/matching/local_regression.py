@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from palpate.shapes import Points
 from palpate.threads import in_threads
 from palpate.vision.matching.scatter import ANY_ORDER, Scatter, variance_kernel
-from palpate.vision.small_systems import cholesky_kernel, cholesky_solve_kernel
+from palpate.vision.small_systems.cholesky import cholesky_kernel, cholesky_solve_kernel
 
 _TERMS = {1: 3, 2: 6}
 # Degrees of freedom of the Student-t weights: a residual of ten sigma in one component has 1/15 of

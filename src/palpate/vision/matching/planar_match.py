@@ -18,7 +18,7 @@ from numba import njit
 from palpate.errors import InputError
 from palpate.shapes import Flags, PointScalars
 from palpate.threads import in_threads
-from palpate.vision.images import SplinePicture, noise_fraction_kernel, sample_kernel
+from palpate.vision.images.spline import SplinePicture, noise_fraction_kernel, sample_kernel
 from palpate.vision.matching.window_sums import (
     BASES,
     EXPONENTS,
@@ -27,7 +27,7 @@ from palpate.vision.matching.window_sums import (
     window_right_kernel,
     window_system_kernel,
 )
-from palpate.vision.small_systems import (
+from palpate.vision.small_systems.cholesky import (
     cholesky_inverse_kernel,
     cholesky_kernel,
     cholesky_solve_kernel,

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.spatial import cKDTree
 
-from palpate.vision.images import nearest_descriptors
+from palpate.vision.images.features import nearest_descriptors
 
 # Neighbouring displacements agree if they differ by less than two pixels plus this times their
 # distance: a rotation of 30 degrees or a strain of 50 %.

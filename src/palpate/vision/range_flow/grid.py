@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import map_coordinates
 
 from palpate.shapes import Points, Triangles, Vertices
-from palpate.vision.cameras import SurfaceMap
+from palpate.vision.cameras.surface_map import SurfaceMap
 from palpate.vision.range_flow.flow import RangeFlow, is_valid
 
 # Tolerance for rounding in a sum of four interpolation weights.

@@ -8,16 +8,3 @@ Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `vision.range
              `vision.small_systems`, `records`.
 Read first : `window_match.py`, then `refinement.py`.
 """
-
-from palpate.vision.refinement.refinement import refine_joint as refine_joint
-from palpate.vision.refinement.scene import (
-    Scene as Scene,
-    advanced_scene as advanced_scene,
-    make_scene as make_scene,
-    scene_rows as scene_rows,
-)
-from palpate.vision.refinement.window_match import (
-    BLOCKS as BLOCKS,
-    Limits as Limits,
-    Match as Match,
-)

@@ -18,8 +18,8 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from palpate.threads import in_threads
-from palpate.vision.images import SplinePicture
-from palpate.vision.matching import (
+from palpate.vision.images.spline import SplinePicture
+from palpate.vision.matching.window_sums import (
     window_advance_kernel,
     window_blocks_kernel,
     window_residual_kernel,
@@ -50,7 +50,7 @@ from palpate.vision.refinement.window_match import (
     padded_to_four,
     surface_points,
 )
-from palpate.vision.small_systems import (
+from palpate.vision.small_systems.cholesky import (
     add_congruence_kernel,
     add_transposed_kernel,
     cholesky_inverse_kernel,

@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from palpate.vision.cameras import distort_kernel
-from palpate.vision.images import noise_fraction_kernel, sample_kernel
+from palpate.vision.cameras.lens import distort_kernel
+from palpate.vision.images.spline import noise_fraction_kernel, sample_kernel
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

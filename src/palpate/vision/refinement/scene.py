@@ -10,9 +10,11 @@ from jaxtyping import Bool, Float, Int
 
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
-from palpate.vision.cameras import SurfaceMap, packed_rig, pixel_sizes, surface_map, visible
-from palpate.vision.images import SplinePicture, point_spread_variance, spline_pictures
-from palpate.vision.range_flow import grid_points, grid_triangles
+from palpate.vision.cameras.projection import packed_rig, pixel_sizes
+from palpate.vision.cameras.surface_map import SurfaceMap, surface_map, visible
+from palpate.vision.images.normalisation import point_spread_variance
+from palpate.vision.images.spline import SplinePicture, spline_pictures
+from palpate.vision.range_flow.grid import grid_points, grid_triangles
 
 # Pixels this close to an outline mix object and background, by the support of the pixel response
 # and of the spline.

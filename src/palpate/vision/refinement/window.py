@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numba import njit
 
-from palpate.vision.cameras import jacobian_kernel, project_kernel
-from palpate.vision.images import PADDING
-from palpate.vision.matching import load_window_kernel
+from palpate.vision.cameras.lens import jacobian_kernel, project_kernel
+from palpate.vision.images.spline import PADDING
+from palpate.vision.matching.window_sums import load_window_kernel
 
 # Total padding of the spline coefficients [px].
 _SPLINE_MARGIN_PX = 2 * PADDING

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from palpate.vision.range_flow import Outcome
+from palpate.vision.range_flow.flow import Outcome
 from palpate.vision.refinement.scene import Scene
 
 # Outcomes as plain integers, for the kernels.

@@ -8,20 +8,3 @@ Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `vision.range
              `records`.
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
 """
-
-from palpate.vision.stereo.known_object import (
-    MIN_POSE_POINTS as MIN_POSE_POINTS,
-    near_object as near_object,
-    object_frame as object_frame,
-    register_object as register_object,
-    smooth_surface as smooth_surface,
-)
-from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
-from palpate.vision.stereo.stereo import (
-    StereoMatches as StereoMatches,
-    StereoPoints as StereoPoints,
-    StereoSettings as StereoSettings,
-    stereo_matches as stereo_matches,
-    stereo_points as stereo_points,
-    triangulated_matches as triangulated_matches,
-)

@@ -14,9 +14,11 @@ from jaxtyping import Bool, Float, Int
 from palpate.errors import InputError
 from palpate.records import Rig
 from palpate.shapes import PointIndices, Points, PointScalars
-from palpate.vision.cameras import Triangulation, pixel_sizes, project, triangulate
-from palpate.vision.images import PreparedPictures, make_spline_picture
-from palpate.vision.range_flow import Outcome
+from palpate.vision.cameras.projection import pixel_sizes, project
+from palpate.vision.cameras.triangulation import Triangulation, triangulate
+from palpate.vision.images.features import PreparedPictures
+from palpate.vision.images.spline import make_spline_picture
+from palpate.vision.range_flow.flow import Outcome
 from palpate.vision.stereo.pair_disparity import stereo_start
 from palpate.vision.stereo.window_matches import (
     MIN_WINDOW_PX,

@@ -14,9 +14,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.shapes import PointIndices, PointScalars
-from palpate.vision.images import SplinePicture, moments
-from palpate.vision.matching import PlanarMatch, neighbours_median, refine_planar
-from palpate.vision.range_flow import Outcome
+from palpate.vision.images.normalisation import moments
+from palpate.vision.images.spline import SplinePicture
+from palpate.vision.matching.outliers import neighbours_median
+from palpate.vision.matching.planar_match import PlanarMatch, refine_planar
+from palpate.vision.range_flow.flow import Outcome
 from palpate.vision.stereo.pair_disparity import StereoStart
 
 # Smaller windows do not determine six coefficients per component.

@@ -14,7 +14,11 @@ from palpate.bem import (
     make_surface,
     traction_column,
 )
-from palpate.pipeline.model.contacts import has_outward_traction, outward_load, outward_pushes
+from palpate.pipeline.model.contacts.outward import (
+    has_outward_traction,
+    outward_load,
+    outward_pushes,
+)
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import Contact
 from palpate.solids import make_solid

@@ -10,7 +10,8 @@ from surfaces import sphere
 
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
-from palpate.pipeline.model.contacts import DIP_ERROR, perturbations
+from palpate.pipeline.model.contacts import perturbations
+from palpate.pipeline.model.contacts.perturbations import DIP_ERROR
 from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4

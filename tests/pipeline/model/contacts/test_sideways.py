@@ -15,8 +15,8 @@ from palpate.bem import (
     make_surface,
 )
 from palpate.geometry import TriangleMesh
-from palpate.pipeline.model.contacts import displaced_contacts, with_contact_radii
-from palpate.pipeline.model.contacts.sideways import STEP
+from palpate.pipeline.model.contacts.contact_radii import with_contact_radii
+from palpate.pipeline.model.contacts.sideways import STEP, displaced_contacts
 from palpate.records import (
     CONE,
     EXACT,

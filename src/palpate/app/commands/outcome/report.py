@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from palpate.app.terminal import print_text
+from palpate.app.terminal.output import print_text
 from palpate.records import REPORT_FILE, check_fit_result, check_free, disk_errors
 from palpate.report import write_report
 

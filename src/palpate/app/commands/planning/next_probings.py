@@ -4,7 +4,10 @@ from pathlib import Path
 
 from rich.table import Table
 
-from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar, terminal_table
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import progress_bar
+from palpate.app.terminal.tables import terminal_table
 from palpate.bem import check_memory
 from palpate.figures import next_probings_figure, save_figure
 from palpate.pipeline import NextProbings, plan_next, with_pictures_measured

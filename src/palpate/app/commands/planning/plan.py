@@ -6,14 +6,10 @@ import cv2
 import numpy as np
 from rich.table import Table
 
-from palpate.app.terminal import (
-    budget_sentences,
-    print_notes,
-    print_tables,
-    print_text,
-    progress_bar,
-    terminal_table,
-)
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import progress_bar
+from palpate.app.terminal.tables import budget_sentences, terminal_table
 from palpate.app.units import Modulus
 from palpate.bem import check_memory
 from palpate.errors import InputError

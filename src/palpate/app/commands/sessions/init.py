@@ -8,7 +8,7 @@ from typing import Literal, cast
 
 from rich.prompt import Prompt
 
-from palpate.app.terminal import print_text
+from palpate.app.terminal.output import print_text
 from palpate.errors import InputError, RecordError, quoted, visible
 from palpate.recording import (
     TEMPLATES,

@@ -5,14 +5,10 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from palpate.app.terminal import (
-    number_text,
-    print_notes,
-    print_tables,
-    print_text,
-    progress_bar,
-    terminal_table,
-)
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_tables, print_text
+from palpate.app.terminal.progress import progress_bar
+from palpate.app.terminal.tables import number_text, terminal_table
 from palpate.figures import recording_figure, save_drawing
 from palpate.progress import part_of
 from palpate.recording import (

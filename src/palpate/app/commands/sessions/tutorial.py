@@ -4,7 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.app.terminal import print_notes, print_text, progress_bar
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_text
+from palpate.app.terminal.progress import progress_bar
 from palpate.calibration import Charuco
 from palpate.lab import Print, choose_variant, make_tutorial
 from palpate.records import result_folder

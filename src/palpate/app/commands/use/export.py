@@ -4,7 +4,9 @@ from pathlib import Path
 from typing import Literal
 
 from palpate.app.environment import check_cache
-from palpate.app.terminal import print_notes, print_text, progress_bar
+from palpate.app.terminal.notes import print_notes
+from palpate.app.terminal.output import print_text
+from palpate.app.terminal.progress import progress_bar
 from palpate.app.units import Length
 from palpate.records import default_folder, record_inputs, result_folder
 from palpate.simulation import FORMATS, export_fit, read_fit

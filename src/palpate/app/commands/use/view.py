@@ -4,7 +4,8 @@ import time
 from pathlib import Path
 
 from palpate.app.environment import check_cache
-from palpate.app.terminal import print_text, progress_bar
+from palpate.app.terminal.output import print_text
+from palpate.app.terminal.progress import progress_bar
 from palpate.errors import InputError
 from palpate.records import check_free
 from palpate.viewer import Viewer, read_subject, write_screenshot, write_turntable
