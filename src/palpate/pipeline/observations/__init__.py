@@ -4,6 +4,7 @@ Purpose    : measurement and model of every probing as the one object that the e
              the errors of the mesh; what fits of one body share, before anything is measured.
 Takes      : a `Session`, its `ObjectModel`.
 Gives      : `ProbeObservations` of the estimation, one for each probing.
-Depends on : `pipeline.model`, `pipeline.model.contacts`, `estimation`, `records`, `bem`, `geometry`; errors, shapes.
+Depends on : `pipeline.model`, `pipeline.model.contacts`, `estimation`, `records`, `bem`,
+             `geometry`; errors, shapes.
 Read first : `session_observations.py`, `converged_observations.py`, then `mesh_errors.py`.
 """
