@@ -66,6 +66,9 @@ class Quadrature:
         return float(self.tolerance ** (-1.0 / (degree + 1)))
 
 
+# Cached, as are those below: each rule takes an eigenvalue problem, and every load of every model
+# asks for the same few.
+@cache
 def triangle_rule(degree: int) -> TriangleRule:
     """A rule with positive weights that is exact up to at least the given degree.
 
@@ -76,7 +79,7 @@ def triangle_rule(degree: int) -> TriangleRule:
     Returns
     -------
     TriangleRule              3, 6 or 7 points for degrees 2, 4 and 5, else a conical product of n^2
-                              points
+                              points; read-only
 
     Source
     ------
@@ -111,7 +114,7 @@ def _symmetric(
     if centre_weight:
         points.append((1 / 3, 1 / 3, 1 / 3))
         weights.append(centre_weight)
-    return TriangleRule(degree, np.array(points), 0.5 * np.array(weights))
+    return TriangleRule(degree, *_read_only(np.array(points), 0.5 * np.array(weights)))
 
 
 def _conical(n: int) -> TriangleRule:
@@ -120,9 +123,10 @@ def _conical(n: int) -> TriangleRule:
     t, w_t = unit_gauss(n)
     s, t = (grid.ravel() for grid in np.meshgrid(s, t, indexing="ij"))
     barycentric = np.stack([1 - s, s * (1 - t), s * t], axis=1)
-    return TriangleRule(2 * n - 1, barycentric, np.outer(w_s, w_t).ravel())
+    return TriangleRule(2 * n - 1, *_read_only(barycentric, np.outer(w_s, w_t).ravel()))
 
 
+@cache
 def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Gauss-Legendre points and weights on [0, 1].
 
@@ -132,14 +136,12 @@ def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]
 
     Returns
     -------
-    (n,) float, (n,) float    points; weights that sum to 1
+    (n,) float, (n,) float    points; weights that sum to 1; read-only
     """
-    points, weights = _unit_gauss(n)
-    return points.copy(), weights.copy()
-
-
-@cache
-def _unit_gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
-    # Cached: each rule takes an eigenvalue problem, and contacts use the same few over and over.
     x, w = roots_legendre(n)
-    return 0.5 * (x + 1), 0.5 * w
+    return _read_only(0.5 * (x + 1), 0.5 * w)
+
+
+def _read_only(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    points.flags.writeable = weights.flags.writeable = False
+    return points, weights
