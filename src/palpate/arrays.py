@@ -12,6 +12,8 @@ from palpate.errors import InputError
 
 # Far above any measured quantity in SI units; its fourth power does not overflow a float.
 LARGEST_NUMBER = 1e30
+# Standard deviation of normal errors over the median of their absolute values.
+STD_OVER_MEDIAN = 1.4826
 
 
 def known_median(values: Float[np.ndarray, " k"]) -> float:

@@ -8,14 +8,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.records import CONSTANT_NAMES, Estimate
 
 WAITING, DONE, FAILED = "waiting", "done", "failed"
 # Bound on the modified z-score, which uses the median absolute deviation: Iglewicz and Hoaglin
 # (1993), How to detect and handle outliers, section 3.3.
 _OUTLIER_BOUND = 3.5
-# Standard deviation of a normal distribution over its median absolute deviation.
-_STD_PER_MAD = 1.4826
 # In small groups the median absolute deviation is inaccurate, and z-scores above 3.5 are not rare:
 # one in 80 of 12 normal values. With the bound raised by a factor of 1 + this over the group's size
 # it is one in 370, and one in 90 for groups of 5 (simulated).
@@ -137,7 +136,7 @@ def _are_outliers(rows: Sequence[Row], name: str) -> list[bool]:
     if name != "poisson_ratio":
         value, low, high = np.log(value), np.log(low), np.log(high)
     deviation = value - np.median(value)
-    spread = _STD_PER_MAD * np.median(np.abs(deviation))
+    spread = STD_OVER_MEDIAN * np.median(np.abs(deviation))
     # Half of a 95 % interval is 1.96 standard deviations; of a skewed one take the side that faces
     # the median.
     own_std: Float[np.ndarray, " n"] = np.where(deviation > 0, value - low, high - value) / 1.96

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.calibration.known_object.ties import Ties, jacobians, tie_points, variance_inflation
 from palpate.geometry import TriangleMesh, closest_points, compact_groups, unit_normals
 from palpate.records import Rig, RigCovariance
@@ -77,7 +78,7 @@ class Body:
         normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
         gap = np.einsum("na,na->n", normal, place - found.position)
         inside = (found.barycentric > 0.0).all(axis=1)
-        noise = 1.4826 * float(np.median(np.abs(gap[inside])))
+        noise = STD_OVER_MEDIAN * float(np.median(np.abs(gap[inside])))
         _, shift = jacobians(rig, prior, scale, ties)
         rows = np.concatenate(
             [

@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.geometry.closest_point import SurfaceSearch
 from palpate.geometry.triangle_mesh import TriangleMesh, unit_normals
 from palpate.shapes import Indices, PointIndices, Points, PointScalars, Vector3
 
 # Tukey's constant for 95 % efficiency with normal errors; larger residuals have zero weight.
 _TUKEY = 4.685
-# Standard deviation of a normal variable over the median of its absolute value.
-_PER_MEDIAN = 1.4826
 # A step shorter than this fraction of its standard deviation ends the iteration.
 _SMALL_STEP = 0.1
 
@@ -181,7 +180,7 @@ def _sigma(residual: PointScalars, variance: PointScalars, least: float) -> Poin
     Scatter that the noise of the points does not explain is attributed to errors of the surface,
     equal for all points.
     """
-    robust_std = _PER_MEDIAN * float(np.median(np.abs(residual)))
+    robust_std = STD_OVER_MEDIAN * float(np.median(np.abs(residual)))
     surface = max(robust_std**2 - float(np.median(variance)), 0.0)
     return np.sqrt(np.maximum(variance + surface, least**2))
 
@@ -220,7 +219,7 @@ def robust_residuals(linearisation: Linearised) -> RobustResiduals:
     Huber, Robust Statistics (1981): the scale from the median, Tukey's constant for 95 % efficiency
     """
     scaled = linearisation.residual / linearisation.sigma
-    width = _TUKEY * _PER_MEDIAN * float(np.median(np.abs(scaled)))
+    width = _TUKEY * STD_OVER_MEDIAN * float(np.median(np.abs(scaled)))
     return RobustResiduals(scaled / width if width > 0.0 else np.zeros(len(scaled)), width)
 
 

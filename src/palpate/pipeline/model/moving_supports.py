@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.arrays import known_median
+from palpate.arrays import STD_OVER_MEDIAN, known_median
 from palpate.bem import (
     BoundarySurface,
     SurfaceSettings,
@@ -32,8 +32,6 @@ from palpate.shapes import Points, Vector3
 _ROUNDS, _DEGREES = 10, 8.0
 # Fraction of the largest singular value below which the points do not determine a motion.
 _UNSEEN = 1e-3
-# Normal distribution: standard deviation over the median absolute value.
-_SIGMA_OVER_MEDIAN = 1.4826
 # Fraction of a force that may act along directions that no support holds: real rollers have
 # friction, and no tool is exactly at a right angle.
 _UNANSWERED = 0.05
@@ -235,7 +233,7 @@ def _robust_fit(
         normal = np.einsum("n,nip,niq->pq", weight, modes, modes)
         value = np.linalg.solve(normal, np.einsum("n,nip,ni->p", weight, modes, moved))
         length = np.linalg.norm(moved - modes @ value, axis=1)
-        level = max(_SIGMA_OVER_MEDIAN * known_median(length) / np.sqrt(3.0), np.finfo(float).tiny)
+        level = max(STD_OVER_MEDIAN * known_median(length) / np.sqrt(3.0), np.finfo(float).tiny)
         weight = (_DEGREES + 3.0) / (_DEGREES + (length / level) ** 2)
     return value, level * np.sqrt(np.diag(np.linalg.inv(normal)))
 

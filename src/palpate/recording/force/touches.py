@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.errors import RecordError
 from palpate.recording.force.log import ForceLog
 
@@ -31,7 +32,7 @@ _ZERO_DISTANCE, _ZERO_SECONDS = 0.15, 1.0
 _START_SECONDS, _MAX_START_SCATTER = 0.5, 0.1
 # Standard deviation of second differences over that of the readings; and the rms length of a normal
 # vector of one, two and three components over its median length.
-_SECOND_DIFFERENCE_STD, _RMS_OVER_MEDIAN = np.sqrt(6.0), (1.4826, 1.2011, 1.1260)
+_SECOND_DIFFERENCE_STD, _RMS_OVER_MEDIAN = np.sqrt(6.0), (STD_OVER_MEDIAN, 1.2011, 1.1260)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.errors import RecordError
 from palpate.progress import Progress, silent
 from palpate.recording.pictures.footage import Footage, header_frame_count, read_frames
@@ -20,7 +21,6 @@ _DROPPED_STEP = 1.5
 # A frame is still if its change exceeds the median change on plateaus by less than so many robust
 # standard deviations, or this fraction.
 _STILL_SIGMAS, _STILL_FRACTION = 5.0, 0.1
-_STD_OVER_MAD = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +153,6 @@ def still_frames(
     if not len(plateau_speed):
         return held
     level = float(np.median(plateau_speed))
-    scatter = _STD_OVER_MAD * float(np.median(np.abs(plateau_speed - level)))
+    scatter = STD_OVER_MEDIAN * float(np.median(np.abs(plateau_speed - level)))
     limit = level + max(_STILL_SIGMAS * scatter, _STILL_FRACTION * level)
     return ~(speed > limit)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.geometry import TriangleMesh, half_edges, vertex_normals
 from palpate.shapes import PointIndices, Points, PointScalars
 
@@ -130,7 +131,7 @@ def _solved(
         coefficients = np.einsum("vij,vj->vi", inverse, right)
         residual = height - np.einsum("vki,vi->vk", base, coefficients)
         unit = residual / sigma
-        level = 1.4826 * np.ma.median(np.ma.array(abs(unit), mask=weight <= 0.0), axis=1)
+        level = STD_OVER_MEDIAN * np.ma.median(np.ma.array(abs(unit), mask=weight <= 0.0), axis=1)
         level = np.maximum(level.filled(1.0), 1e-6)[:, None]
         u = unit / (_TUKEY * level)
         robust = weight * np.where(abs(u) < 1.0, (1.0 - u**2) ** 2, 0.0)

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.arrays import with_rows
+from palpate.arrays import STD_OVER_MEDIAN, with_rows
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.records import Camera, Rig
@@ -45,8 +45,6 @@ _MAX_SURFACE_MISS_PX = 1.0
 # Motion towards or away from the camera that the range of disparities allows for, as a fraction of
 # the mesh's bounding diagonal.
 _TRAVEL = 0.5
-# Ratio of standard deviation to median absolute value of normal errors.
-_FROM_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +168,7 @@ class LangPaiFlow:
         point[begun] = head_points(head, seen.pixel[begun], disparity[begun])
         along_surface, along_ray = _pixel_footprints(head.rectified.cameras[0], seen, head.parallax)
         off = np.abs(disparity - seen.disparity)[begun]
-        scatter = _FROM_MEDIAN * float(np.median(off)) if len(off) else 0.0
+        scatter = STD_OVER_MEDIAN * float(np.median(off)) if len(off) else 0.0
         # Rounding errors are uniform over a pixel: variance 1 / 12.
         rounding = np.einsum("nki,nkj->nij", along_surface, along_surface) / 12.0
         noise = 2.0 * scatter**2 * np.einsum("ni,nj->nij", along_ray, along_ray)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.shapes import Flags, Points, PointScalars, Triangles, Vertices
 from palpate.threads import map_in_threads
 from palpate.vision.range_flow.flow import RangeFlow, VertexDisplacement, is_valid
@@ -91,9 +92,8 @@ def _agreeing(motion: Points) -> Flags:
     square = cdist(motion[trial], motion, "sqeuclidean")
     median = np.partition(square, n // 2, axis=1)[:, n // 2]
     best = int(median.argmin())
-    # 1.4826 converts the median of normal errors to their deviation; the rest is a small-sample
-    # correction.
-    deviation = 1.4826 * (1.0 + 5.0 / (n - 1)) * np.sqrt(median[best])
+    # With a small-sample correction.
+    deviation = STD_OVER_MEDIAN * (1.0 + 5.0 / (n - 1)) * np.sqrt(median[best])
     return square[best] <= (_MAX_DEVIATION * deviation) ** 2
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from palpate.arrays import STD_OVER_MEDIAN
 from palpate.errors import InputError
 from palpate.records import Rig
 from palpate.shapes import PointIndices, Points, PointScalars
@@ -29,8 +30,6 @@ from palpate.vision.stereo.window_matches import (
 
 # A camera is dropped if its reprojection error exceeds this many standard deviations.
 _MAX_DEVIATIONS = 5.0
-# Ratio of standard deviation to median absolute value of normal errors.
-_PER_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +281,7 @@ def _excess(
         residual = error[c, known]
         distance = np.linalg.norm(residual - np.median(residual, axis=0), axis=1)
         noise = np.trace(covariance[c, known], axis1=1, axis2=2)
-        allowed = _MAX_DEVIATIONS * np.sqrt((_PER_MEDIAN * np.median(distance)) ** 2 + noise)
+        allowed = _MAX_DEVIATIONS * np.sqrt((STD_OVER_MEDIAN * np.median(distance)) ** 2 + noise)
         excess[c, known] = np.maximum(
             distance / allowed, np.linalg.norm(residual, axis=1) / reprojection
         )
