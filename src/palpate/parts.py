@@ -145,19 +145,20 @@ def _update_digest(digest: "hashlib._Hash", value: Any) -> None:
 
 def _write_part(path: Path, part: Any, known: Mapping[str, Any]) -> None:
     """Write a part as an NPZ file: its arrays, and a text in JSON that says where each belongs."""
-    arrays: dict[str, np.ndarray] = {}
+    found: dict[int, np.ndarray] = {}
     names = {id(item): name for name, item in known.items() if item is not None}
-    text = json.dumps(_as_tree(part, names, arrays)).encode()
+    text = json.dumps(_as_tree(part, names, found)).encode()
+    arrays = {str(number): array for number, array in enumerate(found.values())}
     arrays[_TREE] = np.frombuffer(text, np.uint8)
     with path.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # mypy: a name might be an option's
 
 
-def _as_tree(value: Any, names: Mapping[int, str], arrays: dict[str, np.ndarray]) -> Any:
+def _as_tree(value: Any, names: Mapping[int, str], arrays: dict[int, np.ndarray]) -> Any:
     """What JSON holds of a value: a plain one itself, of any other a list that begins with a word.
-    Arrays are added to `arrays` under their identity: one that belongs to two things once."""
-    inner = partial(_as_tree, names=names, arrays=arrays)
-    key, kind = str(id(value)), type(value)
+    Arrays are added to `arrays` by their identity, one that belongs to two things once, and are
+    called by their number there."""
+    inner, kind = partial(_as_tree, names=names, arrays=arrays), type(value)
     if id(value) in names:
         return ["known", names[id(value)]]
     if value is None or kind in (bool, int, float, str):
@@ -174,13 +175,12 @@ def _as_tree(value: Any, names: Mapping[int, str], arrays: dict[str, np.ndarray]
     if is_dataclass(value):
         content = {field.name: inner(getattr(value, field.name)) for field in fields(value)}
         return ["record", kind.__module__, kind.__qualname__, content]
-    if kind is bytes:
-        arrays[key] = np.frombuffer(value, np.uint8)
-        return ["bytes", key]
-    if kind is np.ndarray or isinstance(value, np.generic):
-        arrays[key] = np.asarray(value)
-        return ["array" if kind is np.ndarray else "number", key]
-    raise TypeError(f"{kind.__qualname__} is nothing that a part is made of")
+    if kind is not bytes and kind is not np.ndarray and not isinstance(value, np.generic):
+        raise TypeError(f"{kind.__qualname__} is nothing that a part is made of")
+    array = np.frombuffer(value, np.uint8) if kind is bytes else np.asarray(value)
+    arrays.setdefault(id(value), array)
+    word = {bytes: "bytes", np.ndarray: "array"}.get(kind, "number")
+    return [word, str([*arrays].index(id(value)))]
 
 
 def _read_part(path: Path, known: Mapping[str, Any]) -> Any:

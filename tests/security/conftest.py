@@ -16,12 +16,11 @@ NAMES = (
 
 
 def write_hostile_session(folder: Path, name: str) -> Path:
-    """The cube's session, named as said, as its probing is."""
+    """The cube's session, named as said; names of probings are checked, as files have them."""
     write_cube_session(folder)
     file = folder / "session.toml"
     text = file.read_text(encoding="utf-8")
-    for old in ("a [bold] cube", "n01"):
-        text = text.replace(f'name = "{old}"', f"name = '''{name}'''")
+    text = text.replace('name = "a [bold] cube"', f"name = '''{name}'''")
     file.write_text(text, encoding="utf-8")
     return folder
 

@@ -47,11 +47,11 @@ def test_the_viewer_shows_a_name_as_it_is(tmp_path, monkeypatch, name):
     background = BackgroundWork(read_subject(write_hostile_session(tmp_path / "cube", name)), None)
     background.model_text = background.touch_text = name
     tab, page = opened_tab(background)
-    tab.setting.draft = Draft().with_contact(name, tab.stage.subject.session.mesh.vertices[0])
+    tab.setting.draft = Draft().with_contact("n01", tab.stage.subject.session.mesh.vertices[0])
     tab.setting._show()
     shown = [Shown(one.content) for one in page.of_kind("html")]
-    # Heading, model, touch, what was set.
-    assert sum(name in one.text for one in shown) == 4
+    # Heading, model, touch.
+    assert sum(name in one.text for one in shown) == 3
     page.button("write session.toml ...").click()
     page.button("write").click()
     shown += [Shown(one.content) for one in page.of_kind("html")]
@@ -92,19 +92,17 @@ def test_line_breaks_and_emphasis_are_ours():
 def test_the_report_shows_a_name_as_it_is(tmp_path, name):
     session = read_session(write_hostile_session(tmp_path / "cube", name))
     result = sample_result(session)
-    estimate, (fit,) = result.estimate, result.probes
-    estimate = replace(estimate, probes=(replace(estimate.probes[0], name=name),), notes=(name,))
-    result = replace(result, estimate=estimate, probes=(replace(fit, name=name),))
+    result = replace(result, estimate=replace(result.estimate, notes=(name,)))
     folder = Result(session, result).save(tmp_path / "saved")
     text = (folder / "report.html").read_text(encoding="utf-8")
     # A browser reads `<!--<script>` in a script as the begin of another one, which never ends.
     island = text.partition('<script type="application/json" id="scene">')[2]
     island = island.partition("</script>")[0]
     assert "<" not in island
-    assert [one["name"] for one in json.loads(island)["probings"]] == [name]
+    assert [one["name"] for one in json.loads(island)["probings"]] == ["n01"]
     page = Shown(text.replace(island, ""))
-    # Title, heading, choice of the probing, two tables, notes.
-    assert page.text.count(name) == 6
+    # Title, heading, note.
+    assert page.text.count(name) == 3
     assert "b" not in page.tags
     assert "onerror" not in page.attributes
     assert text.count("<script") == 2

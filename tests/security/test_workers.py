@@ -129,7 +129,9 @@ def test_a_scheduler_without_tls_is_reached_with_the_flag():
 
 def test_tls_without_certificates_says_where_they_are_named(monkeypatch):
     monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
+    named = ("ca-file", "client.cert", "client.key")
     with (
+        dask.config.set({f"distributed.comm.tls.{name}": None for name in named}),
         pytest.raises(InputError, match=r"no certificate is named.*at distributed\.comm\.tls"),
         started_engine("tls://127.0.0.1:9", None),
     ):

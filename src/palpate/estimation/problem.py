@@ -24,8 +24,14 @@ from jaxtyping import Float, Int
 
 from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
 from palpate.estimation.nuisance import NuisanceParameter, ResponseTerms
-from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, ObservedRows
+from palpate.estimation.observed_rows import (
+    FIRST_CLAIMED,
+    GROUP_COUNT,
+    ObservedRows,
+    observed_rows_of,
+)
 from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
+from palpate.records import INDEPENDENT
 from palpate.shapes import Points
 
 # Sources in the uncertainty budget: of what is no named error.
@@ -226,11 +232,15 @@ class Problem:
     def predicted_points(self, index: int, theta: Float[np.ndarray, " t"]) -> Points:
         """Displacement of every point of a probing, measured or not, without the model's error of
         unknown shape, (n, 3) [m]."""
-        probe = self.probes[index]
-        every = np.arange(3 * len(probe.observations.position))
-        whole = replace(probe, rows=every, whitening=None)
+        seen = self.probes[index].observations
+        everywhere = replace(
+            seen, displacement=np.zeros_like(seen.position), std=None, covariance=None,
+            tip_displacement=None if seen.tip_displacement is None else np.zeros(3),
+            tip_displacement_std=None, correlation=INDEPENDENT,
+        )  # fmt: skip
+        whole = observed_rows_of(everywhere)
         model = _expansion(whole, self.shared, float(theta[0]))
-        return self._predicted(index, theta, model)[0].reshape(-1, 3)
+        return self._predicted(index, theta, model)[0].reshape(-1, 3)[: len(seen.position)]
 
     def _errors(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
         """Errors of one probing, in the order of its expansion."""

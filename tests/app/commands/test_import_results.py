@@ -296,7 +296,7 @@ def test_a_name_that_is_no_file_name(palpate, bare, top, tmp_path):
     source = _vic3d(tmp_path / "n01.csv", top)
     code, _, err = palpate("import", "vic3d", source, bare, "--probe", "top/left")
     assert code == 2
-    assert "the probing 'top/left' cannot give a file its name" in err
+    assert "probing 'top/left': files are named after it, and its name holds '/'" in err
 
 
 @pytest.mark.parametrize(

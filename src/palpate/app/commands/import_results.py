@@ -167,11 +167,6 @@ def _import_targets(
     plan = import_plan(session, files[:-1], probes=probes, frames=frames)
     named = named_displacements(session.path)
     for name in (item.probe for item in plan):
-        if Path(name).name != name or name.startswith("."):
-            raise InputError(
-                f"{session.path}: the probing '{name}' cannot give a file its name;"
-                " rename it: letters, digits, - and _"
-            )
         if name in named and not replace:
             raise InputError(
                 f"{session.path}: the probing '{name}' already has displacement ="
