@@ -57,6 +57,7 @@ def test_a_rig_that_moved_is_mended_by_what_it_sees(
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_object_is_found_from_nowhere(scene: tuple[Rig, TriangleMesh, str]) -> None:
     """The frame is that of the first camera: it says nothing of where the object is."""
     truth, mesh, pictures = scene
@@ -68,6 +69,7 @@ def test_an_object_is_found_from_nowhere(scene: tuple[Rig, TriangleMesh, str]) -
     assert shift < 0.1
 
 
+@pytest.mark.slow
 def test_a_mesh_in_another_unit_is_refused(scene: tuple[Rig, TriangleMesh, str]) -> None:
     rig, mesh, pictures = scene
     small = TriangleMesh(1e-3 * mesh.vertices, mesh.triangles)

@@ -219,6 +219,7 @@ def test_fits_of_one_body_wait_for_what_they_share(cubes, local, tmp_path, begun
             assert (result / file).read_bytes() == content, (name, file)
 
 
+@pytest.mark.slow
 def test_few_sessions_are_read_while_a_body_is_computed(cubes, local, tmp_path, begun, monkeypatch):
     for number in range(2, 4):
         shutil.copytree(cubes / "c0", cubes / f"c{number}")

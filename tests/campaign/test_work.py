@@ -72,6 +72,7 @@ def test_a_body_leaves_what_its_fits_need(fitted, packed_cube, tmp_path):
     assert len(list((tmp_path / "bodies").iterdir())) == before
 
 
+@pytest.mark.slow
 def test_a_shared_body_that_is_solved_compressed_leaves_nothing(packed_cube, tmp_path, monkeypatch):
     monkeypatch.setattr(choice, "LARGEST_DENSE", 0)
     work = Work("fit", packed_cube, FitOptions(), shared_body=True)

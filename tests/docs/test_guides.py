@@ -34,7 +34,18 @@ NOT_RUN = {
     "palpate campaign apples.txt --scheduler tls://192.168.1.7:8786": _CLUSTER,
 }
 # A minute or so each; their commands have tests of their own.
-_LONG = {"calibrate", "campaign", "export", "flow", "lab", "next", "scan"}
+_LONG = {
+    "calibrate",
+    "campaign",
+    "export",
+    "flow",
+    "lab",
+    "next",
+    "poke",
+    "record",
+    "results",
+    "scan",
+}
 RUNNABLE = [pytest.param(name, marks=pytest.mark.slow) if name in _LONG else name for name in PAGES]
 
 

@@ -113,6 +113,7 @@ def test_few_points_have_no_patterns() -> None:
     assert patterns(problem_of([_probe(3)]), 0).shape[0] == 0
 
 
+@pytest.mark.slow
 def test_an_error_that_all_probings_share_does_not_average_out() -> None:
     """Eight looks at the same nine points of a mesh, each point a tenth of a micrometre off, the
     same in every look: Poisson's ratio scatters as one look's would, and as claimed."""

@@ -42,12 +42,14 @@ def test_write_a_session():
     assert run_example("05_write_a_session.py") == 3  # of four rows one is nan
 
 
+@pytest.mark.slow
 def test_likelihood():
     # The force error moves G alone, noise moves G and nu against each other; the sign is theirs,
     # the size is the example's own number.
     assert run_example("06_likelihood.py") == pytest.approx(-0.17, abs=0.05)
 
 
+@pytest.mark.slow
 def test_where_to_push():
     bounds = run_example("07_where_to_push.py")
     together = bounds.pop("all")
@@ -57,6 +59,7 @@ def test_where_to_push():
     assert together > 0.5 * min(bounds.values()) / len(bounds) ** 0.5
 
 
+@pytest.mark.slow
 def test_stress_inside():
     # Below a patch on a half space the axis carries at most about 0.7 of the peak pressure as von
     # Mises stress; the peak of the smooth profile is 3 F / (pi a^2).

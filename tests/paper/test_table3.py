@@ -78,6 +78,7 @@ def visible_motions(config):
         yield np.linalg.norm(project(camera, moved) - project(camera, rest), axis=1)[seen]
 
 
+@pytest.mark.slow
 def test_every_push_moves_what_is_seen_as_far_as_the_papers_method_can_follow():
     """Its flow is in whole pixels: it takes a motion by less than half a pixel for none."""
     config, reach = read_lab_config(built_in()["half-ball"]), LangPaiFlow().search // 2

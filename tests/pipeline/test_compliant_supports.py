@@ -85,6 +85,7 @@ def test_without_the_stiffness_they_are_another_objects():
     assert abs(result.estimate.young_modulus.value / YOUNG - 1.0) > 0.05
 
 
+@pytest.mark.slow
 def test_a_platen_that_gives_more_than_it_is_said_to_is_an_error_with_a_prior():
     """Fitted along, the compliance is what it is, and the constants are right again."""
     noise = {"noise": 2e-5, "probings": 2}

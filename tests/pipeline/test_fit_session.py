@@ -232,6 +232,7 @@ def _with_rig(session: Session, folder: Path, base_std: float) -> Session:
     return replace(session, rig=folder / "rig.toml")
 
 
+@pytest.mark.slow
 def test_what_the_calibration_leaves_open_is_in_the_interval(
     session: Session, tmp_path: Path
 ) -> None:

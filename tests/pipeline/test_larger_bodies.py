@@ -45,6 +45,7 @@ def test_the_estimate_and_its_intervals_are_those_of_the_dense_model(session, re
     assert np.allclose(constants(session), wanted, rtol=1e-5, atol=0.0)
 
 
+@pytest.mark.slow
 def test_a_push_is_that_of_the_dense_model(session, request):
     first = session.probings[0]
     material = {"shear_modulus": SHEAR_MODULUS, "poisson_ratio": POISSON_RATIO}

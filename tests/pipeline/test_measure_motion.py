@@ -107,6 +107,7 @@ def test_an_interrupted_measurement_goes_on_to_the_same_bytes(
         measure_motion(read_session(changed), **options)
 
 
+@pytest.mark.slow
 def test_a_motion_is_let_go_before_the_next_one_is_measured(
     shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -125,6 +126,7 @@ def test_a_motion_is_let_go_before_the_next_one_is_measured(
     assert [count - alive[0] for count in alive] == [0, 1, 1, 1, 1]
 
 
+@pytest.mark.slow
 def test_first_pictures_are_let_go_after_their_last_probing(
     half_ball: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -76,6 +76,7 @@ def test_given_means_given(solid: Scene) -> None:
     assert posed is moved
 
 
+@pytest.mark.slow
 def test_what_a_ball_does_not_tell_is_left_as_given_and_said(ball: Scene) -> None:
     """Its centre is found where it was 10 mm off; its direction, 4 degrees off, stays."""
     rig, pictures, mesh = ball

@@ -8,6 +8,8 @@ SCRIPT = """\
 import sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
+import pytest
+
 from palpate.pipeline import fit_session, measure_pictures, warm_up
 from palpate.records import read_session
 
@@ -31,6 +33,7 @@ print(*sorted(compiled() - warm), sep="\\n")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.slow
 def test_real_measurements_find_all_kernels(shared_data: Path) -> None:
     words = [str(EXAMPLES / "half_ball"), str(shared_data / "halfball_images")]
     done = subprocess.run(

@@ -30,6 +30,7 @@ def test_a_round_of_views_finds_its_poses():
         assert np.linalg.norm(view.points.mean(axis=0) - place.mean(axis=0)) < 6e-5
 
 
+@pytest.mark.slow
 def test_errors_of_a_chain_are_taken_back_by_the_loop():
     views = views_around(toy(), 9)
     clouds = [poses._cloud(view, 2000) for view in views]

@@ -55,6 +55,7 @@ def test_only_what_no_view_shows_is_guessed(truth, scanned):
     assert scanned.guessed[centre[:, 2] < 1e-5].mean() > 0.5
 
 
+@pytest.mark.slow
 def test_one_view_is_closed_by_the_table_and_marked(truth):
     found = scan_surface(views_around(truth, seen=1), vertices=800, support=TABLE)
     checked_mesh(found.mesh)

@@ -171,6 +171,7 @@ def test_small_loads_converge_to_the_linear_body_at_first_order(block):
     assert difference[0] / difference[1] == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_half_ball_pressed_far_goes_farther_than_linear(shared_data):
     # A measured 2 mm (linear) at a contact radius of 5.5 mm goes 15 % farther.
     data, solid, support = half_ball(

@@ -48,6 +48,7 @@ def test_no_posterior_is_wider_than_its_prior(estimate: Estimate) -> None:
     assert abs(gain.value) < 0.1 * gain.prior_std
 
 
+@pytest.mark.slow
 def test_with_an_exact_sensor_the_mesh_is_what_errs(cone: Session) -> None:
     errors = replace(cone.errors, force_gain=0.0, force=0.0, force_direction=0.0)
     found = fit_session(replace(cone, errors=errors)).estimate

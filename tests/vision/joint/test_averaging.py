@@ -76,6 +76,7 @@ def test_what_windows_follow_is_its_own_average(shape):
     np.testing.assert_allclose(_averaged(found, turned)[given], turned(place)[given], atol=2e-8)
 
 
+@pytest.mark.slow
 def test_quadratic_windows_leave_less_of_a_bend():
     dent, place = bump((0.0, 0.0, -1e-3), 0.007), _mesh().vertices
 
