@@ -4,12 +4,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = """\
 import sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
-import pytest
-
 from palpate.pipeline import fit_session, measure_pictures, warm_up
 from palpate.records import read_session
 
