@@ -33,13 +33,7 @@ from palpate.pipeline import (
     with_motions,
     write_fitted_surface,
 )
-from palpate.records import (
-    Session,
-    read_session,
-    require_probings,
-    result_folder,
-    write_estimate,
-)
+from palpate.records import Session, read_session, require_probings, result_folder, write_estimate
 from palpate.threads import one_thread
 
 ESTIMATE_FILE = "estimate.json"

@@ -193,7 +193,6 @@ def _start(
     best = (np.inf, 0.0, 1.0)
     for ratio in np.linspace(*poisson_range, _STARTS):
         moved, measured, weight = _at(probes, float(ratio))
-        compliance = 1.0
         used = weight
         for _ in range(_ROBUST_ROUNDS):
             compliance = float((used * moved) @ measured) / max(

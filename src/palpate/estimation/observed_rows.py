@@ -1,7 +1,7 @@
 """The measured components of a probing as one stack of rows, ready for the misfit."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -72,6 +72,14 @@ class ObservedRows:
     def has_claims(self) -> bool:
         """Whether every measured row came with a standard deviation of its own."""
         return bool((self.group >= FIRST_CLAIMED).all())
+
+    def everywhere(self) -> "ObservedRows":
+        """All rows of the probing, as if every point had been measured, with nothing moved."""
+        seen, tip = self.observations, self.observations.tip_displacement
+        return observed_rows_of(replace(
+            seen, displacement=np.zeros_like(seen.position), std=None, covariance=None,
+            tip_displacement=None if tip is None else np.zeros(3), tip_displacement_std=None,
+        ))  # fmt: skip
 
     @property
     def point_of_row(self) -> Int[np.ndarray, " r"]:

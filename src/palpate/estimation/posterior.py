@@ -198,8 +198,7 @@ def posterior_of(
 
 
 def _leads_beyond(minimum: Evaluation, error: float) -> bool:
-    normal = minimum.normal
-    free = np.linalg.lstsq(normal.common, normal.gradient, rcond=None)[0]
+    free = np.linalg.lstsq(minimum.normal.common, minimum.normal.gradient, rcond=None)[0]
     return bool(abs(free[0]) > _CLEARLY * error)
 
 

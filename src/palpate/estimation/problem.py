@@ -24,14 +24,8 @@ from jaxtyping import Float, Int
 
 from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
 from palpate.estimation.nuisance import NuisanceParameter, ResponseTerms
-from palpate.estimation.observed_rows import (
-    FIRST_CLAIMED,
-    GROUP_COUNT,
-    ObservedRows,
-    observed_rows_of,
-)
+from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, ObservedRows
 from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
-from palpate.records import INDEPENDENT
 from palpate.shapes import Points
 
 # Sources in the uncertainty budget: of what is no named error.
@@ -232,15 +226,10 @@ class Problem:
     def predicted_points(self, index: int, theta: Float[np.ndarray, " t"]) -> Points:
         """Displacement of every point of a probing, measured or not, without the model's error of
         unknown shape, (n, 3) [m]."""
-        seen = self.probes[index].observations
-        everywhere = replace(
-            seen, displacement=np.zeros_like(seen.position), std=None, covariance=None,
-            tip_displacement=None if seen.tip_displacement is None else np.zeros(3),
-            tip_displacement_std=None, correlation=INDEPENDENT,
-        )  # fmt: skip
-        whole = observed_rows_of(everywhere)
-        model = _expansion(whole, self.shared, float(theta[0]))
-        return self._predicted(index, theta, model)[0].reshape(-1, 3)[: len(seen.position)]
+        probe = self.probes[index]
+        model = _expansion(probe.everywhere(), self.shared, float(theta[0]))
+        count = len(probe.observations.position)
+        return self._predicted(index, theta, model)[0].reshape(-1, 3)[:count]
 
     def _errors(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
         """Errors of one probing, in the order of its expansion."""

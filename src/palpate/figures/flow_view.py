@@ -14,13 +14,7 @@ from palpate.figures.style import INK, LIGHT
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.records import Camera
 from palpate.shapes import Indices, PointScalars
-from palpate.vision import (
-    RangeFlow,
-    SurfaceMap,
-    VertexDisplacement,
-    measured_vertices,
-    project,
-)
+from palpate.vision import RangeFlow, SurfaceMap, VertexDisplacement, measured_vertices, project
 
 MARGIN = 0.05  # around the object, as a fraction of its size in the picture
 MAX_PIXELS = 700  # along a side of a panel; a page shows no more

@@ -12,13 +12,7 @@ from jaxtyping import Float
 
 from palpate.paper.published import MotionRow, Spread
 from palpate.paper.result import ResultTable
-from palpate.paper.sessions import (
-    Method,
-    PaperSession,
-    RigidStep,
-    rigid_displacement,
-    rigid_steps,
-)
+from palpate.paper.sessions import Method, PaperSession, RigidStep, rigid_displacement, rigid_steps
 from palpate.pipeline import MeasuredMotion
 from palpate.shapes import Points, PointScalars, Vector3, Vertices
 from palpate.vision import RangeFlow, VertexDisplacement, is_valid

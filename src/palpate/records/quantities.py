@@ -3,14 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from palpate.records.estimate import (
-    BIASED,
-    BudgetEntry,
-    Constant,
-    ErrorEstimate,
-    Estimate,
-    Status,
-)
+from palpate.records.estimate import BIASED, BudgetEntry, Constant, ErrorEstimate, Estimate, Status
 
 # SI unit of an error -> factor to the unit in which it is shown, and name of that unit.
 _ERROR_UNITS = {

@@ -22,14 +22,7 @@ from palpate.pipeline import (
     write_fitted_surface,
     write_residuals,
 )
-from palpate.records import (
-    Estimate,
-    Session,
-    file_stems,
-    read_estimate,
-    read_text,
-    write_estimate,
-)
+from palpate.records import Estimate, Session, file_stems, read_estimate, read_text, write_estimate
 from palpate.report.content import (
     budget_rows,
     constant_rows,

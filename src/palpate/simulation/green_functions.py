@@ -19,13 +19,7 @@ from jaxtyping import Float, Int
 from scipy.linalg.lapack import dpotrf
 
 from palpate.arrays import fix_fields
-from palpate.bem import (
-    BoundarySystem,
-    CentredSystem,
-    SurfaceLoad,
-    load_right_hand,
-    solve,
-)
+from palpate.bem import BoundarySystem, CentredSystem, SurfaceLoad, load_right_hand, solve
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import held_object

@@ -17,13 +17,7 @@ from palpate.errors import InputError, MeshError
 from palpate.geometry import TriangleMesh, checked_mesh, closest_points
 from palpate.optional_imports import late_import
 from palpate.shapes import Points
-from palpate.solids.even_points import (
-    Spacing,
-    inside,
-    make_spacing,
-    surface_points,
-    volume_points,
-)
+from palpate.solids.even_points import Spacing, inside, make_spacing, surface_points, volume_points
 
 # Corners of the edges with midside nodes 4 to 9, in the order of skfem.ElementTetP2.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])

@@ -11,13 +11,7 @@ from palpate.app.terminal.output import print_tables, print_text
 from palpate.app.terminal.progress import progress_bar
 from palpate.app.terminal.tables import terminal_table
 from palpate.figures import save_figure, scan_figure, surface_figure
-from palpate.geometry import (
-    MeshQuality,
-    TriangleMesh,
-    bounding_diagonal,
-    read_mesh,
-    triangle_areas,
-)
+from palpate.geometry import MeshQuality, TriangleMesh, bounding_diagonal, read_mesh, triangle_areas
 from palpate.progress import part_of
 from palpate.records import LENGTH_UNITS, default_folder, record_inputs, result_folder
 from palpate.scanning import (

@@ -13,12 +13,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from palpate.bem.compressed.charges import ChargeSphere, charge_sphere
-from palpate.bem.compressed.clusters import (
-    ClusterTree,
-    cluster_pairs,
-    cluster_tree,
-    far_clusters,
-)
+from palpate.bem.compressed.clusters import ClusterTree, cluster_pairs, cluster_tree, far_clusters
 from palpate.bem.compressed.far_field import FarField, make_child_to_parent, make_receivers
 from palpate.bem.compressed.moments import KernelWeights, LeafMoments, leaf_moments
 from palpate.bem.compressed.near_field import NearField, near_field
@@ -27,12 +22,7 @@ from palpate.bem.integrals.quadrature import Quadrature, triangle_rule
 from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.system.boundary import Unknowns
 from palpate.bem.system.system import restricted_nodes
-from palpate.geometry import (
-    QuadraticNodes,
-    element_points,
-    element_spheres,
-    interpolation_matrix,
-)
+from palpate.geometry import QuadraticNodes, element_points, element_spheres, interpolation_matrix
 from palpate.progress import Progress, part_of, silent
 from palpate.threads import in_threads
 

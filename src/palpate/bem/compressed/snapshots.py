@@ -16,11 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem.compressed.preconditioner import (
-    ClusterInverse,
-    cluster_inverse,
-    solve_compressed,
-)
+from palpate.bem.compressed.preconditioner import ClusterInverse, cluster_inverse, solve_compressed
 from palpate.bem.compressed.system import CompressedSystem
 from palpate.errors import NotConvergedError
 

@@ -23,12 +23,7 @@ from palpate.geometry.registration.surface_fit import (
     placed,
 )
 from palpate.geometry.sides import CREASE_ANGLE
-from palpate.geometry.triangle_mesh import (
-    TriangleMesh,
-    bounding_diagonal,
-    half_edges,
-    unit_normals,
-)
+from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal, half_edges, unit_normals
 from palpate.shapes import Flags, Points, PointScalars, Vector3
 
 # Size of a trial motion in predicted standard deviations: if the prediction is right, the squared

@@ -10,14 +10,7 @@ from jaxtyping import Float
 
 from palpate.geometry import closest_points
 from palpate.lab.config import LabConfig, Probe
-from palpate.records import (
-    SESSION_FORMAT,
-    SLIDES,
-    STICKS,
-    Rig,
-    check_file_names,
-    write_text,
-)
+from palpate.records import SESSION_FORMAT, SLIDES, STICKS, Rig, check_file_names, write_text
 from palpate.solids import Press, Tip
 
 Table = dict[str, Any]

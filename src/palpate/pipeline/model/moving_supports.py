@@ -8,12 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.arrays import STD_OVER_MEDIAN, known_median
-from palpate.bem import (
-    BoundarySurface,
-    SurfaceSettings,
-    make_surface,
-    unrestrained_motions,
-)
+from palpate.bem import BoundarySurface, SurfaceSettings, make_surface, unrestrained_motions
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.records import (

@@ -16,10 +16,7 @@ from palpate.bem import (
     held_system,
     point_equations,
 )
-from palpate.pipeline.model.compliant_supports import (
-    compliant_supports,
-    session_springs,
-)
+from palpate.pipeline.model.compliant_supports import compliant_supports, session_springs
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.pipeline.model.moving_supports import (
     MovingSupport,

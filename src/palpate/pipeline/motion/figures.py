@@ -13,13 +13,7 @@ from palpate.arrays import known_median
 from palpate.pipeline.motion.measure_motion import MeasuredMotion
 from palpate.records import Camera, Rig, json_text, write_text
 from palpate.shapes import Flags
-from palpate.vision import (
-    CAUSES,
-    camera_sigma,
-    cause_counts,
-    is_valid,
-    measured_vertices,
-)
+from palpate.vision import CAUSES, camera_sigma, cause_counts, is_valid, measured_vertices
 
 FLOW_FORMAT = "palpate-flow/1"
 

@@ -7,12 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.errors import NotConvergedError
-from palpate.estimation import (
-    FitSettings,
-    ProbeObservations,
-    best_constants_of,
-    predicted_surface,
-)
+from palpate.estimation import FitSettings, ProbeObservations, best_constants_of, predicted_surface
 from palpate.pipeline.model.contacts.contact_radii import largest_change, with_contact_radii
 from palpate.pipeline.model.contacts.sideways import displaced_contacts
 from palpate.pipeline.observations.mesh_errors import ungraded_observations

@@ -2,12 +2,7 @@
 
 from pathlib import Path
 
-from palpate.bem import (
-    CENTRE,
-    DENSE_RESIDUAL,
-    CentredSystem,
-    CompressedSystem,
-)
+from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.estimation import FitSettings
 from palpate.pipeline.model.contacts.contact_radii import has_tools
 from palpate.pipeline.model.grading import graded_session, refined_session

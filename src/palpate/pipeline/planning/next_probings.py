@@ -8,13 +8,7 @@ from scipy.spatial import cKDTree
 
 from palpate.errors import InputError
 from palpate.estimation import Information, fisher_information
-from palpate.geometry import (
-    TriangleMesh,
-    closest_points,
-    split_sides,
-    unit_normals,
-    vertex_normals,
-)
+from palpate.geometry import TriangleMesh, closest_points, split_sides, unit_normals, vertex_normals
 from palpate.pipeline.fit_session import fit_session
 from palpate.pipeline.model.grading import refined_session
 from palpate.pipeline.model.object_model import make_object_model

@@ -6,12 +6,7 @@ import numpy as np
 
 from palpate.pipeline import FittedProbing
 from palpate.viewer.background_work import BackgroundWork
-from palpate.viewer.colours import (
-    FIELDS,
-    MEASURED,
-    PREDICTED,
-    coloured_field,
-)
+from palpate.viewer.colours import FIELDS, MEASURED, PREDICTED, coloured_field
 from palpate.viewer.markup import scale_html, text_html
 from palpate.viewer.stage import Stage, length_colours
 

@@ -9,13 +9,7 @@ from palpate.geometry import closest_points
 from palpate.shapes import Vector3
 from palpate.viewer.markup import text_html
 from palpate.viewer.panels.look import LookPanel
-from palpate.viewer.placement import (
-    Draft,
-    draft_files,
-    flat_face,
-    triangles_near,
-    write_draft,
-)
+from palpate.viewer.placement import Draft, draft_files, flat_face, triangles_near, write_draft
 from palpate.viewer.stage import Stage
 
 PRESS, CONTACT, FACE, HOLD, FREE = WHAT = (

@@ -15,11 +15,7 @@ from jaxtyping import Float, Int
 
 from palpate.threads import in_threads
 from palpate.vision.images.spline import SplinePicture, make_spline_picture, spline_pictures
-from palpate.vision.joint.window_blur import (
-    CameraInstants,
-    MovedWindows,
-    window_variances_kernel,
-)
+from palpate.vision.joint.window_blur import CameraInstants, MovedWindows, window_variances_kernel
 from palpate.vision.range_flow.flow import Outcome
 from palpate.vision.refinement.refinement import refine_joint
 from palpate.vision.refinement.scene import Scene

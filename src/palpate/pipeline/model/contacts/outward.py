@@ -13,14 +13,9 @@ from jaxtyping import Float, Int
 from scipy.integrate import cumulative_trapezoid
 
 from palpate.arrays import tangents_of
-from palpate.bem import (
-    PressureDisc,
-    SurfaceLoad,
-)
+from palpate.bem import PressureDisc, SurfaceLoad
 from palpate.estimation import NuisanceParameter
-from palpate.pipeline.model.contacts.perturbations import (
-    ContactPerturbation,
-)
+from palpate.pipeline.model.contacts.perturbations import ContactPerturbation
 from palpate.probe import ContactPatch
 from palpate.records import Contact, Pressure, Session
 from palpate.shapes import Vector3

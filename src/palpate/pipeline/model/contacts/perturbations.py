@@ -7,11 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem import (
-    IndentationCorrection,
-    PressureDisc,
-    SurfaceLoad,
-)
+from palpate.bem import IndentationCorrection, PressureDisc, SurfaceLoad
 from palpate.errors import InputError
 from palpate.estimation import NuisanceParameter
 from palpate.geometry import TriangleMesh, closest_points
