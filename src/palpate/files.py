@@ -296,6 +296,8 @@ def _read_array(file: IO[bytes] | BufferedIOBase, size: int) -> np.ndarray:
 def _reason(error: BaseException) -> str:
     """One short line that describes an error of a third-party library."""
     text = getattr(error, "strerror", None) or " ".join(str(error).split())
+    if "integer string conversion" in text:  # Python's limit against long computations
+        text = "a whole number of too many digits"
     if not text or isinstance(error, (KeyError, RecursionError, SystemExit)):
         text = f"{type(error).__name__} {text}".strip()
     return text if len(text) <= 160 else f"{text[:100]} ... {text[-50:]}"

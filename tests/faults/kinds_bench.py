@@ -9,6 +9,8 @@ from faults.kind import Kind, replaced, written
 from faults.kinds_files import PLACES, Damage
 from faults.kinds_values import kinds_of_values
 
+from palpate.geometry import TriangleMesh, read_mesh, write_mesh
+
 _SQUARES = ("--columns", "7", "--rows", "5", "--square", "16mm")
 _CHESSBOARD = ("calibrate", "boards", "--target", "chessboard", *_SQUARES, "--out", "made")
 _OBJECT = ("calibrate", "object", "rest_{camera}.png", "mesh.ply", "--rig", "rig.toml", "--out",
@@ -20,6 +22,7 @@ _EDGE = ("export", "result", "--to", "obj", "--edge")
 _REPORT = ("report", "result", "--out", "made.html")
 _PLAN = ("lab", "plan", "pictured", "--young-modulus", "50kPa")
 _RUN = ("campaign", "run", "list.txt", "--out", "made")
+_THREE = "v 0 0 0\nv 0.04 0 0\nv 0 0.04 0\nf 1 2 3\n"
 _SHOWN = ("--screenshot", "made.png")
 _TABLES = tuple(("campaign", one, "many") for one in ("status", "table", "plot"))
 # What reads a file; what is read besides it is good. A word of the message besides the name.
@@ -87,6 +90,12 @@ def _packed_zeros(folder: Path) -> None:
         value=numbers,
         covariance=np.zeros((len(numbers), len(numbers))),
     )
+
+
+def _thousandfold(folder: Path) -> None:
+    """Damage: the mesh in millimetres."""
+    mesh = read_mesh(folder / "mesh.ply")
+    write_mesh(folder / "mesh.ply", TriangleMesh(1e3 * mesh.vertices, mesh.triangles))
 
 
 def _three_pictures(folder: Path) -> None:
@@ -218,6 +227,11 @@ KINDS = [
     _listed("cu\0be\n", "line 1", "cannot be a file"),
     _listed("cube\ncube/session.toml\n", "line 2", "already in line 1"),
     _listed("cube\n./cube/../cube, b\n", "line 2", "already in line 1"),
+    Kind("a surface in millimetres", _thousandfold, _MESH,
+         ("mesh.ply: does not say its unit", "69.3 m across", "--length-unit mm makes it 0.0693 m"),
+         "bench"),
+    Kind("a mesh of three points", written("three.obj", _THREE),
+         ("mesh", "three.obj", "--out", "made"), ("three.obj: ",), "bench"),
     Kind("a covariance that fills the memory", _packed_zeros, (*_OBJECT, "--refine"),
          ("rig_covariance.npz: its arrays take 72", "more than the 67108864"), "bench"),
     Kind("three pictures in one file", _three_pictures, _CHESSBOARD,

@@ -1,5 +1,7 @@
 """Kinds of broken cameras and pictures, which `check` must find, and numbers that are no options."""
 
+import struct
+import zlib
 from pathlib import Path
 
 from faults.kind import Kind, replaced, written
@@ -28,6 +30,19 @@ def _cut(file: str):
     return damage
 
 
+def _to_be_turned(file: str):
+    """Damage: EXIF data that ask programs to show a PNG turned."""
+    tiff = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 274, 3, 1, 6, 0, 0)
+    chunk = struct.pack(">I", len(tiff)) + b"eXIf" + tiff
+    chunk += struct.pack(">I", zlib.crc32(chunk[4:]))
+
+    def damage(folder: Path) -> None:
+        content = (folder / file).read_bytes()
+        (folder / file).write_bytes(content[:33] + chunk + content[33:])
+
+    return damage
+
+
 # Of both a session of probings and a rigid motion: the last picture of the second camera.
 _SEEN = [
     ("no rig", _removed("rig.toml"), ("rig.toml",)),
@@ -37,6 +52,11 @@ _SEEN = [
     ("no last picture", _removed("b_c1.png"), ("'last'", "camera 'c1'", "no such file")),
     ("a last picture cut in half", _cut("b_c1.png"), ("'last'", "camera 'c1'", "cut off")),
     ("a last picture of text", written("b_c1.png", "no picture"), ("'last'", "PNG, JPEG")),
+    (
+        "a picture to be turned",
+        _to_be_turned("b_c1.png"),
+        ("'c1'", "EXIF orientation 6", "exiftool"),
+    ),
     ("one picture for two cameras", _copied("b_c0.png", "b_c1.png"), ("the same picture",)),
     ("one picture for rest and load", _copied("a_c1.png", "b_c1.png"), ("the same picture",)),
     ("pictures of another size", _in_rig("[160, 120]", "[160, 121]"), ("120 pixels", "c0")),

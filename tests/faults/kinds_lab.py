@@ -1,5 +1,7 @@
 """Configurations of the virtual facility whose values nothing has, or that contradict each other."""
 
+from pathlib import Path
+
 from faults.kind import Kind, replaced
 
 # What of ball.toml becomes what, and what is said of it.
@@ -46,7 +48,34 @@ _STAGE = {
     ("translation = [1e-3, 0, 0]", "translation = [1e3, 0, 0]"): "[stage]: translation is",
     ("rotation = 3.0", "centre = [1e9, 0, 0]"): "[stage]: centre is",
 }  # fmt: skip
+_SHAPE = 'shape = "half-ball"\nradius = 0.04\nedge = 0.008\n'
+_CORNERS = "v 0 0 0\nv 0.04 0 0\nv 0 0.04 0\n"
+_MESHES = {
+    "open": _CORNERS + "v 0 0 0.04\nf 1 3 2\nf 1 2 4\nf 2 3 4\n",
+    "of three points": _CORNERS + "f 1 2 3\n",
+}
+
+
+def _with_mesh(text: str):
+    """Damage: the specimen is a surface of this text."""
+
+    def damage(folder: Path) -> None:
+        replaced("ball.toml", _SHAPE, 'mesh = "part.obj"\n')(folder)
+        (folder / "part.obj").write_text(text)
+
+    return damage
+
+
 KINDS = [
+    *(
+        Kind(f"a specimen's mesh {name}", _with_mesh(text), ("lab", "ball.toml", "made"),
+             ("part.obj: ", "open"), "others")
+        for name, text in _MESHES.items()
+    ),
+    Kind("a probe on the support", replaced("ball.toml", "[0, 0, 0.04]", "[0, 0, 0]"),
+         ("lab", "ball.toml", "made"), ("ball.toml: probe 'n01': ", "nodes of the support"), "others"),
+]  # fmt: skip
+KINDS += [
     Kind(
         f"{file}: {new}", replaced(file, old, new), ("lab", file, "made"),
         (f"palpate: {file}: {says}",), "others",

@@ -81,9 +81,14 @@ def _session_is_a_folder(folder: Path) -> None:
     (folder / "session.toml").mkdir()
 
 
-def _one_triangle(folder: Path) -> None:
-    _in_session(_PLANE, 'triangles = "held.txt"')(folder)
-    (folder / "held.txt").write_text("3\n3\n")
+def _listed_triangles(text: str):
+    """Damage: the support is the triangles of a list."""
+
+    def damage(folder: Path) -> None:
+        _in_session(_PLANE, 'triangles = "held.txt"')(folder)
+        (folder / "held.txt").write_text(text)
+
+    return damage
 
 
 # What is wrong, damage, pieces of the message.
@@ -115,6 +120,11 @@ _CHECKED = [
         _in_session(_FORCE, "force = [0, 0, -1e-9]"),
         ("'n01'", "too soft for its weight", "length_unit"),
     ),
+    (
+        "a tip displacement in micrometres",
+        _in_session(_FORCE, _FORCE + "\ntip_displacement = [0, 0, -400]"),
+        ("session.toml: [[probe]] 'n01'", "tip_displacement reaches 400 m", "more than the body"),
+    ),
     ("no motion at all", _scaled(0.0), ("'n01'", "n01.csv", "exactly zero", "nothing moved")),
     ("a motion of metres", _scaled(1e3), ("'n01'", "more than the body of 0.0693 m across")),
     ("displacements in the wrong unit", _scaled(1e-9), ("'n01'", "stiffer than diamond")),
@@ -143,7 +153,33 @@ _CHECKED = [
     ),
     ("one file for two probings", _second_probing("n01.csv"), ("'n01'", "'n02'", "same disp")),
     ("a copied file", _second_probing("n02.csv"), ("'n01'", "'n02'", "digit by digit")),
-    ("a support of one triangle", _one_triangle, ("one triangle (number 3)", "select all")),
+    (
+        "a triangle's number of 5000 digits",
+        _listed_triangles("9" * 5000),
+        (
+            "held.txt: line 1",
+            "is not a triangle of the mesh",
+            "must be a whole number from 0 to 107",
+        ),
+    ),
+    (
+        "a support of nothing",
+        _in_session(_PLANE, _PLANE.replace("[0, 0, 0]", "[0, 0, 5]")),
+        (
+            "[support]: the support is empty",
+            "the object is 40 x 40 x 40 mm, from (0, 0, 0) to (0.04",
+        ),
+    ),
+    (
+        "a support of everything",
+        _in_session(_PLANE, _PLANE.replace("1e-6", "1")),
+        ("[support]: the support is the whole surface", "the object is 40 x 40 x 40 mm"),
+    ),
+    (
+        "a support of one triangle",
+        _listed_triangles("3\n3\n"),
+        ("one triangle (number 3)", "select all"),
+    ),
     (
         "a contact wider than the body",
         _in_session("radius = 0.006", "radius = 0.05"),

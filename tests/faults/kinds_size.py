@@ -43,3 +43,14 @@ KINDS = [
     for file, head in _CLAIMS.items()
     for command in (("check", "."), ("fit", ".", "--out", "made"))
 ]
+KINDS += [
+    Kind(
+        f"{file}: a number of 5000 digits",
+        _claimed(file, head.replace(str(_COUNT).encode(), b"9" * 5000)),
+        ("check", "."),
+        (file, "a whole number of too many digits"),
+        "meshes",
+    )
+    for file, head in _CLAIMS.items()
+    if file != "binary.stl"
+]

@@ -14,6 +14,7 @@ _VALUES = {
     "too small": "1e-300",
     "of 400 digits": "9" * 400,
     "of 6000 hexadecimal digits": "0x" + "f" * 6000,
+    "of 6000 digits": "9" * 6000,
     "a truth": "true",
     "an empty list": "[]",
     "a list in lists": "[" * 50 + "]" * 50,
@@ -22,8 +23,9 @@ _VALUES = {
     "a text of 100,000 letters": '"' + "n" * 100_000 + '"',
     "text with a control character": '"a\\u0000b"',
 }
-# Of a key: the piece of the message that names it; a file that cannot be parsed has a line instead.
-_UNPARSED = "lists in lists without end"
+# Of a key: the piece of the message that names it; a file that cannot be parsed has a line instead,
+# or what the parser says.
+_UNPARSED = {"lists in lists without end": "valid TOML", "of 6000 digits": "of too many digits"}
 
 
 def _valued(file: str, key: str, value: str) -> Callable[[Path], object]:
@@ -51,7 +53,7 @@ def kinds_of_values(
             f"{file}, {key}: {what}",
             _valued(file, key, value),
             command,
-            (file, "valid TOML" if what == _UNPARSED else key),
+            (file, _UNPARSED.get(what, key)),
             example,
         )
         for key in keys

@@ -39,6 +39,15 @@ def _record(pairs: np.ndarray, *says: str, options: tuple[str, ...] = ()) -> Kin
                 ("c.csv", *says))  # fmt: skip
 
 
+def _timed(order: slice | np.ndarray, *says: str) -> Kind:
+    """A compression record with a column of times, its rows in another order."""
+    rows = np.column_stack([np.arange(len(_PRESSED)), _PRESSED])[order]
+    text = "Time (s),Compression (mm),Load (N)\n" + "\n".join(
+        ",".join(f"{x:.6g}" for x in row) for row in rows
+    )
+    return Kind(f"a record: {says[0]}", written("c.csv", text), _CYLINDER, ("c.csv", *says))
+
+
 def _one_place(folder: Path) -> None:
     """Damage: the second camera stands where the first does, and looks elsewhere."""
     text = (folder / "rig.toml").read_text()
@@ -50,6 +59,7 @@ def _one_place(folder: Path) -> None:
 
 
 _PRESSED = np.column_stack([np.linspace(0.0, 3.0, 60), np.linspace(0.0, 60.0, 60)])
+_SHUFFLED = np.random.default_rng(1).permutation(len(_PRESSED))
 _POKE = ("poke", ".", "--at", "0.02", "0.02", "0.04", "--force", "0", "0", "-1",
          "--poisson-ratio", "0.3")  # fmt: skip
 
@@ -80,6 +90,15 @@ KINDS = [
     _record(_PRESSED[:, ::-1], "reaches 0.06 m, the cylinder is 0.03 m high"),
     _record(_PRESSED, "reaches 3 m, the cylinder is 0.03 m", options=("--displacement-unit", "m")),
     _record(_PRESSED * [1.0, 0.0], "the force does not rise"),
+    _timed(slice(None, None, -1), "line 3: the times do not ascend: 'Time (s)' goes from 59 to 58"),
+    _timed(_SHUFFLED, "the times do not ascend", "sort the rows by time"),
+    _record(_PRESSED[::-1], "it must grow: put the rows in the order of time"),
+    _record(_PRESSED * [1.0, 1e-9], "Young's modulus comes out as", "check the units of force"),
+    *(
+        Kind(f"a cylinder of metres: {size}", written("c.csv", f"{size}: 5m\nheight: 5m\n0,0\n1,1\n"),
+             ("compression", "c.csv"), (f'c.csv: the {size.lower()} is "5m"', "from 0.1 mm to 2 m"))
+        for size in ("Diameter", "Height")
+    ),
     *(
         _option(*_POKE, option, value, says=(f"{option} is {value}", "softest gel to diamond"))
         for option in ("--young-modulus", "--shear-modulus")

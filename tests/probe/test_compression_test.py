@@ -34,6 +34,14 @@ def test_a_line_gives_its_modulus():
     assert result.stiffening == pytest.approx(1.0, rel=1e-10)
 
 
+def test_a_modulus_too_low_for_the_own_weight_is_noted():
+    """A force in kN that was taken for one in N."""
+    (note,) = (n for n in compression_test(*line(young=100.0), **SIZES).notes if "sink" in n)
+    assert "A modulus of 100 Pa" in note
+    assert "check the unit of the force" in note
+    assert not any("sink" in n for n in compression_test(*line(young=1e3), **SIZES).notes)
+
+
 def test_an_offset_of_the_load_cell_changes_nothing():
     shortening, force = line()
     result = compression_test(shortening, force + 3.0, **SIZES)

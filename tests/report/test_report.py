@@ -197,6 +197,18 @@ def test_a_damaged_surface_is_one_message(saved, tmp_path):
         write_report(saved, tmp_path / "report.html")
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("triangles", -1), ("triangles", 10**6), ("held", -1), ("vertices", np.nan)]
+)
+def test_a_surface_of_impossible_numbers_is_refused(saved, tmp_path, name, value):
+    with np.load(saved / "surface.npz") as kept:
+        arrays = dict(kept)
+    arrays[name].ravel()[0] = value
+    np.savez_compressed(tmp_path / "surface.npz", **arrays)
+    with pytest.raises(RecordError, match=rf"surface\.npz: .*its array '{name}' has numbers"):
+        read_fitted_surface(tmp_path)
+
+
 @pytest.mark.parametrize(("name", "read"), [("palpate-surface/1", True), ("palpate-mesh/1", False)])
 def test_surfaces_of_earlier_results_are_read(saved, tmp_path, name, read):
     """They bore the name that the mesh of a scan had, too; another name is another file."""

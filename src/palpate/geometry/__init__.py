@@ -20,6 +20,7 @@ from palpate.geometry.files.mesh_files import (
     welded as welded,
     write_mesh as write_mesh,
 )
+from palpate.geometry.files.step_file import STEP_SUFFIXES as STEP_SUFFIXES
 from palpate.geometry.files.vtp_file import check_packed_arrays as check_packed_arrays
 from palpate.geometry.mesh_quality import (
     MeshQuality as MeshQuality,

@@ -14,14 +14,19 @@ from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
     enclosed_volume,
-    read_mesh,
     triangle_areas,
 )
 from palpate.lab.config import LabConfig, Probe, Specimen
 from palpate.lab.pictures.head import make_head
 from palpate.lab.pictures.textures import dot_count
 from palpate.lab.specimens import SHAPES
-from palpate.records import STIFFNESS_UNITS, TomlTable, read_support, read_toml
+from palpate.records import (
+    STIFFNESS_UNITS,
+    TomlTable,
+    read_object_mesh,
+    read_support,
+    read_toml,
+)
 from palpate.shapes import Indices
 from palpate.solids import TIPS
 
@@ -102,7 +107,8 @@ def _specimen(root: TomlTable) -> Specimen:
     table = root.table("specimen", "[specimen]")
     if "mesh" in table.values:
         table.check_keys(("mesh", "element"))
-        mesh = body = read_mesh(table.existing_file("mesh"))
+        mesh, _ = read_object_mesh(table, 1.0)
+        body = mesh
         edge = float(np.sqrt(np.median(triangle_areas(mesh)) * 4.0 / np.sqrt(3.0)))
     else:
         shape = SHAPES[table.choice("shape", tuple(SHAPES))]

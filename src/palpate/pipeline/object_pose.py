@@ -1,6 +1,7 @@
 """Pose of the object relative to the cameras: as given, or registered from the first pictures."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from palpate.geometry import (
     closest_points,
     free_motions_text,
 )
-from palpate.records import Rig
+from palpate.records import Camera, Rig, camera_centre
 from palpate.vision import (
     StereoPoints,
     check_rig,
@@ -143,19 +144,48 @@ def _distance(stereo: StereoPoints, mesh: TriangleMesh) -> float:
 
 
 def _check_view(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], mesh: TriangleMesh) -> None:
-    """Refuse a pose in which a camera sees nothing of the object."""
+    """Refuse a pose in which a camera sees nothing of the object, or stands inside it."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for camera, picture in zip(rig.cameras, pictures, strict=True):
-        pixel = project(camera, mesh.vertices)
+        centre = camera_centre(camera)
+        if ((low < centre) & (centre < high)).all():
+            place = ", ".join(f"{x:.3g}" for x in centre)
+            raise CalibrationError(
+                f"{rig.source}: camera '{camera.name}' stands inside the object, at ({place}) m;"
+                " check its t and the rig's length_unit: x_camera = R x_object + t"
+            )
         rows, columns = picture.shape
-        with np.errstate(invalid="ignore"):
-            inside = ((pixel >= 0.0) & (pixel <= [columns - 1, rows - 1])).all(axis=1)
-        if not inside.any():
+        if not _sees(camera, mesh, picture.shape):
+            pixel = project(camera, mesh.vertices)
             middle = np.nanmedian(pixel, axis=0) if np.isfinite(pixel).any() else [np.nan, np.nan]
             raise CalibrationError(
                 f"{rig.source}: camera '{camera.name}' does not see the object: none of its"
                 f" {len(pixel)} vertices is in the picture of {columns} x {rows} pixels (their"
-                f" middle is at {middle[0]:.0f}, {middle[1]:.0f}); check R, t and the length units"
+                f" middle is at {middle[0]:.0f}, {middle[1]:.0f});"
+                f" {_pose_cure(camera, mesh, picture.shape)}"
             )
+
+
+def _sees(camera: Camera, mesh: TriangleMesh, shape: tuple[int, ...]) -> bool:
+    """Whether a vertex of the mesh is in a camera's picture of that shape."""
+    pixel = project(camera, mesh.vertices)
+    with np.errstate(invalid="ignore"):
+        inside = (pixel >= 0.0) & (pixel <= [shape[1] - 1, shape[0] - 1])
+    return bool(inside.all(axis=1).any())
+
+
+def _pose_cure(camera: Camera, mesh: TriangleMesh, shape: tuple[int, ...]) -> str:
+    """What to correct in the pose of a camera that does not see the object."""
+    transposed, shrunk = camera.T_camera_object.copy(), camera.T_camera_object.copy()
+    transposed[:3, :3] = transposed[:3, :3].T
+    shrunk[:3, 3] *= 1e-3
+    for pose, cure in (
+        (transposed, "with its R transposed it would: x_camera = R x_object + t"),
+        (shrunk, "with its t a thousandth it would: is t in mm? See length_unit"),
+    ):
+        if _sees(replace(camera, T_camera_object=pose), mesh, shape):
+            return cure
+    return "check R, t and the length units"
 
 
 def _unchecked(count: int) -> str:

@@ -1,7 +1,7 @@
 """Read compression records: files of testing machines, and plain columns of numbers."""
 
 import re
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from palpate.shapes import PointScalars
 METRES = LENGTH_UNITS | {"µm": 1e-6}
 DISPLACEMENT_WORDS = ("compression", "displacement", "extension", "crosshead", "stroke", "position")
 FORCE_WORDS = ("load", "force")
+_TIME = "time"
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _BLANK = " \t,;"
 _CURE = (
@@ -107,7 +108,8 @@ def read_compression(
     Raises
     ------
     InputError    unit not known
-    RecordError   file missing, no numbers, text among the numbers, column missing
+    RecordError   file missing, no numbers, text among the numbers, column missing, times that do
+                  not ascend, a size that no specimen has
     """
     _check_unit(displacement_unit, METRES, "displacement_unit")
     _check_unit(force_unit, FORCE_UNITS, "force_unit")
@@ -121,6 +123,7 @@ def read_compression(
             f"{path}: displacement and force would both be column {columns[0].index + 1}; name them"
             " with displacement_column and force_column"
         )
+    _check_times(table)
     values = table.values(columns)
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
@@ -135,8 +138,8 @@ def read_compression(
         displacement=_compression_positive(values[:, 0] * scale, "displacement", notes),
         force=_compression_positive(values[:, 1] * force_scale, "force", notes),
         source=str(path),
-        diameter=_size_above(table.preamble, "diameter"),
-        height=_size_above(table.preamble, "height"),
+        diameter=_size_above(table, "diameter"),
+        height=_size_above(table, "height"),
         notes=tuple(notes),
     )
 
@@ -250,10 +253,30 @@ def _compression_positive(values: PointScalars, what: str, notes: list[str]) -> 
     return values
 
 
-def _size_above(lines: Sequence[str], word: str) -> float | None:
+def _check_times(table: TextTable) -> None:
+    """Refuse rows that are not in the order of time, where a column of numbers tells the time."""
+    for column in table.columns:
+        if not column.heading.lower().startswith(_TIME):
+            continue
+        time = np.zeros(0)
+        # Times of day are no numbers.
+        with suppress(RecordError):
+            time = table.values([column])[:, 0]
+        back = np.flatnonzero(np.diff(time) < 0.0)
+        if len(back):
+            k = int(back[0])
+            raise RecordError(
+                f"{table.path}: line {table.numbers[k + 1]}: the times do not ascend:"
+                f" '{column.heading}' goes from {time[k]:g} to {time[k + 1]:g}; sort the rows by"
+                " time, and keep one loading branch in the file"
+            )
+
+
+def _size_above(table: TextTable, word: str) -> float | None:
     """Size [m] that a line above the columns gives, like `Cylinder Diameter: 50mm;`."""
-    for line in lines:
+    for line in table.preamble:
         match = re.search(rf"{word}\s*[:=,]?\s*({NUMBER})\s*(um|mm|cm|m|in)\b", line, re.IGNORECASE)
         if match:
-            return float(match[1]) * METRES[match[2].lower()]
+            text = f"{match[1]}{match[2].lower()}"
+            return metres_from_text(text, name=f"{table.path}: the {word}")
     return None

@@ -12,13 +12,15 @@ from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
 from palpate.errors import InputError
-from palpate.records import HIGHEST_PRESSURE
+from palpate.records import HIGHEST_PRESSURE, MODULUS_RANGE
 from palpate.shapes import PointScalars
 
 SLOW_POLYNOMIALS = 3  # departures from the line that set the interval: second to fourth degree
 MAX_FALL = 0.01  # of the used range: above the noise of a gauge, below any unloading
 MAX_TOE_SLOPE = 0.75  # slope of the first fifth of the range over that of the whole: below, a toe
 MIN_READINGS = 5
+# Own weight of water [Pa per metre of height]: a cylinder much softer would sink into itself.
+WATER_WEIGHT = 9810.0
 MAX_OFF_LINE = 0.2  # of the stress span: no soft cylinder is so nonlinear within 10 % strain
 
 Kept = Float[np.ndarray, " kept"]
@@ -126,11 +128,7 @@ def compression_test(
     _refuse_impossible(strain, stress, height, where)
     strain, stress = _inside(strain, stress, strain_range, height, where)
     slope, intercept = _line(strain, stress)
-    if not slope > 0:
-        raise InputError(
-            f"{where}the force does not rise while the cylinder is pressed (slope {slope:.4g} Pa); "
-            "compression and its force must both be positive: check the signs of the columns"
-        )
+    _check_slope(slope, where)
     fitted_std, degrees_of_freedom = slope_std(strain, stress)
     half_width = float(stdtrit(degrees_of_freedom, 0.975)) * fitted_std
     dimension_part = slope * np.hypot(2 * dimension_std[0] / diameter, dimension_std[1] / height)
@@ -319,13 +317,20 @@ def _inside(
             "choose a lower range, or check the height and the unit of the displacement"
         )
     end = int(np.argmax(strain >= high * (1 - 1e-9))) + 1
+    later = int(((strain[end:] >= low) & (strain[end:] < high)).sum())
     strain, stress = strain[:end], stress[:end]
     _refuse_return(strain, high, height, where)
     kept = (strain >= low - 1e-12) & (strain <= high * (1 + 1e-9))
     if kept.sum() < MIN_READINGS:
+        cure = "widen the range or sample faster"
+        if later:
+            cure = (
+                f"{later} more follow after the displacement has passed it; it must grow: put the"
+                " rows in the order of time"
+            )
         raise InputError(
             f"{where}only {kept.sum()} readings lie in the strain range {low:g} to {high:g}; "
-            f"at least {MIN_READINGS} are needed: widen the range or sample faster"
+            f"at least {MIN_READINGS} are needed: {cure}"
         )
     return strain[kept], stress[kept]
 
@@ -345,6 +350,22 @@ def _refuse_impossible(
             f"{where}the force reaches a pressure of {stress.max() / 1e9:.3g} GPa, more than any"
             f" steel bears ({HIGHEST_PRESSURE / 1e9:g} GPa); check the unit of the force and the"
             " diameter"
+        )
+
+
+def _check_slope(slope: float, where: str) -> None:
+    """Refuse a force that does not rise, and a modulus that nothing has."""
+    if not slope > 0:
+        raise InputError(
+            f"{where}the force does not rise while the cylinder is pressed (slope {slope:.4g} Pa); "
+            "compression and its force must both be positive: check the signs of the columns"
+        )
+    softest, stiffest = MODULUS_RANGE
+    if not softest <= slope <= stiffest:
+        raise InputError(
+            f"{where}Young's modulus comes out as {slope:.3g} Pa; must be {softest:g} to"
+            f" {stiffest:g} Pa, from the softest gel to diamond: check the units of force and"
+            " displacement, and the diameter"
         )
 
 
@@ -384,6 +405,12 @@ def _notes(
         notes.append(
             f"The readings lie up to {100 * off:.0f} % of the stress off a straight line: look at"
             " the record (jumps, changes of sign), or choose a range in which it is straight."
+        )
+    if slope < WATER_WEIGHT * height:
+        notes.append(
+            f"A modulus of {slope:.3g} Pa is so low that a cylinder as heavy as water would sink"
+            " into itself: check the unit of the force, the diameter"
+            f" ({1e3 * diameter:.4g} mm) and the height ({1e3 * height:.4g} mm)."
         )
     factor = gent_lindley_factor(diameter, height)
     if factor > 1.02:

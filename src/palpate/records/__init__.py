@@ -141,6 +141,7 @@ from palpate.records.rig import (
     Rig as Rig,
     RigCovariance as RigCovariance,
     camera_centre as camera_centre,
+    lens_radius_limit as lens_radius_limit,
     picture_size as picture_size,
 )
 from palpate.records.session import (

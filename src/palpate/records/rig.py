@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from palpate.arrays import fix_fields
+from palpate.arrays import LARGEST_NUMBER, fix_fields
 from palpate.errors import CalibrationError, InputError
 from palpate.records.text.file_names import check_file_names
 from palpate.shapes import Matrix3, PointScalars, Vector3
@@ -15,6 +15,17 @@ DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ROTATION_TOLERANCE = 1e-6
 # Baselines below this fraction of the farthest camera's distance are rounding errors.
 _SAME_POSITION = 1e-6
+# Least focal length, as a fraction of the longer side of the picture: 168 degrees across it.
+_SHORTEST_FOCAL = 0.05
+# Largest ratio of the two focal lengths: 2 with every second row or column left out.
+_MOST_UNLIKE = 2.5
+# Offset of the principal point from the middle, over the longer side, that may be an exchange.
+_NOTED_OFF = 0.05
+# A root counts as real if its imaginary part is a smaller fraction of its modulus; numpy's roots
+# are accurate to about 1e-12.
+_MAX_IMAGINARY = 1e-9
+# A denominator below is zero but for rounding.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +184,104 @@ def camera_centre(camera: Camera) -> Vector3:
     """
     pose = camera.T_camera_object
     return -pose[:3, :3].T @ pose[:3, 3]
+
+
+def lens_radius_limit(distortion: Float[np.ndarray, "8"]) -> float:
+    """Radius in the plane z = 1 up to which the radial distortion is invertible.
+
+    Parameters
+    ----------
+    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6
+
+    Returns
+    -------
+    float [-]                       smallest r > 0 where r radial(r^2) stops increasing or has a
+                                    pole; infinite where it always increases
+    """
+    # Roots of polynomials whose leading term is a denormal overflow.
+    terms = np.where(np.abs(distortion) < 1.0 / LARGEST_NUMBER, 0.0, distortion)
+    k1, k2, _, _, k3, k4, k5, k6 = (float(term) for term in terms)
+    if not any((k1, k2, k3, k4, k5, k6)):
+        return float("inf")
+    over, under = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+    # With u = r^2 the slope of r over / under is this polynomial, over under^2.
+    u = np.poly1d([1.0, 0.0])
+    slope = over * under + 2.0 * u * (over.deriv() * under - over * under.deriv())
+    roots = np.concatenate([slope.roots, under.roots])
+    real = roots.real[np.abs(roots.imag) <= _MAX_IMAGINARY * np.abs(roots)]
+    positive = real[real > 0.0]
+    return float(np.sqrt(positive.min())) if len(positive) else float("inf")
+
+
+def check_cameras(rig: Rig) -> None:
+    """Refuse cameras whose matrix or lens no camera has: another unit, or numbers exchanged.
+
+    Parameters
+    ----------
+    rig : Rig
+
+    Raises
+    ------
+    CalibrationError                the text names file, camera and key
+    """
+    for camera in rig.cameras:
+        if fault := _matrix_fault(camera) or _lens_fault(camera):
+            raise CalibrationError(f"{rig.source}: camera '{camera.name}' {fault}")
+
+
+def _matrix_fault(camera: Camera) -> str:
+    """What no camera's matrix is; empty: nothing."""
+    focal, middle = np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
+    least = 1.0 if camera.size is None else _SHORTEST_FOCAL * max(camera.size)
+    if focal.min() < least:
+        return (
+            f"K: its focal lengths are {focal[0]:g} and {focal[1]:g}; must be {least:g} px or more:"
+            " in pixels, the lens's focal length over the side of a pixel"
+        )
+    if focal.max() > _MOST_UNLIKE * focal.min():
+        return (
+            f"K: fx is {focal[0]:g} and fy is {focal[1]:g} px; pixels are nearly square, so they"
+            f" must agree to a factor of {_MOST_UNLIKE:g}: correct the wrong one"
+        )
+    if camera.size is None:
+        return ""
+    half = 0.5 * (np.array(camera.size) - 1.0)
+    off, exchanged = (float(abs(place - half).max()) for place in (middle, middle[::-1]))
+    if off > _NOTED_OFF * max(camera.size) and exchanged < 0.25 * off:
+        return (
+            f"K: its principal point is ({middle[0]:g}, {middle[1]:g}) px in a picture of"
+            f" {camera.size[0]} x {camera.size[1]}, with cx and cy exchanged it would be at the"
+            " middle; write cx, then cy"
+        )
+    return ""
+
+
+def _lens_fault(camera: Camera) -> str:
+    """What no lens does within its picture; empty: nothing."""
+    limit = lens_radius_limit(camera.distortion)
+    if camera.size is None or not np.isfinite(limit):
+        return ""
+    k1, k2, _, _, k3, k4, k5, k6 = camera.distortion.tolist()
+    u = limit**2
+    over, under = 1.0 + u * (k1 + u * (k2 + u * k3)), 1.0 + u * (k4 + u * (k5 + u * k6))
+    # Radius of the circle within the picture, in the plane z = 1.
+    focal = np.diag(camera.matrix)[:2]
+    inner = 0.5 * float((np.array(camera.size) / focal).min())
+    cure = "; check the order k1 k2 p1 p2 k3 k4 k5 k6, or calibrate again with fewer terms"
+    if abs(under) < _ROUNDING:
+        if limit >= inner:
+            return ""
+        return (
+            "distortion: its denominator 1 + k4 r^2 + k5 r^4 + k6 r^6 vanishes"
+            f" {limit * focal[0]:.0f} px off the principal point, within the picture{cure}"
+        )
+    folded = limit * abs(over / under)
+    if folded < inner:
+        return (
+            f"distortion: it folds the picture over {folded * focal[0]:.0f} px off the principal"
+            f" point, beyond which no ray reaches a pixel{cure}"
+        )
+    return ""
 
 
 def check_baselines(rig: Rig) -> None:

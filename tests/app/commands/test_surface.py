@@ -54,9 +54,12 @@ def test_a_drawing_becomes_a_sound_mesh(palpate, tmp_path):
     assert enclosed_volume(mesh) == pytest.approx(4.0 / 3.0 * np.pi * 0.03**3, rel=0.025)
 
 
-def test_a_unit_that_was_not_said_is_noticed(palpate, scan):
-    _, _, err = palpate("mesh", scan, "--vertices", "300")
-    assert "if the file is not in m, say --length-unit" in err
+def test_a_unit_that_looks_wrong_is_noticed(palpate, scan):
+    code, out, err = palpate("mesh", scan, "--vertices", "300", "--length-unit", "m")
+    assert code == 0
+    assert "m across; is the file in another unit than m?" in err
+    # Whatever the unit of the file was.
+    assert 'its mesh.ply is in metres: write length_unit = "m"' in " ".join(out.split())
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ NAMES = st.text(min_size=1, max_size=40).filter(_is_name)
         st.tuples(
             NAMES,
             st.none() | st.tuples(st.integers(1, 10**5), st.integers(1, 10**5)),
-            st.tuples(*[st.floats(1e-3, 1e6)] * 2, *[st.floats(-1e6, 1e6)] * 3),
+            st.tuples(st.floats(5e3, 1e6), st.floats(0.5, 2.0), *[st.floats(-1e6, 1e6)] * 3),
             st.lists(st.floats(-100.0, 100.0), max_size=8),
             st.tuples(*[st.floats(-3.0, 3.0)] * 3),
             st.tuples(LENGTHS, LENGTHS, LENGTHS),
@@ -89,12 +89,14 @@ NAMES = st.text(min_size=1, max_size=40).filter(_is_name)
 def test_whatever_is_written_is_read_back(tmp_path_factory, cameras, data):
     path = tmp_path_factory.mktemp("law") / "rig.toml"
     made = []
-    for k, (name, size, (fx, fy, cx, cy, skew), lens, turn, shift) in enumerate(cameras):
+    for k, (name, size, (fx, ratio, cx, cy, skew), lens, turn, shift) in enumerate(cameras):
         pose = np.eye(4)
         # No two of them at one place, which is refused.
         pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
         pose[0, 3] += 100.0 * k
-        matrix = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        if size is not None:  # of which no camera may be an impossible one
+            cx, cy, lens = 0.5 * size[0], 0.5 * size[1], []
+        matrix = np.array([[fx, skew, cx], [0.0, ratio * fx, cy], [0.0, 0.0, 1.0]])
         made.append(Camera(name, size, matrix, np.array(lens), pose))
     rig = Rig(tuple(made), data.draw(st.integers(0, len(made) - 1)), "rig.toml")
     write_rig(path, rig)
@@ -139,7 +141,7 @@ def test_written_rig_reads_the_same(tmp_path):
         pose[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         pose[:3, :3] *= np.linalg.det(pose[:3, :3])
         pose[:3, 3] = rng.normal(size=3)
-        matrix = np.array([[1234.5678901234567, 0.1, 300.0], [0.0, 1e3 / 3.0, 200.0], [0, 0, 1.0]])
+        matrix = np.array([[1234.5678901234567, 0.1, 300.0], [0.0, 4e3 / 3.0, 200.0], [0, 0, 1.0]])
         cameras.append(Camera(name, size, matrix, rng.normal(size=8), pose))
     rig = Rig(tuple(cameras), 1, "here")
     write_rig(tmp_path / "rig.toml", rig)

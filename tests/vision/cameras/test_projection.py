@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from vision_cameras import BARREL, RATIONAL, REAL, make_camera, moved, terms
 
-from palpate.records import Camera, Rig
+from palpate.records import Camera, Rig, lens_radius_limit
 from palpate.vision.cameras.lens import jacobian_kernel, project_kernel
 from palpate.vision.cameras.projection import (
     camera_sigma,
-    lens_radius_limit,
     normalised,
     packed_camera,
     packed_rig,
@@ -130,6 +129,7 @@ def test_reach_of_a_barrel_is_the_closed_form():
     # 1 / (1 + k4 r^2) with k4 < 0 has its pole at r^2 = 1 / |k4|.
     assert lens_radius_limit(np.array([0, 0, 0, 0, 0, -0.04, 0, 0.0])) == pytest.approx(5.0)
     assert lens_radius_limit(np.zeros(8)) == np.inf
+    assert lens_radius_limit(np.array([0, 0, 0, 0, -1e-310, 0, 0, 1e-320])) == np.inf
     assert lens_radius_limit(np.array([0.2, 0.1, 0, 0, 0.1, 0, 0, 0])) == np.inf
 
 

@@ -136,15 +136,29 @@ def test_a_saturated_colour_counts_once(written):
     assert written(_encoded(colour)).saturated[0] == pytest.approx(0.05)
 
 
-def test_an_orientation_tag_does_not_turn_the_picture(written):
-    """The tag that asks for a quarter turn, put in by hand."""
-    plain = _encoded(cv2.GaussianBlur(GREY, (0, 0), 2.0), ".jpg")
-    entry = struct.pack(">HHIHH", 0x0112, 3, 1, 6, 0)
+def _with_orientation(kind, shown):
+    """A picture with the tag that asks for a turn, put in by hand."""
+    plain = _encoded(GREY, kind)
+    if kind == ".tif":
+        # In the place of PlanarConfiguration, which says what is so anyway.
+        place = plain.index(struct.pack("<HHI", 284, 3, 1))
+        return plain[:place] + struct.pack("<HHIHH", 274, 3, 1, shown, 0) + plain[place + 12 :]
+    entry = struct.pack(">HHIHH", 274, 3, 1, shown, 0)
     tiff = b"MM\0*" + struct.pack(">IH", 8, 1) + entry + b"\0\0\0\0"
+    if kind == ".png":
+        chunk = b"eXIf" + tiff
+        sum_ = struct.pack(">I", zlib.crc32(chunk))
+        return plain[:33] + struct.pack(">I", len(tiff)) + chunk + sum_ + plain[33:]
     segment = b"Exif\0\0" + tiff
-    turned = plain[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + plain[2:]
-    seen = written(plain, suffix=".jpg", second=turned)
+    return plain[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + plain[2:]
+
+
+@pytest.mark.parametrize("kind", [".jpg", ".png", ".tif"])
+def test_a_picture_that_asks_to_be_turned_is_refused(written, kind):
+    seen = written(_encoded(GREY, kind), suffix=kind, second=_with_orientation(kind, 1))
     np.testing.assert_array_equal(*seen.grey)
+    with pytest.raises(RecordError, match=rf"camera 'c1': .*{kind}: has the EXIF orientation 3"):
+        written(_encoded(GREY, kind), suffix=kind, second=_with_orientation(kind, 3))
 
 
 def _pages(count):

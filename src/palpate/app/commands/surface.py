@@ -10,8 +10,16 @@ from palpate.app.terminal.notes import print_notes
 from palpate.app.terminal.output import print_tables, print_text
 from palpate.app.terminal.progress import progress_bar
 from palpate.app.terminal.tables import terminal_table
+from palpate.errors import InputError, MeshError
 from palpate.figures import save_figure, scan_figure, surface_figure
-from palpate.geometry import MeshQuality, TriangleMesh, bounding_diagonal, read_mesh, triangle_areas
+from palpate.geometry import (
+    STEP_SUFFIXES,
+    MeshQuality,
+    TriangleMesh,
+    bounding_diagonal,
+    read_mesh,
+    triangle_areas,
+)
 from palpate.progress import part_of
 from palpate.records import LENGTH_UNITS, default_folder, record_inputs, result_folder
 from palpate.scanning import (
@@ -28,7 +36,7 @@ from palpate.scanning import (
 
 # A scan may have as many; they are remeshed to a thousandth.
 _MAX_TRIANGLES = 2_000_000
-# Beyond, a file in millimetres was taken for one in metres [m].
+# Beyond, a file in millimetres was probably taken for one in metres [m].
 _LARGEST_SIZE = 3.0
 _Unit = Literal["m", "cm", "mm", "um", "in"]
 
@@ -40,7 +48,7 @@ def mesh(
     vertices: int = 1000,
     near: Path | None = None,
     support: str | None = None,
-    length_unit: _Unit = "m",
+    length_unit: _Unit | None = None,
     out: Path | None = None,
     force: bool = False,
 ) -> int:
@@ -62,8 +70,8 @@ def mesh(
         Plane that the object stood on: z=0, or a point and a normal,
         0,0,0,0,0,1. An open base is closed there; what is below is cut off.
     length_unit
-        Unit of the file, the points and the plane. A drawing states its own unit; this is then that
-        of the others.
+        Unit of the file, the points and the plane; default: m. A drawing states its own unit; this
+        is then that of the others.
     out
         Result folder. Default: the file's name followed by -mesh, in the current folder.
     force
@@ -74,24 +82,27 @@ def mesh(
     int
         0.
     """
-    unit = LENGTH_UNITS[length_unit]
+    unit = LENGTH_UNITS[length_unit or "m"]
     plane = None if support is None else plane_from_text(support, metres_per_unit=unit)
     destination = out or Path(f"{file.stem}-mesh")
     with result_folder(destination, kind="mesh", force=force) as folder:
         record_inputs(folder, [file] if near is None else [file, near])
         given = read_mesh(file, metres_per_unit=unit, most=_MAX_TRIANGLES)
-        print_notes(_size_note(given, length_unit))
+        _check_size(file, given, length_unit)
         points = None if near is None else read_points(near, metres_per_unit=unit)
-        with progress_bar() as progress:
-            made = prepare_surface(
-                given, vertices=vertices, near=points, support=plane, progress=progress
-            )
+        try:
+            with progress_bar() as progress:
+                made = prepare_surface(
+                    given, vertices=vertices, near=points, support=plane, progress=progress
+                )
+        except MeshError as error:
+            raise MeshError(f"{file}: {error}") from error
         write_surface(folder, made)
         save_figure(surface_figure(file.name, made), folder / "mesh.png")
     if made.actions:
         print_tables(_actions_table(made))
     print_tables(_figures_table(made))
-    print_text(f"Result in {destination}")
+    print_text(_result_text(destination))
     return 0
 
 
@@ -146,7 +157,7 @@ def scan(
         save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
     print_tables(_views_table(made))
     print_tables(_scan_table(made))
-    print_text(f"Result in {destination}")
+    print_text(_result_text(destination))
     return 0
 
 
@@ -181,11 +192,27 @@ def _scan_table(made: ScannedSurface) -> Table:
     )  # fmt: skip
 
 
-def _size_note(given: TriangleMesh, unit: str) -> list[str]:
+def _check_size(file: Path, given: TriangleMesh, unit: _Unit | None) -> None:
+    """Refuse a size that no object on a bench has, where the unit was not given; else note it."""
     size = bounding_diagonal(given)
     if size < _LARGEST_SIZE:
-        return []
-    return [f"the object is {size:.3g} m across; if the file is not in {unit}, say --length-unit"]
+        return
+    across = f"the object is {size:.3g} m across"
+    if unit is not None or file.suffix.lower() in STEP_SUFFIXES:
+        print_notes([f"{across}; is the file in another unit than {unit or 'it says'}?"])
+        return
+    raise InputError(
+        f"{file}: does not say its unit, and in metres {across}; give the unit: --length-unit mm"
+        f" makes it {1e-3 * size:.3g} m across, --length-unit m leaves it as it is"
+    )
+
+
+def _result_text(destination: Path) -> str:
+    """Where the result is, and what a session says of its mesh."""
+    return (
+        f'Result in {destination}; its mesh.ply is in metres: write length_unit = "m" under'
+        " [object] in session.toml"
+    )
 
 
 def _actions_table(made: PreparedSurface) -> Table:

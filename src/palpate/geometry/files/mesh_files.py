@@ -98,8 +98,6 @@ def read_mesh(
             f" convert it to one of {' '.join(_READ)}"
         )
     content = read_bytes(path, max_bytes=_MOST_BYTES, kind=MeshError)
-    solid = suffix in _MESHIO_SUFFIXES
-    _check_count(path, _claimed(content, suffix), most, solid=solid)
     if suffix in STEP_SUFFIXES:
         metres_per_unit = 1.0
     with read_errors(
@@ -108,6 +106,7 @@ def read_mesh(
         what=f"cannot be read as a surface in the format {suffix[1:].upper()}",
         kind=MeshError,
     ):
+        _check_count(path, _claimed(content, suffix), most, solid=suffix in _MESHIO_SUFFIXES)
         _check_whole(content, suffix)
         vertices, triangles = _raw_surface(path, content)
         if triangles.max(initial=-1) >= len(vertices):

@@ -285,7 +285,10 @@ def _photographed(bench: _Bench, k: int, body: Body, interpolation: csr_array) -
     config, rig, mesh = bench.config, bench.rig, bench.studio.mesh
     probe, tip, before = config.probes[k], bench.tips[k], mesh.vertices
     finite = config.material.law == "neo-hookean"
-    states = probe_body(body, probe, tip, sticking=config.arm.sticking, finite=finite)
+    try:
+        states = probe_body(body, probe, tip, sticking=config.arm.sticking, finite=finite)
+    except InputError as error:
+        raise InputError(f"probe '{probe.name}': {error}") from error
     files: _Files = {}
     for number, state in enumerate(states, start=1):
         after = mesh.vertices + interpolation @ state.displacement

@@ -155,8 +155,14 @@ def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:
     if str(kept["format"]) not in (SURFACE_FORMAT, _EARLIER_FORMAT):
         raise ValueError(f"format is '{kept['format']}', not '{SURFACE_FORMAT}'")
     vertices, triangles, held = kept["vertices"], kept["triangles"], kept["held"]
-    if triangles.max() >= len(vertices) or (held.size and held.max() >= len(triangles)):
-        raise ValueError("triangles name vertices that are not there")
+    for name, indices, count in (
+        ("triangles", triangles, len(vertices)),
+        ("held", held, len(triangles)),
+    ):
+        if indices.min(initial=0) < 0 or indices.max(initial=0) >= count:
+            raise ValueError(f"its array '{name}' has numbers outside 0 to {count - 1}")
+    if not np.isfinite(vertices).all():
+        raise ValueError("its array 'vertices' has numbers that are not finite")
     probings = [
         _probing(
             str(name),

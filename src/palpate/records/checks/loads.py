@@ -103,9 +103,12 @@ def check_load(mesh: TriangleMesh, probing: Probing) -> None:
             " moves; leave it out where it was not measured"
         )
     moved, radius = largest_displacement(probing), probing.contact.radius
+    tip = probing.tip_displacement
+    is_tip = tip is not None and float(np.linalg.norm(tip)) == moved
+    key = "tip_displacement" if is_tip else "displacement"
     if moved > size:
         raise InputError(
-            f"the largest displacement is {moved:.3g} m, more than the body of {size:.3g} m across:"
+            f"{key} reaches {moved:.3g} m, more than the body of {size:.3g} m across:"
             f" a held body does not move so far; {UNIT_HINT}, and the unit of the displacements"
         )
     low, high = modulus_range(mesh, force, moved)
@@ -122,7 +125,7 @@ def check_load(mesh: TriangleMesh, probing: Probing) -> None:
     else:
         return
     raise InputError(
-        f"a force of {force:.3g} N, with a displacement of {moved:.3g} m at most of a body of"
+        f"a force of {force:.3g} N, with a {key} of {moved:.3g} m at most of a body of"
         f" {size:.3g} m, means {what}; is the force in N? Check length_unit and the contact radius"
     )
 

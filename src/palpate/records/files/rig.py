@@ -12,7 +12,7 @@ from palpate.files import is_file
 from palpate.records.program import CalibrationFile, make_pose
 from palpate.records.programs.registry import read_calibration
 from palpate.records.programs.toml_cameras import holds_camera_tables
-from palpate.records.rig import Camera, Rig, check_baselines
+from palpate.records.rig import Camera, Rig, check_baselines, check_cameras
 from palpate.records.text.nearest import nearest_file
 from palpate.records.text.text_file import write_text
 from palpate.records.text.toml_table import TomlTable, read_toml
@@ -54,6 +54,7 @@ def read_rig(path: Path | str, *, length_unit: str | None = None) -> Rig:
         rig = read_calibration(path, length_unit=length_unit)
     else:
         rig = _read_toml_rig(root, length_unit)
+    check_cameras(rig)
     check_baselines(rig)
     return rig
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.errors import RecordError
+from palpate.errors import RecordError, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records.support import FIXED, MOTIONS, Support
 from palpate.records.text.text_file import read_text
@@ -14,6 +14,8 @@ from palpate.records.text.units import STIFFNESS_UNITS
 from palpate.shapes import Indices
 
 _SELECTORS = ("plane", "box", "triangles")
+# More digits than any triangle's number has; Python refuses to convert some thousands.
+_MAX_DIGITS = 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,16 +130,25 @@ def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: flo
         support.fail(
             "",
             f"the support is empty: no triangle has all its vertices inside a selector{nearest};"
-            " without a support the object would float away: check position, tolerance and"
-            " length_unit",
+            f" without a support the object would float away; {_extent_text(mesh)}: check position,"
+            " tolerance and length_unit",
         )
     if held.all():
         support.fail(
             "",
             f"the support is the whole surface (all {len(held)} triangles): nothing could move;"
-            " select only the part that is held",
+            f" {_extent_text(mesh)}: check position, tolerance and length_unit, and select only the"
+            " part that is held",
         )
     return np.flatnonzero(held)
+
+
+def _extent_text(mesh: TriangleMesh) -> str:
+    """Size and place of the object, which tell a wrong unit."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    size = " x ".join(f"{1e3 * side:.4g}" for side in high - low)
+    ends = (", ".join(f"{x:.3g}" for x in corner + 0.0) for corner in (low, high))
+    return "the object is {} mm, from ({}) to ({}) m".format(size, *ends)
 
 
 def _plane_distance(
@@ -188,9 +199,9 @@ def listed_triangles(table: TomlTable, count: int) -> Indices:
         word = line.partition("#")[0].strip()
         if not word:
             continue
-        if not word.isdecimal() or int(word) >= count:
+        if not word.isdecimal() or len(word) > _MAX_DIGITS or int(word) >= count:
             raise RecordError(
-                f"{path}: line {number}: '{word}' is not a triangle of the mesh;"
+                f"{path}: line {number}: {quoted(word)} is not a triangle of the mesh;"
                 f" must be a whole number from 0 to {count - 1}"
             )
         found.append(int(word))

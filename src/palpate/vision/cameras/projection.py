@@ -4,16 +4,13 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.records import Camera, Rig, camera_centre
+from palpate.records import Camera, Rig, camera_centre, lens_radius_limit
 from palpate.shapes import Points, PointScalars, Vector3
 from palpate.threads import in_threads
 from palpate.vision.cameras.lens import jacobians_kernel, normalised_kernel
 
 # Minimum number of pixels per thread: each takes about 0.1 us.
 _MIN_PIXELS_PER_THREAD = 1024
-# A root counts as real if its imaginary part is a smaller fraction of its modulus; numpy's roots
-# are accurate to about 1e-12.
-_MAX_IMAGINARY = 1e-9
 
 
 def packed_camera(camera: Camera) -> Float[np.ndarray, "25"]:
@@ -45,31 +42,6 @@ def packed_rig(rig: Rig) -> Float[np.ndarray, "c 25"]:
     (c, 25) float                   a row each, see `packed_camera`
     """
     return np.stack([packed_camera(camera) for camera in rig.cameras])
-
-
-def lens_radius_limit(distortion: Float[np.ndarray, "8"]) -> float:
-    """Radius in the plane z = 1 up to which the radial distortion is invertible.
-
-    Parameters
-    ----------
-    distortion : (8,) float [-]     k1 k2 p1 p2 k3 k4 k5 k6
-
-    Returns
-    -------
-    float [-]                       smallest r > 0 where r radial(r^2) stops increasing or has a
-                                    pole; infinite where it always increases
-    """
-    k1, k2, _, _, k3, k4, k5, k6 = (float(term) for term in distortion)
-    if not any((k1, k2, k3, k4, k5, k6)):
-        return float("inf")
-    over, under = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
-    # With u = r^2 the slope of r over / under is this polynomial, over under^2.
-    u = np.poly1d([1.0, 0.0])
-    slope = over * under + 2.0 * u * (over.deriv() * under - over * under.deriv())
-    roots = np.concatenate([slope.roots, under.roots])
-    real = roots.real[np.abs(roots.imag) <= _MAX_IMAGINARY * np.abs(roots)]
-    positive = real[real > 0.0]
-    return float(np.sqrt(positive.min())) if len(positive) else float("inf")
 
 
 def project(camera: Camera, points: Points) -> Float[np.ndarray, "n 2"]:

@@ -26,8 +26,11 @@ _PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # JPEG markers that begin a frame: 0xC0 to 0xCF except DHT, JPG and DAC.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# TIFF tags: ImageWidth, ImageLength, NewSubfileType.
-_WIDTH, _HEIGHT, _PURPOSE = 256, 257, 254
+# TIFF tags: ImageWidth, ImageLength, NewSubfileType, Orientation.
+_WIDTH, _HEIGHT, _PURPOSE, _ORIENTATION = 256, 257, 254, 274
+_TAGS = frozenset({_WIDTH, _HEIGHT, _PURPOSE, _ORIENTATION})
+# What precedes the EXIF data, themselves a TIFF, of a JPEG and of a PNG; they have 64 KB at most.
+_EXIF_MARKS, _EXIF_BYTES = (b"Exif\0\0", b"eXIf"), 2**16
 # Bits of NewSubfileType for pictures that accompany another: reduced resolution, mask.
 _COMPANION = 1 | 4
 # `struct` formats of the TIFF types that a size may have: SHORT, LONG, LONG8.
@@ -96,8 +99,36 @@ def picture_count(content: bytes) -> int:
     return count
 
 
+def orientation(content: bytes) -> int:
+    """Orientation in which a picture asks to be shown, as its EXIF data or TIFF tag say.
+
+    Parameters
+    ----------
+    content : bytes                 the whole file
+
+    Returns
+    -------
+    int                             2 to 8: turned or mirrored; else, or 1 where nothing is said:
+                                    as stored
+
+    Source
+    ------
+    Exif 2.32, 4.6.4, tag Orientation.
+    """
+    places = [content.find(mark) + len(mark) for mark in _EXIF_MARKS if mark in content]
+    blocks = [content[place : place + _EXIF_BYTES] for place in places]
+    for block in (content, *blocks):
+        if block.startswith(_TIFF):
+            with suppress(struct.error):
+                return next(_tiff_directories(block), {}).get(_ORIENTATION, 1)
+    return 1
+
+
 def decode_picture(content: bytes) -> np.ndarray:
-    """Decode the pixels of a file as stored: not converted, not rotated.
+    """Decode the pixels of a file as stored: not converted, not turned.
+
+    A file that asks to be shown turned is refused: a calibration refers to the sensor, and programs
+    differ in whether they turn such a picture (OpenCV turns a TIFF, but a JPEG only on request).
 
     Parameters
     ----------
@@ -111,8 +142,8 @@ def decode_picture(content: bytes) -> np.ndarray:
     Raises
     ------
     RecordError                     the file is empty, of an unknown type, truncated or damaged, or
-                                    a TIFF with several pictures; the message continues a sentence
-                                    that begins with the file's name
+                                    a TIFF with several pictures, to be shown turned; the message
+                                    continues a sentence that begins with the file's name
     """
     if not content:
         raise RecordError("is empty; copy or record it again")
@@ -122,6 +153,12 @@ def decode_picture(content: bytes) -> np.ndarray:
         )
     if (count := picture_count(content)) > 1:
         raise RecordError(f"holds {count} pictures; give each a file of its own")
+    if 2 <= (shown := orientation(content)) <= 8:
+        raise RecordError(
+            f"has the EXIF orientation {shown}, which asks programs to show it turned; must be 1,"
+            " as a calibration refers to pixels as the sensor gave them: remove the tag from these"
+            " pictures and from those of the calibration (`exiftool -Orientation= FILES`)"
+        )
     pixels = None
     buffer = np.frombuffer(content, dtype=np.uint8)
     with _codec_messages() as messages, suppress(cv2.error):
@@ -197,7 +234,7 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
 
 
 def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
-    """Yield size and purpose tags of each image file directory of a TIFF."""
+    """Yield the values of `_TAGS` in each image file directory of a TIFF."""
     order = "<" if content.startswith(b"II") else ">"
     large = content[2:4] in (b"+\0", b"\0+")
     head, count, entry, value = ("Q", "Q", 20, 12) if large else ("I", "H", 12, 8)
@@ -210,7 +247,7 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
         found = {}
         for k in range(min(entries, 4096)):
             tag, kind = struct.unpack_from(order + "HH", content, start + k * entry)
-            if tag in (_WIDTH, _HEIGHT, _PURPOSE) and kind in _FORMATS:
+            if tag in _TAGS and kind in _FORMATS:
                 number = order + _FORMATS[kind]
                 (found[tag],) = struct.unpack_from(number, content, start + k * entry + value)
         yield found

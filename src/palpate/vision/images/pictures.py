@@ -51,8 +51,7 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
     """Read the picture of every camera of a rig and convert it to grey levels.
 
     Reads PNG, JPEG, TIFF and BMP files. 16-bit grey levels are divided by 257, colours are
-    converted to luminance, floating-point levels are kept. A file's orientation tag is ignored,
-    because the calibration refers to the sensor.
+    converted to luminance, floating-point levels are kept.
 
     Parameters
     ----------
@@ -67,9 +66,9 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
 
     Raises
     ------
-    RecordError                     a file is missing, truncated, damaged, of an unknown type, holds
-                                    several pictures, values that are not finite, or one grey
-                                    everywhere; the pattern has no `{camera}`
+    RecordError                     a file is missing, truncated, damaged, of an unknown type, asks
+                                    to be shown turned, holds several pictures, values that are not
+                                    finite, or one grey everywhere; the pattern has no `{camera}`
     CalibrationError                a picture does not have its camera's size
     """
     if CAMERA_FIELD not in pattern and len(rig.cameras) > 1:

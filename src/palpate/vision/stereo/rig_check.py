@@ -71,7 +71,7 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
     pairs = _all_matches(pictures)
     order = tuple(range(len(rig.cameras)))
     residual, count, notes = [], [], []
-    worst = 0.0
+    worst, whose = 0.0, ""
     for c in order:
         if c == rig.reference:
             continue
@@ -88,14 +88,14 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
         residual.append(_misfit(rig, order, pairs, which))
         limit = max(_MAX_RESIDUAL_PX, _MAX_RESIDUAL_NOISE * _feature_error(rig, pairs, which))
         if residual[-1] > limit:
-            worst = max(worst, residual[-1])
+            worst, whose = max((worst, whose), (residual[-1], names))
         elif residual[-1] > _NOTED_RESIDUAL_PX:
             notes.append(
                 f"the rig fits the pictures of cameras {names} to {residual[-1]:.1f} px only:"
                 " depths are off by a part of that"
             )
     if worst > 0.0:
-        raise CalibrationError(_explanation(rig, pairs, worst))
+        raise CalibrationError(_explanation(rig, pairs, worst, whose))
     return RigCheck(tuple(residual), tuple(count), tuple(notes))
 
 
@@ -188,7 +188,7 @@ def _feature_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
     return float(np.median(_line_distance(a, b, matrix)))
 
 
-def _explanation(rig: Rig, pairs: _Pairs, worst: float) -> str:
+def _explanation(rig: Rig, pairs: _Pairs, worst: float, whose: str) -> str:
     """Message that the rig does not fit, naming pictures that seem to be swapped."""
     what = (
         f"features lie {worst:.1f} px off their epipolar lines"
@@ -198,9 +198,9 @@ def _explanation(rig: Rig, pairs: _Pairs, worst: float) -> str:
     order = _better_order(rig, pairs)
     if order is None:
         return (
-            f"{rig.source}: {what}, and no other order of the pictures makes it better; is this the"
-            " calibration of these pictures, was a camera moved since, are the pictures cropped,"
-            " scaled or turned?"
+            f"{rig.source}: cameras {whose}: {what}, and no other order of the pictures makes it"
+            " better; is this the calibration of these pictures (K, distortion, R and t), was a"
+            " camera moved since, are the pictures cropped, scaled or turned?"
         )
     names = [camera.name for camera in rig.cameras]
     moved = [k for k in range(len(names)) if order[k] != k]
@@ -210,7 +210,10 @@ def _explanation(rig: Rig, pairs: _Pairs, worst: float) -> str:
         swap = "the pictures look permuted: " + ", ".join(
             f"that of '{names[k]}' shows what '{names[order[k]]}' sees" for k in moved
         )
-    return f"{rig.source}: {what}; {swap}. Rename the files, or the cameras in the rig"
+    return (
+        f"{rig.source}: cameras {whose}: {what}; {swap}. Rename the files, or the cameras in the"
+        " rig"
+    )
 
 
 def _better_order(rig: Rig, pairs: _Pairs) -> tuple[int, ...] | None:
