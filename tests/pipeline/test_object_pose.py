@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from surfaces import sphere
 
 from palpate.errors import CalibrationError
 from palpate.geometry import TriangleMesh
-from palpate.pipeline.object_pose import posed_rig
+from palpate.pipeline.object_pose import _encloses, posed_rig
 from palpate.records import Rig, read_rig, read_session
 from palpate.vision import read_pictures
 
@@ -98,3 +99,12 @@ def test_a_pose_far_off_is_refused(solid: Scene) -> None:
     rig, pictures, mesh = solid
     with pytest.raises(CalibrationError):
         posed_rig(_moved(rig, 0.0, 0.2), pictures, mesh, "register")
+
+
+@pytest.mark.parametrize(
+    ("place", "inside"),
+    [((0.0, 0.0, 0.0), True), ((0.9, 0.0, 0.0), True), ((0.9, 0.9, 0.0), False)],
+)
+def test_a_camera_beside_a_ball_is_not_inside_it(place, inside) -> None:
+    # The last one is within the box about the ball.
+    assert _encloses(sphere(2), np.array(place)) is inside

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from palpate.arrays import lengths
 from palpate.errors import CalibrationError
 from palpate.geometry import (
     Registration,
@@ -16,6 +17,7 @@ from palpate.geometry import (
     free_motions_text,
 )
 from palpate.records import Camera, Rig, camera_centre
+from palpate.shapes import Vector3
 from palpate.vision import (
     StereoPoints,
     check_rig,
@@ -145,10 +147,9 @@ def _distance(stereo: StereoPoints, mesh: TriangleMesh) -> float:
 
 def _check_view(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], mesh: TriangleMesh) -> None:
     """Refuse a pose in which a camera sees nothing of the object, or stands inside it."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for camera, picture in zip(rig.cameras, pictures, strict=True):
         centre = camera_centre(camera)
-        if ((low < centre) & (centre < high)).all():
+        if _encloses(mesh, centre):
             place = ", ".join(f"{x:.3g}" for x in centre)
             raise CalibrationError(
                 f"{rig.source}: camera '{camera.name}' stands inside the object, at ({place}) m;"
@@ -164,6 +165,20 @@ def _check_view(rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], mesh: Tr
                 f" middle is at {middle[0]:.0f}, {middle[1]:.0f});"
                 f" {_pose_cure(camera, mesh, picture.shape)}"
             )
+
+
+def _encloses(mesh: TriangleMesh, point: Vector3) -> bool:
+    """Whether a closed mesh, whose triangles fill all directions from within, holds a point.
+
+    Source
+    ------
+    Van Oosterom and Strackee, IEEE Transactions on Biomedical Engineering 30 (1983)
+    """
+    a, b, c = (mesh.vertices[mesh.triangles] - point).transpose(1, 0, 2)
+    x, y, z = lengths(a), lengths(b), lengths(c)
+    products = (a * b).sum(axis=1) * z + (b * c).sum(axis=1) * x + (c * a).sum(axis=1) * y
+    half = np.arctan2((a * np.cross(b, c)).sum(axis=1), x * y * z + products)
+    return abs(float(half.sum())) > np.pi
 
 
 def _sees(camera: Camera, mesh: TriangleMesh, shape: tuple[int, ...]) -> bool:
