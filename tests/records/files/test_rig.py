@@ -74,7 +74,7 @@ NAMES = st.text(min_size=1, max_size=40).filter(_is_name)
     cameras=st.lists(
         st.tuples(
             NAMES,
-            st.none() | st.tuples(st.integers(1, 10**5), st.integers(1, 10**5)),
+            st.none() | st.tuples(*[st.integers(1, 4 * 10**4)] * 2),
             st.tuples(st.floats(5e3, 1e6), st.floats(0.5, 2.0), *[st.floats(-1e6, 1e6)] * 3),
             st.lists(st.floats(-100.0, 100.0), max_size=8),
             st.tuples(*[st.floats(-3.0, 3.0)] * 3),
