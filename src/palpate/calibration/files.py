@@ -52,10 +52,10 @@ def write_calibration(
 
 def _write_pictures(path: Path, calibration: Calibration) -> None:
     """Write one row per picture; the rms is left empty where no corner was kept."""
-    rows = [("camera", "view", "corners", "left out", "rms [px]")]
+    rows: list[tuple[object, ...]] = [("camera", "view", "corners", "left out", "rms [px]")]
     for one in picture_errors(calibration):
         rms = "" if np.isnan(one.rms) else f"{one.rms:.4f}"
-        rows.append((one.camera, one.view, str(one.corners), str(one.rejected), rms))
+        rows.append((one.camera, one.view, one.corners, one.rejected, rms))
     write_text(path, spreadsheet_text(rows))
 
 

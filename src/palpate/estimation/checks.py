@@ -226,8 +226,7 @@ def _errors(minimum: Evaluation) -> Iterator[tuple[str, float, float]]:
         yield from zip(
             sources[named], minimum.theta[named].tolist(), std[named].tolist(), strict=True
         )
-    deviation = force_deviations(minimum)
-    yield from ((FORCES, float(each), 0.0) for each in deviation[deviation != 0.0])
+    yield from ((FORCES, float(each), 0.0) for each in force_deviations(minimum) if each != 0.0)
 
 
 def _unexplained(minimum: Evaluation) -> list[Contradiction]:
@@ -276,7 +275,6 @@ def _pattern(
     """Size [m] of what residuals have in common across the body, at one place, or, where they
     exceed what was claimed, among neighbours; 0 where noise explains it. Then where it is largest,
     and the squares of the smoothed residuals."""
-    extent = float(np.linalg.norm(np.ptp(place, axis=0)))
     count = max(_FEWEST_NEIGHBOURS, len(place) // _NEIGHBOUR_SHARE)
     smooth = np.median(residual[cKDTree(place).query(place, count)[1]], axis=1)
     square = (smooth**2).sum(axis=1)
@@ -286,7 +284,7 @@ def _pattern(
     stands_out = square.mean() > _CONCENTRATED * noise
     if exceeds and square.mean() > _ALIKE * white:
         local, stands_out = float(np.sqrt(square.mean() / 3.0)), True
-    errors, shared = _distant_correlation(place / extent, residual)
+    errors, shared = _distant_correlation(place / np.linalg.norm(np.ptp(place, axis=0)), residual)
     size = max(local if stands_out else 0.0, shared if errors > _SIGNIFICANT else 0.0)
     return float(size), place[int(square.argmax())], square
 

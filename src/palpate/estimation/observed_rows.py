@@ -10,6 +10,7 @@ from scipy.sparse import coo_array, csr_array
 from palpate.errors import InputError
 from palpate.estimation.nuisance import NuisanceParameter
 from palpate.estimation.observations import ProbeObservations
+from palpate.records import INDEPENDENT
 
 # Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.
 GROUP_COUNT = 8
@@ -79,6 +80,7 @@ class ObservedRows:
         return observed_rows_of(replace(
             seen, displacement=np.zeros_like(seen.position), std=None, covariance=None,
             tip_displacement=None if tip is None else np.zeros(3), tip_displacement_std=None,
+            correlation=INDEPENDENT,
         ))  # fmt: skip
 
     @property

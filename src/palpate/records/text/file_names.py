@@ -117,10 +117,9 @@ def file_stems(names: Sequence[str], *, kind: str) -> list[str]:
     for number, name in enumerate(names, start=1):
         fallback = f"{kind}-{number}"
         stem = name if _is_plain(name) else fallback
-        # Some file systems do not distinguish upper and lower case.
-        while taken & {(stem + ending).lower() for ending in _ENDINGS}:
+        while taken & {_key(stem + ending) for ending in _ENDINGS}:
             stem = fallback if stem == name else f"{stem}-"
-        taken |= {(stem + ending).lower() for ending in _ENDINGS}
+        taken |= {_key(stem + ending) for ending in _ENDINGS}
         stems.append(stem)
     return stems
 
