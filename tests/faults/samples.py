@@ -157,7 +157,7 @@ def write_meshes(folder: Path) -> list[Path]:
         extra = {"encoding": "ascii"} if kind == "ply" else {}
         plain.export(folder / name, file_type=kind, **extra)
         files.append(folder / name)
-    make = import_module("geometry.files.test_mesh_files")._vtp
+    make = import_module("geometry.test_mesh_files")._vtp
     ends = 3 * np.arange(1, len(mesh.triangles) + 1)
     for kind, compressed in (("ascii", False), ("binary", True), ("appended", False)):
         content = make(

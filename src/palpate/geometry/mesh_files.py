@@ -1,8 +1,12 @@
 """Reading and writing of triangle surfaces: PLY, OBJ, STL, OFF, MSH, VTU; reading of VTP, STEP."""
 
 import re
+import subprocess
+import sys
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,11 +16,14 @@ from scipy.spatial import cKDTree
 from palpate.disk import atomic_replacement, write_bytes, write_errors
 from palpate.errors import InputError, MeshError
 from palpate.files import read_bytes, read_errors
-from palpate.geometry.files.corners import check_text_msh, check_text_ply, whole_numbers
-from palpate.geometry.files.msh_nodes import check_msh_nodes
-from palpate.geometry.files.obj_file import parse_obj
-from palpate.geometry.files.step_file import STEP_SUFFIXES, read_step
-from palpate.geometry.files.vtp_file import check_packed_arrays, parse_vtp
+from palpate.geometry.mesh_content import (
+    check_msh_nodes,
+    check_packed_arrays,
+    check_text_msh,
+    check_text_ply,
+    parse_vtp,
+    whole_numbers,
+)
 from palpate.geometry.triangle_mesh import TriangleMesh, connected_components
 from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
@@ -25,9 +32,9 @@ _TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
 # With the format's name in meshio: by the suffix .msh alone it tries a reader that may never end.
 _MESHIO_SUFFIXES = {".msh": "gmsh", ".vtu": "vtu"}
 MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
+STEP_SUFFIXES = (".step", ".stp")
 # CAD files hold no mesh, but are converted to triangles.
 _READ = (*MESH_SUFFIXES, *STEP_SUFFIXES)
-
 # Flat triangles of each cell of a surface, in the cell's own numbering (VTK and gmsh agree here).
 _FACETS = {
     "triangle": [[0, 1, 2]],
@@ -36,9 +43,9 @@ _FACETS = {
 }
 _TETRAHEDRON_FACES = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
 # The checks of a surface take seconds at this many; the model runs out of memory long before.
-MOST_TRIANGLES = 100_000
+_MOST_TRIANGLES = 100_000
 # Volume meshes and text formats take more bytes than the triangles that they yield.
-_MOST_BYTES = 10_000 * MOST_TRIANGLES
+_MOST_BYTES = 10_000 * _MOST_TRIANGLES
 # A volume mesh has several cells for each triangle of its surface.
 _CELLS_PER_TRIANGLE = 5
 # Patterns that capture the declared number of cells, and strings that occur once per cell.
@@ -58,10 +65,29 @@ _STL_TEXT = 2000
 # Sizes of objects [m], from a cell to a mountain. Beyond these a unit is wrong, and squares and
 # cubes of lengths may overflow.
 _SPAN = (1e-6, 1e4)
+# Deflection of the triangles from the surface, relative to its edges, and angle between adjacent
+# ones [rad]: a ball gets 20,000 triangles, and loses 0.1 % of its volume.
+_STEP_DEVIATION, _STEP_ANGLE = 5e-4, 0.3
+# A part of thousands of faces takes seconds.
+_MOST_STEP_SECONDS = 300
+# In a process of its own: OpenCASCADE may crash on a damaged file, and prints to the terminal. With
+# -P, or a cascadio.py in the current folder would be run; -I would lose the user's own packages.
+_STEP_SCRIPT = """\
+import sys, cascadio
+source, target, off, turn = sys.argv[1:]
+sys.exit(cascadio.step_to_glb(source, target, float(off), float(turn), tol_relative=True))
+"""
+# Statements of the format and of its extensions that are ignored.
+_IGNORED_STATEMENTS = frozenset({
+    "vt", "vn", "vp", "p", "l", "o", "g", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "lod",
+    "bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step",
+    "curv", "curv2", "surf", "parm", "trim", "hole", "scrv", "sp", "end", "con", "ctech", "stech",
+    "call", "csh",
+})  # fmt: skip
 
 
 def read_mesh(
-    path: Path | str, *, metres_per_unit: float = 1.0, most: int = MOST_TRIANGLES
+    path: Path | str, *, metres_per_unit: float = 1.0, most: int = _MOST_TRIANGLES
 ) -> TriangleMesh:
     """Read the surface of an object, in metres, with coinciding vertices merged.
 
@@ -239,7 +265,7 @@ def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> N
     limit = _CELLS_PER_TRIANGLE * most if solid else most
     if count > limit:
         cure = "in a mesh program (decimate, remesh)"
-        if most == MOST_TRIANGLES:
+        if most == _MOST_TRIANGLES:
             cure = f"with `palpate mesh`, or {cure}"
         raise MeshError(
             f"{path}: has {count} {'cells' if solid else 'triangles'}, too large: at most {limit}"
@@ -261,11 +287,11 @@ def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
     """Vertices and triangles as they are in the file."""
     suffix = path.suffix.lower()
     if suffix in STEP_SUFFIXES:
-        vertices, triangles = read_step(path)
+        vertices, triangles = _read_step(path)
     elif suffix == ".vtp":
         vertices, triangles = parse_vtp(content)
     elif suffix == ".obj":
-        vertices, triangles = parse_obj(content)
+        vertices, triangles = _parse_obj(content)
     elif suffix in _TRIMESH_SUFFIXES:
         trimesh = late_import("trimesh", extra=None, purpose=f"reading {path.name}")
         loaded = trimesh.load_mesh(
@@ -321,3 +347,112 @@ def _write_ply(path: Path, mesh: TriangleMesh) -> None:
     face["count"] = 3
     face["index"] = mesh.triangles
     write_bytes(path, header.encode() + mesh.vertices.astype("<f8").tobytes() + face.tobytes())
+
+
+def _read_step(path: Path) -> tuple[Vertices, Triangles]:
+    """Vertices [m] and triangles of all solids of a STEP file, which states its own unit.
+
+    Adjacent faces have separate, coinciding vertices along their common edge.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    vertices : (v, 3) float [m]
+    triangles : (m, 3) int
+
+    Raises
+    ------
+    InputError                      the optional package is missing
+    MeshError                       the file holds no solid, is damaged, or takes over 300 s
+    """
+    late_import("cascadio", extra="cad", purpose=f"reading {path.name}")
+    trimesh = late_import("trimesh", extra=None, purpose=f"reading {path.name}")
+    with TemporaryDirectory() as scratch:
+        target = Path(scratch) / "solid.glb"
+        numbers = (str(path.resolve()), str(target), str(_STEP_DEVIATION), str(_STEP_ANGLE))
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", "-c", _STEP_SCRIPT, *numbers],
+                capture_output=True, timeout=_MOST_STEP_SECONDS, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired as error:
+            raise MeshError(
+                f"{path}: covering it with triangles takes more than {_MOST_SECONDS} s; leave out"
+                " of the drawing what is not the object, or export an STL"
+            ) from error
+        # glTF is in metres by definition.
+        read = done.returncode == 0 and target.exists()
+        drawn = trimesh.load(target, force="mesh", process=False) if read else None
+    if drawn is None or len(drawn.faces) == 0:
+        raise MeshError(
+            f"{path}: no solid can be read of this STEP file; open it in a drawing program, check"
+            " that it is there, and export it again (STEP AP214 or AP242), or as an STL"
+        )
+    return np.array(drawn.vertices, dtype=np.float64), np.array(drawn.faces, dtype=np.int64)
+
+
+def _parse_obj(content: bytes) -> tuple[Vertices, Triangles]:
+    """Vertices and triangles of an OBJ file, in its own unit; polygons are cut into fans.
+
+    Texture coordinates and normals, which would split vertices, are ignored.
+
+    Parameters
+    ----------
+    content : bytes                 the whole file
+
+    Returns
+    -------
+    vertices : (v, 3) float         in the unit of the file
+    triangles : (m, 3) int          indices from 0
+
+    Raises
+    ------
+    ValueError                      a vertex or a face that cannot be read, or a face of a vertex
+                                    that does not exist; the message names the line
+
+    Source
+    ------
+    Wavefront, "Object files (.obj)": indices count from 1, negative ones from the latest vertex.
+    """
+    vertices: list[list[float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    latest, goes_on = (0, 0), False
+    for number, line in enumerate(content.decode("utf-8", errors="replace").splitlines(), start=1):
+        kind, *words = line.partition("#")[0].split() or [""]
+        continued, goes_on = goes_on, line.endswith("\\")
+        if not kind or continued or kind in _IGNORED_STATEMENTS:
+            continue
+        try:
+            if kind not in ("v", "f"):
+                raise ValueError
+            if "_" in line:  # Python reads "1_000" as a number, the format does not
+                raise ValueError
+            if kind == "v":
+                x, y, z = map(float, words[:3])
+                vertices.append([x, y, z])
+            else:
+                first, second, third, *more = (_obj_index(word, len(vertices)) for word in words)
+                others = (second, third, *more)
+                triangles += [(first, a, b) for a, b in pairwise(others)]
+                latest = max(latest, (max(first, *others), number))
+        except ValueError as error:
+            raise ValueError(f"line {number}: '{line[:40]}' is no vertex or face of it") from error
+    if latest[0] >= len(vertices):
+        raise ValueError(
+            f"line {latest[1]}: the face names vertex {latest[0] + 1}, of {len(vertices)} vertices"
+        )
+    return (
+        np.array(vertices, dtype=np.float64).reshape(-1, 3),
+        np.array(triangles, dtype=np.int64).reshape(-1, 3),
+    )
+
+
+def _obj_index(word: str, count: int) -> int:
+    """Vertex index from 0 of a face's corner such as 3, 3/1, 3//2 or -1."""
+    given = int(word.partition("/")[0])
+    if given == 0 or given < -count:
+        raise ValueError
+    return given - 1 if given > 0 else count + given

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import ortho_group
 
-from palpate.geometry.registration.free_motion import motion_texts
+from palpate.geometry.free_motion import motion_texts
 
 CENTRE = np.array([0.004, -0.002, 0.01])
 # Names below hold for any size: places are in mm from the origin, which these are not.

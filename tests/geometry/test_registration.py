@@ -9,7 +9,7 @@ from surfaces import box, sphere
 
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh, read_mesh, refined_surface
-from palpate.geometry.registration.registration import (
+from palpate.geometry.registration import (
     RegistrationSettings,
     check_registration,
     free_motions_text,

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from palpate.geometry.closest_point import SurfaceSearch
-from palpate.geometry.registration.surface_fit import (
+from palpate.geometry.surface_fit import (
     Linearised,
     MeasuredPoints,
     Pose,
@@ -22,8 +22,13 @@ from palpate.geometry.registration.surface_fit import (
     motion_pose,
     placed,
 )
-from palpate.geometry.sides import CREASE_ANGLE
-from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal, half_edges, unit_normals
+from palpate.geometry.triangle_mesh import (
+    CREASE_ANGLE,
+    TriangleMesh,
+    bounding_diagonal,
+    half_edges,
+    unit_normals,
+)
 from palpate.shapes import Flags, Points, PointScalars, Vector3
 
 # Size of a trial motion in predicted standard deviations: if the prediction is right, the squared

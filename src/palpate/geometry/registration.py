@@ -14,13 +14,7 @@ from jaxtyping import Float
 from palpate.arrays import fixed_array
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry.closest_point import SurfaceSearch, surface_search
-from palpate.geometry.registration.coarse_pose import (
-    coarse_pose,
-    compact_groups,
-    even_sample,
-    facing_surface,
-)
-from palpate.geometry.registration.free_motion import (
+from palpate.geometry.free_motion import (
     SurfaceEdges,
     Trial,
     motion_constraints,
@@ -29,10 +23,14 @@ from palpate.geometry.registration.free_motion import (
     nearest_pose,
     surface_edges,
 )
-from palpate.geometry.registration.surface_fit import (
+from palpate.geometry.surface_fit import (
     Linearised,
     MeasuredPoints,
     RobustResiduals,
+    coarse_pose,
+    compact_groups,
+    even_sample,
+    facing_surface,
     fit_pose,
     linearised,
     null_space_basis,
