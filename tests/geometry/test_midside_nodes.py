@@ -20,7 +20,6 @@ from palpate.geometry import (
     side_nodes,
     split_sides,
 )
-from tests.surfaces import box, sphere
 
 
 def no_region(mesh):

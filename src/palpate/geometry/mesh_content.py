@@ -322,7 +322,8 @@ def check_msh_nodes(content: bytes) -> None:
     for numbers in blocks:
         if (highest := numbers.max(initial=0)) > _HIGHEST_NODE:
             raise ValueError(
-                f"a node has the number {highest:.0f}, at most {_HIGHEST} is read: number them anew"
+                f"a node has the number {highest:.0f}, at most {_HIGHEST_NODE} is read:"
+                " number them anew"
             )
 
 

@@ -380,8 +380,8 @@ def _read_step(path: Path) -> tuple[Vertices, Triangles]:
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:
             raise MeshError(
-                f"{path}: covering it with triangles takes more than {_MOST_SECONDS} s; leave out"
-                " of the drawing what is not the object, or export an STL"
+                f"{path}: covering it with triangles takes more than {_MOST_STEP_SECONDS} s; leave"
+                " out of the drawing what is not the object, or export an STL"
             ) from error
         # glTF is in metres by definition.
         read = done.returncode == 0 and target.exists()

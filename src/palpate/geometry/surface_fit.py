@@ -1,4 +1,4 @@
-"""Robust fits of the pose of points on a triangle surface: a coarse search, then Gauss-Newton steps.
+"""Robust fits of the pose of points on a triangle surface: coarse search, then Gauss-Newton steps.
 
 A motion of the points is six numbers, a small rotation about their centroid (rad) and a translation
 (m). Within the iteration they are scaled so that a unit of any of them moves the points by 1 m rms.

@@ -18,10 +18,10 @@ from jaxtyping import Float, UInt8
 from palpate.errors import InputError
 from palpate.records import Camera
 from palpate.shapes import Flags, PointScalars
-from palpate.vision.cameras.projection import normalised, project
-from palpate.vision.cameras.rectification import Rectified, rectify, remapped
-from palpate.vision.images.features import PreparedPictures, match_features
-from palpate.vision.images.normalisation import NormalisedImage
+from palpate.vision.matching.features import PreparedPictures, match_features
+from palpate.vision.normalisation import NormalisedImage
+from palpate.vision.projection import normalised, project
+from palpate.vision.rectification import Rectified, rectify, remapped
 
 # Block side of semi-global matching [px]: three to five speckles.
 _BLOCK = 7
