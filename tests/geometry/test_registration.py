@@ -10,7 +10,6 @@ from surfaces import box, sphere
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh, read_mesh, refined_surface
 from palpate.geometry.registration import (
-    RegistrationSettings,
     check_registration,
     free_motions_text,
     register,
@@ -19,7 +18,7 @@ from palpate.geometry.registration import (
 SIZE = np.array([0.07, 0.045, 0.03])
 NOISE = 3e-5
 # The start is known so well that nothing is searched: for tests of what comes after.
-NEAR = RegistrationSettings(angle=1e-3, distance=5e-4)
+NEAR = {"angle": 1e-3, "distance": 5e-4}
 
 
 def _pose(turn, shift, about=(0.0, 0.0, 0.0)):
@@ -112,7 +111,7 @@ def test_covariance_is_that_of_repeated_measurements():
     for _ in range(24):
         truth = _pose(rng.normal(scale=1e-4, size=3), rng.normal(scale=1e-5, size=3))
         measured = _moved(truth, points) + rng.normal(scale=NOISE, size=points.shape)
-        found = register(measured, None, mesh, settings=NEAR)
+        found = register(measured, None, mesh, **NEAR)
         errors.append(_error(found, truth))
         claimed.append(found.covariance)
     whitened = np.linalg.solve(np.linalg.cholesky(np.mean(claimed, axis=0)), np.transpose(errors))
@@ -130,9 +129,9 @@ def test_noise_shared_by_neighbours_widens_the_covariance():
     points = np.repeat(spots, 10, axis=0)
     inner = points < SIZE
     points = points + np.where(inner, rng.uniform(-1e-3, 1e-3, points.shape), 0.0)
-    alone = register(points + rng.normal(scale=NOISE, size=points.shape), None, mesh, settings=NEAR)
+    alone = register(points + rng.normal(scale=NOISE, size=points.shape), None, mesh, **NEAR)
     shared = np.repeat(rng.normal(scale=NOISE, size=spots.shape), 10, axis=0)
-    together = register(points + shared, None, mesh, settings=NEAR)
+    together = register(points + shared, None, mesh, **NEAR)
     assert alone.variance_inflation < 1.5
     # Ten; 64 groups give it to sqrt(2 / (64 * 6)) = 7 %, and cut some of the tens in two.
     assert together.variance_inflation == pytest.approx(10.0, rel=0.25)
@@ -144,13 +143,13 @@ def test_precise_points_decide_where_noise_is_given():
     mesh, points = box(SIZE), _three_faces(600, rng)
     std = np.where(np.arange(600) % 2, NOISE, 10.0 * NOISE)
     measured = points + std[:, None] * rng.normal(size=points.shape)
-    weighted = register(measured, std, mesh, settings=NEAR)
-    precise = register(measured[1::2], None, mesh, settings=NEAR)
-    plain = register(measured, None, mesh, settings=NEAR)
+    weighted = register(measured, std, mesh, **NEAR)
+    precise = register(measured[1::2], None, mesh, **NEAR)
+    plain = register(measured, None, mesh, **NEAR)
     spread = [np.sqrt(np.trace(one.covariance[3:, 3:])) for one in (weighted, precise, plain)]
     assert spread[0] < 1.1 * spread[1]
     assert spread[0] < 0.8 * spread[2]
-    full = register(measured, std[:, None, None] ** 2 * np.eye(3), mesh, settings=NEAR)
+    full = register(measured, std[:, None, None] ** 2 * np.eye(3), mesh, **NEAR)
     np.testing.assert_allclose(full.T_mesh_points, weighted.T_mesh_points, atol=1e-12)
 
 
@@ -160,7 +159,7 @@ def test_depth_noise_counts_only_across_the_surface():
     mesh, points = box(SIZE), _three_faces(600, rng)
     covariance = np.diag([100.0, 1.0, 1.0]) * NOISE**2
     measured = points + rng.normal(size=points.shape) @ np.sqrt(covariance)
-    found = register(measured, np.broadcast_to(covariance, (600, 3, 3)).copy(), mesh, settings=NEAR)
+    found = register(measured, np.broadcast_to(covariance, (600, 3, 3)).copy(), mesh, **NEAR)
     std = np.sqrt(np.diag(found.covariance))[3:]
     assert std[0] > 4.0 * max(std[1], std[2])
     assert _mahalanobis(found, np.eye(4)) < 27.9
@@ -205,7 +204,7 @@ def test_turns_of_a_ball_are_free_however_fine_its_facets(subdivisions, noise):
     rng = np.random.default_rng(7)
     points = _ball(900, rng)
     measured = points + rng.normal(scale=noise, size=points.shape)
-    found = register(measured, None, sphere(subdivisions, radius=0.03), settings=NEAR)
+    found = register(measured, None, sphere(subdivisions, radius=0.03), **NEAR)
     check_registration(found)
     assert "turning about any axis through" in free_motions_text(found)
 
@@ -218,7 +217,7 @@ def test_turns_of_a_dome_are_free(shared_data):
     points = points[points[:, 2] > 0.002]
     points *= 0.04 / np.linalg.norm(points, axis=1)[:, None]
     measured = points + rng.normal(scale=NOISE, size=points.shape)
-    found = register(measured, None, mesh, settings=NEAR)
+    found = register(measured, None, mesh, **NEAR)
     check_registration(found)
     assert re.match(
         r"turning about any axis through \(-?0\.\d, -?0\.\d, -?0\.\d\) mm", free_motions_text(found)
@@ -265,7 +264,7 @@ def test_free_motions_are_named():
         (box(SIZE), slab, r"sliding along \(1\.00, 0\.00, 0\.00\)$"),
     ]
     for mesh, points, text in cases:
-        found = register(points + noise[: len(points)], None, mesh, settings=NEAR)
+        found = register(points + noise[: len(points)], None, mesh, **NEAR)
         check_registration(found)
         assert re.match(text, free_motions_text(found))
 
@@ -276,7 +275,7 @@ def test_a_plate_beyond_its_edge_says_nothing_of_the_place():
     plate = rng.uniform(0.0, 1.0, size=(800, 3)) * SIZE
     plate[:, 2] = SIZE[2]
     plate += rng.normal(scale=NOISE, size=plate.shape) + np.array([0.01, 0.004, 0.0])
-    found = register(plate, None, box(SIZE), settings=RegistrationSettings(distance=1e-3))
+    found = register(plate, None, box(SIZE), distance=1e-3)
     assert len(found.free) == 3
 
 
@@ -338,7 +337,7 @@ def test_a_sheet_does_not_slide(of_mesh, of_points, over, noise):
     measured = points + rng.normal(scale=noise, size=points.shape) + offset
     eye = np.array([0.02, 0.01, 0.4])
     mesh = TriangleMesh(*refined_surface(_sheet(of_mesh), pieces=2))
-    found = register(measured, None, mesh, viewpoint=eye, settings=RegistrationSettings(0.01, 2e-3))
+    found = register(measured, None, mesh, viewpoint=eye, angle=0.01, distance=2e-3)
     check_registration(found)
     moved = _moved(found.T_mesh_points, points.mean(axis=0) + offset) - points.mean(axis=0)
     # An arch fixes the place along it to two thousandths of its diagonal, 1 sigma, or not at all.
@@ -357,7 +356,7 @@ def test_a_long_ball_is_fixed_where_its_length_exceeds_the_facets():
     for stretch, free in ((1.3, 0), (1.01, 3)):
         axes = np.array([stretch, 1.0, 1.0 / stretch])
         mesh = TriangleMesh(ball.vertices * axes, ball.triangles)
-        found = register(points * axes + noise, None, mesh, settings=NEAR)
+        found = register(points * axes + noise, None, mesh, **NEAR)
         assert len(found.free) == free
 
 
@@ -373,9 +372,7 @@ def test_exact_points_are_brought_to_rest():
     """No noise: the pose is exact, not only as good as the noise asks for."""
     points = _three_faces(300, np.random.default_rng(13))
     truth = _pose((1e-3, -2e-3, 1e-3), (1e-4, 2e-4, -1e-4))
-    found = register(
-        _moved(truth, points), None, box(SIZE), settings=RegistrationSettings(0.01, 1e-3)
-    )
+    found = register(_moved(truth, points), None, box(SIZE), angle=0.01, distance=1e-3)
     # A tenth of what 1e-7 of the diagonal (8.8 cm) lets them know, 9 nm.
     assert np.abs(_error(found, truth)[3:]).max() < 1e-9
 
@@ -396,7 +393,3 @@ def test_input_is_checked():
         register(points, np.zeros(100), mesh)
     with pytest.raises(InputError, match="has the eigenvalue"):
         register(points, np.zeros((100, 3, 3)), mesh)
-    with pytest.raises(InputError, match="angle is -1; must be positive"):
-        RegistrationSettings(angle=-1.0)
-    with pytest.raises(InputError, match="max_points is 3"):
-        RegistrationSettings(max_points=3)

@@ -45,7 +45,6 @@ from palpate.geometry.midside_nodes import (
 )
 from palpate.geometry.registration import (
     Registration as Registration,
-    RegistrationSettings as RegistrationSettings,
     check_registration as check_registration,
     free_motions_text as free_motions_text,
     register as register,

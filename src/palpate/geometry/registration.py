@@ -48,41 +48,14 @@ _SEARCH_POINTS, _NEAR_POINTS = 256, 1024
 # variance to 20 %, and few enough for a group to be wider than a window of stereo matching.
 _MAX_GROUPS = 64
 _MAX_STEPS = 60
+# Where there are more points, an even sample of so many is used.
+_MAX_POINTS = 6000
+# A motion counts as free where its standard deviation, as an rms displacement of the points,
+# exceeds this fraction of the mesh's diagonal: weaker information comes from errors of mesh and
+# cameras.
+_MAX_RELATIVE_STD = 0.002
 # A free motion may show only once others are held: of six, each round finds at least one.
 _MAX_ROUNDS = 6
-
-
-@dataclass(frozen=True, slots=True)
-class RegistrationSettings:
-    """Settings of a registration.
-
-    Parameters
-    ----------
-    angle : float [rad]             largest error of the initial pose's rotation
-    distance : float [m]            largest error of its translation
-    max_relative_std : float [-]    a motion counts as free where its standard deviation, as an rms
-                                    displacement of the points, exceeds this fraction of the mesh's
-                                    diagonal: weaker information comes from errors of mesh and
-                                    cameras
-    max_points : int                where there are more points, an even sample of so many is used
-
-    Raises
-    ------
-    InputError                      a value that is not positive, fewer than 24 points
-    """
-
-    angle: float = float(np.radians(5.0))
-    distance: float = 0.02
-    max_relative_std: float = 0.002
-    max_points: int = 6000
-
-    def __post_init__(self) -> None:
-        for name in ("angle", "distance", "max_relative_std"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} is {value:g}; must be positive")
-        if self.max_points < _MIN_POINTS:
-            raise InputError(f"max_points is {self.max_points}; must be {_MIN_POINTS} or more")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +124,8 @@ def register(
     *,
     start: Float[np.ndarray, "4 4"] | None = None,
     viewpoint: Vector3 | None = None,
-    settings: RegistrationSettings = RegistrationSettings(),
+    angle: float = float(np.radians(5.0)),
+    distance: float = 0.02,
 ) -> Registration:
     """Find the pose in which measured points lie on the surface of a mesh.
 
@@ -167,7 +141,8 @@ def register(
     start : (4, 4) float or None    initial pose; None: the identity
     viewpoint : (3,) float [m] or None    from which the points were seen, in their frame:
                                     triangles that face away from it are left out
-    settings : RegistrationSettings
+    angle : float [rad]             largest error of the initial pose's rotation, > 0
+    distance : float [m]            largest error of its translation, > 0
 
     Returns
     -------
@@ -190,24 +165,22 @@ def register(
     """
     measured = _measured(points, std)
     guess = np.eye(4) if start is None else fixed_array(start, name="start", shape=(4, 4))
-    chosen = measured.chosen(even_sample(measured.point, settings.max_points))
+    chosen = measured.chosen(even_sample(measured.point, _MAX_POINTS))
     surface = mesh
     if viewpoint is not None:
-        surface = facing_surface(mesh, placed(guess, viewpoint[None])[0], angle=settings.angle)
+        surface = facing_surface(mesh, placed(guess, viewpoint[None])[0], angle=angle)
     search = surface_search(surface)
     sample = chosen.chosen(even_sample(chosen.point, _SEARCH_POINTS))
-    pose = coarse_pose(
-        search, sample.point, guess, angle=settings.angle, distance=settings.distance
-    )
+    pose = coarse_pose(search, sample.point, guess, angle=angle, distance=distance)
     near = chosen.chosen(even_sample(chosen.point, _NEAR_POINTS))
     edges, iterations = surface_edges(surface), 0
-    known = _observability(search, near, pose, edges, settings.max_relative_std)
+    known = _observability(search, near, pose, edges)
     for cloud in (near, *[chosen] * _MAX_ROUNDS):
         free = len(known.free)
         pose = nearest_pose(pose, guess, cloud.point, known.free, known.linearisation.centre)
         fit = fit_pose(search, cloud, pose, constraints=known.constraints, iterations=_MAX_STEPS)
         pose, iterations = fit.pose, iterations + fit.iterations
-        known = _observability(search, chosen, pose, edges, settings.max_relative_std)
+        known = _observability(search, chosen, pose, edges)
         if cloud is chosen and len(known.free) == free:
             break
     converged = fit.converged and len(known.free) == free
@@ -290,7 +263,6 @@ def _observability(
     points: MeasuredPoints,
     pose: np.ndarray,
     edges: SurfaceEdges,
-    max_relative_std: float,
 ) -> _Observability:
     """Separate the motions that the points determine from the free ones."""
     linearisation = linearised(search, points, pose)
@@ -304,7 +276,7 @@ def _observability(
     rows = even_sample(points.point, _NEAR_POINTS)
     rows = rows[used[rows]]
     trial = Trial(search, edges, points.chosen(rows), pose, linearisation.chosen(rows), reach[rows])
-    least = (max_relative_std * search.diagonal) ** -2
+    least = (_MAX_RELATIVE_STD * search.diagonal) ** -2
     std = 1.0 / np.sqrt(np.maximum(values, least))
     confirmed = [
         trial.confirmed_information(motion, one) for motion, one in zip(motions, std, strict=True)

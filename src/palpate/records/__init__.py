@@ -114,7 +114,6 @@ from palpate.records.quantities import (
     MODULUS_UNITS as MODULUS_UNITS,
     NOT_DETERMINED as NOT_DETERMINED,
     STIFFNESS_UNITS as STIFFNESS_UNITS,
-    SYMBOLS as SYMBOLS,
     TIME_UNITS as TIME_UNITS,
     Quantity as Quantity,
     budget_text as budget_text,

@@ -30,7 +30,7 @@ NOT_DETERMINED = "not determined"
 # Shown in place of an interval of a model that the data contradict.
 _NO_INTERVAL = "none"
 # Symbols of the constants, in the order in which they are shown.
-SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
+_SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
 _INCH, _POUND = 0.0254, 4.4482216152605
 # Value of each unit in SI units.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": _INCH}
@@ -178,7 +178,7 @@ def verdict_text(estimate: Estimate) -> str:
     """
     sentence = estimate.status.sentence
     known = []
-    for name, symbol in SYMBOLS.items():
+    for name, symbol in _SYMBOLS.items():
         if estimate.identifiable[name]:
             _, interval, unit = constant_row(estimate, name)
             factor, _ = _constant_unit(name, getattr(estimate, name).value)

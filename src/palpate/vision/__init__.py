@@ -10,14 +10,9 @@ Read first : `range_flow.py`, `projection.py`, `joint/flow.py`, then `lang_pai/f
 """
 
 from palpate.vision.joint.flow import JointFlow as JointFlow
-from palpate.vision.joint.vertices import vertex_displacement as vertex_displacement
-from palpate.vision.lang_pai.flow import (
-    LangPaiFlow as LangPaiFlow,
-    lang_pai_vertices as lang_pai_vertices,
-)
+from palpate.vision.lang_pai.flow import LangPaiFlow as LangPaiFlow
 from palpate.vision.matching.features import prepare_pictures as prepare_pictures
 from palpate.vision.matching.outliers import median_test as median_test
-from palpate.vision.matching.scene import Scene as Scene, make_scene as make_scene
 from palpate.vision.pictures import (
     VIDEO_SUFFIXES as VIDEO_SUFFIXES,
     Pictures as Pictures,

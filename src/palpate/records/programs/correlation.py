@@ -36,7 +36,7 @@ _MATCHID_PLACE = "the calibration"
 _LONGEST_MATCHID_LINE = 200
 
 
-def _read_vic3d_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_vic3d_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of one data file that VIC-3D exported as CSV.
 
     The columns X, Y, Z (at rest) and U, V, W are read, with or without a unit ("X [mm]"); columns
@@ -175,7 +175,7 @@ VIC3D = Program(
 )
 
 
-def _read_matchid_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_matchid_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of one time step that MatchID exported as CSV, one row per point.
 
     The columns coor.X [mm], coor.Y, coor.Z, disp.Horizontal Displacement U [mm], disp.Vertical

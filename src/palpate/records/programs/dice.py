@@ -44,7 +44,7 @@ _LENS_TERMS = ("K1", "K2", "P1", "P2", *(f"K{i}" for i in range(3, 7)), "S1", "S
 Columns = dict[str, Float[np.ndarray, " n"]]
 
 
-def _read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_dice_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of a stereo result of DICe: a text file per state, or one Exodus file of all states.
 
     The columns MODEL_COORDINATES (at rest) and MODEL_DISPLACEMENT are read. A point has failed if

@@ -29,7 +29,7 @@ _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
 ControlPoints = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]
 
 
-def _read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_multidic_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of a 3-D reconstruction by MultiDIC or DuoDIC.
 
     The file holds a struct (DIC3D, DIC3Dcombined, DIC3DPPresults, DIC3DpairResults, ...) with
@@ -67,7 +67,7 @@ def _read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints
     return ProgramPoints(states[0], states[state] - states[0], score=score, notes=notes)
 
 
-def _read_multidic_tracks(path: Path, frame: int | None = None) -> PictureTracks:
+def _read_multidic_tracks(path: Path, frame: int | None) -> PictureTracks:
     """Matched points in the pictures of two cameras, by Ncorr, from MultiDIC or DuoDIC.
 
     The file holds a struct (DIC2DpairResults) with Points, a cell array with one n x 2 array per

@@ -51,7 +51,7 @@ _STD_NAMES = ("displacement_std", "displacement_sigma", "std", "sigma")
 _SURFACE_CELLS = ("vertex", "line", "triangle", "quad", "polygon")
 
 
-def _read_opencorr_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_opencorr_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of a stereo table that OpenCorr saved as CSV.
 
     The columns ref_x, ref_y, ref_z (at rest) and u, v, w are read. The score is the lowest of the
@@ -122,7 +122,7 @@ OPENCORR = Program(
 )
 
 
-def _read_pyvale_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_pyvale_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of one stereo result of pyvale, as text or binary, in mm.
 
     pyvale writes the position under load, stereo_x_mm = rest + stereo_disp_u_mm; the position at
@@ -186,7 +186,7 @@ def _pyvale_binary(path: Path) -> tuple[Points, Points, Flags]:
 PYVALE = Program(kinds=("pyvale",), results=".csv, .dic3d", read_points=_read_pyvale_points)
 
 
-def _read_vtu_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_vtu_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of a grid with a displacement at each, through meshio.
 
     The points are positions at rest. The displacement is the point data `displacement`,

@@ -403,7 +403,6 @@ def local_fits(
     tangent: Float[np.ndarray, "n 2 3"],
     *,
     reach: float,
-    max_points: int = 48,
     min_points: int | None = None,
 ) -> LocalFits:
     """Set up the polynomial fits of `local_field` as they are without outliers.
@@ -411,13 +410,13 @@ def local_fits(
     Parameters
     ----------
     scatter : Scatter
-    place, tangent, reach, max_points, min_points   as `local_field`
+    place, tangent, reach, min_points   as `local_field`
 
     Returns
     -------
     LocalFits
     """
-    nearest, radius = nearest_within(scatter.point, place, reach, max_points, min_points)
+    nearest, radius = nearest_within(scatter.point, place, reach, min_points)
     first, column = np.nonzero(nearest >= 0)
     second = nearest[first, column]
     away = np.linalg.norm(scatter.point[second] - place[first], axis=1) / radius[first]

@@ -25,6 +25,8 @@ from palpate.threads import in_threads
 from palpate.vision.cholesky import cholesky_kernel, cholesky_solve_kernel
 
 _TERMS = {1: 3, 2: 6}
+# Largest number of displacements that a fit uses, the nearest ones.
+_MAX_POINTS = 48
 # Degrees of freedom of the Student-t weights: a residual of ten sigma in one component has 1/15 of
 # the usual weight.
 _DEGREES_OF_FREEDOM = 4.0
@@ -101,7 +103,6 @@ def local_field(
     *,
     reach: float,
     order: int = 2,
-    max_points: int = 48,
     min_points: int | None = None,
 ) -> LocalField:
     """Fit the displacement field of the surface at given places.
@@ -113,7 +114,6 @@ def local_field(
     tangent : (t, 2, 3) float       orthonormal tangents there
     reach : float [m]               displacements farther away have zero weight
     order : 1 or 2                  degree of the polynomial
-    max_points : int                largest number of displacements used, the nearest ones
     min_points : int or None        where fewer are within reach, the reach grows until it holds
                                     this many, but at most doubles: a surface seen obliquely has
                                     fewer
@@ -122,7 +122,7 @@ def local_field(
     -------
     LocalField                      NaN where too few displacements are near
     """
-    nearest, radius = nearest_within(scatter.point, place, reach, max_points, min_points)
+    nearest, radius = nearest_within(scatter.point, place, reach, min_points)
     noise = scatter.covariance - scatter.bias
     count = len(place)
     value, gradient, curvature, covariance = (
@@ -144,26 +144,25 @@ def nearest_within(
     point: Points,
     place: Float[np.ndarray, "t 3"],
     reach: float,
-    max_points: int,
     min_points: int | None,
-) -> tuple[Int[np.ndarray, "t max_points"], Float[np.ndarray, " t"]]:
+) -> tuple[Int[np.ndarray, "t k"], Float[np.ndarray, " t"]]:
     """Nearest points of each place, as `local_field` uses them.
 
     Parameters
     ----------
     point : (n, 3) float [m]
     place : (t, 3) float [m]
-    reach, max_points, min_points   as `local_field`
+    reach, min_points               as `local_field`
 
     Returns
     -------
-    nearest : (t, max_points) int   nearest first, -1 where there are fewer
+    nearest : (t, k) int            at most k, nearest first, -1 where there are fewer
     reach : (t,) float [m]          radius within which they lie
     """
-    nearest = np.full((len(place), max_points), -1)
+    nearest = np.full((len(place), _MAX_POINTS), -1)
     radius = np.full(len(place), reach)
     if len(point) > 0:
-        count = min(max_points, len(point))
+        count = min(_MAX_POINTS, len(point))
         farthest = reach if min_points is None else 2.0 * reach
         away, found = cKDTree(point).query(place, k=count, distance_upper_bound=farthest)
         away, found = away.reshape(len(place), count), found.reshape(len(place), count)
