@@ -236,11 +236,11 @@ def _separated(
     """Pure translations among the motions, as unit vectors, and the rotations without them."""
     left_vectors, strength, _ = np.linalg.svd(basis[:, :3] * size, full_matrices=True)
     strength = np.concatenate([strength, np.zeros(len(basis) - len(strength))])
-    own = left_vectors.T @ basis
+    rotated = left_vectors.T @ basis
     rotates = strength > _MIN_NAMED
-    translations = own[~rotates, 3:]
+    translations = rotated[~rotates, 3:]
     translations = translations / np.linalg.norm(translations, axis=1)[:, None]
-    rotations = own[rotates]
+    rotations = rotated[rotates]
     if len(translations):
         along = np.linalg.qr(translations.T)[0]
         rotations[:, 3:] -= rotations[:, 3:] @ along @ along.T

@@ -195,8 +195,8 @@ def _check_vertex_fans(mesh: TriangleMesh, halves: HalfEdges) -> None:
     # A corner has the number of the half-edge leaving it; an edge joins the corners at its ends.
     start = np.where(along, opposite, following[opposite])
     end = np.where(along, following[opposite], opposite)
-    own = np.arange(len(opposite))
-    links = np.stack([np.concatenate([own, following]), np.concatenate([start, end])], axis=1)
+    leaving = np.arange(len(opposite))
+    links = np.stack([np.concatenate([leaving, following]), np.concatenate([start, end])], axis=1)
     count, component = connected_components(links, len(opposite))
     if count == len(mesh.vertices):
         return

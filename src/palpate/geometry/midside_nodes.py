@@ -158,8 +158,8 @@ def interpolation_matrix(
     point = np.repeat(np.arange(triangle.size), 6)
     entries = (quadratic_shapes(barycentric).T.ravel(), (point, nodes.element[triangle].ravel()))
     at_nodes = csr_array(entries, shape=(triangle.size, nodes.n_nodes + nodes.weights.shape[0]))
-    own = eye_array(nodes.n_nodes, format="csr")
-    return csr_array(at_nodes @ vstack([own, nodes.weights], format="csr"))
+    identity = eye_array(nodes.n_nodes, format="csr")
+    return csr_array(at_nodes @ vstack([identity, nodes.weights], format="csr"))
 
 
 def _half_edge_weights(mesh: TriangleMesh, sides: Sides, rings: int) -> csr_array:
@@ -402,9 +402,9 @@ def element_points(
     -------
     (m, q, 6) float           position [m], then outward normal times area per reference area [m^2]
     """
-    own = np.broadcast_to(barycentric, (len(nodes), *barycentric.shape[-2:]))
-    points = np.empty((*own.shape[:2], 6))
-    _fill_points(np.ascontiguousarray(nodes), np.ascontiguousarray(own), points)
+    weights = np.broadcast_to(barycentric, (len(nodes), *barycentric.shape[-2:]))
+    points = np.empty((*weights.shape[:2], 6))
+    _fill_points(np.ascontiguousarray(nodes), np.ascontiguousarray(weights), points)
     return points
 
 

@@ -178,8 +178,8 @@ def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Lin
     offset = position - centre
     scale = motion_scale(offset)
     row = np.hstack([np.cross(offset, normal), normal]) @ scale
-    own = normal @ pose[:3, :3]
-    variance = np.einsum("na,nab,nb->n", own, points.covariance, own)
+    turned = normal @ pose[:3, :3]
+    variance = np.einsum("na,nab,nb->n", turned, points.covariance, turned)
     return Linearised(
         centre=centre,
         scale=scale,
@@ -316,13 +316,13 @@ def compact_groups(points: Points, count: int) -> PointIndices:
     (n,) int                        group of every point
     """
     centred = points - points.mean(axis=0)
-    own = centred @ np.linalg.eigh(centred.T @ centred)[1]
+    along_axes = centred @ np.linalg.eigh(centred.T @ centred)[1]
     parts = [np.arange(len(points))]
     while 2 * len(parts) <= min(count, len(points)):
         halves = []
         for part in parts:
-            axis = int(np.ptp(own[part], axis=0).argmax())
-            order = part[np.argsort(own[part, axis], kind="stable")]
+            axis = int(np.ptp(along_axes[part], axis=0).argmax())
+            order = part[np.argsort(along_axes[part, axis], kind="stable")]
             halves += [order[: len(order) // 2], order[len(order) // 2 :]]
         parts = halves
     label = np.empty(len(points), dtype=np.int64)

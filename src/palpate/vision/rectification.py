@@ -168,10 +168,10 @@ def _rectified(
         pose = np.eye(4)
         pose[:3, :3] = rotation
         pose[:3, 3] = -rotation @ camera_centre(camera)
-        own = matrix.copy()
-        own[:2, 2] = -origin
+        shifted = matrix.copy()
+        shifted[:2, 2] = -origin
         turned.append(
-            replace(camera, size=size, matrix=own, distortion=np.zeros(8), T_camera_object=pose)
+            replace(camera, size=size, matrix=shifted, distortion=np.zeros(8), T_camera_object=pose)
         )
         maps.append(_map(camera, turned[-1], size))
     return Rectified(tuple(turned), tuple(maps), axis)

@@ -347,14 +347,14 @@ def _cloud(rig: Rig, points: Points) -> Float[np.ndarray, "m 3"]:
 def _first(cameras: Sequence[Camera], names: Sequence[str]) -> Camera:
     """The camera whose frame the poses are relative to: the one without a pose in `names`."""
     posed = {name.rpartition(".")[0] for name in names if name.rpartition(".")[2] in _POSE}
-    told = {name.rpartition(".")[0] for name in names}
+    named = {name.rpartition(".")[0] for name in names}
     known = {camera.name: camera for camera in cameras}
-    if told - set(known) or len(told - posed) != 1:
+    if named - set(known) or len(named - posed) != 1:
         raise CalibrationError(
-            f"the covariance is of the cameras {', '.join(sorted(told))}, the rig has"
+            f"the covariance is of the cameras {', '.join(sorted(named))}, the rig has"
             f" {', '.join(sorted(known))}; name them alike, or calibrate again"
         )
-    return known[(told - posed).pop()]
+    return known[(named - posed).pop()]
 
 
 def _check_same(rig: Rig, known: RigCovariance) -> None:

@@ -136,7 +136,7 @@ def _without_repeated_rows(
     if len(first) == len(values):
         return table, values, ()
     kept = np.sort(first)
-    lines, rows = ([each[i] for i in kept] for each in (table.numbers, table.rows))
+    lines, rows = ([column[i] for i in kept] for column in (table.numbers, table.rows))
     note = (
         f"{table.path}: {len(values) - len(kept)} of {len(values)} rows repeat another one, number"
         " by number, and were left out: a copy is no measurement of its own."

@@ -561,14 +561,13 @@ def session_files(path: Path | str) -> list[Path]:
     if isinstance(rig, dict) and isinstance(rig.get("cameras"), str):
         covariance = covariance_file(file.parent / rig["cameras"])
         found |= {covariance} if covariance else set()
-    return sorted(
-        each for each in set(chain.from_iterable(map(_files_in, found))) if each.is_file()
-    )
+    files = set(chain.from_iterable(map(_files_in, found)))
+    return sorted(path for path in files if path.is_file())
 
 
 def _files_in(path: Path) -> list[Path]:
     """A path itself, or the regular files in a folder."""
-    return [each for each in path.glob("*") if each.is_file()] if path.is_dir() else [path]
+    return [file for file in path.glob("*") if file.is_file()] if path.is_dir() else [path]
 
 
 def _texts(value: Any) -> Iterator[str]:

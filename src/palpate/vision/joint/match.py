@@ -300,8 +300,8 @@ def _inflation(
     A second derivative moves a window's mean by half its second moment, half_window^2 / 3. First
     derivatives do not: the mean of their coordinates is zero.
     """
-    own = field.nearest == np.arange(len(half_window))[:, None]
-    weight = own - (half_window**2 / 3.0)[:, None] * field.bend
+    is_self = field.nearest == np.arange(len(half_window))[:, None]
+    weight = is_self - (half_window**2 / 3.0)[:, None] * field.bend
     variance = np.trace(scatter.covariance, axis1=1, axis2=2)
     return sum_variance(scatter, field.nearest, weight) / variance
 

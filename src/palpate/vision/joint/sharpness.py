@@ -109,12 +109,12 @@ def _relative_variance(
     match = refine_joint(scene, rows, later, start, scene.seen[rows], noise, limits)
     found, error = np.zeros(len(later)), np.full(len(later), np.inf)
     for c, picture in enumerate(later):
-        each = _window_variances(scene, picture, rows, match, c)
-        if len(each) >= _MIN_WINDOWS:
-            found[c] = np.median(each)
+        variances = _window_variances(scene, picture, rows, match, c)
+        if len(variances) >= _MIN_WINDOWS:
+            found[c] = np.median(variances)
             # Standard error of the median, from the interquartile range.
-            sigma = np.subtract(*np.quantile(each, [0.75, 0.25])) / 1.349
-            error[c] = 1.2533 * sigma / np.sqrt(len(each))
+            sigma = np.subtract(*np.quantile(variances, [0.75, 0.25])) / 1.349
+            error[c] = 1.2533 * sigma / np.sqrt(len(variances))
     return found, error
 
 

@@ -287,12 +287,12 @@ def _planes(
     value, offset = value[good], offset[good]
     centre = np.nanmedian(value[:, third], axis=1)[:, None]
     reach = _MAX_JUMP_PX + _MAX_SLOPE * np.linalg.norm(away, axis=1)
-    own = np.where(np.isfinite(value), np.abs(value - centre), np.inf) <= reach
-    terms = np.concatenate([np.ones((*value.shape, 1)), offset], axis=2) * own[..., None]
+    near = np.where(np.isfinite(value), np.abs(value - centre), np.inf) <= reach
+    terms = np.concatenate([np.ones((*value.shape, 1)), offset], axis=2) * near[..., None]
     normal = terms.swapaxes(1, 2) @ terms + 1e-6 * np.eye(3)
-    right = terms.swapaxes(1, 2) @ np.where(own, value, 0.0)[..., None]
+    right = terms.swapaxes(1, 2) @ np.where(near, value, 0.0)[..., None]
     plane[good] = np.linalg.solve(normal, right)[..., 0]
-    good[good] = own.sum(axis=1) >= len(away) // 2
+    good[good] = near.sum(axis=1) >= len(away) // 2
     return plane, good
 
 
