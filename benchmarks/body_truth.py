@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.bodies import Shape
 from palpate.geometry import TriangleMesh, unit_normals, wall_thickness
-from palpate.records.contacts.pressure import smooth_pressure
+from palpate.records.contact import smooth_pressure
 from palpate.shapes import Points
 from palpate.solids.finite_elements import (
     Body,

@@ -14,7 +14,7 @@ from benchmarks.clock import shortest
 from palpate.bem.integrals.assembly import KernelIntegrals
 from palpate.bem.integrals.kelvin import LANES, TRACTION
 from palpate.bem.system import factors, slope
-from palpate.vision.images.spline import make_spline_picture, sample_kernel
+from palpate.vision.spline import make_spline_picture, sample_kernel
 
 _SIDE = 4000  # of the matrices that are multiplied
 _STREAM = 32_000_000  # doubles of each array that is added: no cache holds them

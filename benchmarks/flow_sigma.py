@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from vision.scenes import LENS, Stage, bump, dome, make_rig, rigid
 
 from palpate.vision import JointFlow
-from palpate.vision.range_flow.flow import Outcome, is_valid
+from palpate.vision.range_flow import Outcome, is_valid
 
 MOTIONS = {
     "rigid": rigid((0.004, -0.003, 0.006), (3e-4, -2e-4, 1e-4)),

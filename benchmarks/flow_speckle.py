@@ -14,8 +14,8 @@ from benchmarks.figure import FLOW, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
 from benchmarks.planar_flow import planar_flow
-from palpate.vision.images.spline import make_spline_picture
-from palpate.vision.matching.planar_match import refine_planar
+from palpate.vision.spline import make_spline_picture
+from palpate.vision.stereo.window_matches import refine_planar
 
 TOOL = SHARED.parent / "tools" / "flow_bench.py"
 BORDER, STEP, SIZE = 40, 8, 512

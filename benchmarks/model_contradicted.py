@@ -25,7 +25,7 @@ from palpate.geometry import TriangleMesh, closest_points
 from palpate.lab.specimens import block, cylinder, half_ball, toy
 from palpate.pipeline import graded_observations, refined_session
 from palpate.records import Contact, DisplacementField, Probing, Session, Status
-from palpate.records.contacts.pressure import smooth_pressure
+from palpate.records.contact import smooth_pressure
 from palpate.solids.finite_elements import (
     free_part,
     hooke_moduli,

@@ -4,8 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.shapes import Flags
-from palpate.vision.matching.local_regression import local_field
-from palpate.vision.matching.scatter import Scatter
+from palpate.vision.matching.local_regression import Scatter, local_field
 
 # Radius of the displacements that have a say, in half windows.
 _REACH = 3.0

@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from benchmarks.planar_field import planar_field
 from palpate.shapes import Flags, PointScalars
-from palpate.vision.images.spline import make_spline_picture
 from palpate.vision.matching.dense_flow import dense_start
-from palpate.vision.matching.planar_match import PlanarMatch, refine_planar
+from palpate.vision.spline import make_spline_picture
+from palpate.vision.stereo.window_matches import PlanarMatch, refine_planar
 
 # The gradient of the motion needs a window of this size; a smaller one takes it as known.
 _GRADIENT_SUBSET = 21

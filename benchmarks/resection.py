@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from palpate.errors import CalibrationError, InputError
 from palpate.records import DISTORTION_TERMS, Camera
 from palpate.shapes import Points
-from palpate.vision.cameras.projection import project
+from palpate.vision.projection import project
 
 # fx, fy, cx, cy, skew; three of a turn and three of a shift.
 _INNER, _OUTER = 5, 6

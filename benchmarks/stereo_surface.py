@@ -4,7 +4,7 @@ import numpy as np
 
 from palpate.shapes import Triangles, Vertices
 from palpate.vision import StereoPoints
-from palpate.vision.range_flow.grid import grid_triangles
+from palpate.vision.range_flow import grid_triangles
 
 # Length over width of what is seen at 80 degrees: flatter, it shows no texture to be matched.
 _MAX_STRETCH = 5.8

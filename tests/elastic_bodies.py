@@ -20,7 +20,7 @@ from palpate.bem import (
     traction_column,
 )
 from palpate.geometry import TriangleMesh, unit_normals
-from palpate.geometry.quadratic_triangle import ELEMENT_NODES, element_points
+from palpate.geometry.midside_nodes import ELEMENT_NODES, element_points
 
 DEFAULT = Quadrature()
 

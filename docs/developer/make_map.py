@@ -3,7 +3,7 @@
     python docs/developer/make_map.py          # or: make map
 
 A room is a folder of `src/palpate` with an `__init__.py`; a folder inside a room is a sub-room and
-is called `vision.cameras`. The single files beside the rooms are the ground floor, which everybody
+is called `vision.joint`. The single files beside the rooms are the ground floor, which everybody
 may use. The order of the rooms is that of the import contract in `pyproject.toml`.
 """
 
@@ -36,7 +36,7 @@ class Room:
 
     Attributes
     ----------
-    name : str              below `palpate`, such as `vision.cameras`; empty for the package itself
+    name : str              below `palpate`, such as `vision.joint`; empty for the package itself
     folder : Path
     sentence : str          first sentence of the docstring of its `__init__`
     fields : dict           text of each of the five fields that the docstring has
@@ -54,7 +54,7 @@ class Import:
 
     Attributes
     ----------
-    importer : str          the importing module below `palpate`, such as `vision.cameras.lens`
+    importer : str          the importing module below `palpate`, such as `vision.joint.flow`
     imported : str          what stands after `from`, likewise
     names : tuple of str    the names that are imported
     path : Path             file

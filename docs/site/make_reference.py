@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 FILES = "palpate.records.files."
 RECORDS = "palpate.records."
+REGISTRY = "palpate.records.programs.registry"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +54,11 @@ SESSION = (
     Table("the file itself", FILES + "session", "read_session", 0, (RECORDS + "session.Session",)),
     Table("[object]", FILES + "session", "read_session", 1, (RECORDS + "session.Session",)),
     Table(
-        "[support], or several [[support]]", FILES + "support", "read_supports", 0,
+        "[support], or several [[support]]", RECORDS + "support", "read_supports", 0,
         (RECORDS + "support.Support",),
     ),
-    Table("plane of a support: one table, or a list", FILES + "support", "_plane_distance"),
-    Table("box of a support: one table, or a list", FILES + "support", "_inside_box"),
+    Table("plane of a support: one table, or a list", RECORDS + "support", "_plane_distance"),
+    Table("box of a support: one table, or a list", RECORDS + "support", "_inside_box"),
     Table("[gravity]", FILES + "session", "_single_key_table", 0, (), ("acceleration",)),
     Table("[rig]", FILES + "session", "_single_key_table", 0, (), ("cameras",)),
     Table(
@@ -71,15 +72,15 @@ SESSION = (
     ),
     Table(
         "contact of a probe: a round patch", FILES + "loads", "_contact", 1,
-        (RECORDS + "contacts.contact.Contact",),
+        (RECORDS + "contact.Contact",),
     ),
     Table(
         "contact of a probe: a tool", FILES + "loads", "_tool", 0,
-        (RECORDS + "contacts.contact.Tool", RECORDS + "contacts.contact.Contact"),
+        (RECORDS + "contact.Tool", RECORDS + "contact.Contact"),
     ),
     Table(
         "contact of a probe: a tool given as a mesh", FILES + "loads", "_mesh_tool", 0,
-        (RECORDS + "contacts.contact.Tool", RECORDS + "contacts.contact.Contact"),
+        (RECORDS + "contact.Tool", RECORDS + "contact.Contact"),
     ),
     Table("contact of a probe: a face", FILES + "loads", "_contact", 0),
     Table("contact of a probe: a grip", FILES + "loads", "read_push"),
@@ -95,13 +96,13 @@ SESSION = (
     ),
 )  # fmt: skip
 RIG = (
-    Table("the file itself", FILES + "rig", "_read_toml_rig", 0, (RECORDS + "rig.Rig",)),
-    Table("[[camera]]", FILES + "rig", "_camera", 0, (RECORDS + "rig.Camera",)),
+    Table("the file itself", REGISTRY, "_read_toml_rig", 0, (RECORDS + "rig.Rig",)),
+    Table("[[camera]]", REGISTRY, "_camera", 0, (RECORDS + "rig.Camera",)),
 )
-POSE = (Table("the file itself", FILES + "import_pose", "read_import_pose"),)
+POSE = (Table("the file itself", RECORDS + "measured_points", "read_import_pose"),)
 # Calls that only repeat a check for one selector, or stand for several tables above; and keys that
 # are names which the session itself gives.
-REPEATED = {(FILES + "support", "read_support"), (RECORDS + "error_priors", "_force_gains")}
+REPEATED = {(RECORDS + "support", "read_support"), (RECORDS + "error_priors", "_force_gains")}
 
 
 def checks(module: ModuleType) -> Iterator[tuple[str, ast.Call]]:

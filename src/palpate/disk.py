@@ -1,8 +1,9 @@
 """Atomic writing: files and folders appear completely or not at all, even if the process is killed.
 
-While NAME is being written, these lie next to it: `.NAME.lock`, which process writes it;
-`.NAME.partial`, the new content; `.NAME.older` and `.NAME.journal`, needed to roll back a change of
-several files. If a process is killed, the next one that writes there cleans up what it left.
+While NAME is being written, these lie next to it: `.NAME.lock`, which process writes it, and which
+ends with that process; `.NAME.partial`, the new content; `.NAME.older` and `.NAME.journal`, needed
+to roll back a change of several files. If a process is killed, the next one that writes there
+cleans up what it left.
 """
 
 import ctypes
@@ -12,6 +13,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -19,15 +21,21 @@ from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 
-from palpate.errors import RecordError, print_message
+from palpate.errors import InUseError, RecordError, print_message
 from palpate.files import checked_file
-from palpate.locks import release_lock, take_lock
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: two commands at once are then not noticed
+    fcntl = None  # type: ignore[assignment]
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 # linux/fs.h: exchange two names in one step.
 _RENAME_EXCHANGE, _AT_FDCWD = 2, -100
 # Largest size of a journal [bytes].
 _MAX_JOURNAL_BYTES = 2**20
+# First word of a lock file's text, and the flag that refuses symbolic links to other files.
+_HOLDER_PREFIX, _NO_FOLLOW = "process ", getattr(os, "O_NOFOLLOW", 0)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -393,3 +401,103 @@ def _deferred_signals() -> Iterator[None]:
             signal.signal(number, handler)
         if received:
             signal.raise_signal(received[0])
+
+
+def take_lock(path: Path, final: Path) -> int:
+    """Create or open a lock file, lock it, and write this process and host into it.
+
+    Parameters
+    ----------
+    path : Path                     the lock file
+    final : Path                    file or folder that is to be written, for messages
+
+    Returns
+    -------
+    int                             descriptor of the open lock file
+
+    Raises
+    ------
+    InUseError                      another process holds the lock
+    RecordError                     a file that is not one of our locks lies there; it is left alone
+    OSError                         the lock file cannot be created or written; none is left behind
+    """
+    handle = _open_and_lock(path, final)
+    try:
+        os.ftruncate(handle, 0)
+        os.write(handle, f"{_HOLDER_PREFIX}{os.getpid()} on {socket.gethostname()}".encode())
+    except OSError:
+        release_lock(path, handle)
+        raise
+    return handle
+
+
+def release_lock(path: Path, handle: int) -> None:
+    """Remove and close a lock file.
+
+    Parameters
+    ----------
+    path : Path                     the lock file
+    handle : int                    descriptor, from `take_lock`
+    """
+    with suppress(OSError):
+        path.unlink()
+    os.close(handle)
+
+
+def is_abandoned(path: Path) -> bool:
+    """Whether a lock file is there whose process has ended without removing it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool                            False also where the system or the file system knows no locks
+    """
+    if fcntl is None:
+        return False
+    try:
+        handle = os.open(path, os.O_RDWR | _NO_FOLLOW)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
+    return True
+
+
+def _open_and_lock(path: Path, final: Path) -> int:
+    """Open and lock a lock file, and make sure that it is still the one under that name."""
+    while True:
+        handle, holder = _open_lock_file(path)
+        try:
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise InUseError(
+                f"{final}: is being written by {holder or 'another process'}; wait until that has"
+                " ended, or choose another place"
+            ) from None
+        except OSError:
+            pass  # A file system without locks.
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.stat(path), os.fstat(handle)):
+                return handle
+        # Its previous holder has ended and removed the file in the meantime: try again.
+        os.close(handle)
+
+
+def _open_lock_file(path: Path) -> tuple[int, str]:
+    """Open or create a lock file; also gives the process named in it. Refuses any other file."""
+    if not os.path.lexists(path) or (path.is_file() and not path.is_symlink()):
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o644)
+        holder = os.pread(handle, 200, 0).decode(errors="replace")
+        if not holder or holder.startswith(_HOLDER_PREFIX):
+            return handle, holder
+        os.close(handle)
+    raise RecordError(f"{path}: is not a lock of Palpate's; move it to another place")

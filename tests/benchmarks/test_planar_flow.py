@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.planar_flow import planar_flow
-from palpate.vision.images.spline import make_spline_picture
-from palpate.vision.matching.planar_match import refine_planar
+from palpate.vision.spline import make_spline_picture
+from palpate.vision.stereo.window_matches import refine_planar
 from tests.vision.textures import Speckle, affine, noisy, turned
 
 

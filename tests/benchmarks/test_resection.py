@@ -10,10 +10,10 @@ from vision_cameras import make_camera, terms
 from benchmarks.resection import resected
 from palpate.errors import CalibrationError, InputError
 from palpate.records import Rig
-from palpate.records.files.rig import read_rig
 from palpate.records.programs.multidic import read_control_points
-from palpate.vision.cameras.projection import project
-from palpate.vision.cameras.triangulation import triangulate
+from palpate.records.programs.registry import read_rig
+from palpate.vision.projection import project
+from palpate.vision.triangulation import triangulate
 
 LENS = (-0.2, 0.1, 1e-3, -5e-4)
 

@@ -27,4 +27,4 @@ def test_moves_are_neighbours_in_different_files_and_rooms():
 
 def test_the_ground_floor_is_one_room():
     assert room("arrays.py") == room("threads.py")
-    assert room("vision/cameras/lens.py") == room("vision/range_flow/flow.py") == "vision"
+    assert room("vision/projection.py") == room("vision/range_flow.py") == "vision"

@@ -19,8 +19,8 @@ import pytest
 from palpate import __version__
 from palpate.campaign import cluster as cluster_file, started_engine
 from palpate.campaign.engine import Engine, WorkerError, worker_share
+from palpate.disk import take_lock
 from palpate.errors import InputError, MeshError
-from palpate.locks import take_lock
 
 
 @pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "tls://127.0.0.1:no"])

@@ -27,7 +27,7 @@ def test_every_check_of_keys_is_a_table_of_the_page(maker):
 
 def test_a_table_that_nobody_named_is_found(maker, monkeypatch):
     monkeypatch.setattr(maker, "RIG", maker.RIG[:1])
-    assert maker.unlisted() == ["palpate.records.files.rig._camera"]
+    assert maker.unlisted() == ["palpate.records.programs.registry._camera"]
 
 
 def test_the_page_has_every_key_of_a_session(maker):

@@ -17,7 +17,7 @@ from palpate.calibration import Chessboard
 from palpate.campaign.items import read_items
 from palpate.campaign.store import Store
 from palpate.records import RigCovariance, read_session, write_rig
-from palpate.records.files.rig_covariance import write_rig_covariance
+from palpate.records.rig import write_rig_covariance
 
 SCAN = """\
 format = "palpate-scan/1"

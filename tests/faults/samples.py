@@ -157,7 +157,7 @@ def write_meshes(folder: Path) -> list[Path]:
         extra = {"encoding": "ascii"} if kind == "ply" else {}
         plain.export(folder / name, file_type=kind, **extra)
         files.append(folder / name)
-    make = import_module("geometry.files.test_mesh_files")._vtp
+    make = import_module("geometry.test_mesh_files")._vtp
     ends = 3 * np.arange(1, len(mesh.triangles) + 1)
     for kind, compressed in (("ascii", False), ("binary", True), ("appended", False)):
         content = make(
@@ -172,10 +172,10 @@ def write_rigs(folder: Path) -> list[Path]:
     """A calibration of every program."""
     write_rig(folder / "rig.toml", two_cameras())
     texts = {
-        "vic3d.xml": _texts("vic3d").VIC,
+        "vic3d.xml": _texts("correlation").VIC,
         "dice.xml": _texts("dice").DICE,
-        "matchid.caldat": _texts("matchid").CALIBRATION,
-        "kalibr.yaml": _texts("kalibr").KALIBR,
+        "matchid.caldat": _texts("correlation").CALIBRATION,
+        "kalibr.yaml": _texts("opencv").KALIBR,
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="latin-1")
@@ -194,11 +194,11 @@ def write_results(folder: Path) -> list[tuple[str, Path]]:
     """Displacements of every program: its kind and a file."""
     matchid = np.column_stack([np.zeros(4), PLACE, MOVE, np.full(4, 1e-3)])
     tables = {
-        "vic3d": (_texts("vic3d").VIC3D, vic3d_rows(), ","),
+        "vic3d": (_texts("correlation").VIC3D, vic3d_rows(), ","),
         "dice": (",".join(_texts("dice").DICE_NAMES), dice_values(), ","),
-        "matchid": (_texts("matchid").MATCHID, matchid, ";"),
-        "pyvale": (_texts("pyvale").PYVALE, _texts("pyvale")._pyvale_rows(), ","),
-        "opencorr": (_texts("opencorr").OPENCORR, _texts("opencorr")._opencorr_rows(), ","),
+        "matchid": (_texts("correlation").MATCHID, matchid, ";"),
+        "pyvale": (_texts("point_tables").PYVALE, _texts("point_tables")._pyvale_rows(), ","),
+        "opencorr": (_texts("point_tables").OPENCORR, _texts("point_tables")._opencorr_rows(), ","),
     }
     found = []
     for kind, (header, rows, delimiter) in tables.items():
@@ -209,7 +209,7 @@ def write_results(folder: Path) -> list[tuple[str, Path]]:
     for version in ("5", "7.3"):
         file = folder / f"v{version}.mat"
         found.append(("duodic", write_mat(file, "DIC3D", multidic_states(), version=version)))
-    row = np.zeros(4, dtype=import_module("palpate.records.programs.pyvale")._ROW_TYPE)
+    row = np.zeros(4, dtype=import_module("palpate.records.programs.point_tables")._PYVALE_ROW)
     row["place_mm"], row["disp_mm"], row["converged"], row["stereo_converged"] = PLACE, MOVE, 1, 1
     (folder / "rows.dic3d").write_bytes(row.tobytes())
     for suffix in (".vtu", ".vtk"):

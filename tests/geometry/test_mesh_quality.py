@@ -14,6 +14,7 @@ from palpate.geometry import (
     intersecting_pairs,
     mesh_quality,
     unit_normals,
+    wall_thickness,
     welded,
 )
 
@@ -217,3 +218,17 @@ def test_quality_of_a_cube_has_the_closed_form():
     assert quality.volume == pytest.approx(0.008, rel=1e-12)
     assert quality.area == pytest.approx(0.24, rel=1e-12)
     assert quality.size == pytest.approx((0.2, 0.2, 0.2), rel=1e-12)
+
+
+def test_a_slab_is_as_thick_as_it_is() -> None:
+    mesh = box((1.0, 1.0, 0.1), (10, 10, 1))
+    thickness = wall_thickness(mesh)
+    middle = mesh.vertices[mesh.triangles].mean(axis=1)
+    top = np.isclose(middle[:, 2], 0.1) | np.isclose(middle[:, 2], 0.0)
+    # Centres of triangles face each other, or lie a third of an edge of 0.1 beside.
+    assert np.all(thickness[top] >= 0.1 - 1e-12)
+    assert np.all(thickness[top] <= 0.1 * np.hypot(1.0, 0.5))
+
+
+def test_a_ball_has_no_walls() -> None:
+    assert np.isinf(wall_thickness(sphere(3))).all()

@@ -1,14 +1,22 @@
-"""Fitted midpoints: exact for quadratics, third order on a sphere, blind across creases."""
+"""Six-node triangles: midside values, refined surfaces, shape functions."""
 
 import numpy as np
 import pytest
 from surfaces import box, sphere
 
+from palpate.errors import InputError
 from palpate.geometry import (
+    ELEMENT_NODES,
     TriangleMesh,
     displacement_nodes,
+    element_points,
+    element_spheres,
+    enclosed_volume,
     interpolation_matrix,
     linear_nodes,
+    quadratic_shapes,
+    quartered,
+    refined_surface,
     side_nodes,
     split_sides,
 )
@@ -151,3 +159,116 @@ def test_the_coarsest_box_falls_back_to_straight_lines():
     sides = split_sides(mesh, no_region(mesh))
     nodes = displacement_nodes(mesh, sides)
     np.testing.assert_allclose(nodes.weights @ mesh.vertices, middles(mesh, nodes), atol=1e-12)
+
+
+def _off_sphere(vertices: np.ndarray) -> float:
+    return float(np.abs(np.linalg.norm(vertices, axis=1) - 1.0).max())
+
+
+def test_a_ball_comes_close_to_its_sphere() -> None:
+    """Quadratic elements are third order in position, so far nearer than the flat facets."""
+    mesh = sphere(3)
+    flat = 1.0 - np.linalg.norm(mesh.vertices[mesh.triangles].mean(axis=1), axis=1).min()
+    fine, _ = refined_surface(mesh, pieces=4)
+    assert _off_sphere(fine) < 0.05 * flat
+
+
+def test_flat_parts_of_finer_triangles_shrink_with_the_square_of_the_pieces() -> None:
+    """What is left between the corners of the parts is their own sagitta: 1 / pieces^2."""
+    mesh = sphere(2)
+    gaps = []
+    for pieces in (2, 4):
+        vertices, triangles = refined_surface(mesh, pieces=pieces)
+        middle = vertices[triangles].mean(axis=1)
+        on = np.linalg.norm(vertices[triangles], axis=2).mean(axis=1)
+        gaps.append(float((on - np.linalg.norm(middle, axis=1)).max()))
+    assert gaps[0] / gaps[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_a_box_stays_a_box() -> None:
+    mesh = box((1.0, 2.0, 3.0), 2)
+    vertices, triangles = refined_surface(mesh, pieces=3)
+    inside = (vertices > mesh.vertices.min(axis=0) - 1e-12).all()
+    assert inside
+    assert (vertices < mesh.vertices.max(axis=0) + 1e-12).all()
+    assert len(triangles) == 9 * len(mesh.triangles)
+    # Corners are not merged, so the volume is summed over triangles; rounding only.
+    assert enclosed_volume(TriangleMesh(vertices, triangles)) == pytest.approx(6.0, rel=1e-12)
+
+
+def test_one_piece_is_the_mesh_itself() -> None:
+    mesh = sphere(1)
+    vertices, triangles = refined_surface(mesh, pieces=1)
+    assert np.allclose(vertices[triangles], mesh.vertices[mesh.triangles], atol=1e-15)
+
+
+def test_no_pieces_are_refused() -> None:
+    with pytest.raises(InputError, match="pieces is 0"):
+        refined_surface(sphere(1), pieces=0)
+
+
+def some_places(count=6):
+    b = np.random.default_rng(0).random((count, 3))
+    return b / b.sum(axis=1)[:, None]
+
+
+def test_shapes_are_one_at_their_own_node_only():
+    np.testing.assert_allclose(quadratic_shapes(ELEMENT_NODES), np.eye(6), atol=1e-15)
+    np.testing.assert_allclose(quadratic_shapes(some_places()).sum(axis=0), 1, rtol=1e-14)
+
+
+def test_positions_and_normals_are_those_of_the_shapes():
+    places, nodes = some_places(), np.random.default_rng(3).normal(size=(1, 6, 3))
+
+    def position(there):
+        return quadratic_shapes(there).T @ nodes[0]
+
+    found = element_points(nodes, places)[0]
+    np.testing.assert_allclose(found[:, :3], position(places), atol=1e-14)
+    # A central difference of a quadratic has no error but round-off, 1e-16 / step.
+    along = []
+    for step in ([-1, 1, 0], [-1, 0, 1]):
+        move = 1e-3 * np.array(step)
+        along.append((position(places + move) - position(places - move)) / 2e-3)
+    np.testing.assert_allclose(found[:, 3:], np.cross(*along), atol=1e-11)
+
+
+def test_element_points_follow_a_parabolic_cap():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0.2, 0.9, 0]])
+    flat = ELEMENT_NODES @ corners
+    nodes = flat + np.outer(0.3 * flat[:, 0] ** 2 - 0.1 * flat[:, 0] * flat[:, 1], [0, 0, 1])
+    places = some_places()
+    x, y, z, nx, ny, nz = element_points(nodes[None], places)[0].T
+    np.testing.assert_allclose(z, 0.3 * x**2 - 0.1 * x * y, atol=1e-15)
+    # Normal of z = f(x, y) is (-f_x, -f_y, 1); its z part is the area of the projection, twice
+    # 0.45.
+    np.testing.assert_allclose(nz, 0.9, rtol=1e-14)
+    np.testing.assert_allclose(nx / nz, -(0.6 * x - 0.1 * y), atol=1e-14)
+    np.testing.assert_allclose(ny / nz, 0.1 * x, atol=1e-14)
+
+
+def test_spheres_hold_their_elements():
+    nodes = np.random.default_rng(1).normal(size=(4, 6, 3))
+    centre, radius = element_spheres(nodes)
+    distance = np.linalg.norm(nodes - centre[:, None], axis=2)
+    assert (distance <= radius[:, None] * (1 + 1e-15)).all()
+    np.testing.assert_allclose(centre, nodes[:, :3].mean(axis=1))
+
+
+def test_points_of_their_own_are_those_of_each_triangle():
+    rng = np.random.default_rng(2)
+    nodes, places = rng.normal(size=(3, 6, 3)), rng.dirichlet([1, 1, 1], size=(3, 4))
+    found = element_points(nodes, places)
+    for k in range(3):
+        alone = element_points(nodes[k : k + 1], places[k])[0]
+        np.testing.assert_allclose(found[k], alone, rtol=1e-13, atol=1e-14)
+
+
+def test_quarters_fill_their_cell_and_are_alike():
+    cell = np.array([[[0.7, 0.2, 0.1], [0.1, 0.8, 0.1], [0.2, 0.2, 0.6]]])
+    triangle, corners = quartered(np.array([5]), cell)
+    assert triangle.tolist() == [5] * 4
+    # A quarter of the area each, with the same orientation, and the same centroid together.
+    np.testing.assert_allclose(np.linalg.det(corners), np.linalg.det(cell)[0] / 4, rtol=1e-13)
+    np.testing.assert_allclose(corners.mean(axis=(0, 1)), cell.mean(axis=(0, 1)), rtol=1e-13)
+    assert (corners.reshape(-1, 3) @ np.linalg.inv(cell[0]) > -1e-14).all()

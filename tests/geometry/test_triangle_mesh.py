@@ -1,4 +1,4 @@
-"""Triangle surfaces: closed forms of a box and a sphere, and what the constructor refuses."""
+"""Triangle surfaces, their sides, and the order of points."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,16 @@ from palpate.geometry import (
     TriangleMesh,
     area_vectors,
     bounding_diagonal,
+    cut_distance,
     enclosed_volume,
+    morton_order,
+    split_sides,
     triangle_areas,
     unit_normals,
 )
 from palpate.geometry.triangle_mesh import connected_components, half_edges
+
+CELLS = 3
 
 
 def test_box_has_the_volume_and_area_of_a_box():
@@ -109,3 +114,101 @@ def test_groups_hang_together_by_their_links():
     count, group = connected_components(np.array([[0, 3], [3, 1], [4, 5]]), 6)
     assert count == 3
     assert group.tolist() == [0, 0, 1, 0, 2, 2]
+
+
+def no_region(mesh):
+    return np.zeros(mesh.triangles.shape[0], dtype=np.int64)
+
+
+def test_a_cube_has_three_sides_a_corner_two_an_edge():
+    mesh = box(cells=CELLS)
+    sides = split_sides(mesh, no_region(mesh))
+    count = np.bincount(sides.vertex)
+    on = (np.isclose(mesh.vertices, 0) | np.isclose(mesh.vertices, 1)).sum(axis=1)
+    assert np.array_equal(count, on)
+    assert sides.cut.sum() == 12 * CELLS
+    assert sides.vertex.size == 6 * (CELLS + 1) ** 2
+
+
+def test_a_sphere_has_one_side_a_vertex():
+    mesh = sphere(2)
+    sides = split_sides(mesh, no_region(mesh))
+    assert not sides.cut.any()
+    assert np.array_equal(np.sort(sides.vertex), np.arange(mesh.vertices.shape[0]))
+
+
+def test_a_region_cuts_its_rim():
+    mesh = sphere(2)
+    region = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] < 0).astype(np.int64)
+    sides = split_sides(mesh, region)
+    count = np.bincount(sides.vertex)
+    # The octahedron's equator: 4 edges, each cut in four.
+    assert sides.cut.sum() == 16
+    assert np.array_equal(count == 2, np.isclose(mesh.vertices[:, 2], 0))
+    assert count.max() == 2
+    side_region = np.full(sides.vertex.size, -1)
+    side_region[sides.corner.ravel()] = np.repeat(region, 3)
+    assert np.array_equal(side_region[sides.corner], np.repeat(region[:, None], 3, axis=1))
+
+
+@pytest.mark.parametrize(("degrees", "cut"), [(60.0, True), (80.0, False)])
+def test_the_crease_angle_decides(degrees, cut):
+    # Facets of the octahedron meet at 70.5 degrees.
+    mesh = sphere(0)
+    sides = split_sides(mesh, no_region(mesh), crease_angle=np.radians(degrees))
+    assert sides.cut.all() == cut
+    assert sides.cut.any() == cut
+
+
+def test_edges_and_twins_belong_together():
+    mesh = box(cells=2)
+    sides = split_sides(mesh, no_region(mesh))
+    half = np.arange(sides.edge.size)
+    twin = sides.twin.ravel()
+    assert np.array_equal(twin[twin], half)
+    assert (twin != half).all()
+    assert np.array_equal(sides.edge.ravel()[twin], sides.edge.ravel())
+    tail = mesh.triangles.ravel()
+    head = np.roll(mesh.triangles, -1, axis=1).ravel()
+    assert np.array_equal(tail[twin], head)
+    assert np.array_equal(head[twin], tail)
+    assert np.array_equal(sides.vertex[sides.corner], mesh.triangles)
+
+
+def test_the_distance_of_an_edge_is_that_of_its_nearest_point():
+    mesh = box((1.0, 2.0, 3.0), cells=CELLS)
+    sides = split_sides(mesh, no_region(mesh))
+    every = np.arange(len(mesh.triangles))
+    # On the face z = 3: beside an edge, not its line; beyond a corner, that corner.
+    assert cut_distance(mesh, sides, every, np.array([0.5, 1.9, 3.0])) == pytest.approx(0.1)
+    beyond = cut_distance(mesh, sides, every, np.array([-3.0, -4.0, 0.0]))
+    assert beyond == pytest.approx(5.0)
+    inner = np.flatnonzero(~sides.cut[sides.edge].any(axis=1))
+    assert cut_distance(mesh, sides, inner, np.zeros(3)) == np.inf
+
+
+def test_a_cube_is_ordered_by_interleaved_bits():
+    grid = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    code = sum(((grid >> bit) & 1) @ [1, 2, 4] << (3 * bit) for bit in range(2))
+    # Cells of 1 / 1023 of the longest side: thirds of it differ in the highest two bits alike.
+    assert np.array_equal(morton_order(grid.astype(float)), np.argsort(code))
+
+
+def test_place_and_size_do_not_matter_and_points_without_a_place_come_last():
+    points = np.random.default_rng(0).random((50, 3))
+    order = morton_order(points)
+    assert np.array_equal(np.sort(order), np.arange(50))
+    assert np.array_equal(morton_order(0.25 * points - 3.0), order)
+    points[7] = np.nan
+    assert morton_order(points)[-1] == 7
+
+
+def test_points_at_one_place_keep_their_order():
+    assert np.array_equal(morton_order(np.ones((4, 3))), np.arange(4))
+
+
+def test_neighbours_on_a_grid_stay_together():
+    grid = np.stack([*np.divmod(np.arange(256), 16), np.zeros(256)], axis=1)
+    block = grid[morton_order(grid)].reshape(16, 16, 3)
+    # Sixteen points in a square of four by four.
+    assert np.all(np.ptp(block, axis=1)[:, :2] == 3)

@@ -73,14 +73,14 @@ def entered_wrongly(importer: str, imported: str) -> bool:
 @pytest.mark.parametrize(
     ("importer", "imported", "wrong"),
     [
-        ("vision.cameras.lens", "vision.cameras.projection", False),
-        ("vision.cameras.lens", "vision.cameras", True),
-        ("vision.cameras.lens", "vision", True),
-        ("vision.joint.flow", "vision.cameras", True),
-        ("vision.joint.flow", "vision.cameras.projection", False),
+        ("vision.joint.flow", "vision.joint.match", False),
+        ("vision.joint.flow", "vision.joint", True),
+        ("vision.joint.flow", "vision", True),
+        ("vision.joint.flow", "vision.matching", True),
+        ("vision.joint.flow", "vision.matching.scene", False),
         ("pipeline.fit_session", "vision", False),
         ("pipeline.fit_session", "vision.range_flow", True),
-        ("pipeline.fit_session", "vision.cameras", True),
+        ("pipeline.fit_session", "vision.matching", True),
         ("bem.elastic_map", "bem.system", True),
         ("bem.elastic_map", "errors", False),
         ("app.cli", "", False),  # the version

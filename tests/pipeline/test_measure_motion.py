@@ -28,7 +28,7 @@ from palpate.pipeline import (
 )
 from palpate.records import DisplacementField, Rig, Session, read_rig, read_session
 from palpate.vision import JointFlow, Outcome, RangeFlow, VertexDisplacement
-from palpate.vision.refinement.scene import Scene
+from palpate.vision.matching.scene import Scene
 
 GIVEN = {"method": JointFlow(step=8), "pose": "given"}
 # Less than half the points, where no vertex of a fine mesh needs many about it.

@@ -25,7 +25,7 @@ from palpate.pipeline.result_files import (
 from palpate.records import observed_rows, read_displacement
 from palpate.records.quantities import length_unit
 from palpate.vision import Outcome, SurfaceMap, dense_maps, is_valid
-from palpate.vision.cameras.projection import camera_sigma
+from palpate.vision.projection import camera_sigma
 
 REJECT = {Outcome.SCORE: [0, 1, 2], Outcome.LOST: [7]}
 

@@ -12,7 +12,7 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.probe import contact_circle, local_surface
 from palpate.records import CONE, CYLINDER, FLAT, SLIDES, SPHERE, STICKS, Tool
-from palpate.records.contacts.pressure import cone_pressure
+from palpate.records.contact import cone_pressure
 
 SHEAR, NU = 2e4, 0.3
 REDUCED = 2.0 * SHEAR / (1.0 - NU)

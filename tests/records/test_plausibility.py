@@ -9,7 +9,7 @@ from surfaces import box
 
 from palpate.geometry import closest_points
 from palpate.records import Contact, DisplacementField, Probing, Session, read_session
-from palpate.records.checks.plausibility import plausibility_notes
+from palpate.records.plausibility import plausibility_notes
 
 
 def _notes(thickness: float) -> str:

@@ -14,8 +14,8 @@ from typing import Any
 
 from palpate import __version__
 from palpate.campaign.engine import LOCAL_FOLDER_PREFIX, Engine, install_advice
+from palpate.disk import is_abandoned, release_lock, take_lock
 from palpate.errors import InputError, quoted
-from palpate.locks import is_abandoned, release_lock, take_lock
 from palpate.optional_imports import late_import
 
 # Timeouts for a scheduler to answer, and for the first worker to appear [s].

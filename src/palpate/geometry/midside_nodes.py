@@ -1,26 +1,38 @@
-"""Midside values of a mesh, fitted to the surrounding vertices: quadratic accuracy without
-additional unknowns.
+"""Six-node triangles, with midside values fitted to the surrounding vertices: quadratic accuracy
+without additional unknowns.
 
 The vertices around an edge determine a local quadratic, whose value at the midpoint of the edge is
 the midside value of a six-node triangle. It is a fixed weighted sum of vertex values, so no unknown
 is added. The same weights, applied to the positions of the vertices, give the midside nodes of the
-smooth surface that the triangles approximate.
+smooth surface that the triangles approximate, on which finer triangles can be laid.
+
+Nodes of a triangle are the corners 0, 1, 2, then the midpoints of edges 01, 12, 20.
 """
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array, eye_array, vstack
 
-from palpate.geometry.quadratic_triangle import quadratic_shapes
-from palpate.geometry.sides import CREASE_ANGLE, Sides
-from palpate.geometry.triangle_mesh import TriangleMesh, area_vectors
+from palpate.errors import InputError
+from palpate.geometry.triangle_mesh import (
+    CREASE_ANGLE,
+    Sides,
+    TriangleMesh,
+    area_vectors,
+    split_sides,
+)
+from palpate.shapes import Triangles, Vertices
 
 # The curve of a crease ends where it turns by more than the crease angle.
 _MIN_SMOOTH_COSINE = np.cos(CREASE_ANGLE)
 # Sum of absolute weights from which the fit of a midside node is rejected as unstable.
 _MAX_WEIGHT_SUM = 4.0
+ELEMENT_NODES = np.array(
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]]
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,8 +158,8 @@ def interpolation_matrix(
     point = np.repeat(np.arange(triangle.size), 6)
     entries = (quadratic_shapes(barycentric).T.ravel(), (point, nodes.element[triangle].ravel()))
     at_nodes = csr_array(entries, shape=(triangle.size, nodes.n_nodes + nodes.weights.shape[0]))
-    own = eye_array(nodes.n_nodes, format="csr")
-    return csr_array(at_nodes @ vstack([own, nodes.weights], format="csr"))
+    identity = eye_array(nodes.n_nodes, format="csr")
+    return csr_array(at_nodes @ vstack([identity, nodes.weights], format="csr"))
 
 
 def _half_edge_weights(mesh: TriangleMesh, sides: Sides, rings: int) -> csr_array:
@@ -290,3 +302,166 @@ def _lagrange(
                 gap = np.where(both, s[:, i] - s[:, j], 1.0)
                 weight[:, i] *= np.where(both, (at - s[:, j]) / gap, 1.0)
     return weight
+
+
+def refined_surface(mesh: TriangleMesh, *, pieces: int = 4) -> tuple[Vertices, Triangles]:
+    """Cut every triangle into smaller ones that lie on the smooth surface through the vertices.
+
+    The surface is that of the quadratic elements: midside nodes fitted to the surrounding vertices,
+    edges where the normals of adjacent triangles differ by more than 40 degrees. The distance from
+    a curved object decreases with the square of `pieces`.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    pieces : int                    parts of an edge, at least 1; pieces^2 triangles from one
+
+    Returns
+    -------
+    vertices : (m q, 3) float [m]   q = (pieces + 1)(pieces + 2) / 2 for each of the m triangles;
+                                    shared corners are not merged
+    triangles : (m pieces^2, 3) int those of triangle k are rows k pieces^2 and following
+
+    Raises
+    ------
+    InputError                      pieces below 1
+    """
+    if pieces < 1:
+        raise InputError(f"pieces is {pieces}; must be 1 or more")
+    lattice, small = _lattice(pieces)
+    count = len(mesh.triangles)
+    sides = split_sides(mesh, np.zeros(count, dtype=np.int64))
+    nodes = displacement_nodes(mesh, sides)
+    interpolation = interpolation_matrix(
+        nodes, np.repeat(np.arange(count), len(lattice)), np.tile(lattice, (count, 1))
+    )
+    triangles = small[None] + len(lattice) * np.arange(count)[:, None, None]
+    return np.asarray(interpolation @ mesh.vertices), triangles.reshape(-1, 3)
+
+
+def piece_middles(pieces: int) -> Float[np.ndarray, "s 3"]:
+    """Centroids of the small triangles within the one from which they are cut.
+
+    Parameters
+    ----------
+    pieces : int                    parts of an edge, at least 1
+
+    Returns
+    -------
+    (pieces^2, 3) float [-]         barycentric, in the order of `refined_surface`
+    """
+    lattice, small = _lattice(pieces)
+    return lattice[small].mean(axis=1)
+
+
+def _lattice(pieces: int) -> tuple[Float[np.ndarray, "q 3"], Int[np.ndarray, "s 3"]]:
+    """Barycentric coordinates of the corners of the parts, and the parts."""
+    number = {}
+    corners: list[tuple[float, float, float]] = []
+    for i in range(pieces + 1):
+        for j in range(pieces + 1 - i):
+            number[i, j] = len(corners)
+            corners.append(((pieces - i - j) / pieces, i / pieces, j / pieces))
+    parts = []
+    for i in range(pieces):
+        for j in range(pieces - i):
+            parts.append((number[i, j], number[i + 1, j], number[i, j + 1]))
+            if i + j < pieces - 1:
+                parts.append((number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]))
+    return np.array(corners), np.array(parts)
+
+
+def quadratic_shapes(barycentric: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "6 ..."]:
+    """Shape functions of the six-node triangle.
+
+    Parameters
+    ----------
+    barycentric : (..., 3) float [-]
+
+    Returns
+    -------
+    (6, ...) float [-]        one at its own node and zero at the others; they sum to 1
+    """
+    a, b, c = np.moveaxis(barycentric, -1, 0)
+    return np.stack(
+        [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a]
+    )
+
+
+def element_points(
+    nodes: Float[np.ndarray, "m 6 3"], barycentric: Float[np.ndarray, "... q 3"]
+) -> Float[np.ndarray, "m q 6"]:
+    """Positions and area normals at points of six-node triangles.
+
+    Parameters
+    ----------
+    nodes : (m, 6, 3) float [m]
+    barycentric : (q, 3) or (m, q, 3) float [-]    the same points for all triangles, or for each
+
+    Returns
+    -------
+    (m, q, 6) float           position [m], then outward normal times area per reference area [m^2]
+    """
+    weights = np.broadcast_to(barycentric, (len(nodes), *barycentric.shape[-2:]))
+    points = np.empty((*weights.shape[:2], 6))
+    _fill_points(np.ascontiguousarray(nodes), np.ascontiguousarray(weights), points)
+    return points
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _fill_points(nodes, barycentric, out):
+    """Positions and area normals at given points of each element."""
+    shape, along = np.empty(6), np.empty((2, 3))
+    for e in range(nodes.shape[0]):
+        for q in range(barycentric.shape[1]):
+            a, b, c = barycentric[e, q]
+            shape[0], shape[1], shape[2] = a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1)
+            shape[3], shape[4], shape[5] = 4 * a * b, 4 * b * c, 4 * c * a
+            for i in range(3):
+                corner, other, last = nodes[e, 0, i], nodes[e, 1, i], nodes[e, 2, i]
+                ab, bc, ca = nodes[e, 3, i], nodes[e, 4, i], nodes[e, 5, i]
+                position = shape[0] * corner + shape[1] * other + shape[2] * last
+                out[e, q, i] = position + shape[3] * ab + shape[4] * bc + shape[5] * ca
+                start = (1 - 4 * a) * corner
+                along[0, i] = start + (4 * b - 1) * other + 4 * ((a - b) * ab + c * (bc - ca))
+                along[1, i] = start + (4 * c - 1) * last + 4 * (b * (bc - ab) + (a - c) * ca)
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                out[e, q, 3 + i] = along[0, j] * along[1, k] - along[0, k] * along[1, j]
+
+
+def element_spheres(
+    nodes: Float[np.ndarray, "m 6 3"],
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
+    """Centre and radius of a sphere around each six-node triangle.
+
+    Parameters
+    ----------
+    nodes : (m, 6, 3) float [m]
+
+    Returns
+    -------
+    (m, 3) float [m], (m,) float [m]
+    """
+    centre = nodes[:, :3].mean(axis=1)
+    return centre, np.linalg.norm(nodes - centre[:, None], axis=2).max(axis=1)
+
+
+def quartered(
+    triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
+) -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, "d 3 3"]]:
+    """The four quarters of each cell of a triangle.
+
+    Parameters
+    ----------
+    triangle : (c,) int               triangle of each cell
+    corners : (c, 3, 3) float [-]     barycentric coordinates of the corners of each cell
+
+    Returns
+    -------
+    (4 c,) int, (4 c, 3, 3) float [-]
+    """
+    a, b, c = corners.transpose(1, 0, 2)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.tile(triangle, 4), np.concatenate([np.stack(part, axis=1) for part in parts])

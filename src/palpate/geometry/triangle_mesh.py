@@ -1,14 +1,34 @@
-"""Triangle surfaces, and quantities that follow directly from them."""
+"""Triangle surfaces, and what follows directly from them: normals, areas, edges, smooth sides.
+
+A side is a part of the surface within which normals, tractions and gradients are continuous; they
+may jump from one side to the next.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csgraph
+from scipy.spatial import ConvexHull, QhullError
 
 from palpate.arrays import fixed_array
-from palpate.errors import MeshError
-from palpate.shapes import Flags, Indices, Triangles, TriangleScalars, TriangleVectors, Vertices
+from palpate.errors import InputError, MeshError
+from palpate.shapes import (
+    Flags,
+    Indices,
+    Triangles,
+    TriangleScalars,
+    TriangleVectors,
+    Vector3,
+    Vertices,
+)
+
+CREASE_ANGLE = np.radians(40.0)
+_MORTON_BITS = 10
+# Largest difference in volume between a mesh and its convex hull, relative to the latter.
+_CONVEXITY_TOLERANCE = 1e-6
+# Decimals, of the normal and of the offset over the body's size, to which planes are the same.
+_PLANE_DECIMALS = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,3 +267,140 @@ def connected_components(links: Int[np.ndarray, "p 2"], count: int) -> tuple[int
     graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
     components, label = csgraph.connected_components(graph, directed=False)
     return int(components), label.astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sides:
+    """The mesh with its vertices split wherever the surface has an edge.
+
+    A side is a fan of triangles around one vertex in which no edge is cut. An edge is cut where the
+    surface turns by more than the crease angle or where the support ends. A corner of a cube has
+    three sides, a vertex of a sphere one.
+
+    Attributes
+    ----------
+    corner : (m, 3) int       side at each corner of each triangle
+    vertex : (s,) int         vertex that each side belongs to
+    edge : (m, 3) int         edge from corner k to corner k + 1 of each triangle
+    twin : (m, 3) int         half-edge 3 * triangle + k on the other side of that edge
+    cut : (e,) bool           whether the edge is cut
+    """
+
+    corner: Int[np.ndarray, "m 3"]
+    vertex: Int[np.ndarray, " s"]
+    edge: Int[np.ndarray, "m 3"]
+    twin: Int[np.ndarray, "m 3"]
+    cut: Bool[np.ndarray, " e"]
+
+
+def split_sides(
+    mesh: TriangleMesh, region: Int[np.ndarray, " m"], *, crease_angle: float = CREASE_ANGLE
+) -> Sides:
+    """Split the vertices of a mesh at its creases and where one region of its surface ends.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh               consistently oriented; closed, or with a rim
+    region : (m,) int                 label of each triangle (say 1 where held, 0 where free)
+    crease_angle : float [rad]        angle between the normals of two triangles above which their
+                                      edge is a crease
+
+    Returns
+    -------
+    Sides
+    """
+    halves = half_edges(mesh.triangles)
+    edge, twin, following = halves.edge, halves.opposite(), halves.following
+    normals = unit_normals(mesh)
+    triangle = np.arange(edge.size) // 3
+    turn = np.einsum("hi,hi->h", normals[triangle], normals[twin // 3])
+    cut_half = (turn < np.cos(crease_angle)) | (region[triangle] != region[twin // 3])
+    cut_half |= twin == np.arange(edge.size)
+    cut = np.zeros(len(halves.ends), dtype=bool)
+    cut[edge[cut_half]] = True
+
+    # Across an edge that is not cut the corners at both of its ends belong together.
+    joined = np.flatnonzero(~cut_half)
+    across = twin[joined]
+    corners = np.concatenate([joined, following[joined]])
+    partners = np.concatenate([following[across], across])
+    count, label = connected_components(np.stack([corners, partners], axis=1), edge.size)
+    vertex = np.empty(count, dtype=np.int64)
+    vertex[label] = halves.tail
+    return Sides(label.reshape(-1, 3), vertex, edge.reshape(-1, 3), twin.reshape(-1, 3), cut)
+
+
+def cut_distance(
+    mesh: TriangleMesh, sides: Sides, triangles: Int[np.ndarray, " k"], point: Vector3
+) -> float:
+    """Distance of a point from the nearest cut edge of some triangles.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    sides : Sides                     of that mesh
+    triangles : (k,) int
+    point : (3,) float [m]
+
+    Returns
+    -------
+    float [m]                         infinite where no edge of theirs is cut
+    """
+    cut = sides.cut[sides.edge[triangles]]
+    corner = mesh.vertices[mesh.triangles[triangles]]
+    start, along = corner[cut], (np.roll(corner, -1, axis=1) - corner)[cut]
+    fraction = np.einsum("ei,ei->e", point - start, along) / np.einsum("ei,ei->e", along, along)
+    nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * along
+    return float(np.linalg.norm(nearest - point, axis=1).min(initial=np.inf))
+
+
+def morton_order(point: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
+    """Order of points along a Morton curve, in which neighbours in space stay close.
+
+    Parameters
+    ----------
+    point : (n, 3) float [m]  NaN where a position is missing; at least one is not
+
+    Returns
+    -------
+    (n,) int                  indices; the bounding box is cut into 1024 cells along its longest
+                              side, points of one cell keep their order, those without a position
+                              come last
+    """
+    low = np.nanmin(point, axis=0)
+    size = max(float((np.nanmax(point, axis=0) - low).max()), np.finfo(float).tiny)
+    cell = np.nan_to_num((point - low) / size * (2**_MORTON_BITS - 1)).astype(np.int64)
+    bits = (cell[:, None, :] >> np.arange(_MORTON_BITS)[:, None]) & 1
+    code = bits.reshape(len(point), -1) @ 2 ** np.arange(3 * _MORTON_BITS)
+    code[np.isnan(point).any(axis=1)] = 2 ** (3 * _MORTON_BITS)
+    return np.argsort(code, kind="stable")
+
+
+def convex_planes(mesh: TriangleMesh) -> Float[np.ndarray, "p 4"]:
+    """The planes of the faces of a convex mesh, coplanar triangles as one.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, convex
+
+    Returns
+    -------
+    (p, 4) float                    outward unit normals, and their offsets from the origin [m]
+
+    Raises
+    ------
+    InputError                      a mesh that is flat, open or not convex
+    """
+    size = float(np.ptp(mesh.vertices, axis=0).max(initial=0.0))
+    try:
+        hull = ConvexHull(mesh.vertices / size)
+    except (QhullError, ValueError, ZeroDivisionError) as error:
+        raise InputError("the tool's mesh has no volume; give a closed convex surface") from error
+    volume, hull_volume = abs(enclosed_volume(mesh)), hull.volume * size**3
+    if hull_volume - volume > _CONVEXITY_TOLERANCE * hull_volume:
+        raise InputError(
+            f"the tool's mesh holds {1e6 * volume:.4g} ml, its convex hull {1e6 * hull_volume:.4g}"
+            " ml; a tool must be convex and closed: give its hull, or several convex tools"
+        )
+    planes = np.unique(np.round(hull.equations, _PLANE_DECIMALS), axis=0)
+    return np.column_stack([planes[:, :3], -size * planes[:, 3]])

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import InputError
+from palpate.records.quantities import ANGLE_UNITS, COMPLIANCE_UNITS, LENGTH_UNITS
 from palpate.records.text.toml_table import TomlTable
-from palpate.records.text.units import ANGLE_UNITS, COMPLIANCE_UNITS, LENGTH_UNITS
 
 _FRACTION_UNITS = {"%": 0.01}
 _FRACTION_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")

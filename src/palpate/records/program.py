@@ -1,21 +1,27 @@
-"""Interface to other programs whose files are read: calibrations, displacements, or both."""
+"""Interface to other programs whose files are read: calibrations, displacements, or both.
 
+Their files are XML, YAML, JSON, TOML or text, distinguished by content and suffix, or HDF5.
+"""
+
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
+from xml.etree import ElementTree
 
 import numpy as np
+import yaml
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
+from palpate.files import checked_file, max_unpacked_size, read_bytes, read_errors
+from palpate.optional_imports import late_import
+from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, PictureTracks, Rig
-from palpate.records.text.nearest import not_allowed
-from palpate.records.text.toml_table import read_toml
-from palpate.records.text.tree_file import TREE_SUFFIXES, read_tree
-from palpate.records.text.units import FILE_LENGTH_UNITS
+from palpate.records.text.toml_table import not_allowed, read_toml
 from palpate.shapes import Flags, Matrix3, Points, PointScalars, Vector3
 
 # Largest error of a rotation matrix that counts as rounding in print; `Camera` refuses larger ones.
@@ -23,6 +29,13 @@ _MAX_PRINTED_ERROR = 1e-6
 # Zero-mean normalised cross-correlation below which a match is rejected: at this value a quarter of
 # the grey-level variance of the subsets is noise, or another surface.
 MIN_CORRELATION = 0.75
+_TREE_SUFFIXES = (".yml", ".yaml", ".json", ".xml")
+# Largest YAML file [bytes]: it is parsed at 0.1 megabyte a second; calibrations have kilobytes.
+_MAX_BYTES = 2**20
+# Deepest nesting of brackets: the parser's time grows quadratically; matrices need two.
+_MAX_NESTING = 50
+_CURE = "export the calibration again"
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +70,12 @@ class CalibrationFile:
         binary = path.is_dir() or path.suffix.lower() == ".mat"
         if path.suffix.lower() == ".toml":
             return cls(path, read_toml(path).values, length_unit)
-        return cls(path, None if binary else read_tree(path), length_unit)
+        return cls(path, None if binary else _read_tree(path), length_unit)
 
     def files_in_folder(self) -> "list[CalibrationFile]":
         """The YAML, JSON and XML files in this folder, by name; RecordError: one is unreadable."""
-        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in TREE_SUFFIXES)
-        return [CalibrationFile(file, read_tree(file), self.length_unit) for file in files]
+        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in _TREE_SUFFIXES)
+        return [CalibrationFile(file, _read_tree(file), self.length_unit) for file in files]
 
     def fail(self, what: str) -> NoReturn:
         """Raise a `CalibrationError` about this file."""
@@ -378,3 +391,113 @@ def nearest_rotation(matrix: Matrix3) -> Matrix3:
     """
     left, _, right = np.linalg.svd(matrix)
     return left @ right
+
+
+def _read_tree(path: Path) -> ElementTree.Element | dict[str, Any] | str:
+    """Parsed content of an XML, YAML or JSON file; the text of any other.
+
+    Parameters
+    ----------
+    path : Path                     YAML and JSON must have a suffix of `_TREE_SUFFIXES`
+
+    Returns
+    -------
+    Element, dict or str            root of XML, mapping of YAML or JSON, else the text
+
+    Raises
+    ------
+    RecordError                     missing, not text, malformed XML or YAML, a duplicate key, an
+                                    alias
+    """
+    data = read_bytes(path)
+    if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        with read_errors(path, _CURE, what="is not valid XML"):
+            return ElementTree.fromstring(data.lstrip())
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordError(
+            f"{path}: is not a text file in UTF-8, and no calibration of a known program"
+        ) from error
+    if path.suffix.lower() not in _TREE_SUFFIXES:
+        return text
+    # OpenCV's first line (%YAML:1.0) is not valid YAML.
+    body = text.partition("\n")[2] if text.startswith("%YAML") else text
+    checked_file(path, max_bytes=_MAX_BYTES)
+    with read_errors(path, _CURE, what="is not valid YAML"):
+        root = yaml.load(body, Loader=_Loader)  # a SafeLoader: plain values only
+    return root if isinstance(root, dict) else text
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain values, and OpenCV's matrices as mappings; refuses duplicate keys, deep nesting and
+    aliases."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """A node; aliases are refused, since nested ones can expand to billions of values."""
+        if self.check_event(yaml.AliasEvent):
+            alias = self.peek_event()
+            raise ValueError(
+                f"line {alias.start_mark.line + 1}: '*{alias.anchor}' stands for another value;"
+                " write out the value itself"
+            )
+        return super().compose_node(parent, index)
+
+    def fetch_flow_collection_start(self, token: type[yaml.Token]) -> None:
+        """An opening bracket; refused beyond a nesting depth that no calibration has."""
+        if self.flow_level == _MAX_NESTING:
+            line = self.get_mark().line + 1
+            raise ValueError(f"line {line}: more than {_MAX_NESTING} brackets are open")
+        super().fetch_flow_collection_start(token)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A mapping; duplicate keys, which YAML forbids but the parser accepts, are refused."""
+        keys = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in keys:
+                raise ValueError(f"line {key.start_mark.line + 1}: '{key.value}' is there twice")
+            keys.add(str(key.value))
+        return super().construct_mapping(node, deep=deep)
+
+
+for _kind in ("opencv-matrix", "opencv-nd-matrix"):
+    _Loader.add_constructor(
+        f"tag:yaml.org,2002:{_kind}", lambda loader, node: loader.construct_mapping(node, deep=True)
+    )
+
+
+def open_hdf5(path: Path) -> Any:
+    """Open an HDF5 file for reading.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    h5py.File                       to be closed: `with open_hdf5(path) as file`
+
+    Raises
+    ------
+    InputError                      h5py is not installed
+    OSError                         not an HDF5 file
+    """
+    return late_import("h5py", extra="hdf5", purpose=f"reading {path.name}").File(path)
+
+
+def checked_size(array: Any) -> Any:
+    """Return a data set that is not yet loaded, after checking its size, which a header may forge.
+
+    Parameters
+    ----------
+    array : h5py.Dataset
+
+    Raises
+    ------
+    ValueError                      more numbers than any measurement has
+    """
+    if math.prod(array.shape) * array.dtype.itemsize > max_unpacked_size(
+        array.id.get_storage_size()
+    ):
+        raise ValueError(f"it claims an array of {' x '.join(map(str, array.shape))} numbers")
+    return array

@@ -6,10 +6,24 @@ Takes      : a `Rig`, grey pictures, a triangle surface.
 Gives      : `FlowMethod` with `JointFlow` and `LangPaiFlow`; `RangeFlow`, `VertexDisplacement`;
              `StereoPoints` and `RigCheck` from a rig's pictures at rest.
 Depends on : `geometry`, `records`.
-Read first : `range_flow/flow.py`, then `joint/flow.py`, then `lang_pai/flow.py`.
+Read first : `range_flow.py`, `projection.py`, `joint/flow.py`, then `lang_pai/flow.py`.
 """
 
-from palpate.vision.cameras.projection import (
+from palpate.vision.joint.flow import JointFlow as JointFlow
+from palpate.vision.lang_pai.flow import LangPaiFlow as LangPaiFlow
+from palpate.vision.matching.features import prepare_pictures as prepare_pictures
+from palpate.vision.matching.outliers import median_test as median_test
+from palpate.vision.pictures import (
+    VIDEO_SUFFIXES as VIDEO_SUFFIXES,
+    Pictures as Pictures,
+    open_video as open_video,
+    picture_path as picture_path,
+    read_grey as read_grey,
+    read_pictures as read_pictures,
+    read_stored as read_stored,
+    video_frames as video_frames,
+)
+from palpate.vision.projection import (
     camera_sigma as camera_sigma,
     normalised as normalised,
     pixel_grid as pixel_grid,
@@ -17,63 +31,40 @@ from palpate.vision.cameras.projection import (
     project_jacobian as project_jacobian,
     rays as rays,
 )
-from palpate.vision.cameras.space_strain import (
-    calibration_numbers as calibration_numbers,
-    moved_rig as moved_rig,
-    space_strains as space_strains,
-)
-from palpate.vision.cameras.surface_map import (
-    SurfaceMap as SurfaceMap,
-    surface_map as surface_map,
-    visible as visible,
-)
-from palpate.vision.cameras.triangulation import (
-    Triangulation as Triangulation,
-    triangulate as triangulate,
-)
-from palpate.vision.images.features import prepare_pictures as prepare_pictures
-from palpate.vision.images.pictures import (
-    Pictures as Pictures,
-    picture_path as picture_path,
-    read_grey as read_grey,
-    read_pictures as read_pictures,
-    read_stored as read_stored,
-)
-from palpate.vision.images.video import (
-    VIDEO_SUFFIXES as VIDEO_SUFFIXES,
-    open_video as open_video,
-    video_frames as video_frames,
-)
-from palpate.vision.joint.flow import JointFlow as JointFlow
-from palpate.vision.joint.vertices import vertex_displacement as vertex_displacement
-from palpate.vision.lang_pai.flow import LangPaiFlow as LangPaiFlow
-from palpate.vision.lang_pai.vertices import lang_pai_vertices as lang_pai_vertices
-from palpate.vision.matching.outliers import median_test as median_test
-from palpate.vision.range_flow.flow import (
+from palpate.vision.range_flow import (
     CAUSES as CAUSES,
     FlowMethod as FlowMethod,
     Outcome as Outcome,
     RangeFlow as RangeFlow,
     VertexDisplacement as VertexDisplacement,
     cause_counts as cause_counts,
+    dense_maps as dense_maps,
     is_valid as is_valid,
     measured_vertices as measured_vertices,
 )
-from palpate.vision.range_flow.grid import dense_maps as dense_maps
-from palpate.vision.refinement.scene import Scene as Scene, make_scene as make_scene
-from palpate.vision.stereo.known_object import (
+from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
+from palpate.vision.stereo.stereo import (
     MIN_POSE_POINTS as MIN_POSE_POINTS,
+    StereoMatches as StereoMatches,
+    StereoPoints as StereoPoints,
+    StereoSettings as StereoSettings,
     near_object as near_object,
     object_frame as object_frame,
     register_object as register_object,
     smooth_surface as smooth_surface,
-)
-from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
-from palpate.vision.stereo.stereo import (
-    StereoMatches as StereoMatches,
-    StereoPoints as StereoPoints,
-    StereoSettings as StereoSettings,
     stereo_matches as stereo_matches,
     stereo_points as stereo_points,
     triangulated_matches as triangulated_matches,
+)
+from palpate.vision.surface_map import (
+    SurfaceMap as SurfaceMap,
+    surface_map as surface_map,
+    visible as visible,
+)
+from palpate.vision.triangulation import (
+    Triangulation as Triangulation,
+    calibration_numbers as calibration_numbers,
+    moved_rig as moved_rig,
+    space_strains as space_strains,
+    triangulate as triangulate,
 )

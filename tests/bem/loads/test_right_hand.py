@@ -22,7 +22,7 @@ from palpate.bem.integrals.quadrature import triangle_rule
 from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.loads.right_hand import load_columns, total_traction
 from palpate.bem.system.matrix import system_matrix
-from palpate.geometry.quadratic_triangle import element_points
+from palpate.geometry.midside_nodes import element_points
 
 
 @pytest.fixture(scope="module")

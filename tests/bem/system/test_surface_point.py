@@ -22,7 +22,7 @@ from palpate.bem import (
     traction_column,
 )
 from palpate.geometry import interpolation_matrix
-from palpate.geometry.quadratic_triangle import quadratic_shapes
+from palpate.geometry.midside_nodes import quadratic_shapes
 
 NU = 0.3
 FINE = Quadrature(tolerance=1e-9)

@@ -8,7 +8,7 @@ from palpate.errors import InputError
 from palpate.lab.config import Calibration, Head
 from palpate.lab.pictures.head import make_head, miscalibrated
 from palpate.lab.specimens import half_ball
-from palpate.vision.cameras.projection import project
+from palpate.vision.projection import project
 
 MESH = half_ball(radius=0.04, edge=0.01)
 MIDDLE = 0.5 * (MESH.vertices.min(axis=0) + MESH.vertices.max(axis=0))

@@ -19,8 +19,7 @@ from palpate.records import (
     write_text,
 )
 from palpate.records.files import results
-from palpate.records.files.results import CONTENTS_FILE
-from palpate.records.files.sums import parsed_sums, sums_text
+from palpate.records.files.results import CONTENTS_FILE, parsed_sums, sums_text
 
 
 def _make(target, *, force=False, kind="fit", **files):

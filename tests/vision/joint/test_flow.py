@@ -25,7 +25,7 @@ from vision.scenes import (
 from palpate.errors import InputError
 from palpate.vision import JointFlow
 from palpate.vision.joint.flow import composed_motion
-from palpate.vision.range_flow.flow import Outcome, is_valid
+from palpate.vision.range_flow import Outcome, is_valid
 
 NOISE = 1.5
 # Noise that drowns the bias which is claimed on top of it: then the whole covariance is tested.

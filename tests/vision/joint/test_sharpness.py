@@ -16,10 +16,10 @@ from vision.scenes import (
     rigid,
 )
 
-from palpate.vision.images.spline import spline_pictures
 from palpate.vision.joint.sharpness import _SMOOTHING, _window_variances, equally_sharp
-from palpate.vision.range_flow.flow import Outcome, is_valid
-from palpate.vision.refinement.window_match import Match
+from palpate.vision.matching.scene import Match
+from palpate.vision.range_flow import Outcome, is_valid
+from palpate.vision.spline import spline_pictures
 
 MOTION = bump((3e-4, -2e-4, 4e-4), 0.02)
 NOISE = 1.5

@@ -13,11 +13,11 @@ from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh, read_mesh
 from palpate.records import Camera, Rig, read_rig
 from palpate.vision import LangPaiFlow
-from palpate.vision.cameras.projection import project
 from palpate.vision.lang_pai import flow as flow_file
-from palpate.vision.lang_pai.rectified_head import head_disparity, head_points, make_head
-from palpate.vision.lang_pai.vertices import lang_pai_vertices
-from palpate.vision.range_flow.flow import Outcome, RangeFlow, is_valid
+from palpate.vision.lang_pai.disparity import head_disparity, head_points, make_head
+from palpate.vision.lang_pai.flow import lang_pai_vertices
+from palpate.vision.projection import project
+from palpate.vision.range_flow import Outcome, RangeFlow, is_valid
 
 SHAPE = (110, 120)
 FOCAL, DEPTH, BASELINE = 400.0, 0.5, 0.02

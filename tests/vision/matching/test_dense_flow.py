@@ -9,9 +9,9 @@ import pytest
 from vision.textures import STILL, Speckle, affine, inverse_quadratic, noisy, pixel_grid, turned
 
 from palpate.errors import InputError
-from palpate.vision.images.normalisation import make_normalised_image
 from palpate.vision.matching.dense_flow import DenseStart, _finished, dense_start
-from palpate.vision.matching.sparse_flow import Samples
+from palpate.vision.matching.features import Samples
+from palpate.vision.normalisation import make_normalised_image
 
 SHAPE = (255, 301)
 CENTRE = (150.0, 127.0)

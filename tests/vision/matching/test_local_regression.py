@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
-from palpate.vision.matching.local_regression import local_field
-from palpate.vision.matching.noise_correlation import noise_correlation
-from palpate.vision.matching.scatter import Scatter
+from palpate.vision.matching.local_regression import Scatter, local_field, noise_correlation
 
 PITCH = 3e-4
 SUBSET = 21

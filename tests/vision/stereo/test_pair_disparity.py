@@ -7,8 +7,8 @@ import pytest
 from vision.scenes import LENS, STILL, example, example_views, noisy_views, projected
 
 from palpate.errors import InputError
-from palpate.vision.images.features import find_features, prepare_pictures
-from palpate.vision.images.normalisation import make_normalised_image
+from palpate.vision.matching.features import find_features, prepare_pictures
+from palpate.vision.normalisation import make_normalised_image
 from palpate.vision.stereo import pair_disparity
 from palpate.vision.stereo.pair_disparity import _planes, _row_offset, stereo_start
 

@@ -7,11 +7,11 @@ import pytest
 from vision.scenes import LENS, SHAPE, example, example_views, noisy_views
 
 from palpate.errors import CalibrationError, InputError
-from palpate.records.files.rig import read_rig
+from palpate.records.programs.registry import read_rig
 from palpate.records.rig import Camera, Rig
-from palpate.vision.cameras.projection import project
-from palpate.vision.images.features import Matches, prepare_pictures
-from palpate.vision.images.pictures import read_pictures
+from palpate.vision.matching.features import Matches, prepare_pictures
+from palpate.vision.pictures import read_pictures
+from palpate.vision.projection import project
 from palpate.vision.stereo.rig_check import (
     RigCheck,
     _consistent,

@@ -1,4 +1,4 @@
-"""Stereo points against analytic scenes, laws, rendered sets, and another program's matches."""
+"""Points from the pictures of one instant, their triangulation, and their object's pose."""
 
 from dataclasses import replace
 
@@ -8,6 +8,8 @@ import pytest
 from jaxtyping import Float
 from scipy.io import netcdf_file
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from surfaces import box, hull_mesh, sphere
 from vision.scenes import (
     LENS,
     SHAPE,
@@ -22,20 +24,31 @@ from vision.scenes import (
 )
 
 from palpate.errors import CalibrationError, InputError
-from palpate.records.files.rig import read_rig
+from palpate.geometry import TriangleMesh
+from palpate.records.programs.registry import read_rig
 from palpate.records.rig import Camera, Rig
-from palpate.vision.cameras.projection import project
-from palpate.vision.images.features import prepare_pictures
-from palpate.vision.images.pictures import read_pictures
-from palpate.vision.range_flow.flow import Outcome
+from palpate.vision.matching.features import prepare_pictures
+from palpate.vision.pictures import read_pictures
+from palpate.vision.projection import project
+from palpate.vision.range_flow import Outcome
 from palpate.vision.stereo.stereo import (
+    MIN_POSE_POINTS,
     StereoPoints,
     StereoSettings,
+    _excess,
+    near_object,
+    object_frame,
+    register_object,
+    smooth_surface,
     stereo_matches,
     stereo_points,
+    triangulate_consistent,
 )
+from palpate.vision.triangulation import triangulate
 
 RADIUS = 0.06  # of the example's dome [m]
+ROTATION = Rotation.from_rotvec([0.02, -0.01, 0.03]).as_matrix()
+POSE = np.vstack([np.column_stack([ROTATION, [0.002, -0.001, 0.003]]), [0.0, 0.0, 0.0, 1.0]])
 
 
 def _views(count: int = 3, lens: tuple[float, ...] = (), noise: float = 1.5) -> list[np.ndarray]:
@@ -301,3 +314,140 @@ def test_matches_of_another_program_on_a_real_specimen(shared_data):
     middle = stereo.point.mean(axis=0)
     _, _, axes = np.linalg.svd(stereo.point - middle)
     assert np.std((stereo.point - middle) @ axes[2]) < 2e-5
+
+
+def _stereo_points(points: np.ndarray) -> StereoPoints:
+    n = len(points)
+    return StereoPoints(
+        np.zeros((n, 2)), points, np.tile(1e-10 * np.eye(3), (n, 1, 1)), np.zeros(n),
+        np.full(n, 2), np.full(n, 1e-3), np.zeros(8, dtype=np.int64), 8,
+    )  # fmt: skip
+
+
+def _moved_back(points: np.ndarray) -> np.ndarray:
+    """Points of the mesh in the frame of the rig, with x_mesh = POSE x_rig."""
+    return (points - POSE[:3, 3]) @ POSE[:3, :3]
+
+
+def test_what_is_near_the_object() -> None:
+    mesh = box(size=(0.02, 0.03, 0.06), cells=1)
+    # The diagonal is 0.07 m; 0.6 of it is 0.042 m from the middle.
+    middle, away = np.array([0.01, 0.015, 0.03]), np.array([0.0, 0.0, 1.0])
+    points = middle + np.array([[0.0], [0.041], [0.043], [1.0]]) * away
+    assert near_object(points, mesh).tolist() == [True, True, False, False]
+    assert near_object(_moved_back(points), mesh, POSE).tolist() == [True, True, False, False]
+
+
+def _in_view(mesh: TriangleMesh) -> np.ndarray:
+    """Points of the surface that cameras far above it see."""
+    vertices = smooth_surface(mesh).vertices
+    return vertices[vertices[:, 2] > 0.01]
+
+
+def _bumpy() -> TriangleMesh:
+    """An ellipsoid of three different axes, which has a pose."""
+    return hull_mesh(sphere(3).vertices * [0.02, 0.03, 0.04])
+
+
+def test_the_pose_is_found_among_background() -> None:
+    mesh = _bumpy()
+    rng = np.random.default_rng(4)
+    table = np.column_stack([rng.uniform(-0.2, 0.2, (400, 2)), np.full(400, -0.08)])
+    surface = _in_view(mesh)
+    found = register_object(make_rig(), _stereo_points(_moved_back(np.vstack([surface, table]))),
+                            smooth_surface(mesh))  # fmt: skip
+    assert found is not None
+    # The points are those of the surface itself, to rounding; the search ends at 1e-6 m or better.
+    np.testing.assert_allclose(found.T_mesh_points, POSE, atol=2e-6)
+
+
+def test_too_few_points_have_no_pose() -> None:
+    smooth = smooth_surface(_bumpy())
+    few = smooth.vertices[: MIN_POSE_POINTS - 1]
+    assert register_object(make_rig(), _stereo_points(few), smooth) is None
+
+
+def test_the_rig_in_the_frame_of_the_mesh_sees_the_same() -> None:
+    rig, mesh = make_rig(), _bumpy()
+    points = _moved_back(_in_view(mesh))
+    found = register_object(rig, _stereo_points(points), smooth_surface(mesh))
+    assert found is not None
+    there = object_frame(rig, found)
+    in_mesh = points @ found.T_mesh_points[:3, :3].T + found.T_mesh_points[:3, 3]
+    for before, after in zip(rig.cameras, there.cameras, strict=True):
+        assert project(after, in_mesh) == pytest.approx(project(before, points), abs=1e-7)
+
+
+def _seen_pixels(count: int = 4, points: int = 60, noise: float = 0.01):
+    """Pixels of points on the example's dome in all cameras, with noise of matches."""
+    rng = np.random.default_rng(2)
+    stage = example(count)
+    space = stage.points(rng.uniform(-0.015, 0.015, size=(points, 2)))
+    pixels = np.stack([projected(camera, space) for camera in stage.rig.cameras])
+    pixels += rng.normal(scale=noise, size=pixels.shape)
+    covariance = np.broadcast_to(2.0 * noise**2 * np.eye(2), (count, points, 2, 2)).copy()
+    return stage.rig, space, pixels, covariance
+
+
+def test_the_camera_that_contradicts_the_others_is_left_out():
+    rig, space, pixels, covariance = _seen_pixels()
+    pixels[2, :9] += [0.4, 0.3]
+    pixels[3, 20:24] = np.nan
+    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
+    assert not used[2, :9].any()
+    assert used[[0, 1, 3], :9].all()
+    assert not used[3, 20:24].any()
+    assert used.sum() == 4 * 60 - 13
+    np.testing.assert_array_equal(found.cameras, used.sum(axis=0))
+    # A hundredth of a pixel of 0.3 mm, at 20 degrees.
+    assert np.abs(found.point - space).max() < 6e-5
+
+
+def test_two_cameras_that_contradict_each_other_are_both_left_out():
+    rig, _, pixels, covariance = _seen_pixels(2)
+    # Across the epipolar lines, which run along the rows.
+    pixels[1, :5, 1] += 0.6
+    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
+    assert not used[:, :5].any()
+    assert used[:, 5:].all()
+    assert np.isnan(found.point[:5]).all()
+
+
+def test_half_of_each_matchs_variance_is_the_references():
+    """The joint point is that of triangulation with these shares; the reference has their mean."""
+    rig, _, pixels, covariance = _seen_pixels()
+    covariance *= np.array([np.nan, 1.0, 2.0, 3.0])[:, None, None, None]
+    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
+    assert used.all()
+    covariance[0] = covariance[1:].mean(axis=0)
+    expected = triangulate(rig, pixels, 0.5 * covariance)
+    np.testing.assert_allclose(found.point, expected.point, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-12)
+
+
+def test_what_all_points_share_is_the_rig_and_only_limited():
+    """A row offset of a drifted camera: below the limit accepted, above not."""
+    rig, _, pixels, covariance = _seen_pixels(2)
+    pixels[1, :, 1] += 1.5
+    for limit, count in ((2.0, 60), (0.5, 0)):
+        _, used = triangulate_consistent(rig, pixels, covariance, reprojection=limit)
+        assert used[0].sum() == count
+
+
+def test_excess_is_over_the_noise_of_the_match_and_over_what_all_points_miss_by():
+    """All points of the second camera miss by the same 0.5 px, the first by 1.2 px more."""
+    covariance = np.broadcast_to(0.02 * np.eye(2), (2, 9, 2, 2))
+    error = np.zeros((2, 9, 2))
+    error[1] = [0.3, 0.4]
+    error[1, 0] += [1.2, 0.0]
+    used = np.ones((2, 9), dtype=bool)
+    used[1, 8] = False
+    excess = _excess(error, used, covariance, 2.0)
+    # Five standard deviations, root of the trace 0.2 px.
+    expected = np.array([[0.0] * 9, [1.2 / (5.0 * 0.2), *([0.5 / 2.0] * 7), -np.inf]])
+    np.testing.assert_allclose(excess, expected, atol=1e-12)
+    # By turns 0.3 px to either side, the scatter of all points adds to the noise.
+    error[1, :8] = np.array([[0.3, 0.0], [-0.3, 0.0]] * 4)
+    excess = _excess(error, used, covariance, 10.0)
+    allowed = 5.0 * np.hypot(1.4826 * 0.3, 0.2)
+    np.testing.assert_allclose(excess[1, :8], 0.3 / allowed, rtol=1e-12)

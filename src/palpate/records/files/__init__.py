@@ -3,7 +3,6 @@
 Purpose    : read and write each format in one module, with errors that name file, table and key.
 Takes      : paths, and records to write.
 Gives      : records in SI units; files and folders that are written completely or not at all.
-Depends on : `records.checks`, `records.contacts`, `records.text`, `records.programs`, `geometry`,
-             `shapes`, `errors`.
+Depends on : `records.text`, `geometry`, `shapes`, `errors`.
 Read first : `session.py`, then `results.py`.
 """

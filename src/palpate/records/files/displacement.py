@@ -11,8 +11,8 @@ from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points
 from palpate.records.measured_points import surface_limit
 from palpate.records.probing import DisplacementField, measured_rows
 from palpate.records.text.csv_table import TextTable, read_text_table
-from palpate.records.text.nearest import nearest_word
 from palpate.records.text.text_file import write_text
+from palpate.records.text.toml_table import nearest_word
 
 _POSITION_COLUMNS = ("x", "y", "z")
 _DISPLACEMENT_COLUMNS = ("ux", "uy", "uz")
@@ -136,7 +136,7 @@ def _without_repeated_rows(
     if len(first) == len(values):
         return table, values, ()
     kept = np.sort(first)
-    lines, rows = ([each[i] for i in kept] for each in (table.numbers, table.rows))
+    lines, rows = ([column[i] for i in kept] for column in (table.numbers, table.rows))
     note = (
         f"{table.path}: {len(values) - len(kept)} of {len(values)} rows repeat another one, number"
         " by number, and were left out: a copy is no measurement of its own."

@@ -18,13 +18,12 @@ from palpate.records.estimate import (
     Status,
     SupportEstimate,
 )
-from palpate.records.text.json_file import json_text, read_json
 from palpate.records.text.text_file import write_text
-from palpate.records.text.toml_table import TomlTable
+from palpate.records.text.toml_table import TomlTable, json_text, read_json
 
 T = TypeVar("T")
 
-ESTIMATE_FORMAT = "palpate-estimate/1"
+_ESTIMATE_FORMAT = "palpate-estimate/1"
 # Range of half a 95 % interval in standard deviations: Student's quantiles for a known variance and
 # for half a degree of freedom, with a margin.
 _QUANTILES = (1.9, 200.0)
@@ -49,7 +48,7 @@ def write_estimate(path: Path | str, estimate: Estimate) -> None:
     RecordError                     the file cannot be written
     """
     status = estimate.status
-    head = {"format": ESTIMATE_FORMAT, "status": status, "advice": status.advice}
+    head = {"format": _ESTIMATE_FORMAT, "status": status, "advice": status.advice}
     write_text(path, json_text(head | asdict(estimate)))
 
 
@@ -71,7 +70,7 @@ def read_estimate(path: Path | str) -> Estimate:
                                     the key
     """
     root = read_json(Path(path))
-    root.check_format(ESTIMATE_FORMAT)
+    root.check_format(_ESTIMATE_FORMAT)
     flags = root.table("identifiable")
     with root.error_context():
         estimate = Estimate(

@@ -12,21 +12,22 @@ from palpate.geometry import (
     closest_points,
     read_mesh,
 )
-from palpate.records.contacts.contact import (
+from palpate.records.contact import (
     FRICTIONS,
     MESH,
+    RIGID,
     SLIDES,
     TOOL_SHAPES,
+    UNIFORM,
     Contact,
     Tool,
+    contact_profiles,
     mesh_tool,
 )
-from palpate.records.contacts.pressure import RIGID, UNIFORM, contact_profiles
-from palpate.records.files.support import HeldObject, listed_triangles
 from palpate.records.probing import Load
-from palpate.records.support import RigidMotion
+from palpate.records.quantities import ANGLE_UNITS, LENGTH_UNITS
+from palpate.records.support import HeldObject, RigidMotion, listed_triangles
 from palpate.records.text.toml_table import TomlTable
-from palpate.records.text.units import ANGLE_UNITS, LENGTH_UNITS
 from palpate.shapes import Indices, Vector3
 
 

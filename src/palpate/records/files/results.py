@@ -1,34 +1,34 @@
-"""Result folders and files: Palpate recognises its own unchanged results and replaces only them."""
+"""Result folders and files: Palpate recognises its own unchanged results and replaces only them.
+
+They are recognised by SHA-256 checksums of their files, in the format of `sha256sum`.
+"""
 
 import errno
 import hashlib
 import json
 import os
+import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError, RecordError, print_message
-from palpate.records.files.sums import (
-    NOT_LISTED,
-    changes,
-    file_sums,
-    sums_in,
-    sums_text,
-    unreadable_errors,
-)
-from palpate.records.text.json_file import json_text
+from palpate.files import checked_file
+from palpate.records.files.session import session_file
+from palpate.records.rig import covariance_file
 from palpate.records.text.text_file import read_text, write_text
+from palpate.records.text.toml_table import json_text, read_toml
 
 CONTENTS_FILE, INPUTS_FILE = "contents.txt", "inputs.txt"
-RESULT_FORMAT = "palpate-result/1"
+_RESULT_FORMAT = "palpate-result/1"
 _EARLIER_MARK = "palpate result folder; files:"
-SEAL_NAME = "sha256"
+_SEAL_NAME = "sha256"
 # The one file of a fit that may be made again.
 REPORT_FILE = "report.html"
 # Finished parts are kept after an interruption if the work took at least this long [s].
@@ -38,6 +38,9 @@ _DISK_ERRORS = (
     errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG,
     errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
+CHANGED, MISSING, NOT_LISTED = "changed", "missing", "not listed"
+# Escapes of `sha256sum` in names that contain a backslash or a line break.
+_ESCAPES = {"\\": "\\\\", "\n": "\\n", "\r": "\\r"}
 
 
 def default_folder(session: Path, what: str) -> Path:
@@ -90,7 +93,7 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
     ):
         yield new
         sums = file_sums((path for path in new.rglob("*") if path.is_file()), start=new)
-        head = f"# {RESULT_FORMAT} {kind}; `sha256sum -c` checks it\n"
+        head = f"# {_RESULT_FORMAT} {kind}; `sha256sum -c` checks it\n"
         write_text(new / CONTENTS_FILE, head + sums_text(sums))
     shutil.rmtree(parts_folder(new), ignore_errors=True)
 
@@ -123,7 +126,7 @@ def parts_folder(folder: Path) -> Path:
     return folder.with_suffix(".parts")
 
 
-def target_parts_folder(target: Path) -> Path:
+def _target_parts_folder(target: Path) -> Path:
     """`parts_folder` of the result folder that was to be put in place as `target`.
 
     Parameters
@@ -220,11 +223,11 @@ def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) 
     """
     with_inputs = {**content, "inputs": file_sums(inputs, start=folder)}
     return json_text(
-        {**with_inputs, SEAL_NAME: hashlib.sha256(json_text(with_inputs).encode()).hexdigest()}
+        {**with_inputs, _SEAL_NAME: hashlib.sha256(json_text(with_inputs).encode()).hexdigest()}
     )
 
 
-def is_sealed(text: str) -> bool:
+def _is_sealed(text: str) -> bool:
     """Whether a text is unchanged output of `sealed`.
 
     Parameters
@@ -237,12 +240,12 @@ def is_sealed(text: str) -> bool:
     """
     try:
         content = json.loads(text)
-        value = content.pop(SEAL_NAME)
+        value = content.pop(_SEAL_NAME)
         unsealed = json_text(content)
     except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
         return False
     same = hashlib.sha256(unsealed.encode()).hexdigest() == value
-    return same and text == json_text({**content, SEAL_NAME: value})
+    return same and text == json_text({**content, _SEAL_NAME: value})
 
 
 def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
@@ -265,11 +268,11 @@ def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
     kind = _kind(folder)
     if not kind:
         return "", {}, {}
-    with unreadable_errors():
+    with _unreadable_errors():
         sums = sums_in(folder / CONTENTS_FILE)
         present = {path.relative_to(folder).as_posix() for path in _all_files(folder)}
         unlisted = sorted(present - {*sums, CONTENTS_FILE})
-        return kind, changes(folder, sums) | dict.fromkeys(unlisted, NOT_LISTED), sums
+        return kind, _changes(folder, sums) | dict.fromkeys(unlisted, NOT_LISTED), sums
 
 
 def check_fit_result(folder: Path) -> None:
@@ -351,7 +354,7 @@ def _folder_objection(target: Path, kind: str) -> str:
     or missing."""
     if not target.is_dir():
         return ""
-    with unreadable_errors():
+    with _unreadable_errors():
         names = sorted(os.listdir(target))
     if not names:
         return ""
@@ -374,7 +377,7 @@ def _file_objection(target: Path) -> str:
         text = read_text(target)
     except RecordError:
         return "is no result of Palpate's"
-    if is_sealed(text):
+    if _is_sealed(text):
         return ""
     mark = '"format": "palpate-' in text[:200]
     return "is a result that was changed since" if mark else "is no result of Palpate's"
@@ -383,7 +386,7 @@ def _file_objection(target: Path) -> str:
 def _kind(folder: Path) -> str:
     """Kind of a result folder according to the first line of its contents; empty if unknown."""
     mark, _, rest = _first_line(folder).removeprefix("# ").partition(" ")
-    return rest.partition(";")[0] if mark == RESULT_FORMAT else ""
+    return rest.partition(";")[0] if mark == _RESULT_FORMAT else ""
 
 
 def _first_line(folder: Path) -> str:
@@ -408,3 +411,187 @@ def _first_names(names: list[str]) -> str:
     """The first names of a list, shortened, and the number of the others."""
     shown = ", ".join(name if len(name) <= 40 else f"{name[:37]}..." for name in names[:3])
     return shown + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+@contextmanager
+def _unreadable_errors() -> Iterator[None]:
+    """Turn errors of the file system within the block, or the decorated function, into
+    `RecordError`, which names the file.
+
+    Raises
+    ------
+    RecordError                     in place of an OSError
+    """
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(f"{error.filename}: cannot be read ({error.strerror})") from error
+
+
+def file_sum(path: Path) -> str:
+    """SHA-256 of a file's content.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str                             64 hexadecimal digits
+
+    Raises
+    ------
+    RecordError                     missing, not a regular file, too large
+    OSError                         not readable
+    """
+    with checked_file(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@_unreadable_errors()
+def file_sums(files: Iterable[Path], *, start: Path) -> dict[str, str]:
+    """Checksums of some files, by their paths relative to a folder.
+
+    Parameters
+    ----------
+    files : iterable of Path        a folder stands for the files in it
+    start : Path                    folder that the paths are relative to
+
+    Returns
+    -------
+    dict of str to str              path, with `/`, -> checksum; sorted by path
+
+    Raises
+    ------
+    RecordError                     missing, not readable, not a regular file, too large
+    """
+    single = chain.from_iterable(_files_in(path) for path in files)
+    by_name = {Path(os.path.relpath(file, start)).as_posix(): file for file in single}
+    return {name: file_sum(file) for name, file in sorted(by_name.items())}
+
+
+def sums_text(sums: Mapping[str, str]) -> str:
+    """Checksums as text in the format of `sha256sum`, for `sha256sum -c`.
+
+    Parameters
+    ----------
+    sums : mapping                  name -> checksum
+
+    Returns
+    -------
+    str                             one line per file
+    """
+    lines = []
+    for name, value in sums.items():
+        plain = re.sub(r"[\\\n\r]", lambda found: _ESCAPES[found[0]], name)
+        lines.append(f"{'' if plain == name else chr(92)}{value}  {plain}\n")
+    return "".join(lines)
+
+
+def parsed_sums(text: str) -> dict[str, str]:
+    """Parse checksums in the format of `sha256sum`; other lines, such as comments, are ignored.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    dict of str to str              name -> checksum
+    """
+    real = {escape: character for character, escape in _ESCAPES.items()}
+    sums = {}
+    for escaped, value, name in re.findall(r"(?m)^(\\?)([0-9a-f]{64})  (.+)$", text):
+        sums[re.sub(r"\\.", lambda e: real.get(e[0], e[0]), name) if escaped else name] = value
+    return sums
+
+
+@_unreadable_errors()
+def _changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
+    """Files that have changed since their checksums were taken.
+
+    Parameters
+    ----------
+    folder : Path                   folder that the names are relative to
+    sums : mapping                  name -> checksum
+
+    Returns
+    -------
+    dict of str to str              name -> `CHANGED` or `MISSING`; empty if nothing has changed
+
+    Raises
+    ------
+    RecordError                     missing, not readable, not a regular file, too large
+    """
+    found = {}
+    for name, value in sums.items():
+        path = folder / name
+        if not path.is_file():
+            found[name] = MISSING
+        elif file_sum(path) != value:
+            found[name] = CHANGED
+    return found
+
+
+def session_files(path: Path | str) -> list[Path]:
+    """All files of a session: the session file, every file it names, and the rig's covariance.
+
+    Parameters
+    ----------
+    path : path                     folder of the session, or a session file in it
+
+    Returns
+    -------
+    list of Path                    sorted; `{camera}` in a name matches anything
+
+    Raises
+    ------
+    RecordError                     no session, not readable
+    """
+    file = session_file(Path(path))
+    found, values = {file}, read_toml(file).values
+    for text in _texts(values):
+        pattern = "*".join(re.sub(r"([*?[])", r"[\1]", part) for part in text.split("{camera}"))
+        relative = Path(pattern)
+        if "\0" in text or not relative.name or len(text) > 1000:
+            continue
+        start = Path(relative.anchor) if relative.is_absolute() else file.parent
+        found |= set(start.glob(str(relative.relative_to(relative.anchor))))
+    rig = values.get("rig")
+    if isinstance(rig, dict) and isinstance(rig.get("cameras"), str):
+        covariance = covariance_file(file.parent / rig["cameras"])
+        found |= {covariance} if covariance else set()
+    files = set(chain.from_iterable(map(_files_in, found)))
+    return sorted(path for path in files if path.is_file())
+
+
+def _files_in(path: Path) -> list[Path]:
+    """A path itself, or the regular files in a folder."""
+    return [file for file in path.glob("*") if file.is_file()] if path.is_dir() else [path]
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in nested tables and lists."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _texts(item)
+
+
+def sums_in(path: Path) -> dict[str, str]:
+    """Checksums from a file; empty if there is no such file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict of str to str              name -> checksum
+
+    Raises
+    ------
+    RecordError                     not readable
+    """
+    return parsed_sums(read_text(path)) if path.is_file() else {}

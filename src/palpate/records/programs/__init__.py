@@ -1,9 +1,9 @@
-"""Readers of other programs' calibrations and displacements, one file for each program.
+"""Readers of other programs' calibrations and displacements, a file for each kind of program.
 
 Purpose    : each program's names, units, failure marks and camera conventions in one place.
-Takes      : its result and calibration files. To add a program: one new file that ends in a
-             `Program`, and one line for it in the list `PROGRAMS` of `registry.py`.
+Takes      : its result and calibration files. To add a program: one new `Program`, in a file
+             of its own or beside its kin, and its name in the list `PROGRAMS` of `registry.py`.
 Gives      : a `Rig`, or `MeasuredPoints` in metres.
 Depends on : `records.text`, `geometry`, `optional_imports`, `shapes`, `errors`.
-Read first : `registry.py`, then `opencorr.py`, the shortest.
+Read first : `registry.py`, then `point_tables.py`, the shortest readers.
 """

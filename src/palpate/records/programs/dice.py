@@ -11,18 +11,20 @@ from scipy.io import netcdf_file
 from palpate.errors import RecordError
 from palpate.files import checked_file, read_bytes, read_errors
 from palpate.records.program import (
+    HDF5_SIGNATURE,
     MIN_CORRELATION,
     CalibrationFile,
     Program,
     ProgramPoints,
     camera_matrix,
+    checked_size,
     chosen_frame,
     make_pose,
+    open_hdf5,
     rotation_from_angles,
 )
 from palpate.records.rig import Camera, Rig
 from palpate.records.text.csv_table import read_text_table
-from palpate.records.text.hdf5 import HDF5_SIGNATURE, checked_size, open_hdf5
 
 _POSITION = tuple(f"MODEL_COORDINATES_{axis}" for axis in "XYZ")
 _DISPLACEMENT = tuple(f"MODEL_DISPLACEMENT_{axis}" for axis in "XYZ")
@@ -42,7 +44,7 @@ _LENS_TERMS = ("K1", "K2", "P1", "P2", *(f"K{i}" for i in range(3, 7)), "S1", "S
 Columns = dict[str, Float[np.ndarray, " n"]]
 
 
-def read_dice_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_dice_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of a stereo result of DICe: a text file per state, or one Exodus file of all states.
 
     The columns MODEL_COORDINATES (at rest) and MODEL_DISPLACEMENT are read. A point has failed if
@@ -175,7 +177,7 @@ def _holds_rig(file: CalibrationFile) -> bool:
     return is_list and bool(_sublists(file.content, "CAMERA "))
 
 
-def read_dice_rig(file: CalibrationFile) -> Rig:
+def _read_dice_rig(file: CalibrationFile) -> Rig:
     """Rig of a DICe camera system file (XML); lengths are in mm unless the caller gives a unit.
 
     Parameters
@@ -268,10 +270,10 @@ def _row_entries(text: str) -> list[str]:
 DICE = Program(
     kinds=("dice",),
     results=".txt, .e",
-    read_points=read_dice_points,
+    read_points=_read_dice_points,
     default_unit="mm",
     min_score=MIN_CORRELATION,
     calibrations="DICe (XML)",
     holds_rig=_holds_rig,
-    read_rig=read_dice_rig,
+    read_rig=_read_dice_rig,
 )

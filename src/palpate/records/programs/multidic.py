@@ -14,12 +14,12 @@ from palpate.records.program import (
     CalibrationFile,
     Program,
     ProgramPoints,
+    checked_size,
     chosen_frame,
     make_pose,
 )
+from palpate.records.programs.matlab import open_mat, read_mat
 from palpate.records.rig import Camera, PictureTracks, Rig
-from palpate.records.text.hdf5 import checked_size
-from palpate.records.text.mat_file import open_mat, read_mat
 
 _POSITIONS, _PIXELS = "Points3D", "Points"
 _PATTERN = "DLTstruct_cam_*.mat"
@@ -29,7 +29,7 @@ _PAIRS_HINT = f"give the folder with its files {_PATTERN}, or one of them"
 ControlPoints = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]
 
 
-def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
+def _read_multidic_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of a 3-D reconstruction by MultiDIC or DuoDIC.
 
     The file holds a struct (DIC3D, DIC3Dcombined, DIC3DPPresults, DIC3DpairResults, ...) with
@@ -67,7 +67,7 @@ def read_multidic_points(path: Path, frame: int | None = None) -> ProgramPoints:
     return ProgramPoints(states[0], states[state] - states[0], score=score, notes=notes)
 
 
-def read_multidic_tracks(path: Path, frame: int | None = None) -> PictureTracks:
+def _read_multidic_tracks(path: Path, frame: int | None) -> PictureTracks:
     """Matched points in the pictures of two cameras, by Ncorr, from MultiDIC or DuoDIC.
 
     The file holds a struct (DIC2DpairResults) with Points, a cell array with one n x 2 array per
@@ -187,7 +187,7 @@ def _holds_rig(file: CalibrationFile) -> bool:
     return file.path.suffix.lower() == ".mat" or any(file.path.glob(_PATTERN))
 
 
-def read_multidic_rig(file: CalibrationFile) -> Rig:
+def _read_multidic_rig(file: CalibrationFile) -> Rig:
     """Rig of all direct linear transformations in a folder, in the frame of the calibration object.
 
     column = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), row with L5 to L8, X in mm,
@@ -229,7 +229,7 @@ def read_control_points(path: Path | str) -> tuple[ControlPoints, ...]:
 
     Raises
     ------
-    RecordError, CalibrationError   as in `read_multidic_rig`
+    RecordError, CalibrationError   as in `_read_multidic_rig`
     """
     pairs = [_control_points(file) for file in _transformations(Path(path))]
     return tuple((1e-3 * points, pixels) for points, pixels in pairs)
@@ -306,11 +306,11 @@ def _control_points(file: CalibrationFile) -> ControlPoints:
 MULTIDIC = Program(
     kinds=("multidic", "duodic"),
     results=".mat",
-    read_points=read_multidic_points,
-    read_tracks=read_multidic_tracks,
+    read_points=_read_multidic_points,
+    read_tracks=_read_multidic_tracks,
     default_unit="mm",
     min_score=MIN_CORRELATION,
     calibrations=f"MultiDIC ({_PATTERN})",
     holds_rig=_holds_rig,
-    read_rig=read_multidic_rig,
+    read_rig=_read_multidic_rig,
 )

@@ -1,4 +1,7 @@
-"""Calibrations written by OpenCV's FileStorage, or in the same form (YAML, JSON, XML)."""
+"""Calibrations with OpenCV's camera model and no results beside them: OpenCV's FileStorage or the
+same form (YAML, JSON, XML); TOML with a table per camera (caliscope, Anipose, Pose2Sim); and
+Kalibr's chain of cameras (camchain.yaml).
+"""
 
 import re
 from collections.abc import Mapping
@@ -10,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from palpate.records.program import CalibrationFile, Program, make_pose
+from palpate.records.program import CalibrationFile, Program, camera_matrix, make_pose
 from palpate.records.rig import Camera, Rig
 
 # The letter or word of a quantity, then the number or side of its camera. Next to R and T, R1 and
@@ -38,7 +41,7 @@ def _holds_rig(file: CalibrationFile) -> bool:
     return any(_MATRIX.match(name) for name in entries) or {"R", "T"} <= set(entries)
 
 
-def read_opencv_rig(file: CalibrationFile) -> Rig:
+def _read_opencv_rig(file: CalibrationFile) -> Rig:
     """Rig of a stereo calibration, of several cameras in one file, or of a folder of such files.
 
     With K1 D1 K2 D2 R T, or M1, cameraMatrix1, camera_matrix_left and the like, the object frame is
@@ -77,7 +80,7 @@ def read_opencv_rig(file: CalibrationFile) -> Rig:
                 " intrinsics.yml and extrinsics.yml side by side, or all into one file"
             )
         metres = _metres(file, entries)
-        second = opencv_pose(file, "camera 2", entries["R"], entries["T"], metres)
+        second = _opencv_pose(file, "camera 2", entries["R"], entries["T"], metres)
         poses = [np.eye(4), second]
     else:
         poses = [_own_pose(file, entries, name) for name in names]
@@ -143,14 +146,14 @@ def _own_pose(file: CalibrationFile, entries: Mapping[str, Any], name: str) -> n
             f"{where} has no pose: give R and T between two cameras, or"
             f" a rotation and a translation for each (found: {', '.join(entries)})"
         )
-    return opencv_pose(file, where, rotation, translation, _metres(file, entries))
+    return _opencv_pose(file, where, rotation, translation, _metres(file, entries))
 
 
 def _metres(file: CalibrationFile, entries: Mapping[str, Any]) -> float:
     return file.metres(stated=entries.get("length_unit"), default=None)
 
 
-def opencv_pose(
+def _opencv_pose(
     file: CalibrationFile, where: str, rotation: Any, translation: Any, metres: float
 ) -> Float[np.ndarray, "4 4"]:
     """Pose x_camera = R x_object + t from OpenCV's rotation and translation.
@@ -209,5 +212,151 @@ def _xml_value(node: Element) -> Any:
 
 
 OPENCV = Program(
-    calibrations="OpenCV (YAML, JSON, XML)", holds_rig=_holds_rig, read_rig=read_opencv_rig
+    calibrations="OpenCV (YAML, JSON, XML)", holds_rig=_holds_rig, read_rig=_read_opencv_rig
+)
+
+
+def holds_camera_tables(content: Any) -> bool:
+    """True if a TOML file has camera tables in the form of these programs.
+
+    Parameters
+    ----------
+    content : any                   parsed content of the file
+    """
+    return isinstance(content, dict) and bool(_camera_tables(content))
+
+
+def _read_camera_tables(file: CalibrationFile) -> Rig:
+    """Rig of tables with matrix, distortions, rotation (Rodrigues vector or matrix), translation.
+
+    x_camera = R x_world + t, with OpenCV's distortion terms. A camera with ignore = true is left
+    out. caliscope ([cameras.N], or tables with a port) writes metres; for the others the unit of
+    length must be given, by the caller or in a line `length_unit`.
+
+    Parameters
+    ----------
+    file : CalibrationFile          parsed TOML
+
+    Returns
+    -------
+    Rig                             cameras named by `name`, else by their table
+
+    Raises
+    ------
+    CalibrationError                a fisheye lens, a missing part, no unit of length, or as in
+                                    `Camera` and `Rig`
+    InputError                      the given unit of length is unknown
+
+    Source
+    ------
+    Files in the repositories of caliscope (github.com/mprib/caliscope, tests/sessions,
+    camera_array.toml) and aniposelib (CameraGroup.dump); Pose2Sim's Calib.toml is the same.
+    """
+    tables = _camera_tables(file.content)
+    is_caliscope = "cameras" in file.content or any("port" in t for t in tables.values())
+    default = "m" if is_caliscope else None
+    metres = file.metres(stated=file.content.get("length_unit"), default=default)
+    used = {key: table for key, table in tables.items() if table.get("ignore") is not True}
+    return file.rig([_camera_of_table(file, key, table, metres) for key, table in used.items()])
+
+
+def _camera_tables(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The cameras' tables by name."""
+    inner = content.get("cameras")
+    tables = inner if isinstance(inner, dict) else content
+    return {k: t for k, t in tables.items() if isinstance(t, dict) and "matrix" in t}
+
+
+def _camera_of_table(
+    file: CalibrationFile, key: str, table: Mapping[str, Any], metres: float
+) -> Camera:
+    name = str(table.get("name", key))
+    where = f"camera '{name}'"
+    if table.get("fisheye") is True:
+        file.fail(f"{where} has a fisheye lens, which is not known; calibrate it as a usual one")
+    if not {"rotation", "translation"} <= set(table):
+        file.fail(
+            f"{where} has no rotation and translation: its place among the others was not"
+            " calibrated; finish that, or set ignore = true in its table"
+        )
+    return file.camera(
+        name,
+        size=file.size(table.get("size")),
+        matrix=file.numbers(f"{where} matrix", table["matrix"], (3, 3)),
+        distortion=file.numbers(f"{where} distortions", table.get("distortions", []), None),
+        pose=_opencv_pose(file, where, table["rotation"], table["translation"], metres),
+    )
+
+
+TOML_CAMERAS = Program(
+    calibrations="caliscope and Anipose (TOML)",
+    holds_rig=lambda file: holds_camera_tables(file.content),
+    read_rig=_read_camera_tables,
+)
+
+
+def _holds_chain(file: CalibrationFile) -> bool:
+    return isinstance(file.content, dict) and isinstance(file.content.get("cam0"), dict)
+
+
+def _read_kalibr_rig(file: CalibrationFile) -> Rig:
+    """Rig of a camera chain, in the frame of its first camera; lengths are in metres.
+
+    Parameters
+    ----------
+    file : CalibrationFile          with the tables cam0, cam1, ...
+
+    Returns
+    -------
+    Rig                             cameras 'cam0', 'cam1', ...
+
+    Raises
+    ------
+    CalibrationError                a model other than pinhole with radtan or no distortion, a
+                                    missing key, or as in `Camera`
+    InputError                      the given unit of length is unknown
+
+    Source
+    ------
+    Kalibr (github.com/ethz-asl/kalibr), wiki "yaml formats": T_cn_cnm1 maps points from the frame
+    of the previous camera to this one; radtan is k1 k2 p1 p2 of OpenCV.
+    """
+    metres = file.metres(default="m")
+    tables = {name: table for name, table in file.content.items() if isinstance(table, dict)}
+    names = sorted((n for n in tables if n.startswith("cam")), key=lambda n: (len(n), n))
+    cameras: list[Camera] = []
+    pose = np.eye(4)
+    for name in names:
+        if cameras:
+            step = file.numbers(
+                f"{name} T_cn_cnm1", file.entry(tables[name], "T_cn_cnm1", name), (4, 4)
+            )
+            pose = make_pose(step[:3, :3], metres * step[:3, 3]) @ pose
+        cameras.append(_kalibr_camera(file, name, tables[name], pose))
+    return file.rig(cameras)
+
+
+def _kalibr_camera(
+    file: CalibrationFile, name: str, table: Mapping[str, Any], pose: np.ndarray
+) -> Camera:
+    model = file.entry(table, "camera_model", name)
+    lens = str(table.get("distortion_model", "none")).lower()
+    if model != "pinhole" or lens not in ("radtan", "plumb_bob", "none"):
+        file.fail(
+            f"{name} is of the model {model} with {lens}; only pinhole with radtan (or none) is"
+            " known: calibrate with --models pinhole-radtan"
+        )
+    intrinsics = file.numbers(f"{name} intrinsics", file.entry(table, "intrinsics", name), (4,))
+    terms = [] if lens == "none" else file.entry(table, "distortion_coeffs", name)
+    return file.camera(
+        name,
+        size=file.size(table.get("resolution")),
+        matrix=camera_matrix(intrinsics),
+        distortion=file.numbers(f"{name} distortion_coeffs", terms, None),
+        pose=pose,
+    )
+
+
+KALIBR = Program(
+    calibrations="Kalibr (camchain YAML)", holds_rig=_holds_chain, read_rig=_read_kalibr_rig
 )

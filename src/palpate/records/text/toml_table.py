@@ -1,10 +1,15 @@
-"""Reading TOML with errors that name the file, the table and the key."""
+"""Reading TOML, and JSON through the same interface, with errors that name the file, the table and
+the key, and suggest the nearest valid name for a misspelt one; writing of JSON, with null for NaN.
+"""
 
+import json
+import math
 import os
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -13,15 +18,15 @@ import numpy as np
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import InputError, RecordError, quoted
 from palpate.files import is_file, read_errors
-from palpate.records.text.nearest import nearest_file, not_allowed
 from palpate.records.text.text_file import read_text
 from palpate.shapes import Vector3
 
 T = TypeVar("T")
-
 # Counterpart of `LARGEST_NUMBER`: a smaller non-zero number is a mistake.
 _SMALLEST_NUMBER = 1 / LARGEST_NUMBER
 _RANGE = f" (0, or {_SMALLEST_NUMBER:g} to {LARGEST_NUMBER:g} in size)"
+# Limits on what is compared, as the comparison takes quadratic time.
+_LONGEST_WORD, _MAX_NAMES = 100, 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,3 +378,113 @@ def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
     return value == 0 or _SMALLEST_NUMBER <= abs(value) <= LARGEST_NUMBER
+
+
+def read_json(path: Path) -> TomlTable:
+    """Root object of a JSON file, with the interface of a TOML table.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    TomlTable                       without a name
+
+    Raises
+    ------
+    RecordError                     missing, not readable, not JSON, not an object, duplicate keys
+    """
+    text = read_text(path)
+
+    def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            names = [name for name, _ in pairs]
+            repeated = next(name for name in names if names.count(name) > 1)
+            raise RecordError(f"{path}: has {quoted(repeated)} twice in one object; keep one")
+        return found
+
+    with read_errors(path, "write it again", what="is not valid JSON"):
+        content = json.loads(text, object_pairs_hook=unique_keys)
+    if not isinstance(content, dict):
+        raise RecordError(f"{path}: is {quoted(content)}; must be an object in braces")
+    return TomlTable(path, "", content)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """JSON text of a record; NaN and infinity, which JSON cannot represent, become null.
+
+    Parameters
+    ----------
+    content : mapping               NumPy scalars and arrays become numbers and lists; values of
+                                    other types become text
+
+    Returns
+    -------
+    str                             indented by one blank a level; ends with a line break
+    """
+    return json.dumps(_json_value(content), indent=1, allow_nan=False) + "\n"
+
+
+def _json_value(value: Any) -> Any:
+    """The value in JSON's own types."""
+    if isinstance(value, Mapping):
+        return {str(key): _json_value(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_json_value(item) for item in value]
+    if isinstance(value, (bool, str, int)) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return _json_value(value.tolist()) if hasattr(value, "tolist") else str(value)
+
+
+def nearest_word(word: str, allowed: Sequence[str]) -> str:
+    """Part of an error message that suggests the nearest allowed word, if any.
+
+    Parameters
+    ----------
+    word : str                      as written by the user
+    allowed : sequence of str
+
+    Returns
+    -------
+    str                             e.g. "; did you mean 'force'?", or empty
+    """
+    near = get_close_matches(word.lower()[:_LONGEST_WORD], allowed, n=1, cutoff=0.6)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def not_allowed(word: str, allowed: Sequence[str]) -> str:
+    """Part of an error message that quotes a word and lists those that are allowed in its place.
+
+    Parameters
+    ----------
+    word : str                      as written by the user
+    allowed : sequence of str
+
+    Returns
+    -------
+    str                             e.g. "'forse'; did you mean 'force'? (allowed: force, name)"
+    """
+    return f"{quoted(word)}{nearest_word(word, allowed)} (allowed: {', '.join(allowed)})"
+
+
+def nearest_file(path: Path, *, exclude: str = "") -> str:
+    """Part of an error message that suggests the file with the nearest name in the same folder.
+
+    Parameters
+    ----------
+    path : Path                     of the missing file
+    exclude : str                   name of the referring file, which is never suggested
+
+    Returns
+    -------
+    str                             as in `nearest_word`; also empty if there is no such folder
+    """
+    try:
+        others = [name for name in os.listdir(path.parent) if name not in (path.name, exclude)]
+        return nearest_word(path.name, sorted(others)[:_MAX_NAMES])
+    except (OSError, ValueError):
+        return ""

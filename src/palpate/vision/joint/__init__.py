@@ -4,7 +4,6 @@ Purpose    : track points of the surface from picture to picture to a hundredth 
              with its covariance.
 Takes      : a `Rig`, the pictures of its cameras at each instant, a triangle surface.
 Gives      : `JointFlow`, a `FlowMethod`; `JointState`, its state between instants.
-Depends on : `vision.refinement`, `vision.matching`, `vision.range_flow`, `vision.cameras`,
-             `vision.images`, `geometry`, `records`.
+Depends on : `vision.matching`, `geometry`, `records`.
 Read first : `flow.py`, then `match.py`.
 """

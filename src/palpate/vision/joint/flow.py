@@ -19,19 +19,17 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, refined_surface
 from palpate.records import Rig
 from palpate.shapes import Flags, Points, Triangles, Vertices
-from palpate.vision.cameras.projection import project
-from palpate.vision.cameras.triangulation import triangulate
-from palpate.vision.images.spline import spline_pictures
-from palpate.vision.joint.acceptance import accepted_flow
-from palpate.vision.joint.match import match_scene
+from palpate.vision.joint.match import accepted_flow, match_scene
 from palpate.vision.joint.sharpness import equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching.dense_flow import dense_start
-from palpate.vision.matching.local_regression import local_field
-from palpate.vision.matching.scatter import Scatter
-from palpate.vision.matching.window_sums import BASES
-from palpate.vision.range_flow.flow import RangeFlow, VertexDisplacement, is_valid
-from palpate.vision.refinement.scene import Scene, advanced_scene, make_scene, scene_rows
+from palpate.vision.matching.local_regression import Scatter, local_field
+from palpate.vision.matching.scene import Scene, advanced_scene, make_scene, scene_rows
+from palpate.vision.matching.window import BASES
+from palpate.vision.projection import project
+from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
+from palpate.vision.spline import spline_pictures
+from palpate.vision.triangulation import triangulate
 
 # Median displacement gradient (Frobenius norm) above which pictures are matched unsmoothed: the
 # low-pass is fixed to the pixels and does not rotate or stretch with the surface.

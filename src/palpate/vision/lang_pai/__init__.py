@@ -4,6 +4,6 @@ Purpose    : range flow and vertex displacements by the method of Lang and Pai (
              as the baseline for `joint`.
 Takes      : a `Rig`, the pictures of its cameras at each instant, a triangle mesh.
 Gives      : `LangPaiFlow`, a `FlowMethod`.
-Depends on : `vision.cameras`, `vision.images`, `vision.range_flow`, `records`, `geometry`.
-Read first : `flow.py`, then `voting.py`, then `vertices.py`.
+Depends on : `records`, `geometry`.
+Read first : `flow.py`, then `voting.py`.
 """

@@ -4,11 +4,15 @@ The baseline for the method `joint`. The pictures of every instant are rectified
 each other. Pixels of the reference camera whose stereo points lie on the object's surface are
 tracked from instant to instant by `vote`; a displacement is the difference of two stereo points.
 The flow has no sub-pixel step, and rounding errors accumulate over the instants, as in the source.
+A vertex takes the weighted mean of the displacements around it, without those that least median of
+squares rejects.
 
 Choices where the source is silent: its stereo is a commercial library, here `disparity_map`; a
 pixel is on the surface if its disparity agrees with that of the mesh to one pixel.
 
-Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4.
+Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), section 4;
+Rousseeuw and Leroy, Robust Regression and Outlier Detection (1987), for the least median of squares
+and its robust scale.
 """
 
 from collections.abc import Sequence
@@ -17,27 +21,30 @@ from dataclasses import dataclass, fields, replace
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from palpate.arrays import STD_OVER_MEDIAN, with_rows
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.records import Camera, Rig
-from palpate.shapes import Points, PointScalars
-from palpate.vision.cameras.projection import project
-from palpate.vision.cameras.surface_map import surface_map
-from palpate.vision.images.normalisation import moments
-from palpate.vision.lang_pai.disparity import MIN_CONTRAST, WINDOW, Instant
-from palpate.vision.lang_pai.rectified_head import (
+from palpate.shapes import Flags, Points, PointScalars, Triangles, Vertices
+from palpate.threads import map_in_threads
+from palpate.vision.lang_pai.disparity import (
+    MIN_CONTRAST,
+    WINDOW,
+    Instant,
     StereoHead,
     head_disparity,
     head_points,
     make_head,
     make_instant,
 )
-from palpate.vision.lang_pai.vertices import lang_pai_vertices
 from palpate.vision.lang_pai.voting import Vote, vote
-from palpate.vision.range_flow.flow import Outcome, RangeFlow, VertexDisplacement
-from palpate.vision.range_flow.grid import grid_points
+from palpate.vision.normalisation import moments
+from palpate.vision.projection import project
+from palpate.vision.range_flow import Outcome, RangeFlow, VertexDisplacement, grid_points, is_valid
+from palpate.vision.surface_map import surface_map
 
 # Largest difference from the mesh's disparity for a pixel on its surface [px]: the error of
 # matching in whole pixels is smaller.
@@ -45,6 +52,17 @@ _MAX_SURFACE_MISS_PX = 1.0
 # Motion towards or away from the camera that the range of disparities allows for, as a fraction of
 # the mesh's bounding diagonal.
 _TRAVEL = 0.5
+# Radius of the flow used for a vertex [m]; the source's 1 cm.
+_REACH = 0.01
+# Unit of d in the weight 1 / (1 + d) [m]: lengths are in cm in the source's tables.
+_DISTANCE_UNIT = 0.01
+# Standard deviations beyond which a motion is rejected; the source's 3.
+_MAX_DEVIATION = 3.0
+# Motions around a vertex tried as centres, evenly spread: if half of the motions are outliers, the
+# probability that all 100 are is 1e-30.
+_TRIALS = 100
+# Fewer motions do not determine a covariance in three dimensions.
+_MIN_MOTIONS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -356,3 +374,85 @@ def _pixel_footprints(
     nearer = normal @ across.T / facing[:, None]
     along_surface = depth[:, None, None] * (across - nearer[..., None] * ray[:, None])
     return along_surface, -(depth**2 / parallax)[:, None] * ray
+
+
+def lang_pai_vertices(
+    flow: RangeFlow, vertices: Vertices, triangles: Triangles
+) -> VertexDisplacement:
+    """Mean of the flow around each vertex, weighted by 1 / (1 + d), after rejection of outliers.
+
+    Of the motions around a vertex, the one with the smallest median distance to the others is
+    found. Motions farther from it than three robust standard deviations, derived from that median,
+    are rejected.
+
+    Parameters
+    ----------
+    flow : RangeFlow                of any method
+    vertices, triangles : (v, 3) float [m], (m, 3) int
+
+    Returns
+    -------
+    VertexDisplacement              NaN at vertices of no triangle, or with fewer than 4 motions
+                                    left. The covariance is that of the mean, from the scatter of
+                                    the remaining motions; motions with overlapping windows count as
+                                    one, and their shared rounding error is not averaged down
+
+    Source
+    ------
+    Lang and Pai (2001), section 4; the unit of d is not given there.
+    """
+    valid = is_valid(flow)
+    displacement = np.full(vertices.shape, np.nan)
+    covariance = np.full((*vertices.shape, 3), np.nan)
+    count = np.zeros(len(vertices), dtype=np.int64)
+    if valid.any():
+        point, motion, bias = flow.point[valid], flow.displacement[valid], flow.bias[valid]
+        tree = cKDTree(point)
+        overlap = max(1.0, (flow.subset / flow.step) ** 2)
+
+        def estimate(v: int) -> None:
+            near = np.array(tree.query_ball_point(vertices[v], _REACH, return_sorted=True), int)
+            if len(near) < _MIN_MOTIONS:
+                return
+            near = near[_agreeing(motion[near])]
+            count[v] = len(near)
+            if len(near) >= _MIN_MOTIONS:
+                distance = np.linalg.norm(point[near] - vertices[v], axis=1)
+                weight = 1.0 / (1.0 + distance / _DISTANCE_UNIT)
+                displacement[v], covariance[v] = _weighted_mean(
+                    motion[near], bias[near], weight / weight.sum(), overlap
+                )
+
+        for _ in map_in_threads(estimate, np.unique(triangles).tolist()):
+            pass
+    return VertexDisplacement(displacement, covariance, count)
+
+
+def _agreeing(motion: Points) -> Flags:
+    """True for motions within three standard deviations of the one with the least median distance.
+
+    For an even number of motions the upper median is used, as in Rousseeuw and Leroy (h = n / 2 +
+    1).
+    """
+    n = len(motion)
+    tried = min(n, _TRIALS)
+    trial = np.arange(tried) * n // tried
+    square = cdist(motion[trial], motion, "sqeuclidean")
+    median = np.partition(square, n // 2, axis=1)[:, n // 2]
+    best = int(median.argmin())
+    # With a small-sample correction.
+    deviation = STD_OVER_MEDIAN * (1.0 + 5.0 / (n - 1)) * np.sqrt(median[best])
+    return square[best] <= (_MAX_DEVIATION * deviation) ** 2
+
+
+def _weighted_mean(
+    motion: Points, bias: Float[np.ndarray, "n 3 3"], weight: PointScalars, overlap: float
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Weighted mean of motions, the weights adding up to 1, and its covariance."""
+    mean = weight @ motion
+    deviations = motion - mean
+    sum_of_squares = float((weight**2).sum())
+    # Fraction of the scatter that remains in the mean; all of it where all windows overlap.
+    fraction = min(1.0, overlap * sum_of_squares) / (1.0 - sum_of_squares)
+    scatter = fraction * (weight[:, None] * deviations).T @ deviations
+    return mean, scatter + np.einsum("n,nij->ij", weight, bias)

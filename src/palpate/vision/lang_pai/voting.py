@@ -28,7 +28,7 @@ from numba import njit
 from palpate.shapes import PointIndices, PointScalars
 from palpate.threads import in_threads
 from palpate.vision.lang_pai.disparity import Instant, Views
-from palpate.vision.range_flow.flow import Outcome
+from palpate.vision.range_flow import Outcome
 
 # Fast-math flags that preserve NaN, which marks pixels without data.
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
@@ -38,8 +38,8 @@ _MIN_SCORE = 0.0
 # Outcomes as plain integers, for the kernels. The first three also describe a window: good, without
 # contrast, or reaching beyond known pixels.
 VALID = int(Outcome.VALID)
-TEXTURE = int(Outcome.TEXTURE)
-OUTSIDE = int(Outcome.OUTSIDE)
+_TEXTURE = int(Outcome.TEXTURE)
+_OUTSIDE = int(Outcome.OUTSIDE)
 _HIDDEN = int(Outcome.HIDDEN)
 _LOST = int(Outcome.LOST)
 _SCORE = int(Outcome.SCORE)
@@ -153,7 +153,7 @@ def _vote_range(
             square += (i_own - y) ** 2 + (j_own - x) ** 2
             agreed[i] += abs(i_own - y) <= 1 and abs(j_own - x) <= 1
         if total == -np.inf:
-            outcome[i] = OUTSIDE
+            outcome[i] = _OUTSIDE
             agreed[i] = 0
             continue
         found[i, 0] = column + x - reach
@@ -230,7 +230,7 @@ def _fill_table(
 
 @njit(cache=True, error_model="numpy")
 def window_kernel(grey, column, row, shift, along, half, window):
-    """Fill `window` with zero mean and unit norm; returns `VALID`, `OUTSIDE` or `TEXTURE`.
+    """Fill `window` with zero mean and unit norm; returns `VALID`, `_OUTSIDE` or `_TEXTURE`.
 
     `grey` is (rows, columns) [grey levels], `window` ((2 half + 1)^2,), row by row.
 
@@ -238,8 +238,8 @@ def window_kernel(grey, column, row, shift, along, half, window):
     inner product of two such windows is equation 6 of the source.
     """
     if not _interpolate(grey, column, row, shift, along, half, window):
-        return OUTSIDE
-    return TEXTURE if np.isnan(_normalise(window)) else VALID
+        return _OUTSIDE
+    return _TEXTURE if np.isnan(_normalise(window)) else VALID
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")

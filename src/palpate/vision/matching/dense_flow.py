@@ -17,20 +17,20 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from palpate.errors import InputError
-from palpate.vision.images.normalisation import (
-    WINDOW,
-    NormalisedImage,
-    cropped,
-    make_normalised_image,
-    moments,
-)
-from palpate.vision.matching.sparse_flow import (
+from palpate.vision.matching.features import (
     NOT_GIVEN,
     Samples,
     feature_matches,
     interpolated,
     nodes,
     sampled,
+)
+from palpate.vision.normalisation import (
+    WINDOW,
+    NormalisedImage,
+    cropped,
+    make_normalised_image,
+    moments,
 )
 
 # Correlation above which two windows count as the same. The variance of the texture is then three

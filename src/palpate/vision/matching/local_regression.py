@@ -3,9 +3,9 @@
 Around every place a polynomial in two tangent coordinates is fitted to nearby displacements,
 weighted by inverse variance and a smooth kernel, and made robust by Student-t weights. The result
 is a weighted sum of the displacements, so its covariance follows from theirs and from the overlap
-of their windows in the picture: windows that share pixels share noise. Points above or below the
-tangent plane rotate with the normal, so a rigid motion is reproduced exactly on curved and creased
-surfaces too.
+of their windows in the picture: windows that share pixels share noise, also that of the field at
+neighbouring places. Points above or below the tangent plane rotate with the normal, so a rigid
+motion is reproduced exactly on curved and creased surfaces too.
 
 Source: Cleveland and Devlin, Locally weighted regression, Journal of the American Statistical
 Association 83 (1988).
@@ -16,14 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
+from scipy.sparse import coo_array, csr_array, dia_array
 from scipy.spatial import cKDTree
 
+from palpate.records import PointCorrelation
 from palpate.shapes import Points
 from palpate.threads import in_threads
-from palpate.vision.matching.scatter import ANY_ORDER, Scatter, variance_kernel
-from palpate.vision.small_systems.cholesky import cholesky_kernel, cholesky_solve_kernel
+from palpate.vision.cholesky import cholesky_kernel, cholesky_solve_kernel
 
 _TERMS = {1: 3, 2: 6}
+# Largest number of displacements that a fit uses, the nearest ones.
+_MAX_POINTS = 48
 # Degrees of freedom of the Student-t weights: a residual of ten sigma in one component has 1/15 of
 # the usual weight.
 _DEGREES_OF_FREEDOM = 4.0
@@ -33,6 +36,13 @@ _MIN_PLACES_PER_THREAD = 32
 # Smallest relative pivot (tolerance) of a term: displacements on a line, or on one side only, do
 # not determine the polynomial.
 _MIN_PIVOT = 1e-3
+# What the compiler may assume of floating-point numbers: NaN keep their meaning.
+_ANY_ORDER = {"reassoc", "nsz", "contract"}
+# Minimum number of sums per thread: each takes about 0.003 ms.
+_MIN_SUMS_PER_THREAD = 128
+# Smaller correlations are dropped: three quarters of the pairs whose windows touch, which together
+# would add about 1 % to a variance.
+_MIN_CORRELATION = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +74,28 @@ class LocalField:
     bend: Float[np.ndarray, "t m"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Scatter:
+    """Displacements measured at scattered points of the surface.
+
+    Attributes
+    ----------
+    point : (n, 3) float [m]
+    pixel : (n, 2) float [px]           position of the point in the reference camera
+    displacement : (n, 3) float [m]     all finite
+    covariance : (n, 3, 3) float [m^2]  noise plus bias
+    bias : (n, 3, 3) float [m^2]        the part of the covariance shared by neighbouring points
+    subset : int [px]                   side of the windows they were measured with
+    """
+
+    point: Points
+    pixel: Float[np.ndarray, "n 2"]
+    displacement: Points
+    covariance: Float[np.ndarray, "n 3 3"]
+    bias: Float[np.ndarray, "n 3 3"]
+    subset: int
+
+
 def local_field(
     scatter: Scatter,
     place: Float[np.ndarray, "t 3"],
@@ -71,7 +103,6 @@ def local_field(
     *,
     reach: float,
     order: int = 2,
-    max_points: int = 48,
     min_points: int | None = None,
 ) -> LocalField:
     """Fit the displacement field of the surface at given places.
@@ -83,7 +114,6 @@ def local_field(
     tangent : (t, 2, 3) float       orthonormal tangents there
     reach : float [m]               displacements farther away have zero weight
     order : 1 or 2                  degree of the polynomial
-    max_points : int                largest number of displacements used, the nearest ones
     min_points : int or None        where fewer are within reach, the reach grows until it holds
                                     this many, but at most doubles: a surface seen obliquely has
                                     fewer
@@ -92,7 +122,7 @@ def local_field(
     -------
     LocalField                      NaN where too few displacements are near
     """
-    nearest, radius = nearest_within(scatter.point, place, reach, max_points, min_points)
+    nearest, radius = nearest_within(scatter.point, place, reach, min_points)
     noise = scatter.covariance - scatter.bias
     count = len(place)
     value, gradient, curvature, covariance = (
@@ -114,26 +144,25 @@ def nearest_within(
     point: Points,
     place: Float[np.ndarray, "t 3"],
     reach: float,
-    max_points: int,
     min_points: int | None,
-) -> tuple[Int[np.ndarray, "t max_points"], Float[np.ndarray, " t"]]:
+) -> tuple[Int[np.ndarray, "t k"], Float[np.ndarray, " t"]]:
     """Nearest points of each place, as `local_field` uses them.
 
     Parameters
     ----------
     point : (n, 3) float [m]
     place : (t, 3) float [m]
-    reach, max_points, min_points   as `local_field`
+    reach, min_points               as `local_field`
 
     Returns
     -------
-    nearest : (t, max_points) int   nearest first, -1 where there are fewer
+    nearest : (t, k) int            at most k, nearest first, -1 where there are fewer
     reach : (t,) float [m]          radius within which they lie
     """
-    nearest = np.full((len(place), max_points), -1)
+    nearest = np.full((len(place), _MAX_POINTS), -1)
     radius = np.full(len(place), reach)
     if len(point) > 0:
-        count = min(max_points, len(point))
+        count = min(_MAX_POINTS, len(point))
         farthest = reach if min_points is None else 2.0 * reach
         away, found = cKDTree(point).query(place, k=count, distance_upper_bound=farthest)
         away, found = away.reshape(len(place), count), found.reshape(len(place), count)
@@ -250,7 +279,7 @@ def _design_kernel(place, tangent, point, reach, out):
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
 def _solve_kernel(design, base_weight, robust, given, height, turn, m, normal, solution):
     """Weighted least squares; leaves the Cholesky factor in `normal`; False where singular."""
     terms = len(design)
@@ -273,7 +302,7 @@ def _solve_kernel(design, base_weight, robust, given, height, turn, m, normal, s
     return True
 
 
-@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
 def _reweigh_kernel(
     design, base_weight, robust, given, height, turn, m, variance, solution, ratio, order
 ):
@@ -307,7 +336,7 @@ def _reweigh_kernel(
     return np.sqrt(squares / total * m / (m - terms))
 
 
-@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
 def _weights_kernel(normal, row, design, base_weight, robust, m, out):
     """Weight of each displacement in a combination of the coefficients, given as `row`, which is
     overwritten; `normal` holds the Cholesky factor."""
@@ -319,7 +348,7 @@ def _weights_kernel(normal, row, design, base_weight, robust, m, out):
         out[j] *= base_weight[j] * robust[j]
 
 
-@njit(cache=True, error_model="numpy", fastmath=ANY_ORDER)
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
 def _covariance_kernel(weight, noise, trace, pixel, subset, nearest, m, covariance):
     """Covariance of the fitted value, including the noise shared by overlapping windows."""
     mean = np.zeros((3, 3))
@@ -330,7 +359,105 @@ def _covariance_kernel(weight, noise, trace, pixel, subset, nearest, m, covarian
             for b in range(3):
                 mean[a, b] += abs(weight[j]) * noise[n, a, b] / trace[n]
         total += abs(weight[j])
-    factor = variance_kernel(weight, trace, pixel, subset, nearest, m)
+    factor = _variance_kernel(weight, trace, pixel, subset, nearest, m)
     for a in range(3):
         for b in range(3):
             covariance[a, b] = factor * mean[a, b] / total
+
+
+def sum_variance(
+    scatter: Scatter, nearest: Int[np.ndarray, "t m"], weight: Float[np.ndarray, "t m"]
+) -> Float[np.ndarray, " t"]:
+    """Variance of weighted sums of displacements whose windows may overlap.
+
+    Parameters
+    ----------
+    scatter : Scatter
+    nearest : (t, m) int            indices of the displacements in the scatter; -1: none, and none
+                                    behind it
+    weight : (t, m) float
+
+    Returns
+    -------
+    (t,) float                      sum over the three components [m^2, times the weight's unit^2]
+    """
+    variance = np.empty(len(weight))
+    trace = np.trace(scatter.covariance - scatter.bias, axis1=1, axis2=2)
+    in_threads(
+        _sum_variance_range, len(weight), weight, nearest, trace, scatter.pixel,
+        float(scatter.subset), variance, min_items=_MIN_SUMS_PER_THREAD,
+    )  # fmt: skip
+    return variance
+
+
+@njit(cache=True, error_model="numpy", fastmath=_ANY_ORDER)
+def _variance_kernel(weight, trace, pixel, subset, nearest, m):
+    """Variance of a weighted sum: windows correlate by the share of pixels that they share."""
+    # Copied together, so that the double loop is vectorised.
+    sigma, column, row = np.empty(m), np.empty(m), np.empty(m)
+    for j in range(m):
+        n = nearest[j]
+        sigma[j] = weight[j] * np.sqrt(trace[n])
+        column[j], row[j] = pixel[n, 0] / subset, pixel[n, 1] / subset
+    variance = 0.0
+    for j in range(m):
+        shared = 0.0
+        for k in range(m):
+            common = max(0.0, 1.0 - abs(column[j] - column[k]))
+            shared += sigma[k] * common * max(0.0, 1.0 - abs(row[j] - row[k]))
+        variance += sigma[j] * shared
+    return variance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sum_variance_range(begin, end, weight, nearest, trace, pixel, subset, variance):
+    for i in range(begin, end):
+        m = 0
+        while m < nearest.shape[1] and nearest[i, m] >= 0:
+            m += 1
+        variance[i] = _variance_kernel(weight[i], trace, pixel, subset, nearest[i], m)
+
+
+def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
+    """Correlation between the errors of a local field's displacements at different places.
+
+    Each displacement is a weighted sum of scattered ones whose noise is correlated by the overlap
+    of their windows, as in the field's covariance. Shared bias is taken to be correlated alike.
+
+    Parameters
+    ----------
+    scatter : Scatter
+    field : LocalField              of that scatter
+
+    Returns
+    -------
+    PointCorrelation                of the t places; magnitudes above 0.05 only; undetermined places
+                                    have none
+    """
+    known = np.isfinite(field.weight)
+    place, column = np.nonzero(known)
+    shape = (len(field.weight), len(scatter.point))
+    weights = csr_array((field.weight[known], (place, field.nearest[place, column])), shape=shape)
+    covariance = (weights @ _noise(scatter) @ weights.T).tocoo()
+    variance = np.zeros(shape[0])
+    first, second = covariance.coords
+    same = first == second
+    variance[first[same]] = covariance.data[same]
+    chosen = first < second
+    first, second = first[chosen], second[chosen]
+    value = covariance.data[chosen] / np.sqrt(variance[first] * variance[second])
+    kept = np.abs(value) > _MIN_CORRELATION
+    return PointCorrelation(np.column_stack([first[kept], second[kept]]), value[kept])
+
+
+def _noise(scatter: Scatter) -> csr_array:
+    """Noise covariance of the scattered displacements, from the overlap of their windows."""
+    pair = cKDTree(scatter.pixel).query_pairs(scatter.subset, p=np.inf, output_type="ndarray")
+    first, second = pair.T
+    offset = np.abs(scatter.pixel[first] - scatter.pixel[second]) / scatter.subset
+    size = np.sqrt(np.trace(scatter.covariance - scatter.bias, axis1=1, axis2=2))
+    count = len(size)
+    covariance = np.maximum(1.0 - offset, 0.0).prod(axis=1) * size[first] * size[second]
+    upper = coo_array((covariance, (first, second)), shape=(count, count)).tocsr()
+    diagonal = dia_array((size[None] ** 2, [0]), shape=(count, count)).tocsr()
+    return csr_array(diagonal + upper + upper.T)

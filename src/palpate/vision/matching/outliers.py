@@ -142,19 +142,19 @@ def median_test(point: Points, displacement: Points, valid: Flags) -> PointScala
     ------
     After Westerweel and Scarano (2005), section 2.
     """
-    own = displacement[valid]
-    near = _nearest(point[valid], np.ones(len(own), dtype=bool), np.inf)
+    moved = displacement[valid]
+    near = _nearest(point[valid], np.ones(len(moved), dtype=bool), np.inf)
     there = near >= 0
-    values = own[near]
+    values = moved[near]
     median = neighbours_median(values, there)
     gap = np.linalg.norm(values - median[:, None], axis=2)
     third = np.maximum((3 * there.sum(axis=1) - 1) // 4, 0)[:, None]
     ordered = np.sort(np.where(there, gap, np.inf), axis=1)
     scatter = np.take_along_axis(ordered, third, axis=1)[:, 0]
     ratio = np.full(len(point), np.nan)
-    if len(own) > _MIN_NEIGHBOURS:
+    if len(moved) > _MIN_NEIGHBOURS:
         scatter = np.maximum(scatter + 0.25 * float(np.median(scatter)), np.finfo(float).tiny)
-        ratio[valid] = np.linalg.norm(own - median, axis=1) / scatter
+        ratio[valid] = np.linalg.norm(moved - median, axis=1) / scatter
     return ratio
 
 

@@ -4,7 +4,6 @@ Purpose    : locate the object before anything is known about its surface or pos
 Takes      : `PreparedPictures` of one instant.
 Gives      : `StereoPoints` with covariance, `RigCheck`; the `Registration` of the points to a known
              object.
-Depends on : `vision.cameras`, `vision.images`, `vision.matching`, `vision.range_flow`, `geometry`,
-             `records`.
+Depends on : `vision.matching`, `geometry`, `records`.
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
 """

@@ -18,10 +18,10 @@ from jaxtyping import Float, UInt8
 from palpate.errors import InputError
 from palpate.records import Camera
 from palpate.shapes import Flags, PointScalars
-from palpate.vision.cameras.projection import normalised, project
-from palpate.vision.cameras.rectification import Rectified, rectify, remapped
-from palpate.vision.images.features import PreparedPictures, match_features
-from palpate.vision.images.normalisation import NormalisedImage
+from palpate.vision.matching.features import PreparedPictures, match_features
+from palpate.vision.normalisation import NormalisedImage
+from palpate.vision.projection import normalised, project
+from palpate.vision.rectification import Rectified, rectify, remapped
 
 # Block side of semi-global matching [px]: three to five speckles.
 _BLOCK = 7
@@ -287,12 +287,12 @@ def _planes(
     value, offset = value[good], offset[good]
     centre = np.nanmedian(value[:, third], axis=1)[:, None]
     reach = _MAX_JUMP_PX + _MAX_SLOPE * np.linalg.norm(away, axis=1)
-    own = np.where(np.isfinite(value), np.abs(value - centre), np.inf) <= reach
-    terms = np.concatenate([np.ones((*value.shape, 1)), offset], axis=2) * own[..., None]
+    near = np.where(np.isfinite(value), np.abs(value - centre), np.inf) <= reach
+    terms = np.concatenate([np.ones((*value.shape, 1)), offset], axis=2) * near[..., None]
     normal = terms.swapaxes(1, 2) @ terms + 1e-6 * np.eye(3)
-    right = terms.swapaxes(1, 2) @ np.where(own, value, 0.0)[..., None]
+    right = terms.swapaxes(1, 2) @ np.where(near, value, 0.0)[..., None]
     plane[good] = np.linalg.solve(normal, right)[..., 0]
-    good[good] = own.sum(axis=1) >= len(away) // 2
+    good[good] = near.sum(axis=1) >= len(away) // 2
     return plane, good
 
 

@@ -14,9 +14,9 @@ from jaxtyping import Float
 from palpate.errors import CalibrationError, InputError
 from palpate.records import Camera, Rig
 from palpate.shapes import Matrix3, PointScalars
-from palpate.vision.cameras.projection import normalised
-from palpate.vision.cameras.triangulation import triangulate
-from palpate.vision.images.features import Matches, PreparedPictures, match_features
+from palpate.vision.matching.features import Matches, PreparedPictures, match_features
+from palpate.vision.projection import normalised
+from palpate.vision.triangulation import triangulate
 
 # Half a speckle: with larger epipolar errors, windows around one point show different speckles.
 _MAX_RESIDUAL_PX = 2.0

@@ -1,0 +1,235 @@
+"""Vertex indices and node numbers that mesh files may not hold."""
+
+import base64
+import lzma
+import re
+import resource
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate import files
+from palpate.errors import MeshError
+from palpate.geometry import read_mesh
+
+_PLY = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 4
+property {flag}list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+0 0 1
+3 0 2 1
+3 0 1 3
+3 0 3 2
+3 1 2 3
+"""
+_FORMATS = [("2.2", False), ("2.2", True), ("4.0", False), ("4.0", True),
+            ("4.1", False), ("4.1", True)]  # fmt: skip
+
+
+def _ply(old: str = "3 1 2 3", new: str = "3 1 2 3") -> str:
+    text = _PLY.replace("{flag}", "")
+    assert old in text
+    return text.replace(old, new)
+
+
+def test_a_good_text_ply_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_text(_ply())
+    assert read_mesh(tmp_path / "a.ply").triangles.tolist()[3] == [1, 2, 3]
+    # Other values of a face may stand before and behind its corners.
+    text = _ply("property list", "property uchar flag\nproperty list")
+    for row in ("3 0 2 1", "3 0 1 3", "3 0 3 2", "3 1 2 3"):
+        text = text.replace(f"\n{row}", f"\n7 {row}")
+    (tmp_path / "b.ply").write_text(text)
+    assert len(read_mesh(tmp_path / "b.ply").triangles) == 4
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("3 1.5 2 3", "line 17: '1.5' is no whole number"),
+        ("3.7 1 2 3", "line 17: '3.7' is no whole number"),
+        ("3 1 2 nan", "line 17: 'nan' is no whole number"),
+        ("3 1 2", "line 17: the face says 3 corners, and has 2"),
+        ("2 1 2", "line 17: the face says 2 corners"),
+        ("4 1 2 3", "line 17: the face says 4 corners, and has 3"),
+        ("3 1 2 3 9", "line 17: '3 1 2 3 9' is no row of face"),
+        ("3 1 2 -1", "-1 to 3"),
+    ],
+)
+def test_rows_of_a_text_ply(tmp_path: Path, row: str, says: str) -> None:
+    (tmp_path / "a.ply").write_text(_ply(new=row))
+    with pytest.raises(MeshError, match=re.escape(says)):
+        read_mesh(tmp_path / "a.ply")
+
+
+def test_rows_of_vertices_of_a_text_ply(tmp_path: Path) -> None:
+    for row in ("0 0 1 5", "0 0", "0 0 1_0"):
+        (tmp_path / "a.ply").write_text(_ply("\n0 0 1\n", f"\n{row}\n"))
+        with pytest.raises(MeshError, match=f"line 13: '{row}' is no row of vertex"):
+            read_mesh(tmp_path / "a.ply")
+
+
+def test_corners_that_need_not_be_whole(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_text(_ply("uchar int", "uchar float"))
+    with pytest.raises(MeshError, match="need not be whole"):
+        read_mesh(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("name", ["gmsh22", "gmsh"])
+@pytest.mark.parametrize(
+    ("corner", "says"),
+    [
+        ("2.5", "'2.5' is no whole number"),
+        ("0", "a cell has node 0; counted from 1"),
+        ("-1", "a cell has node -1; counted from 1"),
+        ("nan", "'nan' is no whole number"),
+    ],
+)
+def test_nodes_of_a_text_msh(tmp_path: Path, name: str, corner: str, says: str) -> None:
+    mesh, path = box(), tmp_path / "a.msh"
+    meshio.write(
+        path, meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]), name, binary=False
+    )
+    assert len(read_mesh(path).triangles) == len(mesh.triangles)
+    lines = path.read_text().splitlines()
+    last = lines.index("$EndElements") - 1
+    lines[last] = f"{lines[last].rpartition(' ')[0]} {corner}"
+    path.write_text("\n".join(lines))
+    with pytest.raises(MeshError, match=f"line {last + 1}: {re.escape(says)}"):
+        read_mesh(path)
+
+
+def _vtp(corners: str, offsets: str = "3 6 9 12", kind: str = "Float64") -> str:
+    def array(name: str, kind: str, values: str) -> str:
+        return f'<DataArray Name="{name}" type="{kind}" format="ascii">{values}</DataArray>'
+
+    points = array("points", "Float64", "0 0 0 1 0 0 0 1 0 0 0 1")
+    polys = array("connectivity", kind, corners) + array("offsets", kind, offsets)
+    piece = f"<Piece><Points>{points}</Points><Polys>{polys}</Polys></Piece>"
+    return f'<VTKFile type="PolyData"><PolyData>{piece}</PolyData></VTKFile>'
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (_vtp("0 2 1 0 1 3 0 3 2 1 2.5 3"), "vertex 2.5; must be a whole number"),
+        (_vtp("0 2 1 0 1 3 0 3 2 1 2 nan"), "vertex nan; must be a whole number"),
+        (_vtp("0 2 1 0 1 3 0 3 2 1 2 3", "3 6 9 11.5"), "11.5; must be a whole number"),
+        (_vtp("0 2 1 0 1 3 0 3 2 1 2 -1", kind="Int64"), "none of 4 in its piece"),
+        (_vtp("0 2 1 0 1 3 0 3 2 1 2 4", kind="Int64"), "none of 4 in its piece"),
+    ],
+)
+def test_corners_of_a_vtp(tmp_path: Path, content: str, says: str) -> None:
+    (tmp_path / "a.vtp").write_text(_vtp("0 2 1 0 1 3 0 3 2 1 2 3"))
+    assert len(read_mesh(tmp_path / "a.vtp").triangles) == 4
+    (tmp_path / "a.vtp").write_text(content)
+    with pytest.raises(MeshError, match=re.escape(says)):
+        read_mesh(tmp_path / "a.vtp")
+
+
+def test_corners_of_a_vtu(tmp_path: Path) -> None:
+    mesh, path = box(), tmp_path / "a.vtu"
+    grid = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
+    meshio.vtu.write(path, grid, binary=True, compression=None)
+    text = path.read_text()
+    found = re.search(r'type="Int64" (Name="connectivity"[^>]*>)\s*(\S+)', text)
+    assert found is not None
+    corners = mesh.triangles.astype(float).ravel()
+    corners[0] += 0.5
+    size = struct.pack("<I", corners.nbytes)
+    packed = base64.b64encode(size + corners.tobytes()).decode()
+    text = text.replace(found[0], f'type="Float64" {found[1]}{packed}')
+    path.write_text(text)
+    with pytest.raises(MeshError, match="must be a whole number"):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize("suffix", ["vtp", "vtu"])
+@pytest.mark.parametrize(
+    ("compressor", "pack"),
+    [("vtkZLibDataCompressor", zlib.compress), ("vtkLZMADataCompressor", lzma.compress)],
+)
+def test_a_few_bytes_that_unpack_to_many(
+    suffix: str, compressor: str, pack: Callable[[bytes], bytes], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(files, "_ANY_RATIO_BYTES", 2**16)
+    block = pack(bytes(2**22))
+    head = struct.pack("<4I", 1, 2**22, 0, len(block))
+    data = base64.b64encode(head).decode() + base64.b64encode(block).decode()
+    grid = {"vtp": "PolyData", "vtu": "UnstructuredGrid"}[suffix]
+    points = f'<DataArray Name="Points" type="Float64" format="binary">{data}</DataArray>'
+    (tmp_path / f"a.{suffix}").write_text(
+        f'<VTKFile type="{grid}" byte_order="LittleEndian" compressor="{compressor}"><{grid}>'
+        f"<Piece><Points>{points}</Points></Piece></{grid}></VTKFile>"
+    )
+    with pytest.raises(MeshError, match="cut off, or too large"):
+        read_mesh(tmp_path / f"a.{suffix}")
+
+
+def _written(path: Path, version: str, *, binary: bool) -> bytes:
+    mesh = box(size=(0.02, 0.03, 0.04), cells=2)
+    kept = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
+    meshio.gmsh.write(path, kept, fmt_version=version, binary=binary)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(("version", "binary"), _FORMATS)
+def test_every_version_is_read(tmp_path: Path, version: str, binary: bool) -> None:
+    _written(tmp_path / "a.msh", version, binary=binary)
+    mesh = box(size=(0.02, 0.03, 0.04), cells=2)
+    assert read_mesh(tmp_path / "a.msh").triangles.tolist() == mesh.triangles.tolist()
+
+
+@pytest.mark.parametrize(("version", "binary"), [pair for pair in _FORMATS if pair != _FORMATS[1]])
+def test_a_number_that_would_fill_the_memory(tmp_path: Path, version: str, binary: bool) -> None:
+    content = _written(tmp_path / "a.msh", version, binary=binary)
+    nodes = content.index(b"$Nodes")
+    count = len(box(size=(0.02, 0.03, 0.04), cells=2).vertices)
+    if binary:
+        size = 4 if version == "4.0" else 8
+        last, high = (number.to_bytes(size, "little") for number in (count, 2_000_000_000))
+        # The header counts the nodes, too; the last of these bytes is the number of the last node.
+        place = content.rindex(last, nodes, content.index(b"$EndNodes"))
+    else:
+        last, high = f"\n{count}".encode(), b"\n2000000000"
+        place = content.rindex(last, nodes, content.index(b"$EndNodes"))
+    (tmp_path / "a.msh").write_bytes(content[:place] + high + content[place + len(last) :])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(MeshError, match=r"a\.msh: .*node has the number 2000000000, at most"):
+        read_mesh(tmp_path / "a.msh")
+    # Kilobytes: the table would have taken sixteen gigabytes.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
+
+
+@pytest.mark.parametrize(("version", "binary"), _FORMATS[2:])
+def test_more_nodes_declared_than_held(tmp_path: Path, version: str, binary: bool) -> None:
+    content = _written(tmp_path / "a.msh", version, binary=binary)
+    count = len(box(size=(0.02, 0.03, 0.04), cells=2).vertices)
+    start = content.index(b"\n", content.index(b"$Nodes")) + 1
+    if binary:
+        numbers = np.frombuffer(content[start : start + 16], "u8").copy()
+        assert numbers[1] == count
+        numbers[1] += 1000
+        changed = numbers.tobytes() + content[start + 16 :]
+    else:
+        first, said, rest = content[start:].split(maxsplit=2)
+        assert int(said) == count
+        changed = b"%s %d %s" % (first, count + 1000, rest)
+    (tmp_path / "a.msh").write_bytes(content[:start] + changed)
+    with pytest.raises(MeshError, match=rf"declares|says that it has {count + 1000} nodes"):
+        read_mesh(tmp_path / "a.msh")

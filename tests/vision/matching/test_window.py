@@ -1,0 +1,228 @@
+"""Sums over a window, against plain least squares with a column per change of illumination."""
+
+import numpy as np
+import pytest
+
+from palpate.vision.matching.window import (
+    BASES,
+    EXPONENTS,
+    load_window_kernel,
+    window_advance_kernel,
+    window_blocks_kernel,
+    window_residual_kernel,
+    window_right_kernel,
+    window_system_kernel,
+)
+
+HALF = 5
+# By so much is the illumination blurred in the windows [px^2].
+BLUR_VARIANCE = 1.4
+SIDE = 2 * HALF + 1
+PIXELS = SIDE**2
+SHAPES = sorted(BASES)
+# Sums of a hundred single-precision products against the same in double precision.
+CLOSE = {"rtol": 2e-5, "atol": 2e-4}
+
+
+def _picture(seed=0):
+    rng = np.random.default_rng(seed)
+    return [rng.normal(100.0, 30.0, (30, 34)).astype(np.float32) for _ in range(3)]
+
+
+def _mask(kind):
+    weight = np.ones((SIDE, SIDE), dtype=np.float32)
+    if kind == "masked":
+        weight[np.random.default_rng(7).random((SIDE, SIDE)) < 0.3] = 0.0
+        weight[:, :3] = 0.0
+    return weight
+
+
+class Window:
+    """One window as the kernels hold it, and its pixels for plain least squares."""
+
+    def __init__(self, kind, shape, *, shading=False, column=17, row=12):
+        self.bases = BASES[shape]
+        self.weight = _mask(kind).ravel()
+        planes = _picture()
+        self.window = np.full((6, PIXELS), np.nan, dtype=np.float32)
+        self.window[3] = self.weight
+        self.count, self.mean, self.square = load_window_kernel(
+            *planes, column, row, HALF, shading, BLUR_VARIANCE, self.window
+        )
+        self.kept = self.weight > 0
+        cut = np.s_[row - HALF : row + HALF + 1, column - HALF : column + HALF + 1]
+        self.grey, *slopes = (plane[cut].ravel()[self.kept].astype(float) for plane in planes)
+        self.slopes = slopes
+        eta, xi = (np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1] / HALF).reshape(2, -1)
+        powers = [xi**i * eta**j for i, j in EXPONENTS[: self.bases]]
+        # Heights of a crease, which are no polynomial.
+        self.basis = np.stack([*powers, np.abs(xi - 0.2)]).astype(np.float32)
+        functions = self.basis[:, self.kept].astype(float)
+        self.columns = np.stack([d * p for p in functions for d in slopes], axis=1)
+        illumination = [np.ones_like(self.grey), self.grey]
+        if shading:
+            # Illumination that varies is blurred with the picture: x times it, and its derivative.
+            for place, slope in zip((xi, eta), slopes, strict=True):
+                illumination.append(self.grey * place[self.kept] + BLUR_VARIANCE / HALF * slope)
+        self.illumination = np.stack(illumination, axis=1)
+        unknowns = 2 * len(self.basis)
+        self.sums = np.full((unknowns, 4), np.nan)
+        self.hessian = np.full((unknowns, unknowns), np.nan)
+        window_system_kernel(
+            self.window, self.basis, self.count, self.square, np.zeros(PIXELS, dtype=np.float32),
+            self.sums, self.hessian,
+        )  # fmt: skip
+
+    def right(self, sampled):
+        """Right-hand side, gain, illumination with the residual's sum of squares, and the share of
+        each of nine blocks in the right-hand side."""
+        result, illumination = np.full(len(self.hessian), np.nan), np.full(4, np.nan)
+        sampled = sampled.copy()
+        gain = window_right_kernel(
+            self.window, self.basis, sampled, self.count, self.mean, self.square, self.sums,
+            result, illumination,
+        )  # fmt: skip
+        blocks, square = np.full((9, len(result)), np.nan), np.inf
+        if gain > 0.0:
+            square = window_residual_kernel(self.window, sampled, illumination)
+            window_blocks_kernel(self.window, self.basis, sampled, blocks)
+        return result, gain, np.append(illumination, square), blocks
+
+    def without_illumination(self, values):
+        """What is left of columns after a least-squares fit of what the illumination may do."""
+        return (
+            values - self.illumination @ np.linalg.lstsq(self.illumination, values, rcond=None)[0]
+        )
+
+
+@pytest.mark.parametrize("kind", ["whole", "masked"])
+def test_a_window_is_loaded_about_its_mean_and_zero_outside(kind):
+    one = Window(kind, "affine")
+    assert one.count == one.weight.sum()
+    np.testing.assert_allclose(one.mean, one.grey.mean(), rtol=1e-6)
+    np.testing.assert_allclose(one.square, ((one.grey - one.grey.mean()) ** 2).sum(), rtol=1e-5)
+    kept = one.kept
+    np.testing.assert_allclose(one.window[0][kept], one.grey - one.grey.mean(), atol=1e-4)
+    np.testing.assert_array_equal(one.window[1][kept], one.slopes[0].astype(np.float32))
+    np.testing.assert_array_equal(one.window[2][kept], one.slopes[1].astype(np.float32))
+    assert not one.window[:3, ~kept].any()
+
+
+WINDOWS = [
+    (kind, shape, shading)
+    for kind in ("whole", "masked")
+    for shape in SHAPES
+    for shading in (False, True)
+]
+
+
+def test_planes_of_the_illumination_are_orthonormal_and_span_a_linear_gain():
+    one = Window("masked", "affine", shading=True)
+    planes = one.window[[4, 5]]
+    np.testing.assert_allclose(planes @ planes.T, np.eye(2), atol=1e-6)
+    known = np.stack([one.window[3], one.window[0] / np.sqrt(one.square)])
+    np.testing.assert_allclose(planes @ known.T, 0.0, atol=2e-5)
+    assert not planes[:, ~one.kept].any()
+    # Nothing of them is left once grey and the two linear gains are taken out.
+    left = one.without_illumination(planes[:, one.kept].T.astype(float))
+    np.testing.assert_allclose(left, 0.0, atol=1e-5)
+    assert not Window("masked", "affine").window[4:].any()
+
+
+@pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
+def test_the_matrix_is_that_of_least_squares_without_illumination(kind, shape, shading):
+    one = Window(kind, shape, shading=shading)
+    rest = one.without_illumination(one.columns)
+    expected = rest.T @ rest
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(one.hessian / scale, expected / scale, **CLOSE)
+
+
+def _later(one, seed=3):
+    """A later window: another gain and offset, noise, and wild outside the mask."""
+    sampled = np.full(PIXELS, 200.0, dtype=np.float32)
+    noise = np.random.default_rng(seed).normal(0.0, 5.0, len(one.grey))
+    sampled[one.kept] = 0.7 * one.grey + 40.0 + noise
+    return sampled
+
+
+@pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
+def test_right_hand_side_gain_and_rest_are_those_of_least_squares(kind, shape, shading):
+    one = Window(kind, shape, shading=shading)
+    sampled = _later(one)
+    right, gain, illumination, _ = one.right(sampled)
+    value = sampled[one.kept].astype(float)
+    slope = np.polyfit(one.grey, value, 1)[0]
+    rest = one.without_illumination(value)
+    np.testing.assert_allclose(gain, slope, rtol=1e-5)
+    np.testing.assert_allclose(illumination[1], gain)
+    np.testing.assert_allclose(illumination[0], value.mean() - one.mean, rtol=1e-4)
+    np.testing.assert_allclose(illumination[4], (rest**2).sum() / slope**2, rtol=1e-4)
+    expected = one.columns.T @ rest / slope
+    size = np.linalg.norm(one.columns, axis=0) * np.linalg.norm(rest)
+    np.testing.assert_allclose(right / size, expected / size, **CLOSE)
+
+
+@pytest.mark.parametrize("kind", ["whole", "masked"])
+@pytest.mark.parametrize("shading", [False, True])
+def test_a_change_of_illumination_leaves_nothing(kind, shading):
+    one = Window(kind, "quadratic", shading=shading)
+    weights = np.array([-30.0, 1.6, 0.3, -0.2])[: one.illumination.shape[1]]
+    sampled = np.zeros(PIXELS, dtype=np.float32)
+    sampled[one.kept] = one.illumination @ weights
+    right, _, illumination, blocks = one.right(sampled)
+    # Rounding of single precision, of the square of what was taken away.
+    assert illumination[4] < 1e-5 * one.square
+    size = np.linalg.norm(one.columns, axis=0) * np.sqrt(one.square)
+    assert np.abs(right / size).max() < 1e-5
+    np.testing.assert_allclose(blocks / size, 0.0, atol=1e-5)
+
+
+def test_a_linear_gain_is_left_where_it_is_not_allowed():
+    one = Window("whole", "affine")
+    sampled = np.zeros(PIXELS, dtype=np.float32)
+    xi = np.tile(np.arange(-HALF, HALF + 1) / HALF, SIDE)
+    sampled[one.kept] = one.grey * (1.0 + 0.3 * xi)
+    assert one.right(sampled)[2][4] > 0.01 * one.square
+
+
+def test_a_negative_picture_has_no_gain():
+    one = Window("whole", "affine")
+    sampled = (200.0 - one.grey).astype(np.float32)
+    _, gain, illumination, _ = one.right(sampled)
+    assert gain == 0.0
+    assert illumination[4] == np.inf
+
+
+@pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
+def test_blocks_are_the_sums_of_their_pixels(kind, shape, shading):
+    """Nine cells, each with its pixels' share in gradient times what is left."""
+    one = Window(kind, shape, shading=shading)
+    sampled = _later(one, 4)
+    right, gain, _, found = one.right(sampled)
+    rest = one.without_illumination(sampled[one.kept].astype(float)) / gain
+    row, column = np.divmod(np.flatnonzero(one.kept), SIDE)
+    cell = (row * 3 // SIDE) * 3 + column * 3 // SIDE
+    expected = np.stack([(one.columns * rest[:, None])[cell == k].sum(axis=0) for k in range(9)])
+    size = np.linalg.norm(one.columns, axis=0) * np.linalg.norm(rest)
+    np.testing.assert_allclose(found / size, expected / size, **CLOSE)
+    # Together they are the right-hand side.
+    np.testing.assert_allclose(found.sum(axis=0) / size, right / size, **CLOSE)
+
+
+@pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
+def test_a_step_of_least_squares_leaves_no_right_hand_side(kind, shape, shading):
+    """To first order the picture changes by its gradient times the step."""
+    one = Window(kind, shape, shading=shading)
+    sampled, illumination = _later(one, 5), np.full(4, np.nan)
+    right, again = np.full((2, len(one.hessian)), np.nan)
+    state = one.count, one.mean, one.square, one.sums
+    gain = window_right_kernel(one.window, one.basis, sampled, *state, right, illumination)
+    step = np.linalg.solve(one.hessian, right)
+    window_advance_kernel(one.window, one.basis, gain * step, sampled)
+    state = one.count, 0.0, one.square, one.sums
+    window_right_kernel(one.window, one.basis, sampled, *state, again, illumination)
+    # Single precision, beside the sum of squares of the window.
+    size = np.linalg.norm(one.columns, axis=0) * np.sqrt(one.square)
+    np.testing.assert_allclose(again / size, 0.0, atol=1e-6)
+    assert np.abs(right / size).max() > 1e-3
