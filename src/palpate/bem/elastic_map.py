@@ -9,20 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.bem.compressed.preconditioner import ClusterInverse, cluster_inverse, solve_compressed
+from palpate.bem.compressed.iterative import ClusterInverse, cluster_inverse, solve_compressed
 from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.integrals.kelvin import check_material
 from palpate.bem.integrals.surface import integral_weights
-from palpate.bem.loads.load_integrals import integrate_load
 from palpate.bem.loads.local_indentation import (
     IndentationCorrection,
     correction_columns,
     indentation_corrections,
 )
 from palpate.bem.loads.right_hand import RightHand, joined, load_columns
-from palpate.bem.loads.surface_load import LOAD_CELLS, LoadCells, SurfaceLoad
-from palpate.bem.system.centred_system import CentredSystem
-from palpate.bem.system.factors import FactorisedSystem, solve
+from palpate.bem.loads.surface_load import LOAD_CELLS, LoadCells, SurfaceLoad, integrate_load
+from palpate.bem.system.factors import CentredSystem, FactorisedSystem, solve
 from palpate.bem.system.springs import (
     Springs,
     SpringSystem,
@@ -111,13 +109,13 @@ class ElasticMap:
         -------
         ElasticState
         """
-        found = sorted_state(self.system, unknowns[: self.system.size], self.shear_modulus)
+        state = sorted_state(self.system, unknowns[: self.system.size], self.shear_modulus)
         if self.springs is None:
-            return found
+            return state
         displacement = (
             self.springs.factors.springs.displacement_basis @ unknowns[self.system.size :]
         )
-        return replace(found, displacement=found.displacement + displacement.reshape(-1, 3))
+        return replace(state, displacement=state.displacement + displacement.reshape(-1, 3))
 
 
 def _solved(

@@ -16,8 +16,7 @@ from scipy.sparse import csr_array
 from palpate.arrays import lengths
 from palpate.bem.integrals.assembly import kernel_integrals
 from palpate.bem.integrals.kelvin import TRACTION, traction_parts
-from palpate.bem.integrals.quadrature import Quadrature
-from palpate.bem.integrals.surface import BoundarySurface
+from palpate.bem.integrals.surface import BoundarySurface, Quadrature
 from palpate.bem.loads.half_space import (
     DiscPotentials,
     PressureDisc,

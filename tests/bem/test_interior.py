@@ -14,8 +14,7 @@ from elastic_bodies import (
 from surfaces import sphere
 
 from palpate.bem import PressureDisc, SurfaceLoad, make_elastic_map, make_surface
-from palpate.bem.interior.interior import BoundaryFields, interior_state, interior_values
-from palpate.bem.interior.somigliana import VALUES, sum_forces
+from palpate.bem.interior import VALUES, BoundaryFields, interior_state, interior_values, sum_forces
 from palpate.errors import InputError
 
 GRADIENT = np.array([[0.1, 0.4, -0.2], [-0.3, 0.2, 0.5], [0.6, 0.0, -0.1]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.bem.compressed.krylov import block_gmres
+from palpate.bem.compressed.iterative import block_gmres
 from palpate.errors import NotConvergedError
 
 
