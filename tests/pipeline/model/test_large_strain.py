@@ -11,7 +11,7 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
-from palpate.pipeline.model.finite_strain import make_finite_body, strain_corrections
+from palpate.pipeline.model.large_strain import make_finite_body, strain_corrections
 from palpate.records import (
     BIASED,
     EXACT,

@@ -1,5 +1,6 @@
 """What the mesh may be off by between its vertices and along sharp edges: as much as finer ones
-show, and in the intervals."""
+show, and in the intervals.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +16,15 @@ from palpate.pipeline import (
     fit_session,
     graded_session,
     make_object_model,
+    observations as mesh_errors,
     session_observations,
 )
 from palpate.pipeline.model.grading import edge_refined_session, halved_session
-from palpate.pipeline.observations import mesh_errors
-from palpate.pipeline.observations.converged_observations import converged_observations
-from palpate.pipeline.observations.mesh_errors import ungraded_observations, with_mesh_steps
+from palpate.pipeline.observations import (
+    converged_observations,
+    ungraded_observations,
+    with_mesh_steps,
+)
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
 SHEAR, NU, RADIUS = 2e4, 0.3, 0.03

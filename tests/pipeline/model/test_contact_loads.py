@@ -6,18 +6,37 @@ from pathlib import Path
 import numpy as np
 import pytest
 from error_columns import columns_of, curvature_of
-from surfaces import sphere
+from surfaces import box, sphere
 
+from palpate.bem import (
+    BoundarySystem,
+    boundary_system,
+    indentation_corrections,
+    load_right_hand,
+    make_surface,
+    traction_column,
+)
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
-from palpate.pipeline.model.contacts import perturbations
-from palpate.pipeline.model.contacts.perturbations import DIP_ERROR
+from palpate.pipeline.model import contact_loads
+from palpate.pipeline.model.contact_loads import (
+    DIP_ERROR,
+    has_outward_traction,
+    outward_load,
+    outward_pushes,
+)
+from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
+from palpate.solids import make_solid
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4
 NAME = "mesh about the contact of n (in dips of a half space)"
 # Nothing but the mesh's own error beside the force's gain.
 GAIN = replace(EXACT, force_gain=0.01)
+BALL, SMALL_RADIUS, SIDE = 0.3, 12e-3, 0.04
+# Under a sphere that slides.
+OUTWARD = 0.4 * SMALL_RADIUS / BALL
+PLACE, UP = np.array([0.02, 0.02, SIDE]), np.array([0.0, 0.0, 1.0])
 
 
 def _session(cuts: int, errors: ErrorPriors, *, measured: np.ndarray | None = None) -> Session:
@@ -106,7 +125,64 @@ def test_contacts_far_beside_their_place_are_followed(monkeypatch: pytest.Monkey
     far = [_left(deviations) for deviations in (2.0, 3.0)]
     # A tenth of the contact's radius is one deviation.
     assert far[0] < 1e-3
-    monkeypatch.setattr(perturbations, "_PLACES", perturbations._PLACES / np.sqrt(3.0))
+    monkeypatch.setattr(contact_loads, "_PLACES", contact_loads._PLACES / np.sqrt(3.0))
     near = [_left(deviations) for deviations in (2.0, 3.0)]
     # Of a cubic (8 - 6) / (8 - 2) and (27 - 9) / (27 - 3); a little is of the fourth order.
     np.testing.assert_allclose(np.divide(far, near), [1 / 3, 3 / 4], atol=0.16)
+
+
+@pytest.fixture(scope="module")
+def system() -> BoundarySystem:
+    """A cube whose triangles are less than a third of the touched radius."""
+    mesh = box((SIDE, SIDE, SIDE), 12)
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    return boundary_system(make_surface(mesh, held))
+
+
+def _patch(system: BoundarySystem, profile: str = "hertz") -> ContactPatch:
+    contact = Contact(PLACE, SMALL_RADIUS, profile, outward=OUTWARD)
+    held = np.flatnonzero(system.surface.held)
+    return find_contact_patch(system.surface.mesh, contact, held, name="n")
+
+
+def test_it_is_the_traction_itself(system: BoundarySystem) -> None:
+    patch = _patch(system)
+    nodes = system.surface.element_nodes[patch.triangles]
+    offset = nodes - PLACE
+    share = np.linalg.norm(offset, axis=2, keepdims=True) / SMALL_RADIUS
+    # Hertz's pressure of one newton, times the lean.
+    pressure = 1.5 / (np.pi * SMALL_RADIUS**2) * np.sqrt(np.clip(1.0 - share**2, 0.0, None))
+    direct = traction_column(system, patch.triangles, pressure * offset / BALL)
+    # Pushed down, along minus z.
+    loads, forces = zip(*outward_pushes(patch, UP, -UP), strict=True)
+    dips = indentation_corrections(system.surface, loads)
+    found = sum(
+        load_right_hand(system, [load], [dip]).terms @ force
+        for load, dip, force in zip(loads, dips, forces, strict=True)
+    )
+    # Six-node triangles at the rim miss some of its square root, and
+    # know nothing of the dip between the vertices: 7 %.
+    down = found[:, :-3]
+    miss = np.linalg.norm(down - direct.terms[:, :-3, 0]) / np.linalg.norm(down)
+    assert miss < 0.1
+    # It has no resultant.
+    assert np.abs(found[:, -3:]).max() < 1e-12 * np.abs(found).max()
+
+
+def test_what_has_an_outward_part(system: BoundarySystem) -> None:
+    contact = _patch(system).contact
+    assert has_outward_traction(contact)
+    assert not has_outward_traction(replace(contact, outward=0.0))
+
+
+@pytest.mark.parametrize("profile", ["hertz", "cone", "flat"])
+def test_in_finite_elements_it_stretches_as_much(profile: str) -> None:
+    """Its virial, sum of force times place, is `Contact.outward` times radius and force."""
+    solid = make_solid(box((SIDE, SIDE, SIDE), 4), edge=9e-3, fine=[(PLACE, SMALL_RADIUS, 4e-3)])
+    contact = Contact(PLACE, SMALL_RADIUS, profile, outward=OUTWARD)
+    load = outward_load(solid, contact, np.array([0.0, 0.0, -2.0]))
+    assert np.abs(load.sum(axis=0)).max() < 1e-12
+    assert not load[:, 2].any()
+    virial = float((load * (solid.nodes - PLACE)).sum())
+    # Faces of a third of the radius, sampled at 196 points.
+    assert virial == pytest.approx(2.0 * OUTWARD * SMALL_RADIUS, rel=0.01)

@@ -1,14 +1,30 @@
-"""Motions of supports, and the directions they hold: rigid motions as columns of the model, the
-motion fitted to measured points, and the sliding of an object on rollers."""
+"""Supports: the directions they hold, how they move, and how compliant they are.
+
+Rigid motions as columns of the model, the motion fitted to measured points, the sliding of an
+object on rollers; the forces on supports, and those that are beds of springs.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_array, csr_array
 
 from palpate.arrays import STD_OVER_MEDIAN, known_median
-from palpate.bem import BoundarySurface, SurfaceSettings, make_surface, unrestrained_motions
+from palpate.bem import (
+    BodyForce,
+    BoundarySurface,
+    BoundarySystem,
+    PointEquations,
+    Springs,
+    SurfaceSettings,
+    integral_weights,
+    make_springs,
+    make_surface,
+    spring_columns,
+    unrestrained_motions,
+)
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.records import (
@@ -111,11 +127,6 @@ def moving_supports(session: Session) -> tuple[MovingSupport, ...]:
     return tuple(supports)
 
 
-def _box_centre(points: Points) -> Vector3:
-    """Centre of the bounding box of some points, which does not depend on the mesh."""
-    return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
-
-
 def rigid_modes(points: Points, centre: Vector3) -> Float[np.ndarray, "n 3 6"]:
     """Displacement of points per unit of three translations [m] and three rotations [rad].
 
@@ -191,51 +202,6 @@ def require_given_motions(session: Session) -> None:
         for probing in session.probings:
             if support.motion == GIVEN:
                 given_motion(session, probing, support)
-
-
-def _fitted_motion(field: DisplacementField, name: str, support: MovingSupport) -> GivenMotion:
-    """Robust rigid motion of the points on a support, and a uniform strain fitted to the rest."""
-    chosen = observed_rows(field) & np.isin(field.surface.triangle, support.triangles)
-    points, moved = field.points[chosen], field.displacement[chosen]
-    place = f"probing '{name}': {field.source}: support {support.number}"
-    if len(points) < 3:
-        raise InputError(
-            f"{place} has {len(points)} measured points; at least three that are not in a line are"
-            " needed to tell how it moves: give more, or a rigid motion as support_motion"
-        )
-    modes = rigid_modes(points, support.centre)
-    size = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
-    unit = np.append(np.ones(3), np.full(3, 1.0 / size))
-    singular = np.linalg.svd((modes * unit).reshape(-1, 6), compute_uv=False)
-    if singular[-1] < _UNSEEN * singular[0]:
-        raise InputError(
-            f"{place}: its {len(points)} measured points lie in a line, so its turn about that"
-            " line is not known; give points beside it, or a rigid motion as support_motion"
-        )
-    value, spread = _robust_fit(modes, moved)
-    middle = points.mean(axis=0)
-    strain = _strain(points - middle, moved - modes @ value)
-    value[:3] += strain @ (support.centre - middle)
-    return GivenMotion(value, spread, strain)
-
-
-def _robust_fit(
-    modes: Float[np.ndarray, "n 3 6"], moved: Points
-) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-    """Motion by iteratively reweighted least squares, and its standard deviations."""
-    weight = np.ones(len(moved))
-    for _ in range(_ROUNDS):
-        normal = np.einsum("n,nip,niq->pq", weight, modes, modes)
-        value = np.linalg.solve(normal, np.einsum("n,nip,ni->p", weight, modes, moved))
-        length = np.linalg.norm(moved - modes @ value, axis=1)
-        level = max(STD_OVER_MEDIAN * known_median(length) / np.sqrt(3.0), np.finfo(float).tiny)
-        weight = (_DEGREES + 3.0) / (_DEGREES + (length / level) ** 2)
-    return value, level * np.sqrt(np.diag(np.linalg.inv(normal)))
-
-
-def _strain(offset: Points, rest: Points) -> Float[np.ndarray, "3 3"]:
-    """Gradient of the displacement left by a rigid motion; zero normal to coplanar points."""
-    return np.linalg.lstsq(offset, rest, rcond=_UNSEEN)[0].T
 
 
 def support_shapes(
@@ -368,15 +334,6 @@ def require_balance(session: Session, sliding: MovingSupport | None) -> None:
         check_balance(sliding, [(middle, weight)], "[gravity]")
 
 
-def _total_force(mesh: TriangleMesh, load: Load) -> Vector3:
-    """Force of a load on the object."""
-    if load.force is not None:
-        return load.force
-    # A pressure always acts over given triangles.
-    pressed = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
-    return -float(load.pressure or 0.0) * pressed
-
-
 def check_balance(
     sliding: MovingSupport | None, forces: Sequence[tuple[Vector3, Vector3]], place: str
 ) -> None:
@@ -410,3 +367,179 @@ def check_balance(
             f" {sliding.number} is a roller): it would slide away; hold that direction too"
             " (directions in [support]), or correct the force"
         )
+
+
+def compliant_supports(session: Session) -> tuple[int, ...]:
+    """Compliant supports: those with a stiffness, or all where `[errors]` has a support compliance.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    tuple of int                    indices of the supports, from 0
+    """
+    every = session.errors.support_compliance > 0.0
+    return tuple(
+        k for k, support in enumerate(session.supports) if every or support.stiffness is not None
+    )
+
+
+def compliances(session: Session) -> Float[np.ndarray, " s"]:
+    """Compliance (displacement over traction) of each of the `compliant_supports`.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    (s,) float [m/Pa]               0: rigid
+    """
+    return np.array([session.supports[k].compliance for k in compliant_supports(session)])
+
+
+def session_springs(session: Session, system: BoundarySystem) -> Springs | None:
+    """Springs under the compliant supports.
+
+    Parameters
+    ----------
+    session : Session
+    system : BoundarySystem         of its object
+
+    Returns
+    -------
+    Springs or None                 None: all supports are rigid
+    """
+    compliant = compliant_supports(session)
+    if not compliant:
+        return None
+    rigid = [support.triangles for k, support in enumerate(session.supports) if k not in compliant]
+    return make_springs(
+        system,
+        [session.supports[k].triangles for k in compliant],
+        np.concatenate([np.zeros(0, dtype=np.int64), *rigid]),
+    )
+
+
+def weight_on_springs(
+    system: BoundarySystem, springs: Springs, body: BodyForce
+) -> Float[np.ndarray, " e"]:
+    """Traction of a body force's particular solution on every spring.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    springs : Springs
+    body : BodyForce
+
+    Returns
+    -------
+    (e,) float [N/m]                traction times `traction_length`
+    """
+    unknowns = np.zeros(system.size)
+    first = 3 * system.unknowns.free_vertices.size
+    unknowns[first : first + body.support_traction.size] = body.support_traction.ravel()
+    return springs.mean_traction @ unknowns * system.traction_length
+
+
+def springs_at(
+    equations: PointEquations, springs: Springs, point: int
+) -> Float[np.ndarray, "2 3 e"]:
+    """Further columns of the equations at one point, for the displacements of the springs.
+
+    Parameters
+    ----------
+    equations : PointEquations
+    springs : Springs               of the same object
+    point : int                     index among the points of the equations
+
+    Returns
+    -------
+    (2, 3, e) float                 constant and slope in Poisson's ratio
+    """
+    columns = spring_columns(equations.system, springs)
+    return -np.stack([equations.by_point(part)[point] for part in columns])
+
+
+def support_force(
+    system: BoundarySystem, triangles: Int[np.ndarray, " k"], springs: Springs | None
+) -> csr_array:
+    """Matrix from the unknowns to the force on some held triangles, for a shear modulus of 1 Pa.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    triangles : (k,) int
+    springs : Springs or None       their displacements are further unknowns
+
+    Returns
+    -------
+    (3, n) sparse [N/m]
+    """
+    size = system.size + (0 if springs is None else len(springs.support_fraction))
+    weights = integral_weights(system.surface, triangles)[system.unknowns.held_sides]
+    first = 3 * system.unknowns.free_vertices.size
+    side, axis = np.repeat(np.arange(weights.size), 3), np.tile(np.arange(3), weights.size)
+    value = np.repeat(weights / system.traction_length, 3)
+    return csr_array(coo_array((value, (axis, first + 3 * side + axis)), shape=(3, size)))
+
+
+def _box_centre(points: Points) -> Vector3:
+    """Centre of the bounding box of some points, which does not depend on the mesh."""
+    return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
+
+
+def _fitted_motion(field: DisplacementField, name: str, support: MovingSupport) -> GivenMotion:
+    """Robust rigid motion of the points on a support, and a uniform strain fitted to the rest."""
+    chosen = observed_rows(field) & np.isin(field.surface.triangle, support.triangles)
+    points, moved = field.points[chosen], field.displacement[chosen]
+    where = f"probing '{name}': {field.source}: support {support.number}"
+    if len(points) < 3:
+        raise InputError(
+            f"{where} has {len(points)} measured points; at least three that are not in a line are"
+            " needed to tell how it moves: give more, or a rigid motion as support_motion"
+        )
+    modes = rigid_modes(points, support.centre)
+    size = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+    unit = np.append(np.ones(3), np.full(3, 1.0 / size))
+    singular = np.linalg.svd((modes * unit).reshape(-1, 6), compute_uv=False)
+    if singular[-1] < _UNSEEN * singular[0]:
+        raise InputError(
+            f"{where}: its {len(points)} measured points lie in a line, so its turn about that"
+            " line is not known; give points beside it, or a rigid motion as support_motion"
+        )
+    value, spread = _robust_fit(modes, moved)
+    middle = points.mean(axis=0)
+    strain = _strain(points - middle, moved - modes @ value)
+    value[:3] += strain @ (support.centre - middle)
+    return GivenMotion(value, spread, strain)
+
+
+def _robust_fit(
+    modes: Float[np.ndarray, "n 3 6"], moved: Points
+) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+    """Motion by iteratively reweighted least squares, and its standard deviations."""
+    weight = np.ones(len(moved))
+    for _ in range(_ROUNDS):
+        normal = np.einsum("n,nip,niq->pq", weight, modes, modes)
+        value = np.linalg.solve(normal, np.einsum("n,nip,ni->p", weight, modes, moved))
+        length = np.linalg.norm(moved - modes @ value, axis=1)
+        level = max(STD_OVER_MEDIAN * known_median(length) / np.sqrt(3.0), np.finfo(float).tiny)
+        weight = (_DEGREES + 3.0) / (_DEGREES + (length / level) ** 2)
+    return value, level * np.sqrt(np.diag(np.linalg.inv(normal)))
+
+
+def _strain(offset: Points, rest: Points) -> Float[np.ndarray, "3 3"]:
+    """Gradient of the displacement left by a rigid motion; zero normal to coplanar points."""
+    return np.linalg.lstsq(offset, rest, rcond=_UNSEEN)[0].T
+
+
+def _total_force(mesh: TriangleMesh, load: Load) -> Vector3:
+    """Force of a load on the object."""
+    if load.force is not None:
+        return load.force
+    # A pressure always acts over given triangles.
+    pressed = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
+    return -float(load.pressure or 0.0) * pressed

@@ -1,5 +1,6 @@
 """Contacts whose radius nobody knows: a session that names its tool tells as much as one that knows
-the circle that the tool touches."""
+the circle that the tool touches.
+"""
 
 import sys
 from collections.abc import Callable
@@ -11,8 +12,15 @@ import numpy as np
 import pytest
 from surfaces import ball_mesh, box
 
+from palpate.bem import (
+    BoundarySurface,
+    PressureDisc,
+    disc_displacement,
+    disc_potentials,
+    make_surface,
+)
 from palpate.errors import PalpateError
-from palpate.geometry import closest_points
+from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import (
     fit_session,
     graded_session,
@@ -20,12 +28,19 @@ from palpate.pipeline import (
     refined_session,
     session_observations,
 )
-from palpate.pipeline.model.contacts.contact_radii import largest_change
-from palpate.pipeline.notes import _contact_notes
-from palpate.pipeline.observations.consistent_contacts import _consistent_modulus
+from palpate.pipeline.contacts import (
+    STEP,
+    _consistent_modulus,
+    displaced_contacts,
+    largest_change,
+    with_contact_radii,
+)
+from palpate.pipeline.fit_session import _contact_notes
 from palpate.probe import contact_circle
 from palpate.records import (
+    CONE,
     EXACT,
+    FLAT,
     SLIDES,
     SPHERE,
     STICKS,
@@ -43,6 +58,13 @@ from palpate.records import (
 SHEAR, NU, BALL = 2e4, 0.3, 6e-3
 # In the middle, the cube does not move sideways under a tool.
 PLACE, PUSH = np.array([0.02, 0.02, 0.04]), 0.34
+SIDE, TIP, FORCE = 0.04, 6e-3, 0.3
+CONSTANTS = {"shear_modulus": 2e4, "poisson_ratio": 0.3}
+TOP = np.array([0.021, 0.019, SIDE])
+DOWN = np.array([0.0, 0.0, -1.0])
+SIDEWAYS, TURN = np.array([4e-4, -2e-4, -1e-3]), np.array([0.02, 0.03, 0.01])
+# Between vertices a sixth of the half space's dent is left over as a slope of 1e-3: 6 um of a ball.
+NEAR = 1e-5
 
 
 def _session(contact: Contact, push: float = PUSH) -> Session:
@@ -95,8 +117,8 @@ def test_all_radii_are_tried_with_the_same_factors(
     """The radius changes the load, not the equations: each model is factorised once."""
     factorised, asked = [], []
     for module, name, calls in (
-        ("palpate.bem.system.centred_system", "factorise_with_slope", factorised),
-        ("palpate.pipeline.observations.consistent_contacts", "best_constants_of", asked),
+        ("palpate.bem.system.factors", "_factorise_with_slope", factorised),
+        ("palpate.pipeline.contacts", "best_constants_of", asked),
     ):
         monkeypatch.setattr(sys.modules[module], name, _counted(sys.modules[module], name, calls))
     fit_session(_named(measured, Tool(SPHERE, BALL)))
@@ -243,3 +265,101 @@ def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None
     for other in (moved, wider, pulled):
         changed = replace(measured, probings=(replace(probing, contact=other),))
         assert largest_change(measured, changed) == pytest.approx(0.01, rel=1e-9)
+
+
+def _block_session(mesh: TriangleMesh, tool: Tool, travel: np.ndarray | None = None) -> Session:
+    contact = replace(tool.contact(TOP), radius=3e-3)
+    probing = Probing("n", contact, FORCE * DOWN, None, travel, None, None, None)
+    return Session("box", Path(), mesh, _held(mesh), (probing,), None, None, None, (), errors=EXACT)
+
+
+def _held(mesh: TriangleMesh) -> np.ndarray:
+    low = mesh.vertices[:, 2].min() + 0.05 * SIDE
+    return np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < low).all(axis=1))
+
+
+def _surface(mesh: TriangleMesh) -> BoundarySurface:
+    return make_surface(mesh, _held(mesh))
+
+
+def _rigid(mesh: TriangleMesh) -> np.ndarray:
+    return SIDEWAYS + np.cross(TURN, mesh.vertices - TOP)
+
+
+def _displaced(tool: Tool, travel: np.ndarray | None = None) -> Contact:
+    """The contact on a box that moves rigidly, with the dent of a half space under the tool."""
+    mesh = box((SIDE, SIDE, SIDE), 16)
+    session = _block_session(mesh, tool, travel)
+    contact = session.probings[0].contact
+    disc = PressureDisc(contact.point, contact.reach, contact.pressure)
+    potentials = disc_potentials(contact.pressure)
+    constant, slope = disc_displacement(disc, potentials, -DOWN, mesh.vertices)
+    dent = (constant + 0.3 * slope) @ (FORCE * DOWN) / 2e4
+    found = displaced_contacts(session, _surface(mesh), [_rigid(mesh) + dent], **CONSTANTS)
+    return found.probings[0].contact
+
+
+def _slope() -> np.ndarray:
+    """Derivatives of the height of a horizontal surface that turns by `TURN`."""
+    return np.array([-TURN[1], TURN[0], 0.0])
+
+
+def test_a_ball_touches_where_the_surface_faces_it() -> None:
+    contact = _displaced(Tool(SPHERE, TIP))
+    expected = STEP * (TIP * _slope() - np.append(SIDEWAYS[:2], 0.0))
+    np.testing.assert_allclose(contact.point - TOP, expected, rtol=0.0, atol=NEAR)
+    np.testing.assert_array_equal(contact.start, TOP)
+
+
+def test_a_surface_that_sticks_does_not_slip_but_rolls() -> None:
+    contact = _displaced(Tool(SPHERE, TIP, STICKS))
+    np.testing.assert_allclose(contact.point - TOP, STEP * TIP * _slope(), rtol=0.0, atol=NEAR)
+
+
+@pytest.mark.parametrize("tool", [Tool(FLAT, 3e-3), Tool(CONE, 3e-3, angle=1.2)])
+def test_faces_and_points_stay_where_they_are_in_space(tool: Tool) -> None:
+    contact = _displaced(tool)
+    np.testing.assert_allclose((contact.point - TOP)[:2], -STEP * SIDEWAYS[:2], rtol=0.0, atol=NEAR)
+
+
+def test_an_arm_that_was_seen_to_move_sideways_is_followed() -> None:
+    travel = np.array([3e-4, 1e-4, -2e-3])
+    shift = _displaced(Tool(SPHERE, TIP), travel).point - _displaced(Tool(SPHERE, TIP)).point
+    np.testing.assert_allclose(shift[:2], STEP * travel[:2], rtol=0.0, atol=1e-9)
+
+
+def test_a_tool_is_followed_by_no_more_than_its_contact() -> None:
+    mesh = box((SIDE, SIDE, SIDE), 16)
+    session = _block_session(mesh, Tool(SPHERE, TIP))
+    far = 0.01 * np.broadcast_to([1.0, 0.0, 0.0], mesh.vertices.shape)
+    (probing,) = displaced_contacts(session, _surface(mesh), [far], **CONSTANTS).probings
+    contact = probing.contact
+    assert np.linalg.norm(contact.point - TOP) == pytest.approx(STEP * contact.radius, rel=1e-2)
+
+
+def test_a_curved_surface_turns_its_face_sooner() -> None:
+    """On a ball of radius B, a ball of radius R touches at R B / (R + B) times the slope."""
+    big = 0.03
+    mesh = ball_mesh(np.full(3, big), 1500)
+    top = mesh.vertices[int(mesh.vertices[:, 2].argmax())]
+    session = _block_session(mesh, Tool(SPHERE, TIP))
+    contact = replace(session.probings[0].contact, point=top)
+    probing = replace(session.probings[0], contact=contact, force=1e-9 * DOWN)
+    moved = np.cross(TURN, mesh.vertices - top)
+    session = replace(session, probings=(probing,))
+    (found,) = displaced_contacts(session, _surface(mesh), [moved], **CONSTANTS).probings
+    expected = STEP * TIP * big / (TIP + big) * _slope()
+    # The mesh's own curvature is known to 2 %.
+    np.testing.assert_allclose((found.contact.point - top)[:2], expected[:2], rtol=0.0, atol=6e-6)
+
+
+def test_contacts_without_a_tool_stay() -> None:
+    mesh = box((SIDE, SIDE, SIDE), 4)
+    session = _block_session(mesh, Tool(SPHERE, TIP))
+    (probing,) = session.probings
+    told = replace(probing, contact=Contact(TOP, 3e-3, "hertz"))
+    session = replace(session, probings=(told,))
+    found = displaced_contacts(session, _surface(mesh), [_rigid(mesh)], **CONSTANTS)
+    assert found.probings[0] is told
+    # The circle of a tool is found anew about the place where it presses.
+    assert with_contact_radii(found, **CONSTANTS).probings[0].contact is told.contact

@@ -15,7 +15,7 @@ from palpate.pipeline import (
     refined_session,
     session_observations,
 )
-from palpate.pipeline.model.moving_supports import moving_supports, rigid_modes
+from palpate.pipeline.model.supports import moving_supports, rigid_modes
 from palpate.records import (
     EXACT as NO_ERRORS,
     FREE,

@@ -10,7 +10,7 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session, make_object_model, poke_session, session_observations
-from palpate.pipeline.model.moving_supports import held_directions, rigid_modes, sliding_motion
+from palpate.pipeline.model.supports import held_directions, rigid_modes, sliding_motion
 from palpate.records import (
     EXACT,
     FREE,

@@ -10,7 +10,7 @@ from surfaces import sphere
 
 from palpate.errors import CalibrationError
 from palpate.geometry import TriangleMesh
-from palpate.pipeline.object_pose import _encloses, posed_rig
+from palpate.pipeline.motion.sequences import _encloses, posed_rig
 from palpate.records import Rig, read_rig, read_session
 from palpate.vision import read_pictures
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
-from pipeline.saved.picture_session import given_and_measured
+from pipeline.picture_session import given_and_measured
 
 from palpate.geometry import closest_points
-from palpate.pipeline.rejections import rejection_note, rejections
+from palpate.pipeline.motion.figures import rejection_note, rejections
 
 
 @pytest.fixture
