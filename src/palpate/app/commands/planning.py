@@ -1,4 +1,5 @@
-"""`palpate lab plan`: what cameras will see and which precision to expect of a session."""
+"""`palpate plan` and `palpate lab plan`: where to push next, and what to expect of pictures that
+are still to be taken."""
 
 from pathlib import Path
 
@@ -6,15 +7,19 @@ import cv2
 import numpy as np
 from rich.table import Table
 
-from palpate.app.terminal.notes import print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import progress_bar
-from palpate.app.terminal.tables import budget_sentences, terminal_table
-from palpate.app.units import Modulus
+from palpate.app.tables import budget_sentences, number_text, terminal_table
+from palpate.app.terminal import Modulus, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
 from palpate.errors import InputError
+from palpate.figures import next_probings_figure, save_figure
 from palpate.lab import Pictures, choose_variant
-from palpate.pipeline import MeasurementPlan, plan_measurement
+from palpate.pipeline import (
+    MeasurementPlan,
+    NextProbings,
+    plan_measurement,
+    plan_next,
+    with_pictures_measured,
+)
 from palpate.records import (
     default_folder,
     modulus_unit,
@@ -32,6 +37,55 @@ _CAPTION = (
 
 
 def plan(
+    session: Path,
+    /,
+    *,
+    next: bool = True,
+    count: int = 3,
+    out: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Suggest where to push next so that the constants become most certain.
+
+    Fits the session as it is, compares some forty places within reach of a tool like its first one
+    by their Fisher information (shared errors included), and names the best in order, with the
+    standard deviations to expect after each.
+
+    Parameters
+    ----------
+    session
+        Folder of a session with one measured probing or more.
+    next
+        Suggest where to push next. This is what the command does, with or without the flag.
+    count
+        Number of places to suggest.
+    out
+        Folder for the picture. Default: the session's folder name followed by -next, in the current
+        folder.
+    force
+        Overwrite even if the target is not an unchanged result of this command; the old content is
+        kept as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    target = out or default_folder(session, "next")
+    with result_folder(target, kind="plan", force=force) as folder:
+        given = read_session(session, allow=check_memory)
+        record_inputs(folder, session_files(session))
+        print_notes(given.notes)
+        with progress_bar() as progress:
+            measured = with_pictures_measured(given, progress=progress)
+            planned = plan_next(measured, count=count, progress=progress)
+            save_figure(next_probings_figure(given.name, planned), folder / "next.png")
+    print_tables(_table(planned))
+    print_text(f"Picture in {target / 'next.png'}")
+    return 0
+
+
+def plan_pictures(
     session: Path,
     /,
     *,
@@ -77,7 +131,7 @@ def plan(
         print_notes(given.notes)
         variant = choose_variant()
         with progress_bar() as progress:
-            found = plan_measurement(
+            planned = plan_measurement(
                 given,
                 young_modulus=young_modulus,
                 poisson_ratio=poisson_ratio,
@@ -87,9 +141,26 @@ def plan(
                 progress=progress,
             )
         print_notes([variant.why])
-    print_tables(_cameras(found), _probings(found, young_modulus, poisson_ratio))
+    print_tables(_cameras(planned), _probings(planned, young_modulus, poisson_ratio))
     print_text(f"Pictures in {target}")
     return 0
+
+
+def _table(found: NextProbings) -> Table:
+    """What is measured, and one row for each chosen place."""
+    factor, unit = modulus_unit(found.information.shear_modulus)
+    rows = [("now", "", "", *_deviations(found.now, factor))]
+    for number, (k, after) in enumerate(zip(found.chosen, found.after, strict=True), start=1):
+        place = ", ".join(f"{1e3 * x:.1f}" for x in found.point[k])
+        force = ", ".join(f"{found.force * x:.2g}" for x in found.inward[k])
+        rows.append((f"+ {number}", place, force, *_deviations(after, factor)))
+    return terminal_table(
+        f"Where to push next, with a radius of {1e3 * found.radius:.3g} mm",
+        ("pushes", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"),
+        rows,
+        caption=f"best of {len(found.point)} places; sd: standard deviations to expect with all"
+        " pushes up to this row",
+    )
 
 
 def _save(file: Path, picture: np.ndarray) -> None:
@@ -123,12 +194,9 @@ def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
 
 
 def _deviations(precision: dict[str, float], factor: float) -> tuple[str, str, str]:
-    nu, shear, young = (
-        f"{value:.2g}" if np.isfinite(value) else "-"
-        for value in (
-            precision["poisson_ratio"],
-            precision["shear_modulus"] / factor,
-            precision["young_modulus"] / factor,
-        )
+    """Those of nu, G and E, the moduli in a unit of `factor`; a dash: not determined."""
+    return (
+        number_text(precision["poisson_ratio"], ".2g"),
+        number_text(precision["shear_modulus"] / factor, ".2g"),
+        number_text(precision["young_modulus"] / factor, ".2g"),
     )
-    return nu, shear, young

@@ -2,9 +2,16 @@
 
 import json
 
+import numba
 import pytest
 
-from palpate.app.terminal.output import table_content
+from palpate.app.process import Output, output_as
+from palpate.app.terminal import progress_bar, table_content
+
+POKE = (
+    "--at", "20mm", "2 cm", "0.04", "--force", "0", "0", "-500mN", "--young-modulus", "50 kPa",
+    "--poisson-ratio", "0.3",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("place", ["before", "behind"])
@@ -58,12 +65,6 @@ def test_stages_are_told_with_their_times(palpate, cube_session):
     assert "Displacement" in out
 
 
-POKE = (
-    "--at", "20mm", "2 cm", "0.04", "--force", "0", "0", "-500mN", "--young-modulus", "50 kPa",
-    "--poisson-ratio", "0.3",
-)  # fmt: skip
-
-
 def test_units_of_options_are_understood(palpate, cube_session):
     plain = ("--at", "0.02", "0.02", "0.04", "--force", "0", "0", "-0.5",
              "--young-modulus", "50000", "--poisson-ratio", "0.3")  # fmt: skip
@@ -95,3 +96,43 @@ def test_help_has_no_noise_and_even_line_ends(palpate, words):
 
 def test_the_lists_of_the_facility_can_be_found(palpate):
     assert "palpate lab --list" in palpate("lab", "--help")[1]
+
+
+def test_nothing_is_shown_where_stderr_is_no_terminal(capsys):
+    with progress_bar() as report:
+        report("factorisation", 0.5)
+        report("fit", 1.0)
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+def test_stages_are_shown_on_a_terminal(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    with progress_bar() as report:
+        report("factorisation", 0.5)
+    shown = capsys.readouterr().err
+    assert "factorisation" in shown
+    assert "50%" in shown
+
+
+def test_a_stage_that_waits_for_the_compiler_says_so(capsys):
+    @numba.njit
+    def inner(x):
+        return x + 1
+
+    @numba.njit
+    def outer(x):
+        return inner(x) * 2
+
+    with output_as(Output(verbose=True), ["fit"]), progress_bar() as report:
+        report("matching", 0.25)
+        assert outer(3) == 8
+        assert outer(4) == 10
+        report("fit", 0.5)
+    stages = [line.split("%")[1].strip() for line in capsys.readouterr().err.splitlines()]
+    assert stages == ["matching", "matching (compiling, once)", "matching", "fit"]
+    fresh = numba.njit(outer.py_func)
+    assert fresh(3) == 8
+    # Nobody listens any longer.
+    assert capsys.readouterr().err == ""

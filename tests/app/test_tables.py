@@ -9,13 +9,15 @@ from cube_session import cube_session as cube_session
 from estimate_samples import sample_result
 from rich.console import Console
 
-from palpate.app.terminal.tables import (
+from palpate.app.tables import (
     constants_table,
     number_text,
     probes_table,
     terminal_table,
 )
 from palpate.records import BudgetEntry, ErrorEstimate, Status, read_session
+
+NAMES = ("probing-of-18-char", "another_of-18-char")
 
 
 def printed(table, width):
@@ -110,9 +112,6 @@ def test_what_the_intervals_hold_is_said_below_the_constants(cube_session):
     text = " ".join(printed(constants_table(assumed), 120).split())
     # The one that is farthest off by its own prior.
     assert "shift of the object along x, by -0.3 mm ± 0.05 mm (assumed: 0.2 mm, prior" in text
-
-
-NAMES = ("probing-of-18-char", "another_of-18-char")
 
 
 def named(cube_session):

@@ -7,11 +7,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from palpate.app.exit_codes import NOT_OK
-from palpate.app.terminal.notes import print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import progress_bar
-from palpate.app.terminal.tables import number_text, terminal_table
+from palpate.app.process import NOT_OK
+from palpate.app.tables import number_text, terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar
 from palpate.campaign import (
     DONE,
     FAILED,

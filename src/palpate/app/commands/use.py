@@ -1,6 +1,8 @@
-"""`palpate poke`: a push that was never measured, and where it strains."""
+"""Commands that put a model to use: `palpate poke` presses it, `view` shows it, `export` writes it
+for a simulator."""
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,19 +13,36 @@ from cyclopts import Parameter
 from jaxtyping import Float
 from rich.table import Table
 
-from palpate.app.environment import check_cache
-from palpate.app.terminal.notes import print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import progress_bar
-from palpate.app.terminal.tables import terminal_table
-from palpate.app.units import Force, Length, Modulus, Place
+from palpate.app.process import check_cache
+from palpate.app.tables import terminal_table
+from palpate.app.terminal import (
+    Force,
+    Length,
+    Modulus,
+    Place,
+    print_notes,
+    print_tables,
+    print_text,
+    progress_bar,
+)
 from palpate.bem import InteriorState, check_memory
 from palpate.errors import InputError
 from palpate.geometry import bounding_diagonal
 from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
-from palpate.records import MODULUS_RANGE, Status, modulus_unit, read_estimate, read_session
+from palpate.records import (
+    MODULUS_RANGE,
+    Status,
+    check_free,
+    default_folder,
+    modulus_unit,
+    read_estimate,
+    read_session,
+    record_inputs,
+    result_folder,
+)
 from palpate.shapes import Points
-from palpate.simulation import read_fit
+from palpate.simulation import FORMATS, export_fit, read_fit
+from palpate.viewer import Viewer, read_subject, write_screenshot, write_turntable
 
 _Triple = tuple[float, float, float]
 # Newtons that no tool has; and of the object's size, what is no small deformation.
@@ -32,6 +51,9 @@ _LARGEST_FORCE, _SMALL_DEFORMATION = 1e9, 0.1
 _COMPONENTS = {
     "sxx": (0, 0), "syy": (1, 1), "szz": (2, 2), "sxy": (0, 1), "syz": (1, 2), "szx": (2, 0),
 }  # fmt: skip
+Simulator = Literal[
+    "mujoco", "calculix", "febio", "sofa", "vtu", "openusd", "obj", "genesis", "isaaclab", "npz"
+]
 
 
 def poke(
@@ -109,11 +131,11 @@ def poke(
     points = None if interior is None else np.array(interior)
     given = replace(given, smooth=surface == "smooth")
     with progress_bar() as progress:
-        found = poke_session(
+        state = poke_session(
             given, np.array(force), contact, shear_modulus=shear, poisson_ratio=ratio,
             interior=points, cache=cache, progress=progress,
         )  # fmt: skip
-    moved = float(np.linalg.norm(found.largest)) / bounding_diagonal(given.mesh)
+    moved = float(np.linalg.norm(state.largest)) / bounding_diagonal(given.mesh)
     if moved > _SMALL_DEFORMATION:
         note = (
             f"The object would move by {moved:.2g} times its size: outside small deformation, for"
@@ -123,12 +145,135 @@ def poke(
     factor, unit = modulus_unit(shear)
     print_text(
         f"{given.name}: G = {shear / factor:.4g} {unit}, nu = {ratio:.4g}; a force of"
-        f" ({_numbers(force)}) N over a radius of {1e3 * (found.contact.radius or 0.0):.3g} mm;"
-        f" the support answers with ({_numbers(found.reaction)}) N"
+        f" ({_numbers(force)}) N over a radius of {1e3 * (state.contact.radius or 0.0):.3g} mm;"
+        f" the support answers with ({_numbers(state.reaction)}) N"
     )
-    print_tables(_displacement_table(found, points))
-    if found.interior is not None:
-        print_tables(_stress_table(found.interior))
+    print_tables(_displacement_table(state, points))
+    if state.interior is not None:
+        print_tables(_stress_table(state.interior))
+    return 0
+
+
+def view(
+    subject: Path,
+    /,
+    *,
+    session: Path | None = None,
+    port: int | None = None,
+    screenshot: Path | None = None,
+    turntable: Path | None = None,
+    probe: str | None = None,
+    cache: Path | None = None,
+    force: bool = False,
+) -> int:
+    """View an object in the browser: its probings, what the model predicts, how it feels.
+
+    Colours show measured and predicted motion; sliders change the constants; a click presses a ball
+    into the object, or sets support and contacts. The page is served by this computer, to this
+    computer only, and only to who has the address that is printed. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    subject
+        Session folder, or result folder of `palpate fit`.
+    session
+        Present location of a result's session, if it was moved.
+    port
+        Port of the page. Default: 8080, or the next free one.
+    screenshot
+        Write a picture (.png, .jpg) instead; needs neither browser nor display.
+    turntable
+        Write a turntable film (.mp4, .gif) instead.
+    probe
+        Probing to show in a picture or film. Default: the first.
+    cache
+        Folder in which to keep intermediate results for this object, for faster later runs.
+    force
+        Replace a picture or film of that name.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    if screenshot is None and turntable is None and probe is not None:
+        raise InputError("--probe is for --screenshot and --turntable; choose it in the page")
+    for target in (screenshot, turntable):
+        if target is not None:
+            check_free(target, force=force)
+    check_cache(cache)
+    subject_read = read_subject(subject, session)
+    if screenshot is not None:
+        write_screenshot(subject_read, screenshot, probe=probe)
+        print_text(f"Picture in {screenshot}", wrapped=False)
+    if turntable is not None:
+        with progress_bar() as progress:
+            write_turntable(subject_read, turntable, probe=probe, progress=progress)
+        print_text(f"Film in {turntable}", wrapped=False)
+    if screenshot is None and turntable is None:
+        _serve(Viewer(subject_read, port=port, cache=cache))
+    return 0
+
+
+def export(
+    result: Path,
+    /,
+    *,
+    to: Simulator,
+    out: Path | None = None,
+    probe: str | None = None,
+    edge: Length | None = None,
+    session: Path | None = None,
+    cache: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Write an estimated object for a simulator: its shape, support and constants, and one push.
+
+    Writes a folder with the simulator's files, and a README.txt and palpate.json that give the
+    constants with their intervals and what was changed for the simulator.
+
+    Parameters
+    ----------
+    result
+        Result folder of `palpate fit`.
+    to
+        The simulator.
+    out
+        Folder; it appears whole or not at all. Default: the result folder's name followed by the
+        simulator's, in the current folder.
+    probe
+        Probing to include, for replay in the simulator. Default: the first one left out of the
+        estimate, else the first.
+    edge
+        Edge of the tetrahedra away from the contact, m, or with its unit: 3mm. Default: a ninth of
+        the cube root of the volume.
+    session
+        Present location of the result's session, if it was moved.
+    cache
+        Folder in which to keep intermediate results for this object, for faster later runs.
+    force
+        Overwrite even if the target is not an unchanged export to this simulator; the old content
+        is kept as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    check_cache(cache)
+    target = out or default_folder(result, to)
+    with result_folder(target, kind=f"export --to {to}", force=force) as folder:
+        source = read_fit(result, session)
+        record_inputs(folder, source.files)
+        with progress_bar() as progress:
+            body = export_fit(
+                folder, source, to, probe=probe, edge=edge, cache=cache, progress=progress
+            )
+    print_notes(body.notes)
+    if body.push is not None:
+        how = "left out of the estimate" if body.push.held_out else "used in the estimate"
+        print_text(f"Push written along: probing {body.push.name}, {how}")
+    print_text(f"{FORMATS[to].title} files in {target}; README.txt there says how to run them")
     return 0
 
 
@@ -205,3 +350,15 @@ def _numbers(vector: Sequence[float] | Float[np.ndarray, " n"]) -> str:
     decimals = 0 if largest == 0.0 else max(2 - math.floor(math.log10(largest)), 0)
     # What is rounded to zero has no sign.
     return ", ".join(f"{round(float(x), decimals) + 0.0:.{decimals}f}" for x in vector)
+
+
+def _serve(viewer: Viewer) -> None:
+    """Until somebody ends it."""
+    print_text(f"Open {viewer.address} in a browser; Ctrl-C ends it", wrapped=False)
+    try:
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        print_text("The viewer has ended")
+    finally:
+        viewer.stop()
