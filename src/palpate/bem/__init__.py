@@ -21,7 +21,6 @@ from palpate.bem.compressed.system import (
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
     ElasticState as ElasticState,
-    load_right_hand as load_right_hand,
     make_elastic_map as make_elastic_map,
 )
 from palpate.bem.integrals.surface import (
@@ -44,6 +43,7 @@ from palpate.bem.loads.local_indentation import (
     IndentationCorrection as IndentationCorrection,
     correction_columns as correction_columns,
     indentation_corrections as indentation_corrections,
+    load_right_hand as load_right_hand,
 )
 from palpate.bem.loads.right_hand import (
     BodyForce as BodyForce,
