@@ -4,7 +4,7 @@ kept for a JSON document; progress."""
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -38,19 +38,15 @@ def _convert(
     return numbers if len(numbers) > 1 else numbers[0]
 
 
-def _converter(units: Mapping[str, float]) -> Callable[..., Any]:
-    return partial(_convert, units)
-
-
-Length = Annotated[float, Parameter(converter=_converter(LENGTH_UNITS))]
-Modulus = Annotated[float, Parameter(converter=_converter(MODULUS_UNITS))]
+Length = Annotated[float, Parameter(converter=partial(_convert, LENGTH_UNITS))]
+Modulus = Annotated[float, Parameter(converter=partial(_convert, MODULUS_UNITS))]
 Place = Annotated[
     tuple[float, float, float],
-    Parameter(converter=_converter(LENGTH_UNITS), allow_leading_hyphen=True),
+    Parameter(converter=partial(_convert, LENGTH_UNITS), allow_leading_hyphen=True),
 ]
 Force = Annotated[
     tuple[float, float, float],
-    Parameter(converter=_converter(FORCE_UNITS), allow_leading_hyphen=True),
+    Parameter(converter=partial(_convert, FORCE_UNITS), allow_leading_hyphen=True),
 ]
 
 
