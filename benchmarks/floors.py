@@ -13,7 +13,7 @@ from scipy.linalg.blas import get_blas_funcs
 from benchmarks.clock import shortest
 from palpate.bem.integrals.assembly import KernelIntegrals
 from palpate.bem.integrals.kelvin import LANES, TRACTION
-from palpate.bem.system import factors, slope
+from palpate.bem.system import factors, matrix
 from palpate.vision.spline import make_spline_picture, sample_kernel
 
 _SIDE = 4000  # of the matrices that are multiplied
@@ -111,7 +111,7 @@ class Operations:
 def counted_operations() -> Iterator[Operations]:
     """Counts what the model's matrices take while the block runs."""
     found = Operations()
-    lu_factor, lu_solve, product = factors.lu_factor, factors.lu_solve, slope._product
+    lu_factor, lu_solve, product = factors.lu_factor, factors.lu_solve, matrix._product
 
     def factorised(a, **options):
         found.add("factors", a.dtype, 2.0 / 3.0 * len(a) ** 3)
@@ -128,6 +128,6 @@ def counted_operations() -> Iterator[Operations]:
     with (
         patch.object(factors, "lu_factor", factorised),
         patch.object(factors, "lu_solve", solved),
-        patch.object(slope, "_product", multiplied),
+        patch.object(matrix, "_product", multiplied),
     ):
         yield found

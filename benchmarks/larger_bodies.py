@@ -38,15 +38,15 @@ from palpate.bem import (
     make_surface,
     solve,
 )
-from palpate.bem.compressed import choice
-from palpate.bem.compressed.moments import LeafMoments
-from palpate.bem.compressed.near_field import NearBlock
-from palpate.bem.compressed.preconditioner import cluster_inverse, solve_compressed
-from palpate.bem.system.memory import LARGEST_DENSE as SIZE_CHOOSES
+from palpate.bem.compressed import system as compressed
+from palpate.bem.compressed.far_field import LeafMoments
+from palpate.bem.compressed.iterative import cluster_inverse, solve_compressed
+from palpate.bem.compressed.operator import NearBlock
+from palpate.bem.compressed.system import LARGEST_DENSE as SIZE_CHOOSES
 from palpate.figures.style import BLUE, GREY, ORANGE, STYLE, open_frame, save_figure
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session, make_object_model
-from palpate.pipeline.model.contacts.perturbations import surface_load
+from palpate.pipeline.model.contact_loads import surface_load
 from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
 
 SIZES = (16, 22, 32, 45, 63)
@@ -321,7 +321,7 @@ def main() -> None:
     elif task == "fit":
         if rest[1:]:
             # By itself, size decides; the body whose displacements are fitted stays compressed.
-            choice.LARGEST_DENSE = 0 if rest[1] == "compressed" else 10 * SOURCE**2
+            compressed.LARGEST_DENSE = 0 if rest[1] == "compressed" else 10 * SOURCE**2
         fit(folder, int(rest[0]))
     else:
         draw(folder)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from palpate.geometry import TriangleMesh
-from palpate.pipeline.object_pose import posed_rig
+from palpate.pipeline.motion.sequences import posed_rig
 from palpate.records import Camera, Rig
 from palpate.vision import JointFlow, is_valid
 

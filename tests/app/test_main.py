@@ -12,7 +12,7 @@ import runpy, signal, sys
 
 class Finder:
     def find_spec(self, name, path=None, target=None):
-        if name == "palpate.app.guard":
+        if name == "palpate.app.process":
             signal.raise_signal(signal.SIGINT)
 
 sys.meta_path.insert(0, Finder())

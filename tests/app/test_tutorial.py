@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from palpate.app.cli import main
-from palpate.app.commands.sessions.tutorial import printed_board
+from palpate.app.commands.lab import printed_board
 from palpate.lab import TutorialSize, choose_variant, make_tutorial
 from palpate.records import read_rig, read_session
 

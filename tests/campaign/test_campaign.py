@@ -12,7 +12,7 @@ import distributed
 import numpy as np
 import pytest
 from campaign.conftest import NU, SHEAR
-from pipeline.saved.picture_session import with_pictures
+from pipeline.picture_session import with_pictures
 from surfaces import box
 
 from palpate.campaign import FitOptions, Store, read_items, run_campaign, work as work_file

@@ -3,7 +3,7 @@
 import shutil
 
 import pytest
-from pipeline.saved.seen_session import write_seen_session
+from pipeline.seen_session import write_seen_session
 from surfaces import box
 
 from palpate.campaign import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.bem import check_memory
-from palpate.bem.compressed import choice
+from palpate.bem.compressed import system as compressed
 from palpate.campaign import FitOptions, Work, do_work, pack_session
 from palpate.campaign.package import pack_files
 from palpate.errors import InputError
@@ -74,7 +74,7 @@ def test_a_body_leaves_what_its_fits_need(fitted, packed_cube, tmp_path):
 
 @pytest.mark.slow
 def test_a_shared_body_that_is_solved_compressed_leaves_nothing(packed_cube, tmp_path, monkeypatch):
-    monkeypatch.setattr(choice, "LARGEST_DENSE", 0)
+    monkeypatch.setattr(compressed, "LARGEST_DENSE", 0)
     work = Work("fit", packed_cube, FitOptions(), shared_body=True)
     outcome = do_work(work, folder=tmp_path / "one")
     assert outcome.failure == ""

@@ -6,7 +6,7 @@ import numpy as np
 from estimation.half_space import HalfSpace
 
 from palpate.estimation import Nuisance, NuisanceParameter, ProbeObservations
-from palpate.pipeline.model.contacts.contact_errors import contact_error
+from palpate.pipeline.model.shared_errors import contact_error
 
 __all__ = ["STEPS", "MovedContact", "contact_error_of"]
 

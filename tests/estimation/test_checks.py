@@ -21,8 +21,8 @@ from palpate.estimation.checks import (
 from palpate.estimation.gauss_newton import fitted
 from palpate.estimation.noise import StudentT
 from palpate.estimation.observed_rows import observed_rows_of
-from palpate.pipeline.model.measurement_errors import force_gain
-from palpate.pipeline.observations.converged_observations import model_step
+from palpate.pipeline.model.shared_errors import force_gain
+from palpate.pipeline.observations import model_step
 
 
 def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:

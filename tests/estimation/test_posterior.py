@@ -22,8 +22,8 @@ from palpate.estimation.posterior import (
     reported_intervals,
     uncertainty_budget,
 )
-from palpate.pipeline.model.measurement_errors import force_direction, force_gain, length_scale
-from palpate.pipeline.observations.converged_observations import model_step
+from palpate.pipeline.model.shared_errors import force_direction, force_gain, length_scale
+from palpate.pipeline.observations import model_step
 
 EVERY = {"poisson_ratio": True, "shear_modulus": True, "young_modulus": True}
 

@@ -14,7 +14,7 @@ from palpate.estimation import (
 )
 from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.predictions import probe_estimate, probe_fits
-from palpate.pipeline.model.measurement_errors import force_gain
+from palpate.pipeline.model.shared_errors import force_gain
 from palpate.records import Constant
 
 KNOWN = {"shear_modulus": True, "poisson_ratio": True, "young_modulus": True}

@@ -18,7 +18,7 @@ from faults.bench import write_scan, write_shots
 
 from palpate.app import commands
 from palpate.app.cli import main
-from palpate.app.commands.sessions import object_view
+from palpate.app.commands import calibrate
 from palpate.calibration import ObjectView
 from palpate.campaign.rows import Row
 from palpate.campaign.store import Store
@@ -145,7 +145,7 @@ def test_old_or_new_wherever_it_is_killed(
     work, copies = tmp_path / "work", tmp_path / "copies"
     _copied(name, request, work)
     if name == "an object before a rig":
-        monkeypatch.setattr(object_view, "view_object", _viewed)
+        monkeypatch.setattr(calibrate, "view_object", _viewed)
     monkeypatch.chdir(work)
     before = _visible(work)
     # An estimate that is not ok is a result, too.

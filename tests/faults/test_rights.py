@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from fault_injection import without_rights
 
-from palpate.app import environment
+from palpate.app import process
 from palpate.app.cli import main
 
 
@@ -80,8 +80,8 @@ def test_a_home_that_may_not_be_searched_is_as_good_as_none(
     for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
     # The installation, which is asked first, belongs to whoever runs the tests.
-    places = environment._cache_places()[1:]
-    monkeypatch.setattr(environment, "_cache_places", lambda: places)
+    places = process._cache_places()[1:]
+    monkeypatch.setattr(process, "_cache_places", lambda: places)
     (work / "users").chmod(0o000)
     code, said = without_rights(lambda: main(["check", "cube"]))
     (work / "users").chmod(0o755)

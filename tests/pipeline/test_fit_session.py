@@ -5,19 +5,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cube_session import cube_session as cube_session
 from error_columns import columns_of, curvature_of
 from scipy.sparse import csr_array, kron
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from surfaces import sphere
+from surfaces import box, sphere
 
+from palpate.bem import CentredSystem, reduced_model
+from palpate.bem.compressed import system as compressed
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
-from palpate.geometry import TriangleMesh, closest_points
+from palpate.geometry import TriangleMesh, closest_points, write_mesh
 from palpate.pipeline import (
     fit_session,
     graded_session,
     make_object_model,
+    prepare_body,
     refined_session,
     session_observations,
 )
@@ -40,6 +44,14 @@ from palpate.records import (
 SHEAR, NU, NOISE = 2e4, 0.3, 2e-5
 RADIUS = 0.03
 CONSTANTS = ("shear_modulus", "poisson_ratio", "young_modulus")
+KINDS = {
+    "radius": ("", ""),
+    "tool": (
+        'radius = 0.006, profile = "smooth"',
+        'tool = "sphere", tool_radius = 0.006, friction = "slides"',
+    ),
+    "springs": ("tolerance = 1e-6 }", "tolerance = 1e-6 }\nstiffness = 1e9"),
+}
 
 
 def _probing(mesh: TriangleMesh, name: str, place: list[float], force: list[float]) -> Probing:
@@ -478,3 +490,82 @@ def test_where_poisson_s_ratio_is_open_the_search_ends_all_the_same() -> None:
     assert found.status is Status.from_identifiable(
         {"young_modulus": True, "shear_modulus": False, "poisson_ratio": False}
     )
+
+
+@pytest.fixture
+def coarse_session(cube_session: Path, request: pytest.FixtureRequest) -> Session:
+    """A coarse cube with the contact, and on the support, of this kind."""
+    write_mesh(cube_session / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=4))
+    file = cube_session / "session.toml"
+    file.write_text(file.read_text().replace(*KINDS[request.param]))
+    points = read_session(cube_session).mesh.vertices
+    rows = points[points[:, 2] > 0.0]
+    # Under the tool it goes down, and the more so, the higher above the support.
+    near = np.exp(-(((rows - [0.02, 0.02, 0.04]) / 0.02) ** 2).sum(axis=1))
+    moved = np.outer(-4e-4 * rows[:, 2] / 0.04 - 1e-3 * near, [0.0, 0.0, 1.0])
+    table = np.hstack([rows, moved, np.full((len(rows), 1), 1e-4)])
+    np.savetxt(
+        cube_session / "n01.csv", table, delimiter=",", header="x,y,z,ux,uy,uz,sigma", comments=""
+    )
+    return read_session(cube_session)
+
+
+@pytest.fixture
+def factorised(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Sizes of the systems that are factorised."""
+    sizes: list[int] = []
+
+    def seen(self, compute=CentredSystem._compute):
+        sizes.append(self.system.size)
+        return compute(self)
+
+    monkeypatch.setattr(CentredSystem, "_compute", seen)
+    return sizes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coarse_session", ["radius"], indirect=True)
+def test_reduced_models_are_found_as_well(coarse_session, tmp_path, monkeypatch):
+    def computed(*_):
+        raise AssertionError("computed again")
+
+    prepare_body(coarse_session, cache=tmp_path / "cache")
+    monkeypatch.setattr(reduced_model, "_krylov_model", computed)
+    assert fit_session(coarse_session, cache=tmp_path / "cache").estimate.shear_modulus.value > 0.0
+
+
+# The graded mesh alone is left where its loads are not known before the fit.
+@pytest.mark.parametrize(
+    ("coarse_session", "left"),
+    [
+        ("radius", 0),
+        pytest.param("tool", 1, marks=pytest.mark.slow),
+        pytest.param("springs", 0, marks=pytest.mark.slow),
+    ],
+    indirect=["coarse_session"],
+)
+def test_a_fit_finds_all_that_does_not_depend_on_what_was_measured(
+    coarse_session, left, factorised, tmp_path
+):
+    plain = fit_session(coarse_session).estimate
+    expected = list(factorised)
+    factorised.clear()
+    prepare_body(coarse_session, cache=tmp_path / "cache")
+    assert factorised == expected[: len(expected) - left]
+    factorised.clear()
+    found = fit_session(coarse_session, cache=tmp_path / "cache").estimate
+    assert factorised == expected[len(expected) - left :]
+    assert found.shear_modulus == plain.shear_modulus
+    assert found.poisson_ratio == plain.poisson_ratio
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coarse_session", ["radius"], indirect=True)
+def test_nothing_is_kept_of_a_body_that_is_solved_compressed(coarse_session, tmp_path, monkeypatch):
+    def solved(*_, **__):
+        raise AssertionError("solved in vain")
+
+    monkeypatch.setattr(compressed, "LARGEST_DENSE", 0)
+    monkeypatch.setattr(reduced_model, "reduced_basis", solved)
+    prepare_body(coarse_session, cache=tmp_path / "cache")
+    assert not (tmp_path / "cache").exists()

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.ball_session import POISSON_RATIO, SHEAR_MODULUS, write_ball_session
 from palpate.bem import CompressedSystem
-from palpate.bem.compressed import choice
+from palpate.bem.compressed import system as bem_system
 from palpate.errors import InputError
 from palpate.estimation import FitMethod, FitSettings
 from palpate.pipeline import fit_session, make_object_model, poke_session
@@ -20,7 +20,7 @@ def session(tmp_path_factory):
 @pytest.fixture
 def compressed(monkeypatch):
     """Everything is large."""
-    monkeypatch.setattr(choice, "LARGEST_DENSE", 50)
+    monkeypatch.setattr(bem_system, "LARGEST_DENSE", 50)
 
 
 # Narrow: fewer solutions serve it.

@@ -12,7 +12,7 @@ import pytest
 from flow_samples import SIDE, SIGMA, camera, motion, sample
 from rich.console import Console
 
-from palpate.app.terminal.tables import flow_table
+from palpate.app.tables import flow_table
 from palpate.errors import RecordError
 from palpate.pipeline import MeasuredMotion
 from palpate.pipeline.motion.figures import motion_figures, write_flow_document

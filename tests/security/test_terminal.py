@@ -11,10 +11,9 @@ from estimate_samples import sample_result
 import palpate
 from palpate.api import Result
 from palpate.app.cli import main
-from palpate.app.output import Output, output_as
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import progress_bar
-from palpate.app.terminal.tables import terminal_table
+from palpate.app.process import Output, output_as
+from palpate.app.tables import terminal_table
+from palpate.app.terminal import print_tables, print_text, progress_bar
 from palpate.errors import PalpateError, print_message
 from palpate.records import read_session
 
@@ -96,7 +95,7 @@ def test_nothing_is_printed_by_other_ways():
     """One function prints lines on stderr, one sentences, one tables; each makes texts visible."""
     allowed = {
         "print": {"errors.py"},
-        "Console": {"app/terminal/output.py", "app/terminal/progress.py", "app/arguments.py"},
+        "Console": {"app/terminal.py", "app/arguments.py"},
     }
     root = Path(palpate.__file__).parent
     for file in root.rglob("*.py"):

@@ -12,7 +12,7 @@ import distributed
 import psutil
 import pytest
 
-from palpate.app.workers import distribution
+from palpate.app.commands.lab import distribution
 from palpate.campaign import check_workers, cluster as cluster_file, started_engine
 from palpate.errors import InputError
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 from estimate_samples import sample_result
-from pipeline.saved.picture_session import given_and_measured, measured_motion
+from pipeline.picture_session import given_and_measured, measured_motion
 from surfaces import box
 
 from palpate.api import Result

@@ -10,9 +10,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from cyclopts import App, CycloptsError, CycloptsPanel, Parameter, Token, convert
 from rich.console import Console
 
-from palpate.app.exit_codes import BAD_INPUT
-from palpate.app.output import Output, output_as
-from palpate.app.versions import versions
+from palpate.app.process import BAD_INPUT, Output, output_as, versions
 from palpate.errors import InputError
 
 # Numbers as options take them.
@@ -25,7 +23,7 @@ _COMMANDS = {
         "Estimate shear modulus, Poisson's ratio and Young's modulus from a session.",
     ),
     "check": (
-        "check:check",
+        "fit:check",
         "Check a session without fitting it: files, units, forces, contacts, pictures.",
     ),
     "flow": (
@@ -37,7 +35,7 @@ _COMMANDS = {
         "Import displacements from another program into a session.",
     ),
     "poke": (
-        "poke:poke",
+        "use:poke",
         "Press a tool on a session's object: how deep it goes, and where it strains.",
     ),
     "compression": (
@@ -53,35 +51,35 @@ _COMMANDS = {
         "Build an object's mesh from scans or depth maps taken from several viewpoints.",
     ),
     "record": (
-        "sessions.record:record",
+        "sessions:record",
         "Build a session from videos of presses and a force gauge's log.",
     ),
     "init": (
-        "sessions.init:init",
+        "sessions:init",
         "Write a commented session.toml from the files in a folder.",
     ),
     "plan": (
-        "planning.next_probings:plan",
+        "planning:plan",
         "Suggest where to push next so that the constants become most certain.",
     ),
     "report": (
-        "outcome.report:report",
+        "fit:report",
         "Write a result's report again, as one self-contained HTML file.",
     ),
     "view": (
-        "use.view:view",
+        "use:view",
         "View a session or a result in the browser: turn it, touch it, query its model.",
     ),
     "export": (
-        "use.export:export",
+        "use:export",
         "Write an estimated object for a simulator: MuJoCo, CalculiX, FEBio, SOFA, OpenUSD, ...",
     ),
     "compile": (
-        "compile:compile_kernels",
+        "fit:compile_kernels",
         "Compile the numerical kernels once, so that the first fit need not wait.",
     ),
     "reproduce": (
-        "reproduce:reproduce",
+        "lab:reproduce",
         "Repeat an experiment of the paper on the virtual bench, beside the published numbers.",
     ),
 }
@@ -96,11 +94,11 @@ _GROUPS = {
                 "Measure a virtual specimen: pictures, forces and the truth as a session.",
             ),
             "tutorial": (
-                "sessions.tutorial:tutorial",
+                "lab:tutorial",
                 "Record the tutorial's calibration board, turntable and presses.",
             ),
             "plan": (
-                "planning.plan:plan",
+                "planning:plan_pictures",
                 "Predict what a session's cameras will see, and the precision to expect.",
             ),
         },
@@ -109,12 +107,12 @@ _GROUPS = {
         "Fit many sessions, on this machine's cores or on many machines.",
         {
             "run": (
-                "batch.campaign:run",
+                "campaign:run",
                 "Fit every session in a list or folder; resumes where it was stopped.",
             ),
-            "status": ("batch.campaign:status", "Show a campaign's progress, also while it runs."),
-            "table": ("batch.campaign:table", "Print or write a campaign's table."),
-            "plot": ("batch.campaign:plot", "Plot the constants of all sessions."),
+            "status": ("campaign:status", "Show a campaign's progress, also while it runs."),
+            "table": ("campaign:table", "Print or write a campaign's table."),
+            "plot": ("campaign:plot", "Plot the constants of all sessions."),
         },
     ),
     "calibrate": (
@@ -123,7 +121,7 @@ _GROUPS = {
             "rig": ("calibrate:calibrate", "Calibrate one or more cameras from pictures."),
             "board": ("calibrate:board", "Draw a ChArUco board in true size, with a ruler."),
             "object": (
-                "sessions.object_view:calibrate_object",
+                "calibrate:calibrate_object",
                 "Locate a known object in a rig's view, and refine the rig by its texture.",
             ),
         },

@@ -13,8 +13,7 @@ from importlib import import_module
 from types import FrameType
 from typing import NoReturn
 
-from palpate.app.exit_codes import BAD_INPUT, BY_SIGNAL, NOT_OK
-from palpate.app.guard import guarded
+from palpate.app.process import BAD_INPUT, BY_SIGNAL, NOT_OK, guarded
 from palpate.errors import NotConvergedError, PalpateError, print_message
 
 _BROKEN_PIPE = BY_SIGNAL + 13

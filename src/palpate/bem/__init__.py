@@ -9,38 +9,30 @@ Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
 
-from palpate.bem.compressed.choice import held_system as held_system
 from palpate.bem.compressed.operator import Compression as Compression
-from palpate.bem.compressed.snapshots import (
-    ReducedBasis as ReducedBasis,
-    orthogonalised as orthogonalised,
-    reduced_basis as reduced_basis,
-)
 from palpate.bem.compressed.system import (
+    LARGEST_DENSE as LARGEST_DENSE,
     CompressedSystem as CompressedSystem,
+    check_memory as check_memory,
     compressed_system as compressed_system,
+    held_system as held_system,
+    memory_needed as memory_needed,
 )
 from palpate.bem.elastic_map import (
     ElasticMap as ElasticMap,
     ElasticState as ElasticState,
-    load_right_hand as load_right_hand,
     make_elastic_map as make_elastic_map,
 )
-from palpate.bem.integrals.quadrature import Quadrature as Quadrature
 from palpate.bem.integrals.surface import (
     BoundarySurface as BoundarySurface,
+    Quadrature as Quadrature,
     SurfaceSettings as SurfaceSettings,
     integral_weights as integral_weights,
     make_surface as make_surface,
 )
-from palpate.bem.interior.interior import (
+from palpate.bem.interior import (
     InteriorState as InteriorState,
     interior_state as interior_state,
-)
-from palpate.bem.loads.body_force import (
-    BodyForce as BodyForce,
-    body_force_columns as body_force_columns,
-    dilation_factor as dilation_factor,
 )
 from palpate.bem.loads.half_space import (
     PressureDisc as PressureDisc,
@@ -51,9 +43,13 @@ from palpate.bem.loads.local_indentation import (
     IndentationCorrection as IndentationCorrection,
     correction_columns as correction_columns,
     indentation_corrections as indentation_corrections,
+    load_right_hand as load_right_hand,
 )
 from palpate.bem.loads.right_hand import (
+    BodyForce as BodyForce,
     RightHand as RightHand,
+    body_force_columns as body_force_columns,
+    dilation_factor as dilation_factor,
     face_columns as face_columns,
     joined as joined,
     pressure_column as pressure_column,
@@ -68,24 +64,27 @@ from palpate.bem.loads.surface_load import (
 from palpate.bem.reduced_model import (
     CENTRE as CENTRE,
     DENSE_RESIDUAL as DENSE_RESIDUAL,
+    ReducedBasis as ReducedBasis,
     ReducedModel as ReducedModel,
     SolutionModel as SolutionModel,
     make_reduced_model as make_reduced_model,
     make_spring_model as make_spring_model,
+    orthogonalised as orthogonalised,
+    reduced_basis as reduced_basis,
 )
-from palpate.bem.system.centred_system import CentredSystem as CentredSystem
 from palpate.bem.system.factors import (
+    CentredSystem as CentredSystem,
     FactorisedSystem as FactorisedSystem,
     factorise as factorise,
     solve as solve,
+    unrestrained_motions as unrestrained_motions,
 )
-from palpate.bem.system.memory import (
-    LARGEST_DENSE as LARGEST_DENSE,
-    check_memory as check_memory,
-    memory_needed as memory_needed,
+from palpate.bem.system.matrix import (
+    PointEquations as PointEquations,
+    SystemSlope as SystemSlope,
+    point_equations as point_equations,
+    system_slope as system_slope,
 )
-from palpate.bem.system.rollers import unrestrained_motions as unrestrained_motions
-from palpate.bem.system.slope import SystemSlope as SystemSlope, system_slope as system_slope
 from palpate.bem.system.springs import (
     SpringFactors as SpringFactors,
     Springs as Springs,
@@ -95,10 +94,6 @@ from palpate.bem.system.springs import (
     make_spring_system as make_spring_system,
     make_springs as make_springs,
     spring_columns as spring_columns,
-)
-from palpate.bem.system.surface_point import (
-    PointEquations as PointEquations,
-    point_equations as point_equations,
 )
 from palpate.bem.system.system import (
     BoundarySystem as BoundarySystem,

@@ -9,20 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.bem.compressed.preconditioner import ClusterInverse, cluster_inverse, solve_compressed
+from palpate.bem.compressed.iterative import ClusterInverse, cluster_inverse, solve_compressed
 from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.integrals.kelvin import check_material
 from palpate.bem.integrals.surface import integral_weights
-from palpate.bem.loads.load_integrals import integrate_load
-from palpate.bem.loads.local_indentation import (
-    IndentationCorrection,
-    correction_columns,
-    indentation_corrections,
-)
-from palpate.bem.loads.right_hand import RightHand, joined, load_columns
-from palpate.bem.loads.surface_load import LOAD_CELLS, LoadCells, SurfaceLoad
-from palpate.bem.system.centred_system import CentredSystem
-from palpate.bem.system.factors import FactorisedSystem, solve
+from palpate.bem.loads.local_indentation import indentation_corrections, load_right_hand
+from palpate.bem.loads.surface_load import SurfaceLoad
+from palpate.bem.system.factors import CentredSystem, FactorisedSystem, solve
 from palpate.bem.system.springs import (
     Springs,
     SpringSystem,
@@ -111,13 +104,13 @@ class ElasticMap:
         -------
         ElasticState
         """
-        found = sorted_state(self.system, unknowns[: self.system.size], self.shear_modulus)
+        state = sorted_state(self.system, unknowns[: self.system.size], self.shear_modulus)
         if self.springs is None:
-            return found
+            return state
         displacement = (
             self.springs.factors.springs.displacement_basis @ unknowns[self.system.size :]
         )
-        return replace(found, displacement=found.displacement + displacement.reshape(-1, 3))
+        return replace(state, displacement=state.displacement + displacement.reshape(-1, 3))
 
 
 def _solved(
@@ -175,44 +168,6 @@ def make_elastic_map(
             make_spring_factors(factorised, system, springs), spring_compliance, no_derivatives
         )
     return ElasticMap(system, factorised, shear_modulus, poisson_ratio, on_springs)
-
-
-def load_right_hand(
-    system: BoundarySystem,
-    loads: Sequence[SurfaceLoad],
-    corrections: Sequence[IndentationCorrection | None] | None = None,
-    *,
-    cells: LoadCells = LOAD_CELLS,
-) -> RightHand:
-    """Right-hand sides of surface loads, for one newton along each axis.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    loads : sequence of k SurfaceLoad
-    corrections : sequence of k IndentationCorrection or None    for the local indentation around
-                                      each load (`indentation_corrections`)
-    cells : LoadCells                             subdivision of the loads, see `load_points`
-
-    Returns
-    -------
-    RightHand                         three columns per load
-
-    Raises
-    ------
-    InputError                        a load covers no part of the free surface
-    """
-    balance = -np.eye(3) / system.traction_length
-    parts = []
-    for load in loads:
-        fields = integrate_load(system.surface, load, system.collocation, system.rows, cells=cells)
-        parts.append(load_columns(fields, balance))
-    right = joined(parts)
-    known = {k: each for k, each in enumerate(corrections or ()) if each is not None}
-    if known:
-        columns = (3 * np.array([*known])[:, None] + np.arange(3)).ravel()
-        right.terms[:, :, columns] += correction_columns(system, [*known.values()]).terms
-    return right
 
 
 def sorted_state(

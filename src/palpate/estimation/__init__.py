@@ -19,17 +19,15 @@ from palpate.estimation.information import (
     cramer_rao_bound as cramer_rao_bound,
     fisher_information as fisher_information,
 )
-from palpate.estimation.nuisance import (
+from palpate.estimation.observations import (
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
-    ResponseTerms as ResponseTerms,
-    fixed_displacement as fixed_displacement,
-    padded as padded,
-)
-from palpate.estimation.observations import (
     ProbeObservations as ProbeObservations,
     ResponseModel as ResponseModel,
+    ResponseTerms as ResponseTerms,
     Settlement as Settlement,
+    fixed_displacement as fixed_displacement,
+    padded as padded,
 )
 from palpate.estimation.posterior import (
     IntervalSet as IntervalSet,

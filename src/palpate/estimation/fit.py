@@ -1,7 +1,10 @@
-"""From probings to elastic constants: the minimum of the objective, checks, intervals."""
+"""From probings to elastic constants: the minimum of the objective, checks, intervals.
+
+The notes for the reader of an estimate are full sentences, the most important first.
+"""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 
@@ -9,13 +12,22 @@ import numpy as np
 from scipy.optimize import minimize
 
 from palpate.errors import InputError
-from palpate.estimation.checks import contradictions, with_outlying_forces_freed
+from palpate.estimation.checks import (
+    Contradiction,
+    FreedForce,
+    contradictions,
+    with_outlying_forces_freed,
+)
 from palpate.estimation.gauss_newton import fitted, gauss_newton
 from palpate.estimation.noise import NOISE_MODELS
 from palpate.estimation.normal_equations import Evaluation, determined
-from palpate.estimation.notes import fit_notes
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
+from palpate.estimation.observed_rows import (
+    FIRST_CLAIMED,
+    GROUP_NAMES,
+    ObservedRows,
+    observed_rows_of,
+)
 from palpate.estimation.posterior import (
     IntervalSet,
     LikelihoodMap,
@@ -26,6 +38,7 @@ from palpate.estimation.posterior import (
     posterior_of,
     reported_intervals,
     uncertainty_budget,
+    valley_text,
 )
 from palpate.estimation.predictions import (
     FittedModel,
@@ -35,11 +48,33 @@ from palpate.estimation.predictions import (
     probe_fits,
 )
 from palpate.progress import Progress, silent
-from palpate.records import Constant, Estimate, Status
+from palpate.records import (
+    SURPRISING,
+    Constant,
+    ErrorEstimate,
+    Estimate,
+    Status,
+    error_texts,
+    length_unit,
+)
 
 _MAX_EVALUATIONS = 1000
 # Of nu, and of the logarithm of G.
 _SIMPLEX_TOLERANCE, _SIMPLEX_SIZE = 1e-7, 0.02
+# The most frequent causes, by the landmark near which the model fails.
+_SUSPECTS = {
+    "the contact": (
+        "the contact's point, radius or profile, the direction of the force, or a mesh too coarse"
+        " there"
+    ),
+    "the support": "a support that slips, gives, or reaches farther or less far than stated",
+}
+_OTHER_SUSPECTS = (
+    "points that are misplaced on the mesh, or material that is not the same everywhere and in all"
+    " directions; or the support"
+)
+# So few points leave the noise level and the shared errors undetermined.
+_FEW_POINTS = 4
 
 
 class FitMethod(StrEnum):
@@ -149,22 +184,22 @@ def fit(
         singles = [_single(minimum, k, settings) for k in range(len(probes))]
     progress("validation", 0.95)
     fits = probe_fits(minimum, settings.poisson_range)
-    found = contradictions(minimum)
+    contradicted_by = contradictions(minimum)
     errors = error_estimates(minimum.problem.shared, minimum, minimum.problem.layout.errors)
     every = [*errors, *(error for probe_fit in fits for error in probe_fit.errors)]
     status = Status.from_identifiable(identifiable)
     if not minimum.converged:
         status = Status.NOT_CONVERGED
     # Also where the search did not converge: a wrong model is the usual reason.
-    if found:
+    if contradicted_by:
         status = Status.MODEL_CONTRADICTED
     # An interval is that of a right model.
-    given = _without_intervals(reported, identifiable) if found else reported
+    intervals = _without_intervals(reported, identifiable) if contradicted_by else reported
     estimate = Estimate(
         status=status,
-        shear_modulus=given.shear_modulus,
-        poisson_ratio=given.poisson_ratio,
-        young_modulus=given.young_modulus,
+        shear_modulus=intervals.shear_modulus,
+        poisson_ratio=intervals.poisson_ratio,
+        young_modulus=intervals.young_modulus,
         identifiable=identifiable,
         probes=tuple(
             probe_estimate(*single, own) for single, own in zip(singles, fits, strict=True)
@@ -172,9 +207,9 @@ def fit(
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
         settings=asdict(settings),
-        notes=fit_notes(posterior, identifiable, found, freed, every),
+        notes=_fit_notes(posterior, identifiable, contradicted_by, freed, every),
         errors=errors,
-        budget=() if found else uncertainty_budget(posterior, identifiable),
+        budget=() if contradicted_by else uncertainty_budget(posterior, identifiable),
     )
     return FitResult(
         estimate,
@@ -183,16 +218,6 @@ def fit(
         interval_set(posterior),
         FittedModel(minimum, settings.poisson_range),
     )
-
-
-def _without_intervals(intervals: IntervalSet, identifiable: dict[str, bool]) -> IntervalSet:
-    """The values alone, the best fit of a model that does not fit; a constant that is not
-    determined keeps the range of its possible values."""
-    bare = {}
-    for name, known in identifiable.items():
-        constant = getattr(intervals, name)
-        bare[name] = Constant(constant.value, np.nan, (np.nan, np.nan)) if known else constant
-    return IntervalSet(**bare)
 
 
 def best_constants_of(
@@ -215,6 +240,16 @@ def best_constants_of(
     """
     minimum = _joint_minimum(_checked_rows(probes), settings)
     return minimum.poisson_ratio, minimum.shear_modulus
+
+
+def _without_intervals(intervals: IntervalSet, identifiable: dict[str, bool]) -> IntervalSet:
+    """The values alone, the best fit of a model that does not fit; a constant that is not
+    determined keeps the range of its possible values."""
+    bare = {}
+    for name, known in identifiable.items():
+        constant = getattr(intervals, name)
+        bare[name] = Constant(constant.value, np.nan, (np.nan, np.nan)) if known else constant
+    return IntervalSet(**bare)
 
 
 def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ...]:
@@ -271,3 +306,130 @@ def _single(
     problem, theta = minimum.problem.subset(index, minimum.theta)
     alone = gauss_newton(problem, theta, poisson_range=settings.poisson_range)
     return reported_intervals(_posterior(alone, settings))
+
+
+def _fit_notes(
+    posterior: Posterior,
+    determined: Mapping[str, bool],
+    contradictions: Sequence[Contradiction],
+    freed: Sequence[FreedForce],
+    errors: Sequence[ErrorEstimate],
+) -> tuple[str, ...]:
+    """Notes on contradictions of the model, forces set free, implausible errors, constants that are
+    not determined, few points and noise levels.
+
+    Parameters
+    ----------
+    posterior : Posterior           of all probings
+    determined : constant's name -> bool
+    contradictions : sequence of Contradiction
+    freed : sequence of FreedForce
+    errors : sequence of ErrorEstimate      of the session and of all its probings
+
+    Returns
+    -------
+    tuple of str                    empty if there is nothing to note
+    """
+    notes = []
+    if contradictions:
+        notes.append(_contradiction_note(contradictions[0]))
+    if freed:
+        names = ", ".join(f"{each.name!r} by {each.deviation:.1f}" for each in freed)
+        notes.append(
+            "A force that disagrees with all others was left out, in standard deviations of the"
+            f" difference: {names}; check that sensor reading and its unit."
+        )
+    surprising = sorted(filter(lambda each: each.is_surprising, errors), key=_sigmas, reverse=True)
+    if surprising:
+        notes.append(_error_note(surprising))
+    if posterior.is_beyond_range():
+        notes.append(
+            "The data lead beyond the range of Poisson's ratio, whose end,"
+            f" {posterior.minimum.poisson_ratio:g}, is therefore no measurement: give a wider"
+            " poisson_range if the material may be there, else look for what contradicts the model."
+        )
+    if not determined["poisson_ratio"]:
+        notes.append(
+            f"What the data determine is {valley_text(posterior)}; the moduli's intervals are for"
+            " all of the range of Poisson's ratio."
+        )
+    return (*notes, *_count_notes(posterior), *_noise_notes(posterior))
+
+
+def _contradiction_note(found: Contradiction) -> str:
+    if found.kind == "reversed":
+        return (
+            f"Along {found.source} the residuals are {found.sigmas:.1f} times what moved there: the"
+            " model contradicts it. Check the signs and the order of the components of force and"
+            " displacement, the rows of the file, and whether the object moved with its support."
+        )
+    if found.kind == "errors":
+        return (
+            f"The {found.source} would have to be off by {found.sigmas:.1f} times what the session"
+            f" allows: either that is wrong or the model is ({_OTHER_SUSPECTS})."
+        )
+    near = f"near {found.landmark}, " if found.landmark else ""
+    place = ", ".join(f"{1e3 * x:.1f}" for x in found.place)
+    return (
+        f"The model leaves {100.0 * found.share:.2g} % of the motion of probing {found.source!r}"
+        f" unexplained, {found.sigmas:.1f} times as much as its mesh accounts for, most of it"
+        f" {near}around ({place}) mm. It may be"
+        f" {_SUSPECTS.get(found.landmark, _OTHER_SUSPECTS)}."
+    )
+
+
+def _sigmas(error: ErrorEstimate) -> float:
+    return abs(error.value) / error.prior_std
+
+
+def _error_note(errors: Sequence[ErrorEstimate]) -> str:
+    """The largest of some surprising errors."""
+    value, std, prior = error_texts(errors[0])
+    others = f" {len(errors) - 1} more are listed in the report." if len(errors) > 1 else ""
+    return (
+        f"Likely fault: the {errors[0].name} is off by {value} +- {std}, more than"
+        f" {SURPRISING:.0f} times the {prior} assumed (prior, 1 sigma).{others}"
+    )
+
+
+def _count_notes(posterior: Posterior) -> list[str]:
+    """A note where so few points were measured that this alone explains wide intervals."""
+    count = sum(len(probe.start) for probe in posterior.minimum.problem.probes)
+    if count > _FEW_POINTS:
+        return []
+    points = "One point was" if count == 1 else f"{count} points were"
+    note = (
+        f"{points} measured in all: that few cannot tell noise from stiffness, whatever their"
+        " quality, and the intervals are wide for that reason; measure ten or more, on all sides"
+        " of the contact."
+    )
+    return [note]
+
+
+def _noise_notes(posterior: Posterior) -> list[str]:
+    problem = posterior.minimum.problem
+    present = np.unique(np.concatenate([probe.group for probe in problem.probes]))
+    level, notes = problem.level, []
+    estimated = [int(g) for g in present if g < FIRST_CLAIMED]
+    if estimated:
+        parts = [f"{_length_text(level[g])} in {GROUP_NAMES[g]}" for g in estimated]
+        notes.append(f"Noise levels were estimated from the residuals: {', '.join(parts)}.")
+        own = np.sqrt(np.mean(np.concatenate([each.size for each in problem.unknown]) ** 2))
+        if max(level[g] for g in estimated) < own:
+            notes[-1] = (
+                "The displacements have no noise to speak of: what is left over is no more than the"
+                f" model's own error, {_length_text(own)}."
+            )
+    raised = [int(g) for g in present if g >= FIRST_CLAIMED and level[g] > 1.1]
+    if raised:
+        parts = [f"{level[g]:.2f} in {GROUP_NAMES[g - FIRST_CLAIMED]}" for g in raised]
+        notes.append(
+            "Residuals exceed the given standard deviations, which were multiplied by"
+            f" {', '.join(parts)}."
+        )
+    return notes
+
+
+def _length_text(metres: float) -> str:
+    factor, unit = length_unit(float(metres))
+    return f"{metres / factor:.2g} {unit}"

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.errors import InputError
-from palpate.estimation.correlation import stated_excess
+from palpate.estimation.gauss_newton import stated_excess
 from palpate.estimation.noise import Gaussian
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import ProbeObservations

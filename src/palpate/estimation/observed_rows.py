@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 
 from palpate.errors import InputError
-from palpate.estimation.nuisance import NuisanceParameter
-from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.observations import NuisanceParameter, ProbeObservations
 from palpate.records import INDEPENDENT
 
 # Noise groups: x, y, z of the field and the tip without a claimed std, then the same with one.

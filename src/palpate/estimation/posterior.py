@@ -301,9 +301,8 @@ def interval_set(posterior: Posterior) -> IntervalSet:
     IntervalSet                     std is the half-width over the quantile; every interval contains
                                     its estimate
     """
-    profile, best = posterior.profile, posterior.minimum
-    height = np.full(len(profile.a), profile.lowest.min() + posterior.quantile**2)
-    return _constants(posterior, profile, height, best.poisson_ratio, best.shear_modulus)
+    lowest = posterior.profile.lowest
+    return _constants(posterior, np.full_like(lowest, lowest.min() + posterior.quantile**2))
 
 
 def reported_intervals(posterior: Posterior) -> tuple[IntervalSet, dict[str, bool]]:
@@ -328,9 +327,8 @@ def reported_intervals(posterior: Posterior) -> tuple[IntervalSet, dict[str, boo
     determined["poisson_ratio"] = posterior.determines_ratio
     if posterior.determines_ratio:
         return intervals, determined
-    profile, best = posterior.profile, posterior.minimum
-    height = profile.lowest + posterior.quantile**2
-    ranged = _constants(posterior, profile, height, best.poisson_ratio, best.shear_modulus)
+    profile = posterior.profile
+    ranged = _constants(posterior, profile.lowest + posterior.quantile**2)
     valley = profile.best_modulus
     for name, line in (
         ("shear_modulus", valley),
@@ -347,14 +345,9 @@ def _ratio(constant: Constant) -> float:
     return high / low if low > 0.0 else np.inf
 
 
-def _constants(
-    posterior: Posterior,
-    profile: Profile,
-    height: Float[np.ndarray, " p"],
-    poisson_ratio: float,
-    shear_modulus: float,
-) -> IntervalSet:
-    """Projections of the region below some heights on the three constants."""
+def _constants(posterior: Posterior, height: Float[np.ndarray, " p"]) -> IntervalSet:
+    """Projections of the profile's region below some heights on the three constants."""
+    profile, best = posterior.profile, posterior.minimum
     low, high = profile.moduli(height)
     inside = np.isfinite(low)
     nu, young = profile.poisson_ratio, 2.0 * (1.0 + profile.poisson_ratio)
@@ -364,9 +357,9 @@ def _constants(
         "young_modulus": ((young * low)[inside].min(), (young * high)[inside].max()),
     }
     values = {
-        "poisson_ratio": poisson_ratio,
-        "shear_modulus": shear_modulus,
-        "young_modulus": 2.0 * shear_modulus * (1.0 + poisson_ratio),
+        "poisson_ratio": best.poisson_ratio,
+        "shear_modulus": best.shear_modulus,
+        "young_modulus": 2.0 * best.shear_modulus * (1.0 + best.poisson_ratio),
     }
     constants = {}
     for name, value in values.items():

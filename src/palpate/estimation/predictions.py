@@ -10,8 +10,7 @@ from jaxtyping import Float
 from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.noise import relative_weight
 from palpate.estimation.normal_equations import Evaluation
-from palpate.estimation.nuisance import NuisanceParameter
-from palpate.estimation.observations import ProbeObservations
+from palpate.estimation.observations import NuisanceParameter, ProbeObservations
 from palpate.estimation.posterior import IntervalSet
 from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices

@@ -8,31 +8,27 @@ Depends on : `lab`, `vision`, `probe`, `bem`, `solids`, `estimation`, `records`,
 Read first : `fit_session.py`, then `result_files.py`.
 """
 
-from palpate.pipeline.camera_survey import (
-    CameraSurvey as CameraSurvey,
-    ViewSurvey as ViewSurvey,
-    survey_cameras as survey_cameras,
-    survey_view as survey_view,
+from palpate.pipeline.fit_session import fit_session as fit_session, prepare_body as prepare_body
+from palpate.pipeline.model.contact_loads import (
+    outward_pushes as outward_pushes,
+    surface_load as surface_load,
 )
-from palpate.pipeline.fit_session import fit_session as fit_session
-from palpate.pipeline.imported_points import (
-    triangulated as triangulated,
-    without_contradicted as without_contradicted,
-)
-from palpate.pipeline.model.contacts.outward import outward_pushes as outward_pushes
-from palpate.pipeline.model.contacts.perturbations import surface_load as surface_load
 from palpate.pipeline.model.grading import (
     graded_session as graded_session,
     refined_session as refined_session,
 )
-from palpate.pipeline.model.moving_supports import (
+from palpate.pipeline.model.object_model import make_object_model as make_object_model
+from palpate.pipeline.model.supports import (
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
     sliding_motion as sliding_motion,
 )
-from palpate.pipeline.model.object_model import make_object_model as make_object_model
 from palpate.pipeline.motion.displacement import (
+    MOTION_FILE as MOTION_FILE,
     ProbingMotion as ProbingMotion,
+    keep_motion as keep_motion,
+    kept_motion as kept_motion,
+    kept_motion_keys as kept_motion_keys,
     measure_pictures as measure_pictures,
     unread_probings as unread_probings,
     with_measured_displacement as with_measured_displacement,
@@ -41,35 +37,33 @@ from palpate.pipeline.motion.displacement import (
 )
 from palpate.pipeline.motion.figures import (
     MotionFigures as MotionFigures,
+    Rejections as Rejections,
+    rejection_note as rejection_note,
+    rejections as rejections,
     write_flow_document as write_flow_document,
 )
 from palpate.pipeline.motion.measure_motion import (
     FLOW_METHODS as FLOW_METHODS,
     MeasuredMotion as MeasuredMotion,
+    MotionNotes as MotionNotes,
     SessionFlow as SessionFlow,
     measure_motion as measure_motion,
     measured_motions as measured_motions,
 )
-from palpate.pipeline.motion.notes import MotionNotes as MotionNotes
 from palpate.pipeline.motion.sequences import (
+    PoseChoice as PoseChoice,
     motion_names as motion_names,
     picture_files as picture_files,
 )
-from palpate.pipeline.object_pose import PoseChoice as PoseChoice
-from palpate.pipeline.observations.converged_observations import (
+from palpate.pipeline.observations import (
     converged_observations as converged_observations,
-)
-from palpate.pipeline.observations.mesh_errors import graded_observations as graded_observations
-from palpate.pipeline.observations.prepared_body import prepare_body as prepare_body
-from palpate.pipeline.observations.session_observations import (
+    graded_observations as graded_observations,
     session_observations as session_observations,
 )
-from palpate.pipeline.planning.measurement_plan import (
+from palpate.pipeline.planning import (
     MeasurementPlan as MeasurementPlan,
-    plan_measurement as plan_measurement,
-)
-from palpate.pipeline.planning.next_probings import (
     NextProbings as NextProbings,
+    plan_measurement as plan_measurement,
     plan_next as plan_next,
 )
 from palpate.pipeline.poke import (
@@ -79,38 +73,31 @@ from palpate.pipeline.poke import (
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
 )
-from palpate.pipeline.rejections import (
-    Rejections as Rejections,
-    rejection_note as rejection_note,
-    rejections as rejections,
-)
 from palpate.pipeline.result_files import (
+    SURFACE_FILE as SURFACE_FILE,
+    FittedProbing as FittedProbing,
+    FittedSurface as FittedSurface,
+    read_fitted_surface as read_fitted_surface,
     seen_vertices as seen_vertices,
+    write_fitted_surface as write_fitted_surface,
     write_flow_npz as write_flow_npz,
     write_flow_vtp as write_flow_vtp,
     write_motion as write_motion,
     write_residuals as write_residuals,
     write_vertices as write_vertices,
 )
-from palpate.pipeline.saved.fitted_surface import (
-    SURFACE_FILE as SURFACE_FILE,
-    FittedProbing as FittedProbing,
-    FittedSurface as FittedSurface,
-    read_fitted_surface as read_fitted_surface,
-    write_fitted_surface as write_fitted_surface,
-)
-from palpate.pipeline.saved.motion import (
-    MOTION_FILE as MOTION_FILE,
-    keep_motion as keep_motion,
-    kept_motion as kept_motion,
-    kept_motion_keys as kept_motion_keys,
-)
 from palpate.pipeline.survey import (
     NEAR_RADII as NEAR_RADII,
+    CameraSurvey as CameraSurvey,
     ProbingSurvey as ProbingSurvey,
+    ViewSurvey as ViewSurvey,
     session_outlook as session_outlook,
     size_notes as size_notes,
+    survey_cameras as survey_cameras,
     survey_field as survey_field,
     survey_probing as survey_probing,
+    survey_view as survey_view,
+    triangulated as triangulated,
+    without_contradicted as without_contradicted,
 )
 from palpate.pipeline.warm_up import warm_up as warm_up

@@ -1,5 +1,9 @@
 """From a session to its elastic constants: the only place that joins probe, boundary elements and
-estimation."""
+estimation.
+
+The steps of a fit, and the notes for its reader: what the estimate says of itself, and what its
+session, tools, supports and pictures add to it, the most important first.
+"""
 
 import time
 from collections.abc import Sequence
@@ -9,18 +13,35 @@ from typing import Any
 
 import numpy as np
 
+from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
-from palpate.pipeline.calibrated_space import calibration_strains, length_error, with_stretch
-from palpate.pipeline.model.contacts.contact_radii import has_tools
+from palpate.pipeline.contacts import has_tools, with_consistent_contacts
+from palpate.pipeline.model.contact_loads import OUTWARD_ERROR, RADIUS_ERROR
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.large_strain import fit_at_finite_strain
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model
-from palpate.pipeline.notes import session_notes
-from palpate.pipeline.observations.consistent_contacts import with_consistent_contacts
-from palpate.pipeline.observations.converged_observations import converged_observations
-from palpate.pipeline.observations.mesh_errors import ungraded_observations, with_mesh_steps
+from palpate.pipeline.model.shared_errors import calibration_strains, length_error, with_stretch
+from palpate.pipeline.motion.figures import rejection_note, rejections
+from palpate.pipeline.observations import (
+    UNGRADED_RESIDUAL,
+    compared_meshes,
+    converged_observations,
+    reduced_model_of,
+    ungraded_model,
+    ungraded_observations,
+    with_mesh_steps,
+)
 from palpate.progress import Progress, part_of, silent
-from palpate.records import ProbeEstimate, Session, SupportEstimate, require_probings
+from palpate.records import (
+    BIASED,
+    SLIDES,
+    STICKS,
+    ProbeEstimate,
+    Session,
+    Status,
+    SupportEstimate,
+    require_probings,
+)
 
 # Fractions of the work that are done when the graded mesh's model, its factorisation and the
 # estimation start.
@@ -29,6 +50,13 @@ _GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
 _OWN = 0.4
 # Further notes are details.
 _MOST_NOTES = 3
+# A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
+_LARGE_ROTATION = 5e-3
+# Depth over the radius of a contact, of which half is about the strain under it, from which the
+# error of a model of small strain is no longer small; what the tool deforms reaches so many radii.
+_FAR, _REACH = 0.1, 3.0
+# A contact that ends up this many radii beside the point that was touched first is mentioned.
+_MENTIONED = 0.05
 
 
 def fit_session(
@@ -89,7 +117,7 @@ def fit_session(
     stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    notes = session_notes(session, refined, graded, result, probes, finite_strain=finite_strain)
+    notes = _session_notes(session, refined, graded, result, probes, finite_strain=finite_strain)
     estimate = replace(
         result.estimate,
         probes=probes,
@@ -105,6 +133,40 @@ def fit_session(
         },
     )
     return replace(result, estimate=estimate, probes=_on_given_mesh(result.probes, session))
+
+
+def prepare_body(
+    session: Session,
+    *,
+    settings: FitSettings = FitSettings(),
+    cache: Path,
+) -> None:
+    """Compute what `fit_session` needs of a body, and keep it in the cache where it finds it.
+
+    These are the reduced models of all contacts, with the factors that other contacts on the same
+    body need as well. Where a contact follows from a tool and the fitted constants, only the
+    factors are computed. Nothing is kept of a body that is too large for dense matrices.
+
+    Parameters
+    ----------
+    session : Session                     displacements are not needed
+    settings : FitSettings                with the method reduced
+    cache : Path                          folder, created if absent
+
+    Raises
+    ------
+    InputError, SingularSystemError, NotConvergedError    as `session_observations`
+    """
+    refined = refined_session(session)
+    with_loads = not has_tools(session)
+    compared = [(each, rings) for _, each, rings in compared_meshes(refined)]
+    for each, rings in [(refined, 1), *compared]:
+        model = ungraded_model(each, settings=settings, rings=rings, cache=cache)
+        _keep(model, settings, UNGRADED_RESIDUAL, with_loads=with_loads)
+    if with_loads:
+        graded = graded_session(refined)
+        model = make_object_model(graded, cache=cache)
+        _keep(model, settings, DENSE_RESIDUAL, with_loads=True)
 
 
 def _described(session: Session, refined: Session, graded: Session) -> dict[str, Any]:
@@ -179,3 +241,127 @@ def _support_estimates(
         parts = (tuple(part.tolist()) for part in (moved[0], error[0], moved[1], error[1]))
         estimates.append(SupportEstimate(support.number, *parts))
     return tuple(estimates)
+
+
+def _session_notes(
+    session: Session,
+    refined: Session,
+    graded: Session,
+    result: FitResult,
+    probes: Sequence[ProbeEstimate],
+    *,
+    finite_strain: bool,
+) -> tuple[str, ...]:
+    """Notes on a fit.
+
+    Parameters
+    ----------
+    session : Session               as it was read
+    refined : Session              with the contacts that were fitted
+    graded : Session                with the mesh that was fitted
+    result : FitResult              with the notes of the estimate
+    probes : sequence of ProbeEstimate    with the motions of their supports
+    finite_strain : bool            whether it was corrected for
+
+    Returns
+    -------
+    tuple of str                    full sentences, the most important first
+    """
+    fitted = result.estimate.notes
+    contradicted = result.estimate.status is Status.MODEL_CONTRADICTED
+    # Neither strain nor a bias is to be warned of where finite strain is corrected for.
+    strained = _strain_notes(graded, result.probes, contradicted=contradicted)
+    biased = [note for note in session.notes if BIASED in note]
+    if finite_strain:
+        strained = biased = []
+    others = [note for note in session.notes if BIASED not in note]
+    found = _contact_notes(refined, probes) + _rejection_notes(session)
+    first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
+    return (*first, *biased, *_rotation_notes(probes), *fitted[1:], *found, *others)
+
+
+def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:
+    """Notes on rotations of supports that are not small."""
+    notes = []
+    for probe in probes:
+        for support in probe.supports:
+            rotation = float(np.linalg.norm(support.rotation))
+            if rotation > _LARGE_ROTATION:
+                notes.append(
+                    f"Support {support.support} turned by {rotation:.2g} rad in probing"
+                    f" {probe.name!r}. Displacements are taken as linear in the turn, which leaves"
+                    f" a false strain of {0.5 * rotation**2:.1g} across its axis: where that"
+                    " counts, turn the measured displacements back first."
+                )
+    return notes
+
+
+def _strain_notes(session: Session, probes: Sequence[ProbeFit], *, contradicted: bool) -> list[str]:
+    """A note on the probing that strains the object most under its contact, where that is much: of
+    a patch of fixed size, or, where the model is contradicted, of any. What a ball touches grows
+    with the load and takes most of the second order with it."""
+    depths = {}
+    for probing, probe in zip(session.probings, probes, strict=True):
+        contact, size = probing.contact, float(np.linalg.norm(probing.force))
+        fixed = contact.tool is None and contact.radius is not None
+        if probe.surface is None or size == 0.0 or not (fixed or contradicted):
+            continue
+        distance = np.linalg.norm(session.mesh.vertices - contact.point, axis=1)
+        near = probe.surface[distance < _REACH * contact.reach] @ probing.force / size
+        depths[probing.name] = float(np.ptp(near)) / contact.reach if near.size else 0.0
+    deepest = max(depths, key=lambda name: depths[name], default="")
+    if depths.get(deepest, 0.0) < _FAR:
+        return []
+    note = (
+        f"In {deepest} the tool went in by {100 * depths[deepest]:.0f} % of the radius of its"
+        f" contact, far for a model of small strain: fit with --strain finite, or press less."
+    )
+    return [note]
+
+
+def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[str]:
+    """Notes on the contacts computed for the tools: radii, places, doubts about the friction."""
+    radii, places, doubted = [], [], dict[str, list[str]]()
+    for probing, probe in zip(session.probings, probes, strict=True):
+        contact, tool = probing.contact, probing.contact.tool
+        if tool is None or contact.radius is None:
+            continue
+        radii.append(f"{1e3 * contact.radius:.3g} mm in {probing.name}")
+        beside = float(np.linalg.norm(contact.point - contact.start))
+        if beside > _MENTIONED * contact.radius:
+            places.append(f"{1e3 * beside:.2g} mm in {probing.name}")
+        contact_errors = [
+            each for each in probe.errors if each.name.startswith((RADIUS_ERROR, OUTWARD_ERROR))
+        ]
+        if any(error.is_surprising for error in contact_errors):
+            doubted.setdefault(tool.friction, []).append(probing.name)
+    notes = [f"Radius that the tool touches: {', '.join(radii)}."] if radii else []
+    if places:
+        notes.append(
+            "The object moves sideways under the tool, which ends up pressing beside the point that"
+            f" it touched first: {', '.join(places)}."
+        )
+    for friction, names in doubted.items():
+        other = SLIDES if friction == STICKS else STICKS
+        notes.append(
+            f"What the tool touches in {', '.join(names)} is far from what follows from its shape"
+            f' and friction = "{friction}": if the tool is right, try friction = "{other}".'
+        )
+    return notes
+
+
+def _rejection_notes(session: Session) -> list[str]:
+    """A note on points that could not be tracked in the pictures."""
+    counts = rejections(session)
+    return [rejection_note(counts)] if any(each.lost for each in counts) else []
+
+
+def _keep(model: ObjectModel, settings: FitSettings, residual: float, *, with_loads: bool) -> None:
+    """Have a model's factors computed, and its reduced model with its loads."""
+    if isinstance(model.system, CompressedSystem):
+        return
+    # On springs, a reduced model depends on the shear modulus.
+    if with_loads and model.springs is None:
+        reduced_model_of(model, settings=settings, residual=residual)
+    else:
+        _ = (model.centred or CentredSystem(model.system, CENTRE)).factorised

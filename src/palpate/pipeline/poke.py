@@ -17,16 +17,17 @@ from palpate.bem import (
 )
 from palpate.errors import InputError
 from palpate.geometry import bounding_diagonal, interpolation_matrix, unit_normals
-from palpate.pipeline.model.compliant_supports import (
+from palpate.pipeline.contacts import settled_contact
+from palpate.pipeline.model.contact_loads import outward_pushes, surface_load
+from palpate.pipeline.model.grading import graded_session, refined_session
+from palpate.pipeline.model.supports import (
+    check_balance,
     compliances,
     compliant_supports,
     session_springs,
+    session_surface,
+    sliding_motion,
 )
-from palpate.pipeline.model.contacts.contact_radii import settled_contact
-from palpate.pipeline.model.contacts.outward import outward_pushes
-from palpate.pipeline.model.contacts.perturbations import surface_load
-from palpate.pipeline.model.grading import graded_session, refined_session
-from palpate.pipeline.model.moving_supports import check_balance, session_surface, sliding_motion
 from palpate.probe import find_contact_patch
 from palpate.progress import Progress, silent
 from palpate.records import Contact, Session, require_probings

@@ -1,15 +1,47 @@
-"""Survey of a session before any fit: counts, signal to noise, and what to expect."""
+"""Survey of a measurement before any fit: counts, signal to noise, and what to expect; cameras and
+pictures; displacements measured by another program."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from hashlib import blake2b
 
+import cv2
 import numpy as np
+from jaxtyping import Float
 
 from palpate.arrays import known_median
 from palpate.bem import LARGEST_DENSE, memory_needed
+from palpate.errors import CalibrationError, PalpateError, RecordError
 from palpate.geometry import triangle_distances, unit_normals
-from palpate.pipeline.model.compliant_supports import compliant_supports
-from palpate.records import DisplacementField, Probing, Session, observed_rows
+from palpate.pipeline.model.supports import compliant_supports
+from palpate.pipeline.motion.sequences import posed_rig
+from palpate.records import (
+    DisplacementField,
+    Images,
+    MeasuredPoints,
+    PictureTracks,
+    Probing,
+    ProgramPoints,
+    Rig,
+    Session,
+    measured_rows,
+    observed_rows,
+    read_rig,
+)
+from palpate.threads import map_in_threads
+from palpate.vision import (
+    JointFlow,
+    Outcome,
+    RangeFlow,
+    cause_counts,
+    is_valid,
+    measured_vertices,
+    median_test,
+    project,
+    read_pictures,
+    triangulate,
+)
 
 # Within this many contact radii a push shows as an indentation, farther away only as bending.
 NEAR_RADII = 8.0
@@ -20,6 +52,19 @@ _LARGE, _USUAL = 3000, 2000
 # Number of vertices that a fit of a few probings takes a minute for on two cores: dense matrices
 # grow with its square, the compressed operator in proportion (docs/theory/compressed_operator.md).
 _DENSE_MINUTE, _COMPRESSED_MINUTE = 2500, 1100
+# Texture is lost with a larger fraction of white pixels, or where 99 % are below this grey level.
+_MAX_SATURATED = 0.02
+_DARK = 25.0
+# Length scale of a picture's texture [px], the standard deviation of grey levels over that of their
+# gradient: finer texture biases matches, coarser texture leaves too little of it in a window.
+_FINEST, _COARSEST = 0.8, 5.0
+# Noise of a typical camera, 1 sigma [grey levels].
+_NOISE = 1.5
+# With a larger fraction of points without texture, the paint or the lighting is at fault.
+_MAX_PLAIN = 0.1
+# A displacement is an outlier if it differs from its neighbours by more than so many times their
+# own scatter (see `median_test`); for normal errors, ten standard deviations.
+_MAX_DIFFERENCE = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +248,198 @@ def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
     return " ".join([*sentences, "This is a guess by counting: `palpate fit` decides."])
 
 
+@dataclass(frozen=True, slots=True)
+class PictureSurvey:
+    """Figures of one picture.
+
+    Attributes
+    ----------
+    size : (columns, rows) [px]
+    grey : (float, float)           1st and 99th percentile of the grey levels, 255 is white
+    saturated : float [-]           fraction of saturated pixels; NaN if grey levels have no maximum
+    digest : bytes                  hash of all grey levels, which noise makes unique
+    """
+
+    size: tuple[int, int]
+    grey: tuple[float, float]
+    saturated: float
+    digest: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSurvey:
+    """Figures of a camera and all its pictures.
+
+    Attributes
+    ----------
+    name : str
+    sees : float [-]                fraction of the mesh's vertices that project into the picture;
+                                    NaN where its size is not known
+    pictures : tuple of PictureSurvey
+    """
+
+    name: str
+    sees: float
+    pictures: tuple[PictureSurvey, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ViewSurvey:
+    """What can be tracked in a session's first pictures.
+
+    Attributes
+    ----------
+    points : int                    windows of the reference camera on the surface
+    followed : int                  those that can be tracked without motion: with texture, and seen
+                                    by a second camera
+    vertices : int                  vertices of the mesh that would be measured; a tool hides some
+    windows : float                 median number of windows that contribute to such a vertex
+    structure : tuple of float [px] length scale of the texture on the surface in each camera's
+                                    picture
+    """
+
+    points: int
+    followed: int
+    vertices: int
+    windows: float
+    structure: tuple[float, ...]
+
+
+def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
+    """Process the first pictures as `measure_motion` would, including the object's pose.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    survey : ViewSurvey or None     None without pictures
+    notes : tuple of str            what makes them hard to track, and the object's pose
+
+    Raises
+    ------
+    RecordError, CalibrationError   a rig or picture that cannot be read
+    InputError                      an unknown unit of length in the rig
+    """
+    instants = _instants(session)
+    if session.rig is None or not instants:
+        return None, ()
+    pattern, whose = next(iter(instants.items()))
+    given = read_rig(session.rig)
+    grey = read_pictures(given, pattern, folder=session.path.parent, what=whose).grey
+    try:
+        rig, remarks = posed_rig(given, grey, session.mesh, "auto")
+    except PalpateError as error:
+        # The pictures themselves may be the cause, so the survey goes on.
+        rig, remarks = given, (f"The rig cannot be checked against the pictures: {error}.",)
+    method = JointFlow()
+    state = method.start(rig, grey, session.mesh)
+    # Match to the same picture with new noise: windows lost here cannot be tracked later, either.
+    rng = np.random.default_rng(0)
+    noisy = [levels + rng.normal(0.0, _NOISE, levels.shape).astype(np.float32) for levels in grey]
+    flow = method.follow(state, noisy)[1]
+    vertices = method.vertices(flow, rig, session.mesh)
+    measured = measured_vertices(vertices)
+    survey = ViewSurvey(
+        points=len(flow.point),
+        followed=int(is_valid(flow).sum()),
+        vertices=int(measured.sum()),
+        windows=float(np.median(vertices.count[measured])) if measured.any() else 0.0,
+        structure=tuple(map(_structure, grey, state.scene.interior)),
+    )
+    names = [camera.name for camera in rig.cameras]
+    return survey, (*remarks, *_view_notes(survey, flow, names, whose))
+
+
+def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[str, ...]]:
+    """Read the rig and every picture of a session, as `measure_motion` would.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    surveys : tuple of CameraSurvey     empty where the session names no rig
+    notes : tuple of str                conversions, and what makes the pictures hard to track
+
+    Raises
+    ------
+    RecordError                     a rig or picture that cannot be read; identical pictures that
+                                    cannot be of the same camera and instant
+    CalibrationError                an inconsistent rig, a picture of the wrong size
+    InputError                      an unknown unit of length in the rig
+    """
+    if session.rig is None:
+        return (), ()
+    rig = read_rig(session.rig)
+    instants = _instants(session)
+    survey = partial(_survey_instant, session, rig)
+    surveyed = list(map_in_threads(survey, instants, instants.values()))
+    pictures = [each for each, _ in surveyed]
+    remarks = [text for _, notes in surveyed for text in notes]
+    _check_copies(session, rig, instants, pictures)
+    surveys = tuple(
+        CameraSurvey(
+            camera.name, _visible_fraction(session, rig, k), tuple(each[k] for each in pictures)
+        )
+        for k, camera in enumerate(rig.cameras)
+    )
+    camera_notes = [
+        f"Camera {survey.name}: {text}" for survey in surveys for text in _picture_notes(survey)
+    ]
+    return surveys, tuple(dict.fromkeys([*remarks, *camera_notes]))
+
+
+def without_contradicted(measured: MeasuredPoints) -> MeasuredPoints:
+    """The points without those whose displacements contradict their neighbours.
+
+    Parameters
+    ----------
+    measured : MeasuredPoints
+
+    Returns
+    -------
+    MeasuredPoints                  outliers are rows of NaN, and counted
+    """
+    valid = measured_rows(measured.displacement)
+    ratio = median_test(measured.points, measured.displacement, valid)
+    return measured.without(ratio > _MAX_DIFFERENCE)
+
+
+def triangulated(tracks: PictureTracks, rig: Rig) -> ProgramPoints:
+    """Triangulate matches in pictures.
+
+    Parameters
+    ----------
+    tracks : PictureTracks
+    rig : Rig                       with the cameras of the tracks, by name; or the same number
+
+    Returns
+    -------
+    ProgramPoints                   in metres, in the frame of the rig
+
+    Raises
+    ------
+    CalibrationError                the rig has neither those cameras nor the same number
+    """
+    names = [camera.name for camera in rig.cameras]
+    if set(tracks.cameras) <= set(names) and len(tracks.cameras) == len(tracks.rest):
+        chosen = [names.index(name) for name in tracks.cameras]
+    elif len(names) == len(tracks.rest):
+        chosen = list(range(len(names)))
+    else:
+        raise CalibrationError(
+            f"{rig.source}: has the cameras {', '.join(names)}; must have the {len(tracks.rest)} of"
+            f" the matches ({', '.join(tracks.cameras) or 'of any name'})"
+        )
+    pair = Rig(tuple(rig.cameras[i] for i in chosen), 0, rig.source)
+    # Equal pixel noise for all matches; its size does not affect the points.
+    rest, loaded = (triangulate(pair, pixels, 1.0).point for pixels in (tracks.rest, tracks.loaded))
+    return ProgramPoints(rest, loaded - rest, unit="m", notes=tracks.notes, score=tracks.score)
+
+
 def _expectation(near: int) -> str:
     """What to expect from the number of measured points near the contacts."""
     if near < _MIN_NEAR_POINTS:
@@ -216,3 +453,126 @@ def _expectation(near: int) -> str:
         " should be identifiable, and so should Poisson's ratio if the vectors' parts along the"
         " surface stand out of the noise."
     )
+
+
+def _structure(
+    grey: Float[np.ndarray, "rows columns"], inner: Float[np.ndarray, "rows columns"]
+) -> float:
+    """Standard deviation of the grey levels over that of their gradient, on the surface [px]; NaN
+    where the surface is not in the picture."""
+    shown = inner > 0.0
+    if not shown.any():
+        return np.nan
+    levels = np.asarray(grey, dtype=np.float64)
+    slope = np.stack(list(np.gradient(levels)))[:, shown]
+    # Subtract the local mean over the surface alone: shading and background are no texture.
+    share, local = (
+        cv2.GaussianBlur(x, (0, 0), JointFlow().subset) for x in (inner, levels * inner)
+    )
+    off = levels[shown] - local[shown] / share[shown]
+    return float(np.sqrt(np.mean(off**2) / max(float(np.mean(slope**2)), 1e-12)))
+
+
+def _view_notes(survey: ViewSurvey, flow: RangeFlow, names: list[str], whose: str) -> list[str]:
+    """Defects of the first pictures, and what to do about them."""
+    texts = []
+    if survey.vertices == 0:
+        causes = ", ".join(f"{count} {cause}" for cause, count in cause_counts(flow).items())
+        texts.append(
+            f"No vertex could be measured in the pictures of {whose} ({survey.points} windows:"
+            f" {causes or 'none on the surface'})."
+        )
+    plain = int((flow.outcome == Outcome.TEXTURE).sum())
+    if plain > _MAX_PLAIN * max(survey.points, 1):
+        texts.append(
+            f"{100 * plain / survey.points:.0f} % of the windows have too little texture to be"
+            " followed: speckle the surface, or light it better."
+        )
+    for name, length in zip(names, survey.structure, strict=True):
+        if length > _COARSEST:
+            texts.append(
+                f"Camera {name}: structure of {length:.1f} px is coarse or out of focus; a sharp"
+                " speckle of 3 to 5 px across has 1 to 3."
+            )
+        elif length < _FINEST:
+            texts.append(
+                f"Camera {name}: structure of {length:.1f} px is finer than the pixels show:"
+                " motions come out too long by some per cent; paint a coarser speckle."
+            )
+    return texts
+
+
+def _instants(session: Session) -> dict[str, str]:
+    """Every file pattern of pictures, with the step or probing that it belongs to."""
+    whose = {step.images: f"step '{step.name}'" for step in session.steps}
+    for probing in session.probings:
+        images = probing.images or Images("", ())
+        for pattern in filter(None, (images.rest, *images.loaded)):
+            whose.setdefault(pattern, f"probing '{probing.name}'")
+    return whose
+
+
+def _survey_instant(
+    session: Session, rig: Rig, pattern: str, whose: str
+) -> tuple[list[PictureSurvey], tuple[str, ...]]:
+    """Figures of all cameras' pictures at one instant, and notes about them."""
+    read = read_pictures(rig, pattern, folder=session.path.parent, what=whose)
+    pictures = []
+    for grey, saturated in zip(read.grey, read.saturated, strict=True):
+        low, high = np.percentile(grey[::4, ::4], (1.0, 99.0))
+        digest = blake2b(grey.tobytes(), digest_size=16).digest()
+        size = grey.shape[1], grey.shape[0]
+        pictures.append(PictureSurvey(size, (float(low), float(high)), saturated, digest))
+    return pictures, read.notes
+
+
+def _check_copies(
+    session: Session, rig: Rig, instants: dict[str, str], pictures: list[list[PictureSurvey]]
+) -> None:
+    """Refuse identical pictures, unless both show the object at rest from the same camera."""
+    at_rest = {probing.images.rest for probing in session.probings if probing.images}
+    first: dict[bytes, tuple[str, str]] = {}
+    for (pattern, whose), each in zip(instants.items(), pictures, strict=True):
+        for camera, picture in zip(rig.cameras, each, strict=True):
+            file = pattern.replace("{camera}", camera.name)
+            twin, name = first.setdefault(picture.digest, (pattern, camera.name))
+            if twin == pattern and name == camera.name:
+                continue
+            if name != camera.name or not {twin, pattern} <= at_rest:
+                raise RecordError(
+                    f"{session.path}: {whose}: '{file}' and '{twin.replace('{camera}', name)}' are"
+                    " the same picture, pixel by pixel; noise makes any two differ: was a file"
+                    " copied under a wrong name?"
+                )
+
+
+def _visible_fraction(session: Session, rig: Rig, k: int) -> float:
+    """Fraction of the mesh's vertices in a camera's picture; NaN where its size is not known."""
+    camera = rig.cameras[k]
+    if camera.size is None:
+        return np.nan
+    pixel = project(camera, session.mesh.vertices)
+    return float(((pixel >= 0) & (pixel < camera.size)).all(axis=1).mean())
+
+
+def _picture_notes(survey: CameraSurvey) -> list[str]:
+    """What makes a camera's pictures hard to track."""
+    texts = []
+    if survey.sees == 0.0:
+        texts.append(
+            "no vertex of the mesh lies inside its picture, as the rig stands; check R, t and"
+            " length_unit of the rig, and that the mesh is in the object's frame."
+        )
+    white = max((picture.saturated for picture in survey.pictures), default=0.0)
+    if white > _MAX_SATURATED:
+        texts.append(
+            f"up to {100 * white:.0f} % of the pixels are white, where no texture can be followed;"
+            " take the pictures again with less light or a shorter exposure."
+        )
+    dark = sum(picture.grey[1] < _DARK for picture in survey.pictures)
+    if dark:
+        texts.append(
+            f"{dark} of {len(survey.pictures)} pictures are dark (99 % of the pixels below"
+            f" {_DARK:g} of 255); take them again with more light or a longer exposure."
+        )
+    return texts

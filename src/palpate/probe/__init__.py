@@ -23,15 +23,13 @@ from palpate.probe.compression_test import (
 )
 from palpate.probe.contact_circle import (
     ContactCircle as ContactCircle,
+    ConvexContact as ConvexContact,
     LocalSurface as LocalSurface,
     contact_circle as contact_circle,
+    convex_contact as convex_contact,
     local_surface as local_surface,
 )
 from palpate.probe.contact_patch import (
     ContactPatch as ContactPatch,
     find_contact_patch as find_contact_patch,
-)
-from palpate.probe.convex_contact import (
-    ConvexContact as ConvexContact,
-    convex_contact as convex_contact,
 )

@@ -204,14 +204,14 @@ def _column(
         return table.columns[default]
     keys = (wanted.lower(),) if wanted is not None else words
     for key in keys:
-        found = [column for column in named if key in column.heading.lower()]
-        exact = [column for column in found if column.heading.lower() == key]
-        if len(found) == 1 or exact:
-            return (exact or found)[0]
-        if found:
+        candidates = [column for column in named if key in column.heading.lower()]
+        exact = [column for column in candidates if column.heading.lower() == key]
+        if len(candidates) == 1 or exact:
+            return (exact or candidates)[0]
+        if candidates:
             raise RecordError(
-                f'{path}: {len(found)} columns match {what} "{key}"'
-                f" ({', '.join(column.heading for column in found)}); {cure}"
+                f'{path}: {len(candidates)} columns match {what} "{key}"'
+                f" ({', '.join(column.heading for column in candidates)}); {cure}"
             )
     listed = ", ".join(column.heading for column in named) or "none, the columns have no names"
     raise RecordError(

@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from palpate.bem.compressed.moments import KernelWeights
+from palpate.bem.compressed.far_field import KernelWeights
 from palpate.bem.system.system import for_each_block
 
 PARTS = {

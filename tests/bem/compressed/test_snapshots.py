@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.bem import face_columns, orthogonalised
-from palpate.bem.compressed.preconditioner import cluster_inverse
-from palpate.bem.compressed.snapshots import _Snapshots
+from palpate.bem.compressed.iterative import cluster_inverse
+from palpate.bem.reduced_model import _Snapshots
 
 ROWS, COLUMNS = 500, 3
 

@@ -12,10 +12,11 @@ from palpate.bem.integrals.assembly import (
     Collocation,
     add_rigid_body_sum,
     kernel_integrals,
+    make_patches,
 )
 from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION
-from palpate.bem.integrals.quadrature import Quadrature, triangle_rule
-from palpate.geometry import element_points, quadratic_shapes, quartered
+from palpate.bem.integrals.surface import Quadrature, triangle_rule
+from palpate.geometry import QuadraticNodes, element_points, free_nodes, quadratic_shapes, quartered
 
 DEFAULT = Quadrature()
 INSIDE = np.array([[0.2, 0.3, 0.5], [0.8, 0.1, 0.1]])
@@ -181,3 +182,54 @@ def test_a_far_row_is_a_plain_sum(surface, kernel):
     expected = at_nodes[: nodes.n_nodes] + nodes.weights.T @ at_nodes[nodes.n_nodes :]
     # The tolerance asked for, of the largest entry.
     assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+@pytest.fixture(scope="module")
+def refined_sphere():
+    mesh = sphere(2)
+    return make_surface(mesh, np.arange(20))
+
+
+def distributed(patches, integrals, n_nodes):
+    """The sums of the kernel, by plain loops: integrals (m, 6) of each triangle's own nodes."""
+    out = np.zeros(n_nodes)
+    for p, size in enumerate(patches.size):
+        own = np.zeros(size)
+        members = slice(patches.triangles[p], patches.triangles[p + 1])
+        np.add.at(own, patches.number[members], integrals[patches.order[members]])
+        for s in range(patches.sums[p], patches.sums[p + 1]):
+            terms = slice(patches.terms[s], patches.terms[s + 1])
+            out[patches.node[s]] += patches.weight[terms] @ own[patches.own[terms]]
+    return out
+
+
+def all_integrals(nodes, integrals):
+    """The same with one vector of all nodes and midside nodes."""
+    total = np.zeros(nodes.n_nodes + nodes.weights.shape[0])
+    np.add.at(total, nodes.element, integrals)
+    return total[: nodes.n_nodes] + nodes.weights.T @ total[nodes.n_nodes :]
+
+
+@pytest.mark.parametrize("kind", ["displacement", "traction", "free"])
+def test_sums_are_those_of_the_weights(refined_sphere, kind):
+    displacement = refined_sphere.displacement
+    nodes = free_nodes(displacement) if kind == "free" else getattr(refined_sphere, kind)
+    centre = refined_sphere.element_nodes[:, :3].mean(axis=1)
+    patches = make_patches(centre, nodes)
+    assert patches.size.size > 1
+    np.testing.assert_array_equal(np.sort(patches.order), np.arange(len(centre)))
+    integrals = np.random.default_rng(0).normal(size=(len(centre), 6))
+    np.testing.assert_allclose(
+        distributed(patches, integrals, nodes.n_nodes),
+        all_integrals(nodes, integrals),
+        rtol=1e-13,
+        atol=1e-13,
+    )
+
+
+def test_no_triangles(refined_sphere):
+    nodes = refined_sphere.displacement
+    none = QuadraticNodes(nodes.element[:0], nodes.n_nodes, nodes.weights)
+    patches = make_patches(np.empty((0, 3)), none)
+    assert patches.size.size == patches.node.size == 0
+    assert patches.terms.tolist() == [0]

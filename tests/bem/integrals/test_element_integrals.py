@@ -12,7 +12,7 @@ from palpate.bem.integrals.element_integrals import (
     surface_point,
 )
 from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION, lane_fields
-from palpate.bem.integrals.quadrature import Quadrature, triangle_rule, unit_gauss
+from palpate.bem.integrals.surface import Quadrature, triangle_rule, unit_gauss
 from palpate.geometry.midside_nodes import ELEMENT_NODES, element_points, quadratic_shapes
 
 FLAT = ELEMENT_NODES @ np.array([[0.1, 0.0, 0.2], [1.1, 0.1, 0.0], [0.4, 0.8, 0.1]])

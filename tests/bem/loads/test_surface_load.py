@@ -10,8 +10,7 @@ from surfaces import sphere
 
 from palpate.bem import PressureDisc, SurfaceLoad, make_surface
 from palpate.bem.loads.half_space import chord_integrals
-from palpate.bem.loads.load_integrals import integrate_load
-from palpate.bem.loads.surface_load import LoadCells, load_points
+from palpate.bem.loads.surface_load import LoadCells, integrate_load, load_points
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.probe import find_contact_patch

@@ -19,7 +19,7 @@ from palpate.bem import (
 )
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.pipeline.model import load_table
-from palpate.pipeline.model.contacts.perturbations import DIP_ERROR, surface_load
+from palpate.pipeline.model.contact_loads import DIP_ERROR, surface_load
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.records import Contact, ErrorPriors, Load, Probing, Session
 

@@ -20,7 +20,7 @@ from palpate.bem import (
     solve,
 )
 from palpate.geometry import interpolation_matrix
-from palpate.pipeline.model.probe_rows import PointRows, ProbeRows
+from palpate.pipeline.model.object_model import PointRows, ProbeRows
 from palpate.pipeline.model.responses import ProbeResponse, full_responses, reduced_responses
 
 TOP = np.array([0.0, 0.0, 1.0])

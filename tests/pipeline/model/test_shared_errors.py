@@ -14,12 +14,12 @@ from palpate.estimation import (
     ProbeObservations,
     ResponseTerms,
 )
-from palpate.pipeline.model.contacts.contact_errors import tool_slip
-from palpate.pipeline.model.measurement_errors import (
+from palpate.pipeline.model.shared_errors import (
     force_direction,
     force_gain,
     length_scale,
     pose_error,
+    tool_slip,
 )
 
 NU, SHEAR, NOISE = 0.3, 2e4, 2e-5

@@ -1,11 +1,11 @@
-"""The commands, a file each.
+"""The commands, a file for each subject.
 
 Purpose    : read what a command needs, call the pipeline, print and write what it gives.
 Takes      : arguments of the command line, already of the right types.
 Gives      : an exit code.
-Depends on : `app.terminal`, `paper`, `report`, `campaign`, `figures`, `simulation`, `pipeline`,
-             `calibration`, `scanning`, `lab`, `estimation`, `bem`, `probe`, `records`,
-             `geometry`.
+Depends on : `paper`, `report`, `viewer`, `campaign`, `figures`, `simulation`, `pipeline`,
+             `calibration`, `scanning`, `recording`, `lab`, `estimation`, `bem`, `probe`,
+             `records`, `geometry`.
 Read first : `fit.py`.
 
 Nothing is imported here: `palpate --help` must not load the numerics.

@@ -1,4 +1,5 @@
-"""`palpate calibrate`: cameras from pictures of a board; and the board to print."""
+"""`palpate calibrate`: a rig from pictures of a flat target, the target itself, and a rig before a
+known object."""
 
 from pathlib import Path
 from typing import Literal
@@ -6,10 +7,8 @@ from typing import Literal
 import numpy as np
 from rich.table import Table
 
-from palpate.app.terminal.notes import print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import progress_bar
-from palpate.app.terminal.tables import terminal_table
+from palpate.app.tables import terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar
 from palpate.calibration import (
     AprilGrid,
     Calibration,
@@ -17,37 +16,53 @@ from palpate.calibration import (
     Charuco,
     Chessboard,
     Circles,
+    ObjectView,
     Target,
     baseline_text,
     board_frame,
     calibrate as calibrate_cameras,
     camera_quality,
     find_boards,
+    find_instants,
     find_pictures,
     find_videos,
     length_check,
     length_sigma,
     still_frames,
     timing_note,
+    view_object,
     without_repeats,
     write_calibration,
+    write_object_view,
 )
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.figures import (
     board_figure,
+    object_figure,
     residual_figure,
     rig_figure,
     save_drawing,
     save_figure,
     save_page,
 )
+from palpate.geometry import read_mesh
 from palpate.probe import metres_from_text
 from palpate.progress import Progress, part_of
-from palpate.records import check_free, default_folder, record_inputs, result_folder
+from palpate.records import (
+    LENGTH_UNITS,
+    check_free,
+    covariance_file,
+    default_folder,
+    read_rig,
+    read_rig_covariance,
+    record_inputs,
+    result_folder,
+)
 
 _PAGE_SUFFIXES = (".pdf", ".png")
 _Kind = Literal["charuco", "chessboard", "circles", "asymmetric-circles", "aprilgrid"]
+_Unit = Literal["m", "cm", "mm", "um", "in"]
 
 
 def calibrate(
@@ -133,31 +148,6 @@ def calibrate(
     return 0
 
 
-def _calibrate(
-    pictures: Path, targets: list[Target], folder: Path, progress: Progress
-) -> Calibration:
-    """Calibration from pictures or videos; used frames stay in the result."""
-    videos = find_videos(pictures)
-    if not videos:
-        files = find_pictures(pictures)
-        all_files = [path for by_instant in files.values() for path in by_instant.values()]
-        record_inputs(folder, all_files)
-        found = find_boards(files, targets, progress=part_of(progress, 0.0, 0.9))
-        progress("adjustment", 0.9)
-        return calibrate_cameras(found, targets)
-    record_inputs(folder, list(videos.values()))
-    still = still_frames(videos, folder / "frames", progress=part_of(progress, 0.0, 0.6))
-    found = find_boards(still, targets, progress=part_of(progress, 0.6, 0.9))
-    progress("adjustment", 0.9)
-    calibration = calibrate_cameras(without_repeats(found), targets)
-    used = {view.split(" ")[0] for view in calibration.found.views}
-    for by_instant in still.values():
-        for instant, path in by_instant.items():
-            if instant not in used:
-                path.unlink()
-    return calibration
-
-
 def board(
     file: Path,
     /,
@@ -212,6 +202,96 @@ def board(
         " measure the ruler"
     )
     return 0
+
+
+def calibrate_object(
+    images: str,
+    mesh: Path,
+    /,
+    *,
+    rig: Path,
+    refine: bool = False,
+    length_unit: _Unit = "m",
+    out: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Locate a known object in the view of a calibrated rig, from pictures of it at rest.
+
+    Registers points of its surface with its mesh, and writes the rig in the object's frame, the
+    covariance of the pose, and a picture of the mesh over the object.
+
+    Parameters
+    ----------
+    images
+        Pictures of the object at rest, with {camera} in place of the camera's name; a * stands for
+        several instants: 'rest/v*_{camera}.png'. The object's pose is that of the first.
+    mesh
+        Its surface: .ply .obj .stl .off .msh .vtu .vtp
+    rig
+        rig.toml or the calibration of another program, or its folder, in any frame.
+    refine
+        Also correct the rig, from the object's texture as all cameras see it at all instants. If
+        that does not improve the rig, it is left unchanged, and a note says so.
+    length_unit
+        Of the mesh.
+    out
+        Result folder. Default: the mesh's name followed by -rig, in the current folder.
+    force
+        Overwrite whatever is there; the old content is kept as NAME.old.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    given = read_rig(rig)
+    surface = read_mesh(mesh, metres_per_unit=LENGTH_UNITS[length_unit])
+    covariance = covariance_file(rig)
+    known = None if covariance is None else read_rig_covariance(covariance)
+    destination = out or Path(f"{mesh.stem}-rig")
+    with result_folder(destination, kind="calibrate", force=force) as folder:
+        instants = find_instants(given, images)
+        pictures = [
+            Path(pattern.replace("{camera}", camera.name))
+            for pattern in (instants if refine else instants[:1])
+            for camera in given.cameras
+        ]
+        with progress_bar() as progress:
+            view = view_object(
+                given, surface, instants, known=known, refine=refine, progress=progress
+            )
+        record_inputs(folder, [*pictures, mesh])
+        write_object_view(folder, view, known)
+        save_figure(object_figure(view.rig, surface, view.grey), folder / "object.png")
+    print_notes(view.notes)
+    print_tables(_object_table(view))
+    print_text(f"{_refinement(view)}Result in {destination}")
+    return 0
+
+
+def _calibrate(
+    pictures: Path, targets: list[Target], folder: Path, progress: Progress
+) -> Calibration:
+    """Calibration from pictures or videos; used frames stay in the result."""
+    videos = find_videos(pictures)
+    if not videos:
+        files = find_pictures(pictures)
+        all_files = [path for by_instant in files.values() for path in by_instant.values()]
+        record_inputs(folder, all_files)
+        found = find_boards(files, targets, progress=part_of(progress, 0.0, 0.9))
+        progress("adjustment", 0.9)
+        return calibrate_cameras(found, targets)
+    record_inputs(folder, list(videos.values()))
+    still = still_frames(videos, folder / "frames", progress=part_of(progress, 0.0, 0.6))
+    found = find_boards(still, targets, progress=part_of(progress, 0.6, 0.9))
+    progress("adjustment", 0.9)
+    calibration = calibrate_cameras(without_repeats(found), targets)
+    used = {view.split(" ")[0] for view in calibration.found.views}
+    for by_instant in still.values():
+        for instant, path in by_instant.items():
+            if instant not in used:
+                path.unlink()
+    return calibration
 
 
 def _make_target(
@@ -291,4 +371,41 @@ def _lengths(calibration: Calibration) -> str:
     return (
         f"{text}Check: {check.views} boards that a second calibration was not shown are measured"
         f" {100 * check.error:+.3f} ± {error:.3f} % too large\n"
+    )
+
+
+def _object_table(view: ObjectView) -> Table:
+    found = view.registration
+    sigma = np.sqrt(np.diag(view.covariance))
+    rows = [
+        ("points of the surface", str(view.points)),
+        ("of them on the mesh", f"{100.0 * found.inliers:.0f} %"),
+        ("distance from it, rms", f"{1e3 * found.residual:.2g} mm"),
+        ("turn x, y, z, 1 sigma", ", ".join(f"{x:.2g}" for x in np.degrees(sigma[:3])) + " deg"),
+        ("shift x, y, z, 1 sigma", ", ".join(f"{1e3 * x:.2g}" for x in sigma[3:]) + " mm"),
+    ]
+    return terminal_table(
+        "Object before the rig", ("figure", "value"), rows,
+        caption="sigma: of the object's pose, from the points' scatter; errors of the mesh and of"
+        " the cameras are not in it",
+    )  # fmt: skip
+
+
+def _refinement(view: ObjectView) -> str:
+    """What became of the rig, in sentences."""
+    refined = view.refined
+    if refined is None:
+        return ""
+    held = (
+        f"rays of points that took no part miss each other by {refined.after:.3f} px, with the rig"
+        f" as it was by {refined.before:.3f} px"
+    )
+    if not refined.better:
+        return (
+            f"The rig is left as it was: refined from {refined.points} points, {held}; that, or the"
+            " distance of the surface from the mesh, is no better\n"
+        )
+    return (
+        f"The rig is refined from {refined.points} points, {refined.rejected} left out: {held};"
+        f" what changed most is {refined.largest_change}\n"
     )

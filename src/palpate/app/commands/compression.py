@@ -12,9 +12,8 @@ import numpy as np
 from cyclopts import Parameter
 from rich.table import Table
 
-from palpate.app.terminal.notes import print_file_notes
-from palpate.app.terminal.output import print_tables
-from palpate.app.terminal.tables import terminal_table
+from palpate.app.tables import terminal_table
+from palpate.app.terminal import print_file_notes, print_tables
 from palpate.errors import InputError
 from palpate.probe import (
     CompressionRecord,

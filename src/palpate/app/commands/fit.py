@@ -1,29 +1,45 @@
-"""`palpate fit`: a session in, a table and a result folder out."""
+"""`palpate fit`, and what goes before and after it: `check` looks at a session, `compile` has the
+kernels ready, `report` writes a result's report again."""
 
 import shlex
+import time
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from cyclopts import Parameter
+from numba.core import event
+from rich.table import Table
 
-from palpate.app.environment import check_cache
-from palpate.app.exit_codes import NOT_OK
-from palpate.app.terminal.notes import print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import StageLog, progress_bar
-from palpate.app.terminal.tables import constants_table, probes_table
-from palpate.app.versions import versions
+from palpate.app.process import NOT_OK, check_cache, check_kernel_cache, versions
+from palpate.app.tables import constants_table, number_text, probes_table, terminal_table
+from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
 from palpate.errors import print_message
 from palpate.estimation import FitResult, FitSettings
+from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (
+    NEAR_RADII,
+    CameraSurvey,
     PoseChoice,
+    ProbingSurvey,
+    ViewSurvey,
     fit_session,
     keep_motion,
     kept_motion,
     measure_pictures,
+    moving_supports,
+    require_given_motions,
+    session_outlook,
+    size_notes,
+    sliding_motion,
+    survey_cameras,
+    survey_probing,
+    survey_view,
     unread_probings,
+    warm_up,
     with_motions,
 )
 from palpate.progress import Progress, part_of
@@ -32,7 +48,10 @@ from palpate.records import (
     Estimate,
     Session,
     Status,
+    check_fit_result,
+    check_free,
     default_folder,
+    disk_errors,
     parts_folder,
     read_session,
     record_inputs,
@@ -42,6 +61,7 @@ from palpate.records import (
     write_text,
 )
 from palpate.report import write_report, write_result_files
+from palpate.shapes import Vector3
 
 # Fractions of the work that are done when the fit and when the drawing begin.
 _FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.9
@@ -152,6 +172,95 @@ def fit(
     return 0
 
 
+def check(session: Path, /) -> int:
+    """Check a session without fitting it: files, units, forces, contacts, pictures.
+
+    Reads everything that `fit` and `flow` would: surface, displacements, cameras, every picture.
+
+    Parameters
+    ----------
+    session
+        Folder of the session, or a session file in it.
+    """
+    given = read_session(session, allow=check_memory)
+    require_given_motions(given)
+    cameras, remarks = survey_cameras(given)
+    view, doubts = survey_view(given)
+    surveys = [survey_probing(given, probing) for probing in given.probings]
+    print_text(f"{given.name} ({given.path})")
+    print_tables(_mesh_table(given))
+    if surveys:
+        print_tables(_probings_table(surveys))
+    if cameras:
+        print_tables(_cameras_table(cameras))
+    if view is not None:
+        print_tables(_view_table(view, cameras))
+    for note in (*given.notes, *size_notes(given), *remarks, *doubts):
+        print_text(f"Note: {note}")
+    print_text(session_outlook(given, surveys))
+    return 0
+
+
+def report(
+    result: Path,
+    /,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+) -> int:
+    """Write a result's report again, as one self-contained HTML file.
+
+    `palpate fit` writes it along with its result, as report.html; this is for a copy elsewhere, or
+    for a result whose report was removed.
+
+    Parameters
+    ----------
+    result
+        Result folder of `palpate fit`.
+    out
+        The file. Default: the result folder's name followed by -report.html, in the current folder.
+    force
+        Replace a file of that name.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    check_fit_result(result)
+    target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
+    check_free(target, force=force)
+    with disk_errors(target):
+        write_report(result, target)
+    print_text(f"Report in {target} ({target.stat().st_size / 1e6:.1f} MB)", wrapped=False)
+    return 0
+
+
+def compile_kernels() -> int:
+    """Compile the numerical kernels once, so that the first fit need not wait.
+
+    Otherwise the first measurement compiles them. Does nothing if they are up to date.
+
+    Returns
+    -------
+    int
+    """
+    check_kernel_cache()
+    start = time.perf_counter()
+    with progress_bar() as progress, event.install_recorder("numba:compile") as recorder:
+        warm_up(progress)
+        progress("the list of fonts", 0.99)
+        # The figures of a result need it; it takes seconds, once, too.
+        import_module("matplotlib.font_manager")
+    compiled = sum(each.is_start for _, each in recorder.buffer)
+    seconds = time.perf_counter() - start
+    if compiled:
+        print_text(f"{compiled} kernels compiled in {seconds:.0f} s: the first fit need not wait")
+    else:
+        print_text("all kernels of the flow and the fit were up to date")
+    return 0
+
+
 def _with_motion_measured(
     given: Session, target: Path, folder: Path, pose: PoseChoice, progress: Progress
 ) -> tuple[Session, int]:
@@ -210,3 +319,128 @@ def _print(estimate: Estimate, session: Session) -> None:
     for note in estimate.notes:
         if note not in session.notes:
             print_text(f"Note: {note}")
+
+
+def _mesh_table(session: Session) -> Table:
+    quality = mesh_quality(session.mesh)
+    moves = moving_supports(session)
+    held = float(triangle_areas(session.mesh)[session.held_triangles].sum())
+    support = f"{len(session.held_triangles)} triangles, {1e4 * held:.4g} cm^2,"
+    support += f" {100.0 * held / quality.area:.1f} % of all"
+    moving_rows = [
+        (support.number, f"{support.motion}, {len(support.triangles)} triangles")
+        for support in moves
+    ]
+    edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
+    gravity, density = session.gravity, session.density
+    rows = (
+        ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
+        ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
+        ("volume", f"{1e6 * quality.volume:.4g} cm^3"),
+        ("area", f"{1e4 * quality.area:.4g} cm^2"),
+        ("edges shortest, mean, longest", ", ".join(f"{1e3 * e:.3g}" for e in edges) + " mm"),
+        ("worst aspect (longest edge / height)", f"{quality.worst_aspect:.2f}"),
+        ("smallest angle", f"{np.degrees(quality.smallest_angle):.1f} degrees"),
+        ("support", support if session.probings else "-"),
+        *((f"support {n} moves", motion) for n, motion in moving_rows),
+        *((f"support {n} holds", what) for n, what in _rollers(session)),
+        *((f"support {n} gives", what) for n, what in _springs(session)),
+        ("density", "-" if density is None else f"{density:g} kg/m^3"),
+        ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),
+    )
+    title = "Surface: closed, manifold, outward, without self-intersection"
+    return terminal_table(title, ("figure", "value"), rows)
+
+
+def _rollers(session: Session) -> list[tuple[int, str]]:
+    """Supports that hold some directions only, by their numbers; at the first, what slides."""
+    rows = []
+    slides = sliding_motion(session)
+    for number, support in enumerate(session.supports, start=1):
+        if support.directions is not None:
+            held = [", ".join(f"{x:.3g}" for x in row) for row in support.directions + 0.0]
+            text = "only " + " and ".join(f"({row})" for row in held)
+            if slides is not None and slides.number == number:
+                text += "; the object slides, and how far is estimated"
+            rows.append((number, text))
+    return rows
+
+
+def _springs(session: Session) -> list[tuple[int, str]]:
+    """Supports that give, by their numbers, and how far they would under the largest force."""
+    rows = []
+    areas = triangle_areas(session.mesh)
+    force = max((float(np.linalg.norm(probing.force)) for probing in session.probings), default=0.0)
+    for number, support in enumerate(session.supports, start=1):
+        if support.stiffness is not None:
+            settlement = force * support.compliance / float(areas[support.triangles].sum())
+            text = f"{support.stiffness:.3g} N/m^3: {1e3 * settlement:.3g} mm under {force:.3g} N"
+            rows.append((number, text))
+    return rows
+
+
+def _acceleration(vector: Vector3) -> str:
+    return ", ".join(f"{component:g}" for component in vector) + " m/s^2"
+
+
+def _probings_table(surveys: list[ProbingSurvey]) -> Table:
+    rows = [
+        (
+            s.name, str(s.patch_triangles), number_text(s.elements_per_radius, ".1f"),
+            str(s.observed), str(s.missing), number_text(1e3 * s.median_displacement, ".3g"),
+            number_text(s.signal_to_noise, ".1f"), number_text(s.tangential_signal, ".1f"),
+            str(s.near),
+        )
+        for s in surveys
+    ]  # fmt: skip
+    return terminal_table(
+        f"{len(surveys)} probings",
+        ("probing", "patch", "elem", "observed", "missing", "|u| mm", "snr", "along", "near"),
+        rows,
+        caption="patch: triangles under the tool; elem: elements per contact radius; snr: median"
+        " |u| over sigma; along: the same along the surface; near: measured points within"
+        f" {NEAR_RADII:g} contact radii",
+    )
+
+
+def _cameras_table(surveys: tuple[CameraSurvey, ...]) -> Table:
+    rows = []
+    for s in surveys:
+        sizes = dict.fromkeys(f"{p.size[0]} x {p.size[1]}" for p in s.pictures)
+        low = min((p.grey[0] for p in s.pictures), default=np.nan)
+        high = max((p.grey[1] for p in s.pictures), default=np.nan)
+        white = max((p.saturated for p in s.pictures), default=np.nan)
+        rows.append(
+            (
+                s.name, str(len(s.pictures)), ", ".join(sizes) or "-",
+                f"{number_text(low, '.0f')} to {number_text(high, '.0f')}",
+                number_text(100.0 * white, ".2g"), number_text(100.0 * s.sees, ".0f"),
+            )
+        )  # fmt: skip
+    return terminal_table(
+        f"{len(surveys)} cameras",
+        ("camera", "pictures", "size px", "grey", "white %", "sees %"),
+        rows,
+        caption="grey: 1st to 99th percentile over all pictures, 255 is white; white: pixels at the"
+        " white end of the worst picture; sees: vertices of the mesh inside the picture",
+    )
+
+
+def _view_table(view: ViewSurvey, cameras: tuple[CameraSurvey, ...]) -> Table:
+    """What the first pictures promise."""
+    lengths = zip(cameras, view.structure, strict=True)
+    rows = (
+        ("windows on the surface", str(view.points)),
+        ("of them, with texture and two cameras", str(view.followed)),
+        ("vertices that would be measured", str(view.vertices)),
+        ("windows around each, median", f"{view.windows:.0f}"),
+        *(
+            (f"structure in {camera.name}", f"{number_text(px, '.1f')} px")
+            for camera, px in lengths
+        ),
+    )
+    return terminal_table(
+        "The first pictures", ("figure", "value"), rows,
+        caption="before anything moves: a tool will hide some; structure: the length over which a"
+        " grey level changes by its own spread, 1 to 3 px for a sharp speckle",
+    )  # fmt: skip

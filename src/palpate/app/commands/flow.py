@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from palpate.app.exit_codes import NOT_OK
-from palpate.app.terminal.notes import print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import progress_bar
-from palpate.app.terminal.tables import flow_table
+from palpate.app.process import NOT_OK
+from palpate.app.tables import flow_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar
 from palpate.errors import InputError, print_message
 from palpate.figures import make_flow_view, write_flow_pictures
 from palpate.pipeline import (
@@ -193,8 +191,8 @@ def _rejections(session: Session, rig: Rig, motion: MeasuredMotion) -> tuple[Rej
         return ()
     one = tuple(probing for probing in session.probings if probing.name == motion.probing)
     with suppress(InputError):
-        found = SessionFlow(rig, (motion,), ())
-        return rejections(with_measured_displacement(replace(session, probings=one), found))
+        measured = SessionFlow(rig, (motion,), ())
+        return rejections(with_measured_displacement(replace(session, probings=one), measured))
     return ()
 
 

@@ -12,9 +12,8 @@ import numpy as np
 from cyclopts import Parameter
 from rich.table import Table
 
-from palpate.app.terminal.notes import print_file_notes, print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.tables import number_text, terminal_table
+from palpate.app.tables import number_text, terminal_table
+from palpate.app.terminal import print_file_notes, print_notes, print_tables, print_text
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.pipeline import survey_field, triangulated, without_contradicted

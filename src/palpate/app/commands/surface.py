@@ -6,10 +6,8 @@ from typing import Literal
 import numpy as np
 from rich.table import Table
 
-from palpate.app.terminal.notes import print_notes
-from palpate.app.terminal.output import print_tables, print_text
-from palpate.app.terminal.progress import progress_bar
-from palpate.app.terminal.tables import terminal_table
+from palpate.app.tables import terminal_table
+from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar
 from palpate.errors import InputError, MeshError
 from palpate.figures import save_figure, scan_figure, surface_figure
 from palpate.geometry import (

@@ -3,8 +3,7 @@
 Purpose    : solve bodies of tens of thousands of vertices in memory and time that grow with their
              number, for all materials at once.
 Takes      : a `BoundarySurface`, right-hand sides.
-Gives      : `CompressedSystem` (a `BoundarySystem` without matrices), iterative solutions,
-             `ReducedBasis`, a reduced basis for every Poisson's ratio.
+Gives      : `CompressedSystem` (a `BoundarySystem` without matrices), iterative solutions.
 Depends on : `bem.system`, `bem.integrals`, `geometry`.
-Read first : `operator.py`, then `far_field.py` and `near_field.py`; `system.py`, `snapshots.py`.
+Read first : `operator.py`, then `far_field.py`; `system.py`, `iterative.py`.
 """

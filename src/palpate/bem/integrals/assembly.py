@@ -3,7 +3,8 @@
 The rows come in blocks of LANES collocation points that lie close together, so that the loops over
 a block vectorise and one quadrature rule suits all of its points. A block is computed by one
 thread, which adds its triangles in order, patch by patch: the result does not depend on the number
-of threads.
+of threads. A patch holds neighbouring triangles. Most of their nodes are midside nodes, whose
+integrals are distributed to ten nodes each: few enough that the processor's cache still holds them.
 
 The integrals of all points together are larger than the matrix that they serve, and take a second:
 who needs few numbers of each computes one block after the other (`KernelIntegrals`).
@@ -15,12 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import csr_array
 
-from palpate.bem.integrals.block_kernel import MOST_KEPT, integrate_blocks
+from palpate.bem.integrals.element_integrals import MOST_KEPT, integrate_blocks
 from palpate.bem.integrals.kelvin import LANES, FieldLayout
-from palpate.bem.integrals.patches import Patches, make_patches
-from palpate.bem.integrals.quadrature import Quadrature, triangle_rule, unit_gauss
-from palpate.bem.integrals.surface import BoundarySurface
+from palpate.bem.integrals.surface import BoundarySurface, Quadrature, triangle_rule, unit_gauss
 from palpate.geometry import (
     QuadraticNodes,
     element_points,
@@ -30,6 +30,9 @@ from palpate.geometry import (
     quadratic_shapes,
 )
 from palpate.threads import in_threads
+
+# Triangles of a patch: 150 nodes and midside nodes, 350 kB for LANES points and nine fields.
+_PATCH_SIZE = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,28 +85,6 @@ class FieldBlocks:
         return fields.reshape(-1, fields.shape[2])[: self.n_rows]
 
 
-class _Points(NamedTuple):
-    """Collocation points in the layout of the kernels: by lane, then one by one."""
-
-    lanes: np.ndarray
-    rows: np.ndarray
-    point: np.ndarray
-    vertex: np.ndarray
-    triangle: np.ndarray
-    barycentric: np.ndarray
-
-
-class _Elements(NamedTuple):
-    """Triangles, patch by patch, with the quadrature points of the smaller rules (`_sources`)."""
-
-    triangle: np.ndarray
-    vertices: np.ndarray
-    nodes: np.ndarray
-    sources: np.ndarray
-    centre: np.ndarray
-    radius: np.ndarray
-
-
 class Rules(NamedTuple):
     """Concatenated quadrature rules.
 
@@ -123,6 +104,55 @@ class Rules(NamedTuple):
     polar: np.ndarray
 
 
+class _Patches(NamedTuple):
+    """Triangles in patches, and how the integrals of a patch's own nodes add to those of the nodes.
+
+    Attributes
+    ----------
+    order : (m,) int          the triangles, patch by patch
+    number : (m, 6) int       their nodes in the numbering of the patch
+    triangles : (p + 1,) int  where each patch starts in `order`
+    size : (p,) int           nodes and midside nodes of each patch
+    sums : (p + 1,) int       where each patch starts in `node`
+    node : (s,) int           node that a weighted sum of a patch's integrals is added to
+    terms : (s + 1,) int      where each sum starts in `own` and `weight`
+    own : (w,) int            term of a sum: node in the numbering of the patch
+    weight : (w,) float       its weight
+    """
+
+    order: np.ndarray
+    number: np.ndarray
+    triangles: np.ndarray
+    size: np.ndarray
+    sums: np.ndarray
+    node: np.ndarray
+    terms: np.ndarray
+    own: np.ndarray
+    weight: np.ndarray
+
+
+class _Elements(NamedTuple):
+    """Triangles, patch by patch, with the quadrature points of the smaller rules (`_sources`)."""
+
+    triangle: np.ndarray
+    vertices: np.ndarray
+    nodes: np.ndarray
+    sources: np.ndarray
+    centre: np.ndarray
+    radius: np.ndarray
+
+
+class _Points(NamedTuple):
+    """Collocation points in the layout of the kernels: by lane, then one by one."""
+
+    lanes: np.ndarray
+    rows: np.ndarray
+    point: np.ndarray
+    vertex: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelIntegrals:
     """Integrals of a kernel's fields times nodal shape functions, computed when they are asked for.
@@ -139,7 +169,7 @@ class KernelIntegrals:
     points: _Points
     elements: _Elements
     rules: Rules
-    patches: Patches
+    patches: _Patches
 
     def block(self, number: int) -> Float[np.ndarray, "nodes fields lanes"]:
         """The integrals of one block of collocation points.
@@ -297,6 +327,62 @@ def point_blocks(point: Float[np.ndarray, "r 3"]) -> Int[np.ndarray, "b lanes"]:
     """
     order = morton_order(point)
     return np.concatenate([order, np.repeat(order[-1:], -order.size % LANES)]).reshape(-1, LANES)
+
+
+def make_patches(centre: Float[np.ndarray, "m 3"], nodes: QuadraticNodes) -> _Patches:
+    """Divide triangles into patches along a Morton curve.
+
+    Parameters
+    ----------
+    centre : (m, 3) float [m]     of each triangle
+    nodes : QuadraticNodes        on the same triangles
+
+    Returns
+    -------
+    _Patches
+    """
+    count = len(centre)
+    order = morton_order(centre) if count else np.arange(0)
+    triangles = np.append(np.arange(0, count, _PATCH_SIZE), count)
+    patch = np.arange(count) // _PATCH_SIZE
+    # Rows of the identity, then those of the midside nodes: scipy takes its time to stack them.
+    own_nodes, midside = np.arange(nodes.n_nodes), nodes.weights
+    weights = csr_array(
+        (
+            np.append(np.ones(own_nodes.size), midside.data),
+            np.append(own_nodes, midside.indices),
+            np.append(own_nodes, midside.indptr + own_nodes.size),
+        ),
+        shape=(own_nodes.size + midside.shape[0], own_nodes.size),
+    )
+    pairs, number = np.unique(
+        patch[:, None] * weights.shape[0] + nodes.element[order], return_inverse=True
+    )
+    patch_of_own, used = np.divmod(pairs, weights.shape[0])
+    first = np.searchsorted(patch_of_own, np.arange(triangles.size))
+    terms = weights[used].tocoo()
+    pairs = patch_of_own[terms.row] * nodes.n_nodes + terms.col
+    by_sum = np.argsort(pairs, kind="stable")
+    pairs, start, terms_of_sum = np.unique(pairs[by_sum], return_index=True, return_counts=True)
+    patch_of_sum, node = np.divmod(pairs, nodes.n_nodes)
+    row = terms.row[by_sum]
+    # The kernel takes three terms at a time: the last of a sum may have no weight.
+    padded = np.append(0, np.cumsum(-(-terms_of_sum // 3) * 3))
+    place = np.arange(row.size) + np.repeat(padded[:-1] - start, terms_of_sum)
+    own, weight = np.zeros(padded[-1], dtype=np.int64), np.zeros(padded[-1])
+    own[place] = row - first[patch_of_own[row]]
+    weight[place] = terms.data[by_sum]
+    return _Patches(
+        order=order,
+        number=number.reshape(-1, 6) - first[patch][:, None],
+        triangles=triangles,
+        size=np.diff(first),
+        sums=np.searchsorted(patch_of_sum, np.arange(triangles.size)),
+        node=node,
+        terms=padded,
+        own=own,
+        weight=weight,
+    )
 
 
 def _points_in_blocks(collocation: Collocation) -> _Points:

@@ -4,5 +4,5 @@ Purpose    : integrate contact pressures, prescribed tractions, support displace
 Takes      : a `BoundarySystem` and a `SurfaceLoad`, a traction, a displacement or a force density.
 Gives      : `RightHand`, quadratic in Poisson's ratio; the local indentation around a contact.
 Depends on : `bem.compressed`, `bem.integrals`, `bem.system`, `geometry`.
-Read first : `right_hand.py`, `surface_load.py`, `load_integrals.py`.
+Read first : `right_hand.py`, `surface_load.py`.
 """

@@ -1,7 +1,11 @@
-"""Surface displacement of a half space under a force spread over a round patch.
+"""Surface displacement of a half space under a force spread over a round patch, and quadrature over
+what such a patch covers of a mesh's cell.
 
 The solutions of Boussinesq and Cerruti for a point force, integrated over a disc whose pressure
 depends on the radius alone. Times the shear modulus, the result is linear in Poisson's ratio.
+
+Cells of a mesh are often wider than a contact. A rule for whole cells then straddles the rim of the
+patch; that in polar coordinates about a corner of a cell (`polar_points`) ends there.
 
 Source: Johnson, Contact Mechanics (1985), eq. 3.18, 3.19 and 3.77, at the surface.
 """
@@ -13,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.chebyshev import chebfit, chebpts1, chebval
 
-from palpate.bem.integrals.quadrature import unit_gauss
+from palpate.bem.integrals.surface import unit_gauss
 
 # Beyond this many radii the patch is treated as a point.
 _FAR = 8.0
@@ -23,9 +27,12 @@ _ANGLES, _RADII, _PROFILE_POINTS = 48, 10, 64
 # Degree of the interpolants, and the power of the distance from the rim in which they are
 # polynomials: at the rim potentials are not smooth.
 _DEGREE, _POWER = 32, 3
-
-
 Profile = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
+# Smallest part of an interval that is integrated by itself.
+_LEAST_PART = 1e-2
+# Fraction of a ray below which its part within a patch is taken as empty: where a rim touches the
+# origin, points of such a part would coincide with it by rounding.
+_SHORTEST = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +163,7 @@ def chord_integrals(profile: Profile, s: Float[np.ndarray, " n"]) -> Float[np.nd
     behind = np.minimum(nearest, none), np.minimum(nearest, none), none
     lines = []
     for first, centre, last in (ahead, behind):
-        reach, weights = chord_points(first, centre, last, _RADII)
+        reach, weights = _chord_points(first, centre, last, _RADII)
         square = s[:, None, None] ** 2 + reach**2 - 2 * reach * middle[:, :, None]
         inside = np.sqrt(np.clip(square, 0, None))
         pressure = profile(np.minimum(inside, 1 - 1e-12).ravel()).reshape(inside.shape)
@@ -169,7 +176,56 @@ def chord_integrals(profile: Profile, s: Float[np.ndarray, " n"]) -> Float[np.nd
     return np.stack([part.sum(axis=1) for part in parts], axis=1) / total
 
 
-def chord_points(
+def rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Gauss points and weights on [0, 1] for integrands that vary as a square root, or its inverse,
+    at the ends; (n,) each."""
+    x, w = unit_gauss(n)
+    return np.sin(0.5 * np.pi * x) ** 2, 0.5 * np.pi * np.sin(np.pi * x) * w
+
+
+def polar_points(
+    place: Float[np.ndarray, "c 3 3"],
+    corners: Float[np.ndarray, "c 3 3"],
+    disc: PressureDisc | None,
+    count: int,
+) -> tuple[Float[np.ndarray, "c q 3"], Float[np.ndarray, "c q"]]:
+    """Quadrature of cells of triangles in polar coordinates about their first corners.
+
+    Of a round patch only that part is covered which lies in the cell. Points are denser at the ends
+    of its radii and angles, where the pressure may vary as a square root or its inverse, and where
+    they pass its centre.
+
+    Parameters
+    ----------
+    place : (c, 3, 3) float [m]     corners of the cells, as if they were flat
+    corners : (c, 3, 3) float [-]   their barycentric coordinates in the triangle
+    disc : PressureDisc or None     the round patch, where there is one
+    count : int                     points on either half of a radius, and of the range of angles
+
+    Returns
+    -------
+    barycentric : (c, q, 3) float [-]    q = 4 count^2
+    weight : (c, q) float [-]       sum to half the cell's share of its triangle
+    """
+    near, side = place[:, 1] - place[:, 0], place[:, 2] - place[:, 1]
+    angles = _whole(np.ones(len(place)))
+    if disc is not None:
+        centre = disc.centre - place[:, 0]
+        angles = _seen_interval(near, side, centre, disc.radius)
+    t, weight_t = _chord_points(*angles, count)
+    radii = _whole(np.ones(t.shape))
+    if disc is not None:
+        ray = near[:, None] + t[..., None] * side[:, None]
+        radii = _crossed_interval(ray, centre[:, None], disc.radius)
+    s, weight_s = _chord_points(*radii, count)
+    weight = s * weight_s * weight_t[..., None] * np.abs(np.linalg.det(corners))[:, None, None]
+    t = np.broadcast_to(t[..., None], s.shape)
+    shares = np.stack([1.0 - s, s * (1.0 - t), s * t], axis=-1)
+    barycentric = np.einsum("cstk,ckj->cstj", shares, corners)
+    return barycentric.reshape(-1, 4 * count**2, 3), weight.reshape(-1, 4 * count**2)
+
+
+def _chord_points(
     first: Float[np.ndarray, "*p"],
     middle: Float[np.ndarray, "*p"],
     last: Float[np.ndarray, "*p"],
@@ -193,8 +249,62 @@ def chord_points(
     return np.concatenate(points, axis=-1), np.concatenate([half * w for half in halves], axis=-1)
 
 
-def rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Gauss points and weights on [0, 1] for integrands that vary as a square root, or its inverse,
-    at the ends; (n,) each."""
-    x, w = unit_gauss(n)
-    return np.sin(0.5 * np.pi * x) ** 2, 0.5 * np.pi * np.sin(np.pi * x) * w
+def _whole(
+    ones: Float[np.ndarray, "*p"],
+) -> tuple[Float[np.ndarray, "*p"], Float[np.ndarray, "*p"], Float[np.ndarray, "*p"]]:
+    """Begin, middle and end of intervals from 0 to 1."""
+    return 0.0 * ones, 0.5 * ones, ones
+
+
+def _crossed_interval(
+    ray: Float[np.ndarray, "p q 3"], centre: Float[np.ndarray, "p 1 3"], radius: float
+) -> tuple[Float[np.ndarray, "p q"], Float[np.ndarray, "p q"], Float[np.ndarray, "p q"]]:
+    """Where rays from the origin enter a ball, come nearest to its centre, and leave it, as
+    fractions of their length, 0 to 1; equal where they miss it."""
+    square = (ray**2).sum(axis=-1)
+    nearest = (ray * centre).sum(axis=-1) / square
+    depth = radius**2 - ((nearest[..., None] * ray - centre) ** 2).sum(axis=-1)
+    half = np.sqrt(np.clip(depth, 0.0, None) / square)
+    begin, end = np.clip(nearest - half, 0.0, 1.0), np.clip(nearest + half, 0.0, 1.0)
+    end = np.where(end - begin > _SHORTEST, end, begin)
+    return begin, _divided(begin, nearest, end), end
+
+
+def _divided(
+    start: Float[np.ndarray, "*p"], middle: Float[np.ndarray, "*p"], end: Float[np.ndarray, "*p"]
+) -> Float[np.ndarray, "*p"]:
+    """A given middle of intervals, or half way where it lies at their ends or outside."""
+    margin = _LEAST_PART * (end - start)
+    inside = (middle > start + margin) & (middle < end - margin)
+    return np.where(inside, middle, 0.5 * (start + end))
+
+
+def _seen_interval(
+    near: Float[np.ndarray, "p 3"],
+    side: Float[np.ndarray, "p 3"],
+    centre: Float[np.ndarray, "p 3"],
+    radius: float,
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    """Interval of t, within 0 to 1, in which the rays from the origin towards near + t side hit a
+    ball, empty where none does; between its ends, the ray that passes nearest to the centre."""
+    beyond = (centre**2).sum(axis=1) - radius**2
+    a, b = (near * centre).sum(axis=1), (side * centre).sum(axis=1)
+    # Hit where beyond |ray|^2 <= (ray . centre)^2, a quadratic in t.
+    first = beyond * (near**2).sum(axis=1) - a**2
+    second = 2.0 * (beyond * (near * side).sum(axis=1) - a * b)
+    third = beyond * (side**2).sum(axis=1) - b**2
+    root = np.sqrt(np.clip(second**2 - 4.0 * third * first, 0.0, None))
+    # The form without cancellation: the first term vanishes where the side is parallel to a tangent
+    # from the origin.
+    larger = -0.5 * (second + np.copysign(root, second))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        roots = np.sort(np.nan_to_num(np.stack([larger / third, first / larger])), axis=0)
+        across = np.cross(np.cross(near, side), centre)
+        straight = -(near * across).sum(axis=1) / (side * across).sum(axis=1)
+    breaks = np.stack([0.0 * a, *np.clip(roots, 0.0, 1.0), 0.0 * a + 1.0])
+    between = 0.5 * (breaks[1:] + breaks[:-1])
+    hit = first + second * between + third * between**2 <= 0.0
+    hit = (hit & (a + between * b > 0.0)) | (beyond <= 0.0)
+    start = np.where(hit, breaks[:-1], 1.0).min(axis=0)
+    end = np.maximum(np.where(hit, breaks[1:], 0.0).max(axis=0), start)
+    return start, _divided(start, np.nan_to_num(straight), end), end

@@ -1,9 +1,10 @@
-"""Local indentation under a load, as a correction of the midside nodes around it.
+"""Right-hand sides of loads, with the local indentation under them.
 
 Close to a contact the displacement is a smooth field plus the indentation of a half space under the
 same pressure. Fitted midside nodes capture the smooth part; the indentation is known. The midside
 nodes near a load are therefore corrected by the indentation minus its own fit, which is a term of
-the right-hand side. No unknown is added, and like the system the term is linear in Poisson's ratio.
+the right-hand side (`IndentationCorrection`). No unknown is added, and like the system the term is
+linear in Poisson's ratio.
 """
 
 from collections.abc import Sequence
@@ -16,8 +17,7 @@ from scipy.sparse import csr_array
 from palpate.arrays import lengths
 from palpate.bem.integrals.assembly import kernel_integrals
 from palpate.bem.integrals.kelvin import TRACTION, traction_parts
-from palpate.bem.integrals.quadrature import Quadrature
-from palpate.bem.integrals.surface import BoundarySurface
+from palpate.bem.integrals.surface import BoundarySurface, Quadrature
 from palpate.bem.loads.half_space import (
     DiscPotentials,
     PressureDisc,
@@ -25,8 +25,14 @@ from palpate.bem.loads.half_space import (
     disc_displacement,
     disc_potentials,
 )
-from palpate.bem.loads.right_hand import RightHand
-from palpate.bem.loads.surface_load import SurfaceLoad, find_foot
+from palpate.bem.loads.right_hand import RightHand, joined, load_columns
+from palpate.bem.loads.surface_load import (
+    LOAD_CELLS,
+    LoadCells,
+    SurfaceLoad,
+    find_foot,
+    integrate_load,
+)
 from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import QuadraticNodes, TriangleMesh, cut_distance
 
@@ -59,6 +65,44 @@ class IndentationCorrection:
     def under(self, force: Float[np.ndarray, "3"]) -> "IndentationCorrection":
         """The correction under one given force, (3,) [N]."""
         return IndentationCorrection(self.midside_nodes, (self.correction @ force)[..., None])
+
+
+def load_right_hand(
+    system: BoundarySystem,
+    loads: Sequence[SurfaceLoad],
+    corrections: Sequence[IndentationCorrection | None] | None = None,
+    *,
+    cells: LoadCells = LOAD_CELLS,
+) -> RightHand:
+    """Right-hand sides of surface loads, for one newton along each axis.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    loads : sequence of k SurfaceLoad
+    corrections : sequence of k IndentationCorrection or None    for the local indentation around
+                                      each load (`indentation_corrections`)
+    cells : LoadCells                             subdivision of the loads, see `load_points`
+
+    Returns
+    -------
+    RightHand                         three columns per load
+
+    Raises
+    ------
+    InputError                        a load covers no part of the free surface
+    """
+    balance = -np.eye(3) / system.traction_length
+    parts = []
+    for load in loads:
+        fields = integrate_load(system.surface, load, system.collocation, system.rows, cells=cells)
+        parts.append(load_columns(fields, balance))
+    right = joined(parts)
+    known = {k: each for k, each in enumerate(corrections or ()) if each is not None}
+    if known:
+        columns = (3 * np.array([*known])[:, None] + np.arange(3)).ravel()
+        right.terms[:, :, columns] += correction_columns(system, [*known.values()]).terms
+    return right
 
 
 def indentation_corrections(

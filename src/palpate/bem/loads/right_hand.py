@@ -1,4 +1,14 @@
-"""Right-hand sides of the system, polynomials in Poisson's ratio of degree two at most."""
+"""Right-hand sides of the system, polynomials in Poisson's ratio of degree two at most.
+
+A constant body force, such as gravity, has a particular solution, which spares a volume integral.
+With b the force per volume and y the position, the hydrostatic stress -(b.y) times the unit tensor
+balances b. Its strain is isotropic and linear in y, and belongs to the displacement
+
+    u_p = -(1 - 2 nu) / (2 G (1 + nu)) [(b.y) y - b |y|^2 / 2],      traction  t_p = -(b.y) n.
+
+The remaining displacement has no body force: its traction is +(b.y) n on the free surface, for any
+material, and its displacement -u_p on the support. Both are right-hand sides of the same system.
+"""
 
 from dataclasses import dataclass
 
@@ -9,7 +19,7 @@ from scipy.sparse import csr_array
 from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.integrals.assembly import kernel_integrals
 from palpate.bem.integrals.kelvin import DISPLACEMENT, displacement_parts
-from palpate.bem.integrals.quadrature import Quadrature, triangle_rule
+from palpate.bem.integrals.surface import BoundarySurface, Quadrature, triangle_rule
 from palpate.bem.system.matrix import held_columns
 from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import ELEMENT_NODES, QuadraticNodes, element_points, quadratic_shapes
@@ -106,23 +116,10 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
     terms = np.zeros((3, 3 * system.n_points + 3, columns))
     if not columns:
         return RightHand(terms)
-    given = np.einsum("hij,hjc->hic", system.unknowns.vertex_directions, displacement[held])
+    prescribed = np.einsum("hij,hjc->hic", system.unknowns.vertex_directions, displacement[held])
     if isinstance(system, CompressedSystem):
-        return _compressed_columns(system, held, given)
-    terms[:2] = held_columns(system, given.reshape(-1, columns))
-    return RightHand(terms)
-
-
-def _compressed_columns(
-    system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3 c"]
-) -> RightHand:
-    """These columns by products with the operator."""
-    displacement = np.zeros((len(system.surface.mesh.vertices), 3, given.shape[2]))
-    displacement[held] = given
-    scaled, constant = system.given_products(displacement)
-    terms = np.zeros((3, len(scaled) + 3, given.shape[2]))
-    terms[0, :-3] = -(scaled + constant)
-    terms[1, :-3] = 2 * scaled
+        return _compressed_columns(system, held, prescribed)
+    terms[:2] = held_columns(system, prescribed.reshape(-1, columns))
     return RightHand(terms)
 
 
@@ -234,3 +231,114 @@ def total_traction(
     area = np.linalg.norm(element_points(nodes, rule.barycentric)[:, :, 3:], axis=2)
     shape = quadratic_shapes(rule.barycentric)
     return np.einsum("q,kq,aq,kai->i", rule.weight, area, shape, traction)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyForce:
+    """Right-hand sides of a constant body force.
+
+    With x_0 and x_1 the solutions for the two columns, the displacement times the shear modulus is
+    x_0 + factor(nu) (x_1 + particular).
+
+    Attributes
+    ----------
+    right : RightHand                     two columns: traction on the free surface; displacement
+                                          of the support
+    particular : (v, 3) float [m Pa]      particular displacement of every vertex times the shear
+                                          modulus, over factor(nu), the `dilation_factor`
+    support_traction : (s, 3) float [Pa]  particular traction at the held sides
+    """
+
+    right: RightHand
+    particular: Float[np.ndarray, "v 3"]
+    support_traction: Float[np.ndarray, "s 3"]
+
+
+def dilation_factor(poisson_ratio: float) -> float:
+    """(1 - 2 nu) / (2 (1 + nu)), the material's factor in the particular displacement.
+
+    Parameters
+    ----------
+    poisson_ratio : float [-]
+
+    Returns
+    -------
+    float [-]
+    """
+    return (1 - 2 * poisson_ratio) / (2 * (1 + poisson_ratio))
+
+
+def body_force_columns(
+    system: BoundarySystem,
+    force_density: Float[np.ndarray, "3"],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> BodyForce:
+    """Right-hand sides for a constant force per volume.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    force_density : (3,) float [N/m^3]    density times acceleration
+    quadrature : Quadrature
+
+    Returns
+    -------
+    BodyForce
+    """
+    surface = system.surface
+    held = surface.mesh.vertices[system.unknowns.held_vertices]
+    origin = held.mean(axis=0)
+    y = surface.mesh.vertices - origin
+    square = np.einsum("vi,vi->v", y, y)[:, None]
+    particular = 0.5 * square * force_density - (y @ force_density)[:, None] * y
+    # Along held directions the support carries the traction of the particular solution.
+    free_directions = np.eye(3) - surface.held_directions
+    free = np.flatnonzero(free_directions.any(axis=(1, 2)))
+    traction = _hydrostatic_traction(surface, free, force_density, origin)
+    traction = np.einsum("kij,kqj->kqi", free_directions[free], traction)
+    traction_part = traction_column(system, free, traction, quadrature=quadrature)
+    held_traction = _at_sides(system, force_density, origin)
+    return BodyForce(
+        joined([traction_part, support_columns(system, -particular[:, :, None])]),
+        particular,
+        held_traction,
+    )
+
+
+def _compressed_columns(
+    system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3 c"]
+) -> RightHand:
+    """These columns by products with the operator."""
+    displacement = np.zeros((len(system.surface.mesh.vertices), 3, given.shape[2]))
+    displacement[held] = given
+    scaled, constant = system.given_products(displacement)
+    terms = np.zeros((3, len(scaled) + 3, given.shape[2]))
+    terms[0, :-3] = -(scaled + constant)
+    terms[1, :-3] = 2 * scaled
+    return RightHand(terms)
+
+
+def _at_sides(
+    system: BoundarySystem, force_density: Float[np.ndarray, "3"], origin: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "s 3"]:
+    """-(b.y) n at every held side, n the mean normal of its triangles."""
+    surface, sides = system.surface, system.unknowns.held_sides
+    held = np.flatnonzero(surface.held)
+    total = np.zeros((surface.traction.n_nodes, 3))
+    traction = _hydrostatic_traction(surface, held, force_density, origin)[:, :3]
+    np.add.at(total, surface.sides.corner[held], traction)
+    count = np.bincount(surface.sides.corner[held].ravel(), minlength=len(total))
+    return -total[sides] / count[sides][:, None]
+
+
+def _hydrostatic_traction(
+    surface: BoundarySurface,
+    triangles: Int[np.ndarray, " k"],
+    force_density: Float[np.ndarray, "3"],
+    origin: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "k 6 3"]:
+    """(b.y) n at the six nodes of each triangle."""
+    points = element_points(surface.element_nodes[triangles], ELEMENT_NODES)
+    normal = points[:, :, 3:] / np.linalg.norm(points[:, :, 3:], axis=2)[:, :, None]
+    return ((points[:, :, :3] - origin) @ force_density)[:, :, None] * normal

@@ -1,31 +1,71 @@
-"""Tractions over parts of the surface, and points for integrals over them.
+"""Tractions over parts of the surface, and integrals over them.
 
 A contact patch is often hardly wider than an element. Its traction is therefore integrated over the
-patch itself: with small cells that end at its rim.
+patch itself: with small cells that end at its rim. The displacement kernel is integrated over the
+traction of the load itself, too, not over nodal values of it; for collocation points on the patch,
+in polar coordinates about them.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from palpate.bem.integrals.quadrature import triangle_rule
-from palpate.bem.integrals.surface import BoundarySurface
-from palpate.bem.loads.half_space import PressureDisc
-from palpate.bem.loads.polar_rule import polar_points
+from palpate.bem.integrals.assembly import Collocation, lanes_of
+from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, add_point_fields, lane_fields
+from palpate.bem.integrals.surface import BoundarySurface, triangle_rule
+from palpate.bem.loads.half_space import PressureDisc, polar_points
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, element_points, quartered
 from palpate.shapes import Vector3
+from palpate.threads import in_threads
 
 Density = Callable[
     [Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]],
     Float[np.ndarray, " n"],
 ]
-
 # Most quarterings of a triangle until a cell is no larger than a round patch's radius.
 _MAX_LEVELS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCells:
+    """Subdivision of the triangles under a load into cells; each level quarters a cell.
+
+    Levels are counted from the coarsest cells whose edges are no longer than the radius of a round
+    patch; for other loads, and where triangles are smaller, from the triangles.
+
+    Attributes
+    ----------
+    degree : int                  of the quadrature rule on each cell
+    rim_points : int              of the rule on the part of a cell that lies in a round patch where
+                                  its rim crosses it (`polar_points`)
+    polar_points : int            of that rule about collocation points on the patch
+    coarsest : int                level of all cells
+    finest : int                  level at which subdivision ends
+    ratio : float                 least distance of the evaluation points from a cell, over its
+                                  size, at which it needs no further subdivision
+    """
+
+    degree: int
+    rim_points: int
+    polar_points: int
+    coarsest: int
+    finest: int
+    ratio: float = 4.0
+
+
+# Unless others are asked for.
+LOAD_CELLS = LoadCells(degree=5, rim_points=4, polar_points=8, coarsest=1, finest=1)
+_N_FIELDS = DISPLACEMENT.count
+# Sources whose fields are computed before they are summed: they fit into the L1 cache.
+_AT_ONCE = 16
+# Largest relative error of a row's own integral of the density, above which its points do not
+# resolve the patch, and those of the whole load serve it as well.
+_LARGEST_ERROR = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +125,89 @@ def find_foot(surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre
     return Foot(nearest.position[0], point[:3], point[3:] / np.linalg.norm(point[3:]))
 
 
-def placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
+@dataclass(frozen=True, slots=True, eq=False)
+class _LoadPoints:
+    """Quadrature points of a load.
+
+    Attributes
+    ----------
+    position : (q, 3) float [m]
+    weight : (q,) float           sum to 1
+    triangle : (q,) int           triangle of each point
+    total : float [m^2]           surface integral of the unscaled density, times the density's unit
+    """
+
+    position: Float[np.ndarray, "q 3"]
+    weight: Float[np.ndarray, " q"]
+    triangle: Int[np.ndarray, " q"]
+    total: float
+
+
+def load_points(
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    *,
+    cells: LoadCells = LOAD_CELLS,
+    near: Float[np.ndarray, "p 3"] | None = None,
+) -> _LoadPoints:
+    """Quadrature points for integrals of smooth functions times the density of a load.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    load : SurfaceLoad
+    cells : LoadCells             subdivision of the triangles
+    near : (p, 3) float [m]       evaluation points: cells close to them are subdivided further
+
+    Returns
+    -------
+    _LoadPoints
+
+    Raises
+    ------
+    InputError                    the density vanishes on all its triangles
+    """
+    return _placed_points(surface, _placed_load(surface, load), cells=cells, near=near)
+
+
+def integrate_load(
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    collocation: Collocation,
+    rows: Int[np.ndarray, "b lanes"],
+    *,
+    cells: LoadCells = LOAD_CELLS,
+) -> Float[np.ndarray, "r 6"]:
+    """The six displacement fields integrated against a load, at every collocation point.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    load : SurfaceLoad
+    collocation : Collocation
+    rows : (b, LANES) int         collocation points of each block (`point_blocks`)
+    cells : LoadCells             see `load_points`, also for its errors
+
+    Returns
+    -------
+    (r, 6) float [1/m]            in the order of the blocks' rows
+    """
+    load = _placed_load(surface, load)
+    points = _placed_points(surface, load, cells=cells)
+    n_rows = collocation.point.shape[0]
+    order = rows.ravel()[:n_rows]
+    sources = _as_sources(points.position, points.weight)
+    out = np.zeros((rows.shape[0], DISPLACEMENT.count * LANES))
+    in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
+    fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
+    fields = fields.reshape(-1, DISPLACEMENT.count)[:n_rows].copy()
+    _recompute_rows_on_patch(
+        surface, load, points, sources, collocation, order, fields, cells.polar_points
+    )
+    return fields
+
+
+def _placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     """A load about the point of the curved surface nearest to its centre, which is given on the
     flat triangles or close to them: a patch may be smaller than the distance between the two.
 
@@ -113,100 +235,24 @@ def placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     return replace(load, density=density, disc=replace(load.disc, centre=foot.flat))
 
 
-@dataclass(frozen=True, slots=True)
-class LoadCells:
-    """Subdivision of the triangles under a load into cells; each level quarters a cell.
-
-    Levels are counted from the coarsest cells whose edges are no longer than the radius of a round
-    patch; for other loads, and where triangles are smaller, from the triangles.
-
-    Attributes
-    ----------
-    degree : int                  of the quadrature rule on each cell
-    rim_points : int              of the rule on the part of a cell that lies in a round patch where
-                                  its rim crosses it (`polar_points`)
-    polar_points : int            of that rule about collocation points on the patch
-    coarsest : int                level of all cells
-    finest : int                  level at which subdivision ends
-    ratio : float                 least distance of the evaluation points from a cell, over its
-                                  size, at which it needs no further subdivision
-    """
-
-    degree: int
-    rim_points: int
-    polar_points: int
-    coarsest: int
-    finest: int
-    ratio: float = 4.0
-
-
-# Unless others are asked for.
-LOAD_CELLS = LoadCells(degree=5, rim_points=4, polar_points=8, coarsest=1, finest=1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LoadPoints:
-    """Quadrature points of a load.
-
-    Attributes
-    ----------
-    position : (q, 3) float [m]
-    weight : (q,) float           sum to 1
-    triangle : (q,) int           triangle of each point
-    total : float [m^2]           surface integral of the unscaled density, times the density's unit
-    """
-
-    position: Float[np.ndarray, "q 3"]
-    weight: Float[np.ndarray, " q"]
-    triangle: Int[np.ndarray, " q"]
-    total: float
-
-
-def load_points(
-    surface: BoundarySurface,
-    load: SurfaceLoad,
-    *,
-    cells: LoadCells = LOAD_CELLS,
-    near: Float[np.ndarray, "p 3"] | None = None,
-) -> LoadPoints:
-    """Quadrature points for integrals of smooth functions times the density of a load.
-
-    Parameters
-    ----------
-    surface : BoundarySurface
-    load : SurfaceLoad
-    cells : LoadCells             subdivision of the triangles
-    near : (p, 3) float [m]       evaluation points: cells close to them are subdivided further
-
-    Returns
-    -------
-    LoadPoints
-
-    Raises
-    ------
-    InputError                    the density vanishes on all its triangles
-    """
-    return placed_points(surface, placed_load(surface, load), cells=cells, near=near)
-
-
-def placed_points(
+def _placed_points(
     surface: BoundarySurface,
     load: SurfaceLoad,
     *,
     cells: LoadCells,
     near: Float[np.ndarray, "p 3"] | None = None,
-) -> LoadPoints:
+) -> _LoadPoints:
     """As `load_points`, for a load that is placed already.
 
     Parameters
     ----------
     surface : BoundarySurface
-    load : SurfaceLoad            from `placed_load`
+    load : SurfaceLoad            from `_placed_load`
     cells, near                   as `load_points`
 
     Returns
     -------
-    LoadPoints
+    _LoadPoints
 
     Raises
     ------
@@ -235,7 +281,7 @@ def placed_points(
             "the contact patch covers no part of the free surface; move its point or enlarge "
             "its radius"
         )
-    return LoadPoints(np.concatenate(positions), weight / total, np.concatenate(owners), total)
+    return _LoadPoints(np.concatenate(positions), weight / total, np.concatenate(owners), total)
 
 
 def _coarsest_cells(
@@ -264,12 +310,12 @@ def _cell_balls(
     surface: BoundarySurface, triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
 ) -> tuple[Float[np.ndarray, "c 3"], Float[np.ndarray, " c"]]:
     """Centre of each cell, and the distance of its farthest corner from it [m]."""
-    place = corner_places(surface, triangle, corners)
+    place = _corner_places(surface, triangle, corners)
     middle = place.mean(axis=1)
     return middle, np.linalg.norm(place - middle[:, None], axis=2).max(axis=1)
 
 
-def corner_places(
+def _corner_places(
     surface: BoundarySurface, triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
 ) -> Float[np.ndarray, "c 3 3"]:
     """Corners of cells on flat triangles, (c, 3, 3) [m].
@@ -293,19 +339,19 @@ def _cell_points(
     """Triangle, points and weights of the cells within a load, then of those across its rim."""
     rim, rule = np.zeros(triangle.size, dtype=bool), triangle_rule(cells.degree)
     if load.disc is not None:
-        place = corner_places(surface, triangle, corners)
+        place = _corner_places(surface, triangle, corners)
         away = np.linalg.norm(place - load.disc.centre, axis=2)
         rim = away.max(axis=1) >= load.disc.radius
         barycentric, weight = polar_points(place[rim], corners[rim], load.disc, cells.rim_points)
-        position, area, density = traction_at(surface, load, triangle[rim], barycentric)
+        position, area, density = _traction_at(surface, load, triangle[rim], barycentric)
         yield triangle[rim], position, density * area * weight
     barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners[~rim])
-    position, area, density = traction_at(surface, load, triangle[~rim], barycentric)
+    position, area, density = _traction_at(surface, load, triangle[~rim], barycentric)
     size = np.abs(np.linalg.det(corners[~rim]))[:, None]
     yield triangle[~rim], position, density * area * size * rule.weight
 
 
-def traction_at(
+def _traction_at(
     surface: BoundarySurface,
     load: SurfaceLoad,
     triangle: Int[np.ndarray, " c"],
@@ -333,3 +379,114 @@ def traction_at(
         np.repeat(triangle, shape[1]), barycentric.reshape(-1, 3), position.reshape(-1, 3)
     )
     return position, np.linalg.norm(points[:, :, 3:], axis=2), density.reshape(shape)
+
+
+def _as_sources(
+    position: Float[np.ndarray, "q 3"], weight: Float[np.ndarray, " q"]
+) -> Float[np.ndarray, "q 6"]:
+    """Points in the layout of the kernels: of the normal, the displacement kernel uses the length
+    alone, here the weight."""
+    return np.column_stack([position, weight, np.zeros((weight.size, 2))])
+
+
+def _recompute_rows_on_patch(
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    points: _LoadPoints,
+    sources: Float[np.ndarray, "q 6"],
+    collocation: Collocation,
+    order: Int[np.ndarray, " r"],
+    fields: Float[np.ndarray, "r 6"],
+    count: int,
+) -> None:
+    """Recompute the rows of collocation points on the patch in polar coordinates around them.
+
+    Each row is divided by its own integral of the density: where the points of a rule straddle the
+    rim of the patch, the shape of the load suffers, not its total.
+    """
+    row, triangle, corners = _subtriangles_on_patch(surface, points.triangle, collocation, order)
+    if not row.size:
+        return
+    place = _corner_places(surface, triangle, corners)
+    barycentric, polar_weight = polar_points(place, corners, load.disc, count)
+    position, area, density = _traction_at(surface, load, triangle, barycentric)
+    weight = density * area * polar_weight / points.total
+    around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
+    by_row = np.argsort(row, kind="stable")
+    rows, start = np.unique(row[by_row], return_index=True)
+    recomputed = np.zeros((rows.size, 1, DISPLACEMENT.count))
+    total = np.bincount(row, weight.sum(axis=1))[rows]
+    of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
+    pairs = np.unique(np.stack([row, triangle]), axis=1)
+    total += 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])[rows]
+    in_threads(
+        _sum_around, rows.size, collocation.point[order[rows]], around[by_row], triangle[by_row],
+        np.append(start, row.size), sources, points.triangle, recomputed,
+    )  # fmt: skip
+    resolved = np.abs(total - 1.0) < _LARGEST_ERROR
+    fields[rows[resolved]] = recomputed[resolved, 0] / total[resolved, None]
+
+
+def _subtriangles_on_patch(
+    surface: BoundarySurface,
+    loaded: Int[np.ndarray, " q"],
+    collocation: Collocation,
+    order: Int[np.ndarray, " r"],
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Float[np.ndarray, "p 3 3"]]:
+    """Rows, in this order, whose collocation point lies on a loaded triangle; that triangle; and
+    barycentric corners of each of its subtriangles with the point as first corner."""
+    triangles = np.unique(loaded)
+    row_of_point = np.full(collocation.point.shape[0], -1)
+    row_of_point[order] = np.arange(order.size)
+    row_of_vertex = np.full(surface.mesh.vertices.shape[0], -1)
+    at_vertex = np.flatnonzero(collocation.vertex >= 0)
+    row_of_vertex[collocation.vertex[at_vertex]] = row_of_point[at_vertex]
+    row = row_of_vertex[surface.mesh.triangles[triangles]].ravel()
+    turned = np.stack([np.roll(np.eye(3), -k, axis=0) for k in range(3)])
+    corners = np.tile(turned, (triangles.size, 1, 1))
+    triangle = np.repeat(triangles, 3)
+    found = row >= 0
+    parts = [(row[found], triangle[found], corners[found])]
+    unit = np.eye(3)
+    for inner in np.flatnonzero(np.isin(collocation.triangle, triangles)):
+        point = collocation.barycentric[inner]
+        around = np.stack([np.stack([point, unit[k], unit[(k + 1) % 3]]) for k in range(3)])
+        parts.append(
+            (np.full(3, row_of_point[inner]), np.full(3, collocation.triangle[inner]), around)
+        )
+    row, triangle, corners = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return row, triangle, corners
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _sum_points(begin, end, lanes, sources, out):
+    """Displacement fields of some blocks of load points, summed over the sources."""
+    width = _N_FIELDS * LANES
+    buffer = np.empty(_AT_ONCE * width)
+    for b in range(begin, end):
+        total = out[b]
+        for first in range(0, sources.shape[0], _AT_ONCE):
+            last = min(first + _AT_ONCE, sources.shape[0])
+            lane_fields(_N_FIELDS, lanes[b], sources[first:last], buffer)
+            for q in range(last - first):
+                for i in range(width):
+                    total[i] += buffer[q * width + i]
+
+
+@numba.njit(nogil=True, error_model="numpy", cache=True)
+def _sum_around(begin, end, points, around, triangle, start, sources, loaded, out):
+    """Displacement fields at some points: from the sources around each, parts start[i] to
+    start[i + 1], and from all sources that lie on none of the triangles of these parts."""
+    factor = np.ones(1)
+    for i in range(begin, end):
+        for part in range(start[i], start[i + 1]):
+            for q in range(around.shape[1]):
+                # Where a patch covers none of a part, its points may coincide with the point.
+                if around[part, q, 3] > 0.0:
+                    add_point_fields(_N_FIELDS, points[i], around[part, q], 1.0, factor, out[i])
+        for q in range(sources.shape[0]):
+            counts = True
+            for part in range(start[i], start[i + 1]):
+                counts = counts and loaded[q] != triangle[part]
+            if counts:
+                add_point_fields(_N_FIELDS, points[i], sources[q], 1.0, factor, out[i])

@@ -5,5 +5,5 @@ Takes      : a `BoundarySurface`.
 Gives      : `BoundarySystem`, its matrix, factorisation and derivative with respect to Poisson's
              ratio, equations at further surface points, compliant supports.
 Depends on : `bem.integrals`, `geometry`.
-Read first : `system.py`, `boundary.py`.
+Read first : `system.py`, `matrix.py`.
 """

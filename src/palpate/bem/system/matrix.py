@@ -1,13 +1,38 @@
-"""The matrix of the system at one Poisson's ratio, and its derivative, from the integrals."""
+"""Matrices of a system from its integrals: at one Poisson's ratio, their derivative with respect to
+it, and rows for further points of the surface.
+
+The derivative involves five scalar fields only: the three of r x n and the one of r.n from the
+traction kernel, and 1 / r from the displacement kernel. They are stored as dense matrices, so that
+a product with many vectors takes a few large matrix products.
+
+Under a tool the displacement varies within an element, and interpolation between the vertices
+smooths it. The integral equation collocated at the point itself contains the load there, and yields
+the displacement once the vertices' displacements and the support's tractions are known.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.linalg.blas import get_blas_funcs
 from scipy.sparse import csr_array
 
-from palpate.bem.integrals.kelvin import displacement_parts, traction_parts
-from palpate.bem.integrals.surface import integral_weights
-from palpate.bem.system.slope import SystemSlope, slope_to_fill
-from palpate.bem.system.system import BlockUse, BoundarySystem, Precision, for_each_block
+from palpate.bem.integrals.assembly import Collocation
+from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION, displacement_parts, traction_parts
+from palpate.bem.integrals.surface import BoundarySurface, Quadrature, integral_weights
+from palpate.bem.system.system import (
+    BlockUse,
+    BoundarySystem,
+    Precision,
+    equations_at,
+    for_each_block,
+)
+from palpate.geometry import quadratic_shapes
+
+# A point with a barycentric coordinate above this is treated as the vertex.
+_AT_VERTEX = 1 - 1e-6
+# Smallest distance from an edge, as a barycentric coordinate: polar coordinates require one.
+_MIN_FROM_EDGE = 0.02
 
 
 def system_matrix(
@@ -26,9 +51,51 @@ def system_matrix(
     (r, k) float              Fortran order; rows by component, then by collocation point in the
                               order of the system; the last three are the force balance
     """
-    matrix, fill = matrix_to_fill(system, poisson_ratio, precision)
+    matrix, fill = _matrix_to_fill(system, poisson_ratio, precision)
     for_each_block(system, fill)
     return matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SystemSlope:
+    """d matrix / d nu; the matrix is linear in nu, so this is matrix(nu + 1) - matrix(nu).
+
+    Attributes
+    ----------
+    skew : (3, r, f) float        twice the integrals of r x n / r^3, by free vertex
+    flux : (r, f) float           twice those of r.n / r^3
+    trace : (r, s) float          twice those of 1 / r, by held side, over `traction_length`
+    """
+
+    skew: Float[np.ndarray, "3 r f"]
+    flux: Float[np.ndarray, "r f"]
+    trace: Float[np.ndarray, "r s"]
+
+    def apply(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "r c"]:
+        """Product with vectors of unknowns.
+
+        Parameters
+        ----------
+        unknowns : (k, c) float
+
+        Returns
+        -------
+        (r, c) float              rows in the order of `system_matrix`
+        """
+        (n_rows, n_free), count = self.flux.shape, unknowns.shape[1]
+        unknowns = unknowns.astype(self.flux.dtype, copy=False)
+        u = unknowns[: 3 * n_free].reshape(n_free, 3, count)
+        q = unknowns[3 * n_free : -3].reshape(self.trace.shape[1], 3 * count)
+        total = _product(self.flux, u.reshape(n_free, 3 * count)) + _product(self.trace, q)
+        product = total.astype(float, copy=False).reshape(n_rows, 3, count)
+        for axis, part in enumerate(self.skew):
+            # A cross product with the axis involves the two other components only.
+            after, last = (axis + 1) % 3, (axis + 2) % 3
+            others = u[:, [after, last]].reshape(n_free, 2 * count)
+            turned = _product(part, others).reshape(n_rows, 2, count)
+            product[:, after] -= turned[:, 1]
+            product[:, last] += turned[:, 0]
+        return np.concatenate([*product.transpose(1, 0, 2), np.zeros((3, count))])
 
 
 def matrix_and_slope(
@@ -45,8 +112,8 @@ def matrix_and_slope(
     (r, k) float
     SystemSlope
     """
-    matrix, fill_matrix = matrix_to_fill(system, poisson_ratio, precision)
-    slope, fill_slope = slope_to_fill(system, precision)
+    matrix, fill_matrix = _matrix_to_fill(system, poisson_ratio, precision)
+    slope, fill_slope = _slope_to_fill(system, precision)
 
     def fill(rows: slice, traction: np.ndarray, displacement: np.ndarray) -> None:
         fill_matrix(rows, traction, displacement)
@@ -56,7 +123,126 @@ def matrix_and_slope(
     return matrix, slope
 
 
-def matrix_to_fill(
+def held_columns(
+    system: BoundarySystem, basis: Float[np.ndarray, "d c"] | csr_array
+) -> Float[np.ndarray, "2 r c"]:
+    """What displacements of the held vertices add to the right-hand side of the equations.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    basis : (3 h, c) float or sparse [m]    displacements of the held vertices, three rows each
+
+    Returns
+    -------
+    (2, r, c) float           constant and slope in nu, for a shear modulus of one pascal; rows as
+                              in `system_matrix`
+    """
+    held, columns = system.unknowns.held_vertices, basis.shape[1]
+    terms = np.zeros((2, 3 * system.n_points + 3, columns))
+    equations = terms[:, :-3].reshape(2, 3, system.n_points, columns)
+
+    def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
+        scaled, constant = (
+            (part.transpose(0, 3, 2, 1).reshape(-1, 3 * held.size) @ basis).reshape(3, -1, columns)
+            for part in traction_parts(np.moveaxis(traction[held], 1, 0))
+        )
+        equations[0, :, rows] = -(scaled + constant)
+        equations[1, :, rows] = 2 * scaled
+
+    for_each_block(system, add)
+    return terms
+
+
+def system_slope(system: BoundarySystem, *, precision: Precision = np.float64) -> SystemSlope:
+    """Gather the fields that depend on Poisson's ratio.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    precision : type          of the entries
+
+    Returns
+    -------
+    SystemSlope
+    """
+    slope, fill = _slope_to_fill(system, precision)
+    for_each_block(system, fill)
+    return slope
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointEquations:
+    """The integral equation at points of the surface, linear in Poisson's ratio.
+
+    For each point, own(nu) u = matrix(nu) x - right(nu) / G, with u its displacement and x the
+    unknowns of the system.
+
+    Attributes
+    ----------
+    system : BoundarySystem               the equations at the points, for their right-hand sides
+    matrix : (2, p, 3, k) float           constant and slope in nu
+    own : (2, p, 3, 3) float              constant and slope in nu
+    """
+
+    system: BoundarySystem
+    matrix: Float[np.ndarray, "2 p 3 k"]
+    own: Float[np.ndarray, "2 p 3 3"]
+
+    def by_point(self, rows: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "p 3 c"]:
+        """Regroup the rows of a right-hand side by point.
+
+        Parameters
+        ----------
+        rows : (3 p + 3, c) float         in the order of right-hand sides of `system`
+
+        Returns
+        -------
+        (p, 3, c) float
+        """
+        return _sorted_rows(self.system, rows)
+
+
+def point_equations(
+    system: BoundarySystem,
+    triangle: Int[np.ndarray, " p"],
+    barycentric: Float[np.ndarray, "p 3"],
+    *,
+    quadrature: Quadrature = Quadrature(),
+) -> PointEquations:
+    """Write the integral equation at points of the free surface.
+
+    Parameters
+    ----------
+    system : BoundarySystem
+    triangle : (p,) int
+    barycentric : (p, 3) float [-]        points closer to an edge than 2 % of their triangle are
+                                          moved inward; vertices stay
+    quadrature : Quadrature
+
+    Returns
+    -------
+    PointEquations
+    """
+    collocation = _collocation_at(system.surface, triangle, barycentric)
+    equations = equations_at(system.surface, system.unknowns, collocation, quadrature=quadrature)
+    to_fill = [_matrix_to_fill(equations, nu) for nu in (0.0, 1.0)]
+    fields = np.empty((TRACTION.count, triangle.size))
+
+    def fill(rows: slice, traction: np.ndarray, displacement: np.ndarray) -> None:
+        for _, fill_matrix in to_fill:
+            fill_matrix(rows, traction, displacement)
+        fields[:, equations.order[rows]] = traction.sum(axis=0)
+
+    for_each_block(equations, fill)
+    at_zero, at_one = (_sorted_rows(equations, matrix) for matrix, _ in to_fill)
+    a, b = (part.transpose(2, 0, 1) for part in traction_parts(fields))
+    return PointEquations(
+        equations, np.stack([at_zero, at_one - at_zero]), np.stack([a + b, -2 * a])
+    )
+
+
+def _matrix_to_fill(
     system: BoundarySystem, poisson_ratio: float, precision: Precision = np.float64
 ) -> tuple[Float[np.ndarray, "r k"], BlockUse]:
     """A matrix that lacks its integral equations, and what fills in those of each block.
@@ -92,32 +278,66 @@ def matrix_to_fill(
     return matrix.T, fill
 
 
-def held_columns(
-    system: BoundarySystem, basis: Float[np.ndarray, "d c"] | csr_array
-) -> Float[np.ndarray, "2 r c"]:
-    """What displacements of the held vertices add to the right-hand side of the equations.
+def _product(a: Float[np.ndarray, "r n"], b: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "r c"]:
+    """a @ b by the library that solves the system, in turns with these products: that of numpy has
+    threads of its own, and the idle ones of either take the processors from the other."""
+    (gemm,) = get_blas_funcs(("gemm",), (a, b))
+    return gemm(1.0, b.T, a.T).T
+
+
+def _slope_to_fill(
+    system: BoundarySystem, precision: Precision = np.float64
+) -> tuple[SystemSlope, BlockUse]:
+    """A derivative without values, and what fills in those of each block.
 
     Parameters
     ----------
-    system : BoundarySystem
-    basis : (3 h, c) float or sparse [m]    displacements of the held vertices, three rows each
+    system, precision         as in `system_slope`
 
     Returns
     -------
-    (2, r, c) float           constant and slope in nu, for a shear modulus of one pascal; rows as
-                              in `system_matrix`
+    SystemSlope
+    callable                  for `for_each_block`
     """
-    held, columns = system.unknowns.held_vertices, basis.shape[1]
-    terms = np.zeros((2, 3 * system.n_points + 3, columns))
-    equations = terms[:, :-3].reshape(2, 3, system.n_points, columns)
+    free, n_sides = system.unknowns.free_vertices, system.unknowns.held_sides.size
+    skew = np.empty((3, system.n_points, free.size), dtype=precision)
+    flux = np.empty((system.n_points, free.size), dtype=precision)
+    trace = np.empty((system.n_points, n_sides), dtype=precision)
+    scale = 2.0 / system.traction_length
 
-    def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
-        scaled, constant = (
-            (part.transpose(0, 3, 2, 1).reshape(-1, 3 * held.size) @ basis).reshape(3, -1, columns)
-            for part in traction_parts(np.moveaxis(traction[held], 1, 0))
-        )
-        equations[0, :, rows] = -(scaled + constant)
-        equations[1, :, rows] = 2 * scaled
+    def fill(rows: slice, traction: np.ndarray, displacement: np.ndarray) -> None:
+        # By row, then by node, as they are multiplied.
+        turned = np.ascontiguousarray(traction[free].transpose(1, 2, 0))
+        skew[:, rows] = 2.0 * turned[:3]
+        flux[rows] = 2.0 / 3 * turned[TRACTION.diagonal].sum(axis=0)
+        trace[rows] = scale * displacement[:, DISPLACEMENT.diagonal].sum(axis=1).T
 
-    for_each_block(system, add)
-    return terms
+    return SystemSlope(skew, flux, trace), fill
+
+
+def _collocation_at(
+    surface: BoundarySurface,
+    triangle: Int[np.ndarray, " p"],
+    barycentric: Float[np.ndarray, "p 3"],
+) -> Collocation:
+    at_vertex = barycentric.max(axis=1) > _AT_VERTEX
+    corner = surface.mesh.triangles[triangle, barycentric.argmax(axis=1)]
+    inner = np.clip(barycentric, _MIN_FROM_EDGE, None)
+    inner /= inner.sum(axis=1)[:, None]
+    point = np.einsum("ap,pai->pi", quadratic_shapes(inner), surface.element_nodes[triangle])
+    point[at_vertex] = surface.mesh.vertices[corner[at_vertex]]
+    return Collocation(
+        point,
+        np.where(at_vertex, corner, -1),
+        np.where(at_vertex, -1, triangle),
+        np.where(at_vertex[:, None], 0.0, inner),
+    )
+
+
+def _sorted_rows(
+    system: BoundarySystem, rows: Float[np.ndarray, "r c"]
+) -> Float[np.ndarray, "p 3 c"]:
+    count = system.n_points
+    out = np.empty((count, 3, rows.shape[1]))
+    out[system.order] = rows[: 3 * count].reshape(3, count, -1).transpose(1, 0, 2)
+    return out

@@ -24,10 +24,8 @@ from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse import csr_array
 
 from palpate.bem.integrals.surface import integral_weights
-from palpate.bem.system.factors import FactorisedSystem, solve
-from palpate.bem.system.matrix import held_columns
-from palpate.bem.system.rollers import bases
-from palpate.bem.system.slope import SystemSlope
+from palpate.bem.system.factors import FactorisedSystem, bases, solve
+from palpate.bem.system.matrix import SystemSlope, held_columns
 from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import triangle_areas
 

@@ -27,7 +27,7 @@ from palpate.geometry import (
     distinct_points,
     unit_normals,
 )
-from palpate.pipeline.model.moving_supports import session_surface
+from palpate.pipeline.model.supports import session_surface
 from palpate.records import FLAT, Contact, DisplacementField, Probing, Session
 
 # Width of the row at the rim over the length of the edges there.
@@ -238,11 +238,11 @@ def _divided(
     is_cut = cuts[:, 0] >= 0
     start, end = mesh.vertices[cuts[is_cut]].transpose(1, 0, 2)
     # Quadratic along the edge.
-    place = (1 - share) * (1 - 2 * share) * start + share * (2 * share - 1) * end
-    place += 4 * share * (1 - share) * between[is_cut]
-    vertices = np.concatenate([mesh.vertices, place])
+    middle = (1 - share) * (1 - 2 * share) * start + share * (2 * share - 1) * end
+    middle += 4 * share * (1 - share) * between[is_cut]
+    vertices = np.concatenate([mesh.vertices, middle])
     number = np.full(len(cuts), -1)
-    number[is_cut] = len(mesh.vertices) + np.arange(len(place))
+    number[is_cut] = len(mesh.vertices) + np.arange(len(middle))
     triangles, parent = _cut(mesh.triangles, number[edge], vertices)
     return TriangleMesh(vertices, triangles), parent
 

@@ -1,12 +1,21 @@
-"""Estimate for an object that was pressed far: the linear one, corrected until it converges."""
+"""Estimate for an object that was pressed far: the linear one, corrected until it converges.
+
+The constants are estimated with a linear model from corrected measurements: the difference between
+two finite element solutions, one at finite strain and one linear, both under the same loads and
+with the latest constants, is subtracted first (defect correction). The discretisation error of the
+elements cancels in the difference. Where a probing names a ball that slides, the linear solution is
+that for the contact circle of the linear model, and the finite-strain solution that for the ball
+itself, pressed in by the same force.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.sparse import csr_array
 
-from palpate.errors import NotConvergedError
+from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
     FitResult,
     FitSettings,
@@ -17,11 +26,29 @@ from palpate.estimation import (
     fit,
     fixed_displacement,
 )
-from palpate.pipeline.model.finite_strain import FiniteBody, make_finite_body, strain_corrections
-from palpate.progress import Progress, part_of
-from palpate.records import Session
+from palpate.geometry import mesh_quality
+from palpate.pipeline.model.contact_loads import outward_load
+from palpate.pipeline.model.grading import halved_session
+from palpate.progress import Progress, part_of, silent
+from palpate.records import FIXED, SLIDES, SPHERE, Probing, Session
 from palpate.shapes import Points
-from palpate.solids import FinitePress, SplitNeoHookean
+from palpate.solids import (
+    FinitePress,
+    LawOf,
+    NeoHookean,
+    Solid,
+    Sphere,
+    SplitNeoHookean,
+    Tip,
+    held_nodes,
+    make_body,
+    make_solid,
+    press_finite,
+    pressure_load,
+    solve_finite,
+    solve_load,
+    surface_values,
+)
 
 # A correction of 10 % changes by 10 % of itself if the modulus changes by 10 %: each round gains
 # about one digit.
@@ -34,6 +61,15 @@ _OTHER_LAWS = 0.3
 _COARSER = 1.4
 # Fraction of the work that the coarser elements take.
 _ROUGH = 0.35
+# Element size away from the tools over the mean edge of the mesh; element size under a tool and the
+# radius of that region, over the contact radius.
+_COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
+# The same under a ball, whose own shape determines where it touches.
+_UNDER_BALL, _BALL_REACH = 0.6, 1.0
+# Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
+_LARGEST_RATIO = 0.495
+# Of one probing: its correction in coarser elements, and the change of that by the other law [m].
+_Coarser = tuple[Points, Points]
 
 
 def fit_at_finite_strain(
@@ -63,98 +99,190 @@ def fit_at_finite_strain(
     SingularSystemError             as in `strain_corrections`
     NotConvergedError               no equilibrium, or the constants do not converge
     """
-    task = _Task(observations, settings)
-    rough = task.converged(
-        make_finite_body(session, coarser=_COARSER), linear, (), part_of(progress, 0.0, _ROUGH)
+    body = make_finite_body(session, coarser=_COARSER)
+    rough, corrections, presses = _converged(
+        body, observations, linear, settings, (), part_of(progress, 0.0, _ROUGH)
     )
-    constants = rough.result.estimate
     other, _ = strain_corrections(
-        rough.body,
-        shear_modulus=constants.shear_modulus.value,
-        poisson_ratio=constants.poisson_ratio.value,
+        body,
+        shear_modulus=rough.estimate.shear_modulus.value,
+        poisson_ratio=rough.estimate.poisson_ratio.value,
         law=SplitNeoHookean,
-        starts=rough.presses,
+        starts=presses,
     )
     coarser = [
-        _Coarser(correction, law - correction)
-        for correction, law in zip(rough.corrections, other, strict=True)
+        (correction, law - correction) for correction, law in zip(corrections, other, strict=True)
     ]
-    fine = task.converged(
-        make_finite_body(session), rough.result, coarser, part_of(progress, _ROUGH, 1.0)
+    body = make_finite_body(session)
+    result, corrections, _ = _converged(
+        body, observations, rough, settings, coarser, part_of(progress, _ROUGH, 1.0)
     )
-    result = fine.result
-    notes = (*result.estimate.notes, _size_note(observations, fine.corrections))
+    notes = (*result.estimate.notes, _size_note(observations, corrections))
     probes = [
         _with_correction(probe, correction)
-        for probe, correction in zip(result.probes, fine.corrections, strict=True)
+        for probe, correction in zip(result.probes, corrections, strict=True)
     ]
     return replace(result, estimate=replace(result.estimate, notes=notes), probes=tuple(probes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Coarser:
-    """Of one probing: its correction in coarser elements, and the change by the other law [m]."""
+class _FiniteBody:
+    """A session's object in finite elements, with its loads and observed points.
 
-    correction: Points
-    law: Points
+    Attributes
+    ----------
+    solid : Solid
+    held : (n,) bool                     nodes that are fixed
+    loads : tuple of (n, 3) float [N]    nodal forces of each probing, as in the linear model
+    tips : tuple of Tip or None          of each probing, where its contact is solved for at finite
+                                         strain; None: the load stays as it is
+    observed : tuple of sparse (p, n)    of each probing: takes nodes to its points and, where the
+                                         tip's displacement was measured, to the contact point
+    """
+
+    solid: Solid
+    held: Bool[np.ndarray, " n"]
+    loads: tuple[Float[np.ndarray, "n 3"], ...]
+    tips: tuple[Tip | None, ...]
+    observed: tuple[csr_array, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Converged:
-    """A converged estimate with its corrections."""
+def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
+    """Fill a session's object with tetrahedra, finer under its tools.
 
-    body: FiniteBody
-    result: FitResult
-    corrections: tuple[Points, ...]
-    presses: tuple[FinitePress | None, ...]
+    Parameters
+    ----------
+    session : Session
+    coarser : float [-]             factor on the usual edge length of all elements
 
+    Returns
+    -------
+    _FiniteBody
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Task:
-    """Observations to be corrected, and the settings of their fits."""
-
-    observations: Sequence[ProbeObservations]
-    settings: FitSettings
-
-    def converged(
-        self, body: FiniteBody, start: FitResult, coarser: Sequence[_Coarser], progress: Progress
-    ) -> _Converged:
-        """Correct with the given elements until the constants converge."""
-        result = start
-        presses: tuple[FinitePress | None, ...] = ()
-        for iteration in range(_MOST_ROUNDS):
-            before = result.estimate
-            corrections, presses = strain_corrections(
-                body,
-                shear_modulus=before.shear_modulus.value,
-                poisson_ratio=before.poisson_ratio.value,
-                starts=presses,
-                progress=part_of(
-                    progress, iteration / _MOST_ROUNDS, (iteration + 1) / _MOST_ROUNDS
-                ),
-            )
-            result = fit(self.corrected(corrections, coarser), settings=self.settings)
-            now = result.estimate
-            shear_change = abs(now.shear_modulus.value / before.shear_modulus.value - 1.0)
-            ratio_change = abs(now.poisson_ratio.value - before.poisson_ratio.value)
-            if shear_change < _SHEAR_TOLERANCE and ratio_change < _RATIO_TOLERANCE:
-                return _Converged(body, result, corrections, presses)
-        raise NotConvergedError(
-            f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
-            " object is pressed too far for this; press less, or leave --strain finite out"
+    Raises
+    ------
+    InputError                      a support that moves or slides, a load other than a round patch;
+                                    scikit-fem is not installed
+    MeshError                       the surface cannot be filled
+    """
+    _require_fixed(session)
+    tips = tuple(_tip(probing) for probing in session.probings)
+    fine = []
+    for probing, tip in zip(session.probings, tips, strict=True):
+        reach, size = (_FINE_REACH, _FINE) if tip is None else (_BALL_REACH, _UNDER_BALL)
+        radius = float(probing.contact.radius or 0.0)
+        fine.append((probing.contact.point, reach * radius, coarser * size * radius))
+    edge = coarser * _COARSE * mesh_quality(session.mesh).edge_mean
+    if any(tips):
+        # A ball meets the surface as it is curved.
+        session = halved_session(session)
+    solid = make_solid(session.mesh, edge=edge, fine=fine)
+    loads, observed = [], []
+    for probing in session.probings:
+        share = pressure_load(
+            solid,
+            probing.contact.point,
+            float(probing.contact.radius or 0.0),
+            probing.contact.pressure,
         )
+        outward = outward_load(solid, probing.contact, probing.force)
+        loads.append(share[:, None] * probing.force + outward)
+        observed.append(surface_values(solid, _places(probing)))
+    held = held_nodes(solid, session.held_triangles)
+    return _FiniteBody(solid, held, tuple(loads), tips, tuple(observed))
 
-    def corrected(
-        self, corrections: Sequence[Points], coarser: Sequence[_Coarser]
-    ) -> list[ProbeObservations]:
-        """Observations of an equivalent linear object, with the errors of the corrections."""
-        each_coarser: Sequence[_Coarser | None] = coarser or [None] * len(corrections)
-        return [
+
+def strain_corrections(
+    body: _FiniteBody,
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
+    law: LawOf = NeoHookean,
+    starts: Sequence[FinitePress | None] = (),
+    progress: Progress = silent,
+) -> tuple[tuple[Points, ...], tuple[FinitePress | None, ...]]:
+    """Displacement at finite strain minus that of the linear elements, for every probing.
+
+    Parameters
+    ----------
+    body : _FiniteBody
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu < 0.5; above 0.495 the correction is that for 0.495
+    law : function                  Lame constants mu and lambda [Pa] -> `Law` of finite strain
+    starts : sequence               solutions for nearly the same constants to start from; empty:
+                                    from rest
+    progress : callable
+
+    Returns
+    -------
+    tuple of (p, 3) float [m]       at its points, then at its contact point where that was measured
+    tuple of FinitePress or None    solutions of the probings that have a tip
+
+    Raises
+    ------
+    SingularSystemError             the held nodes are collinear
+    NotConvergedError               no equilibrium at finite strain
+    """
+    elastic = make_body(
+        body.solid,
+        body.held,
+        shear_modulus=shear_modulus,
+        poisson_ratio=min(poisson_ratio, _LARGEST_RATIO),
+    )
+    starts = starts or [None] * len(body.loads)
+    corrections, presses = [], []
+    for k, (load, tip, observed) in enumerate(
+        zip(body.loads, body.tips, body.observed, strict=True)
+    ):
+        progress("finite strain", k / len(body.loads))
+        pressed = None
+        if tip is not None:
+            force = float(np.linalg.norm(load.sum(axis=0)))
+            pressed = press_finite(elastic, tip, force, law=law, start=starts[k])
+            finite = pressed.displacement
+        else:
+            finite = solve_finite(elastic, load, law=law)
+        corrections.append(observed @ (finite - solve_load(elastic, load)))
+        presses.append(pressed)
+    return tuple(corrections), tuple(presses)
+
+
+def _converged(
+    body: _FiniteBody,
+    observations: Sequence[ProbeObservations],
+    start: FitResult,
+    settings: FitSettings,
+    coarser: Sequence[_Coarser],
+    progress: Progress,
+) -> tuple[FitResult, tuple[Points, ...], tuple[FinitePress | None, ...]]:
+    """The estimate from observations of an equivalent linear object, corrected with the given
+    elements until the constants converge; its corrections and the solutions that they are from."""
+    result = start
+    presses: tuple[FinitePress | None, ...] = ()
+    errors: Sequence[_Coarser | None] = coarser or [None] * len(observations)
+    for iteration in range(_MOST_ROUNDS):
+        before = result.estimate
+        corrections, presses = strain_corrections(
+            body,
+            shear_modulus=before.shear_modulus.value,
+            poisson_ratio=before.poisson_ratio.value,
+            starts=presses,
+            progress=part_of(progress, iteration / _MOST_ROUNDS, (iteration + 1) / _MOST_ROUNDS),
+        )
+        corrected = [
             _corrected(observed, correction, rough)
-            for observed, correction, rough in zip(
-                self.observations, corrections, each_coarser, strict=True
-            )
+            for observed, correction, rough in zip(observations, corrections, errors, strict=True)
         ]
+        result = fit(corrected, settings=settings)
+        now = result.estimate
+        shear_change = abs(now.shear_modulus.value / before.shear_modulus.value - 1.0)
+        ratio_change = abs(now.poisson_ratio.value - before.poisson_ratio.value)
+        if shear_change < _SHEAR_TOLERANCE and ratio_change < _RATIO_TOLERANCE:
+            return result, corrections, presses
+    raise NotConvergedError(
+        f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
+        " object is pressed too far for this; press less, or leave --strain finite out"
+    )
 
 
 def _corrected(
@@ -174,10 +302,15 @@ def _error(name: str, correction: Points, rough: _Coarser | None) -> Nuisance:
     """Error of a correction: other laws, and the elements."""
     errors = [("finite strain", "from linear to neo-Hookean", _OTHER_LAWS, correction)]
     if rough is not None:
-        mesh_step = correction - rough.correction
+        coarse, by_other_law = rough
         errors += [
-            ("finite strain", "from one neo-Hookean law to another", 1.0, rough.law),
-            (f"finite strain of {name}", "from coarser to finer elements", 1.0, mesh_step),
+            ("finite strain", "from one neo-Hookean law to another", 1.0, by_other_law),
+            (
+                f"finite strain of {name}",
+                "from coarser to finer elements",
+                1.0,
+                correction - coarse,
+            ),
         ]
     parameters = (
         NuisanceParameter(f"{of}, in steps {step},", std, of="finite strain", is_model_error=True)
@@ -220,3 +353,37 @@ def _share(observed: ProbeObservations, correction: Float[np.ndarray, "p 3"]) ->
     size = float(np.linalg.norm(observed.displacement[measured]))
     applied = correction[: len(measured)][measured]
     return float(np.linalg.norm(applied)) / max(size, float(np.finfo(float).tiny))
+
+
+def _tip(probing: Probing) -> Tip | None:
+    """A sliding ball that moves along the force through the point that it touched first; None: a
+    fixed patch."""
+    tool = probing.contact.tool
+    if tool is None or tool.shape != SPHERE or tool.friction != SLIDES:
+        return None
+    return Sphere(tool.radius, probing.contact.start, probing.force)
+
+
+def _places(probing: Probing) -> Points:
+    """Points of a probing, and its contact point where the tip's displacement was measured."""
+    field = probing.displacement
+    points = np.zeros((0, 3)) if field is None else field.surface.position
+    if probing.tip_displacement is None:
+        return points
+    return np.vstack([points, probing.contact.point])
+
+
+def _require_fixed(session: Session) -> None:
+    for number, support in enumerate(session.supports, start=1):
+        if support.motion != FIXED or support.directions is not None:
+            raise InputError(
+                f"finite strain: support {number} moves or slides; only supports that are fixed are"
+                " served: leave --strain finite out"
+            )
+    for probing in session.probings:
+        contact = probing.contact
+        if probing.loads or contact.radius is None or contact.pressure_map is not None:
+            raise InputError(
+                f"finite strain: probing '{probing.name}' has a load that is no round patch under a"
+                " tool; leave --strain finite out"
+            )

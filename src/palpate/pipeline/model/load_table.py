@@ -29,11 +29,12 @@ from palpate.bem import (
     support_columns,
 )
 from palpate.geometry import unit_normals
-from palpate.pipeline.model.contacts.outward import outward_perturbations, outward_pushes
-from palpate.pipeline.model.contacts.perturbations import (
+from palpate.pipeline.model.contact_loads import (
     ContactPerturbation,
     contact_perturbations,
     dip_perturbations,
+    outward_perturbations,
+    outward_pushes,
     surface_load,
 )
 from palpate.probe import ContactPatch, find_contact_patch
@@ -161,9 +162,9 @@ class LoadTable:
             terms[:, :, traction.columns] += traction.terms(system)
         dips = [(each.columns, *dip) for each in self.tractions for dip in each.dips()]
         if dips:
-            found = correction_columns(system, [dip for _, dip, _ in dips]).terms
+            corrections = correction_columns(system, [dip for _, dip, _ in dips]).terms
             for k, (columns, _, factor) in enumerate(dips):
-                terms[:, :, columns] += found[:, :, k, None] * factor
+                terms[:, :, columns] += corrections[:, :, k, None] * factor
         for patch in self.pressed.values():
             column = self.pressure_columns(patch.contact)
             terms[:, :, column] = pressure_column(system, patch.triangles).terms
@@ -298,11 +299,11 @@ def _distinct_patches(
     patches: dict[ContactKey, ContactPatch] = {}
     pressed: dict[ContactKey, ContactPatch] = {}
     for probing in session.probings:
-        wanted = [(patches, probing.contact)] if probing.contact.profile != RIGID else []
-        wanted += [
+        contacts = [(patches, probing.contact)] if probing.contact.profile != RIGID else []
+        contacts += [
             (patches if load.pressure is None else pressed, load.contact) for load in probing.loads
         ]
-        for group, contact in wanted:
+        for group, contact in contacts:
             if contact_key(contact) not in group:
                 group[contact_key(contact)] = find_contact_patch(
                     session.mesh, contact, session.held_triangles, name=probing.name

@@ -1,9 +1,13 @@
-"""Boundary element model of a session's object, with its loads, weight and moving supports."""
+"""Boundary element model of a session's object, with its loads, weight and moving supports; and the
+observations of each probing as functions of its solutions: displacements of its points and its tip,
+motions of supports."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array, hstack, kron
 
 from palpate.bem import (
     BodyForce,
@@ -13,25 +17,30 @@ from palpate.bem import (
     RightHand,
     Springs,
     check_memory,
+    dilation_factor,
     held_system,
     point_equations,
 )
-from palpate.pipeline.model.compliant_supports import compliant_supports, session_springs
+from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
-from palpate.pipeline.model.moving_supports import (
+from palpate.pipeline.model.supports import (
     MovingSupport,
+    compliant_supports,
     moving_supports,
     require_balance,
+    session_springs,
     session_surface,
     sliding_motion,
+    springs_at,
+    support_force,
     support_shapes,
 )
 from palpate.progress import Progress, silent
-from palpate.records import GIVEN, RIGID, Session
+from palpate.records import GIVEN, RIGID, Session, SurfaceAverage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ContactPoints:
+class _ContactPoints:
     """Integral equations for the displacement of the contact points.
 
     Attributes
@@ -58,7 +67,7 @@ class ObjectModel:
     right : RightHand                     the columns of `loads`
     springs : Springs or None             under compliant supports
     body : BodyForce or None
-    tips : ContactPoints or None          None where no tip was measured
+    tips : _ContactPoints or None          None where no tip was measured
     centred : CentredSystem or None       the system, factorised for several models of it to share
     """
 
@@ -69,7 +78,7 @@ class ObjectModel:
     slides: bool
     right: RightHand
     body: BodyForce | None
-    tips: ContactPoints | None
+    tips: _ContactPoints | None
     springs: Springs | None = None
     centred: CentredSystem | None = None
 
@@ -150,8 +159,296 @@ def make_object_model(
             np.array([patch.triangle for patch in patches]),
             np.array([patch.barycentric for patch in patches]),
         )
-        tips = ContactPoints(equations, loads.integrate(equations.system)[0])
+        tips = _ContactPoints(equations, loads.integrate(equations.system)[0])
     return ObjectModel(
         session, system, loads, supports, sliding is not None, right, body, tips,
         session_springs(session, system), None if like is None else like.centred,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointRows:
+    """Equations for the displacement of a contact point from the unknowns and loads
+    (`bem.PointEquations`).
+
+    Attributes
+    ----------
+    matrix : (2, 3, k) float          constant and slope in Poisson's ratio
+    own : (2, 3, 3) float             constant and slope
+    right : (3, 3, c) float           constant, slope and curvature
+    particular : (3,) float [m Pa]    particular solution for a body force, over `dilation_factor`
+    """
+
+    matrix: Float[np.ndarray, "2 3 k"]
+    own: Float[np.ndarray, "2 3 3"]
+    right: Float[np.ndarray, "3 3 c"]
+    particular: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbeMotions:
+    """Motions of a probing's supports.
+
+    Attributes
+    ----------
+    own : (n_rows, q) float           prescribed displacement per unit of each motion, at the rows
+                                      of the probing; the solution adds that of the free surface
+    support_force : (3, k) sparse or None    takes the unknowns to the resultant force on the
+                                      support that is pulled, for a shear modulus of one pascal
+    pulled_translations : (3,) int    indices of the motions that are that support's translations
+                                      along x, y and z: its force replaces them
+    holding : (3, 3) float            projector onto the directions in which the support holds the
+                                      object and is pulled
+    """
+
+    own: Float[np.ndarray, "n_rows q"]
+    support_force: csr_array | None = None
+    pulled_translations: tuple[int, ...] = ()
+    holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+
+    def split(
+        self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
+    ) -> tuple[Float[np.ndarray, "n_rows 3"], Float[np.ndarray, "n_rows r"]]:
+        """Displacement per newton on the support that is pulled, and per unit of the remaining
+        motions at constant force on it.
+
+        Parameters
+        ----------
+        moved : (n_rows, q) float     displacement per unit of each motion
+        force : (3, q) float          force on the support per unit of each
+
+        Returns
+        -------
+        two arrays                    the second without the columns `pulled_translations`
+        """
+        pulled = list(self.pulled_translations)
+        others = np.setdiff1d(np.arange(moved.shape[1]), pulled)
+        # A roller transmits force along the directions that it holds only.
+        value, vector = np.linalg.eigh(self.holding)
+        along = vector[:, value > 0.5]
+        compliance = along @ np.linalg.solve(along.T @ force[:, pulled] @ along, along.T)
+        per_newton = moved[:, pulled] @ compliance
+        return per_newton, moved[:, others] - per_newton @ force[:, others]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbeRows:
+    """Observations of a probing as linear functions of the solutions.
+
+    Attributes
+    ----------
+    columns : (c,) int                right-hand sides: the force along x, y, z, unless it acts on a
+                                      support; known loads; the two of a body force, if any; motions
+                                      of supports; perturbed contacts
+    surface : (3 n, k) sparse         takes the unknowns to the observed displacements
+    particular : (3 n,) float [m Pa]  particular solution there for a body force, over
+                                      `dilation_factor`
+    tip : PointRows or None           None: the contact point's displacement was not measured
+    known_loads : (l,) float          multiplier of each known load
+    has_body_force : bool             whether a body force acts
+    motions : ProbeMotions or None    None: no support moves
+    changes : int                     number of columns for perturbed contacts, the last ones
+    """
+
+    columns: Int[np.ndarray, " c"]
+    surface: csr_array
+    particular: Float[np.ndarray, " r"]
+    tip: PointRows | None
+    known_loads: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
+    has_body_force: bool = False
+    motions: ProbeMotions | None = None
+    changes: int = 0
+
+    @property
+    def support_force(self) -> csr_array | None:
+        """See `ProbeMotions`."""
+        return None if self.motions is None else self.motions.support_force
+
+    def observed(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
+        """Observed displacements, then the six equations (constant, slope) of the contact point and
+        the force on a support; zero where these are not needed."""
+        tip, force = np.zeros((6, solution.shape[1])), np.zeros((3, solution.shape[1]))
+        if self.tip is not None:
+            tip = self.tip.matrix.reshape(6, -1) @ solution
+        if self.support_force is not None:
+            force = self.support_force @ solution
+        return np.concatenate([self.surface @ solution, tip, force])
+
+    def response(
+        self,
+        moved: Float[np.ndarray, "n_rows c"],
+        force: Float[np.ndarray, "3 c"],
+        particular: Float[np.ndarray, " n_rows"],
+        poisson_ratio: float,
+    ) -> Float[np.ndarray, "n_rows t"]:
+        """Assemble the response (`estimation.ResponseModel`) from the solutions for the columns.
+
+        Parameters
+        ----------
+        moved : (n_rows, c) float             displacement of each solution, for G = 1 Pa
+        force : (3, c) float                  on the support that is pulled
+        particular : (n_rows,) float          as the attribute, the tip included
+        poisson_ratio : float
+        """
+        combination = np.zeros((moved.shape[1], 4))
+        first = 0 if self.support_force is not None else 3
+        combination[:first, :3] = np.eye(first, 3)
+        last = first + len(self.known_loads)
+        combination[first:last, 3] = self.known_loads
+        offset = np.zeros((len(moved), 4))
+        if self.has_body_force:
+            factor = dilation_factor(poisson_ratio)
+            combination[last : last + 2, 3] = 1.0, factor
+            offset[:, 3] = factor * particular
+        per_load = moved @ combination + offset
+        if self.motions is None:
+            return per_load
+        count = self.motions.own.shape[1]
+        per_motion = self.motions.own + moved[:, moved.shape[1] - count :]
+        if self.support_force is not None:
+            per_newton, per_motion = self.motions.split(per_motion, force[:, -count:])
+            # The force on the support is prescribed, so the support yields to the other loads.
+            per_load[:, 3] -= per_newton @ (force @ combination[:, 3])
+            per_load[:, :3] = per_newton
+        return np.concatenate([per_load, per_motion], axis=1)
+
+
+def probe_rows(
+    model: ObjectModel,
+    index: int,
+    place: SurfacePoints,
+    *,
+    average: SurfaceAverage | None = None,
+    perturbed: bool = True,
+) -> ProbeRows:
+    """Observations of a probing, and the right-hand sides that they depend on.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    index : int                       of the probing in its session
+    place : SurfacePoints             observed points
+    average : SurfaceAverage or None  average that is observed; None: displacement at the points
+    perturbed : bool                  False: without the columns of perturbed contacts
+
+    Returns
+    -------
+    ProbeRows
+    """
+    perturbations = _own_perturbations(model, index)[: None if perturbed else 0]
+    columns, known_loads = _columns(model, index, perturbations)
+    observed = _observed(model, place, average)
+    particular = np.zeros(observed.shape[0])
+    if model.body is not None:
+        particular = observed @ _particular(model.system, model.body).ravel()
+    vertices = model.system.unknowns.free_vertices
+    free = observed[:, (3 * vertices[:, None] + np.arange(3)).ravel()]
+    parts = [free, csr_array((particular.size, model.system.size - free.shape[1]))]
+    if model.springs is not None:
+        parts.append(observed @ model.springs.displacement_basis)
+    surface = csr_array(hstack(parts))
+    tip = None
+    if model.session.probings[index].tip_displacement is not None and model.tips is not None:
+        tip = _tip_rows(model, model.tips, index, columns)
+    motions = None
+    if model.supports:
+        motions = _motions(model, index, observed, with_tip=tip is not None)
+    return ProbeRows(
+        columns, surface, particular, tip, known_loads, model.body is not None, motions,
+        changes=len(perturbations),
+    )  # fmt: skip
+
+
+def _observed(
+    model: ObjectModel, place: SurfacePoints, average: SurfaceAverage | None
+) -> csr_array:
+    """Matrix from the displacements of the vertices to the observed ones, (3 n, 3 v)."""
+    nodes = model.system.surface.displacement
+    points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    if average is None:
+        return csr_array(kron(points, np.eye(3)))
+    around = closest_points(model.session.mesh, average.points)
+    return average.averaging_matrix(
+        points, interpolation_matrix(nodes, around.triangle, around.barycentric)
+    )
+
+
+def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
+    """Indices of a probing's perturbed contacts in `LoadTable.perturbations`."""
+    return np.flatnonzero([each.probing == index for each in model.loads.perturbations])
+
+
+def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v 3"]:
+    """Particular displacement of every vertex, zero in directions that are held."""
+    moved, held = body.particular.copy(), system.unknowns.held_vertices
+    moved[held] -= np.einsum("hij,hj->hi", system.unknowns.vertex_directions, moved[held])
+    return moved
+
+
+def _columns(
+    model: ObjectModel, index: int, perturbations: Int[np.ndarray, " p"]
+) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
+    """Right-hand sides of a probing in the order of `ProbeRows`, and the multipliers of its known
+    loads."""
+    probing, table = model.session.probings[index], model.loads
+    columns, known_loads = [], []
+    if probing.contact.profile != RIGID:
+        columns.append(table.force_columns(probing.contact))
+    for load in probing.loads:
+        if load.force is None:
+            columns.append(table.pressure_columns(load.contact))
+            known_loads.append(np.array([load.pressure]))
+        else:
+            columns.append(table.force_columns(load.contact))
+            known_loads.append(load.force)
+    columns += [
+        table.weight_columns,
+        table.motion_columns[_own_motions(model, index)],
+        table.perturbation_columns[perturbations],
+    ]
+    return np.concatenate(columns), np.concatenate([np.zeros(0), *known_loads])
+
+
+def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
+    """Indices of a probing's motions in `LoadTable.shapes`: rigid ones, and the given strain."""
+    rigid = 6 * len(model.supports)
+    return np.append(np.arange(rigid), [rigid + index] * model.gives_motions).astype(np.int64)
+
+
+def _motions(
+    model: ObjectModel, index: int, observed: csr_array, *, with_tip: bool
+) -> ProbeMotions:
+    shapes = model.loads.shapes[:, :, _own_motions(model, index)]
+    own = observed @ shapes.reshape(-1, shapes.shape[2])
+    if with_tip:
+        at_tip = np.zeros((3, own.shape[1]))
+        if model.slides:
+            last = len(model.supports)
+            point = model.session.probings[index].contact.point
+            at_tip[:, 6 * last - 6 : 6 * last] = model.supports[-1].modes(point[None])[0]
+        own = np.concatenate([own, at_tip])
+    pulled = model.pulled_support(index)
+    if pulled is None:
+        return ProbeMotions(own)
+    force = support_force(model.system, model.supports[pulled].triangles, model.springs)
+    return ProbeMotions(
+        own, force, model.pulled_translations(index), model.supports[pulled].holding
+    )
+
+
+def _tip_rows(
+    model: ObjectModel, tips: _ContactPoints, index: int, columns: Int[np.ndarray, " c"]
+) -> PointRows:
+    patch = int(model.loads.patch_of[index])
+    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
+    particular = np.zeros(3)
+    if model.body is not None:
+        contact = list(model.loads.patches.values())[patch]
+        nodes = model.system.surface.displacement
+        where = np.array([contact.triangle]), contact.barycentric[None]
+        at_tip = interpolation_matrix(nodes, *where)
+        particular = (at_tip @ _particular(model.system, model.body))[0]
+    matrix = tips.equations.matrix[:, patch]
+    if model.springs is not None:
+        matrix = np.concatenate([matrix, springs_at(tips.equations, model.springs, patch)], axis=2)
+    return PointRows(matrix, tips.equations.own[:, patch], np.stack(right), particular)

@@ -1,9 +1,11 @@
-"""Motion of the object's surface from a session's pictures, one motion at a time."""
+"""Motion of the object's surface from a session's pictures, one motion at a time, with notes on
+what looks wrong in it."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,27 +15,22 @@ from jaxtyping import Float
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.parts import Parts
-from palpate.pipeline.motion.notes import (
-    MotionNotes,
-    SessionNotes,
-    order_notes,
-    texture_notes,
-    typical_motion,
-)
 from palpate.pipeline.motion.sequences import (
     Instant,
     PictureSequence,
+    PoseChoice,
     motion_keys,
     picture_sequences,
+    posed_rig,
     session_rig,
 )
-from palpate.pipeline.object_pose import PoseChoice, posed_rig
 from palpate.progress import Progress, silent
 from palpate.records import Rig, Session
 from palpate.vision import (
     FlowMethod,
     JointFlow,
     LangPaiFlow,
+    Outcome,
     Pictures,
     RangeFlow,
     VertexDisplacement,
@@ -45,6 +42,43 @@ FLOW_METHODS: Mapping[str, Callable[..., FlowMethod]] = {
     "joint": JointFlow,
     "lang-pai": LangPaiFlow,
 }
+# A few points without texture are at outlines or blots; a larger fraction means a surface without
+# speckle.
+_MAX_TEXTURELESS = 0.1
+# An earlier image with more than this many times the motion of the last one is out of order.
+_MAX_EARLIER_MOTION = 1.2
+
+
+@dataclass(frozen=True, slots=True)
+class MotionNotes:
+    """Notes on one motion, or on all motions of one probing.
+
+    Attributes
+    ----------
+    start : tuple of str            on the first pictures and the object's pose in them
+    pictures : tuple of str         on the later pictures
+    texture : tuple of str          on too little texture
+    order : tuple of str            on images that seem to be out of order
+    """
+
+    start: tuple[str, ...] = ()
+    pictures: tuple[str, ...] = ()
+    texture: tuple[str, ...] = ()
+    order: tuple[str, ...] = ()
+
+    def mapped(self, change: Callable[[str], str]) -> "MotionNotes":
+        """With every note changed.
+
+        Parameters
+        ----------
+        change : callable           takes a note, gives the changed one
+
+        Returns
+        -------
+        MotionNotes
+        """
+        every = (self.start, self.pictures, self.texture, self.order)
+        return MotionNotes(*(tuple(map(change, notes)) for notes in every))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,34 +121,6 @@ class SessionFlow:
     rig: Rig
     motions: tuple[MeasuredMotion, ...]
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Start:
-    """Start of the sequences with the same first pictures.
-
-    Attributes
-    ----------
-    rig : Rig                       with the pose that was used
-    reference : (rows, columns) float   the reference camera's picture [grey levels]
-    state : Any                     of the method
-    whose : str                     sequence whose pictures they are, as the notes call it
-    notes : tuple of str            on the pictures and the pose
-    """
-
-    rig: Rig
-    reference: Float[np.ndarray, "_ _"]
-    state: Any
-    whose: str
-    notes: tuple[str, ...]
-
-    def notes_of(self, whose: str) -> tuple[str, ...]:
-        """The notes as another sequence with these pictures would have them."""
-        place = f"{self.whose}, "
-        return tuple(
-            f"{whose}, {note.removeprefix(place)}" if note.startswith(place) else note
-            for note in self.notes
-        )
 
 
 def measured_motions(
@@ -199,9 +205,101 @@ def measure_motion(
     InputError                      no images, no rig
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
-    found = measured_motions(session, method=method, pose=pose, progress=progress, parts=parts)
-    rigs, motions, notes = zip(*found, strict=True)
+    measured = measured_motions(session, method=method, pose=pose, progress=progress, parts=parts)
+    rigs, motions, notes = zip(*measured, strict=True)
     return SessionFlow(rigs[-1], motions, notes[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class SessionNotes:
+    """Notes on the motions of a session so far.
+
+    Attributes
+    ----------
+    pictures : tuple of str         on pictures and the object's pose, each once
+    texture : tuple of str          of the first motion with too little
+    order : tuple of str            on images that seem to be out of order
+    started : frozenset of str      patterns of the first pictures whose notes are among these
+    """
+
+    pictures: tuple[str, ...] = ()
+    texture: tuple[str, ...] = ()
+    order: tuple[str, ...] = ()
+    started: frozenset[str] = frozenset()
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All notes, each once."""
+        return _each_once(self.pictures, self.texture, self.order)
+
+    def extended(self, first: str, notes: MotionNotes) -> "SessionNotes":
+        """With the notes on one more motion or probing.
+
+        Parameters
+        ----------
+        first : str                 pattern of the first pictures; notes on these are taken once,
+                                    from the first of the probings that share them
+        notes : MotionNotes
+
+        Returns
+        -------
+        SessionNotes
+        """
+        start = () if first in self.started else notes.start
+        return SessionNotes(
+            pictures=_each_once(self.pictures, start, notes.pictures),
+            texture=self.texture or notes.texture,
+            order=_each_once(self.order, notes.order),
+            started=self.started | {first},
+        )
+
+
+def joined_notes(notes: Iterable[MotionNotes]) -> MotionNotes:
+    """Notes on all motions of one probing.
+
+    Parameters
+    ----------
+    notes : iterable of MotionNotes     on each motion, in temporal order
+
+    Returns
+    -------
+    MotionNotes                     each once; of those on texture the first motion's that has any
+    """
+    every = list(notes)
+    return MotionNotes(
+        start=_each_once(*(one.start for one in every)),
+        pictures=_each_once(*(one.pictures for one in every)),
+        texture=next((one.texture for one in every if one.texture), ()),
+        order=_each_once(*(one.order for one in every)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """Start of the sequences with the same first pictures.
+
+    Attributes
+    ----------
+    rig : Rig                       with the pose that was used
+    reference : (rows, columns) float   the reference camera's picture [grey levels]
+    state : Any                     of the method
+    whose : str                     sequence whose pictures they are, as the notes call it
+    notes : tuple of str            on the pictures and the pose
+    """
+
+    rig: Rig
+    reference: Float[np.ndarray, "_ _"]
+    state: Any
+    whose: str
+    notes: tuple[str, ...]
+
+    def notes_of(self, whose: str) -> tuple[str, ...]:
+        """The notes as another sequence with these pictures would have them."""
+        prefix = f"{self.whose}, "
+        return tuple(
+            f"{whose}, {note.removeprefix(prefix)}" if note.startswith(prefix) else note
+            for note in self.notes
+        )
 
 
 def _started(
@@ -236,10 +334,10 @@ def _followed(
         state, flow, vertices = parts.load_or_make(f"{probing} {instant.name}", follow, inputs)
         order: tuple[str, ...] = ()
         if probing is not None:
-            sizes[instant.name] = typical_motion(flow)
-            order = order_notes(probing, sizes) if instant.last else ()
+            sizes[instant.name] = _typical_motion(flow)
+            order = _order_notes(probing, sizes) if instant.last else ()
         remarks = replace(
-            notes, pictures=pictures.notes, texture=texture_notes(instant.name, flow), order=order
+            notes, pictures=pictures.notes, texture=_texture_notes(instant.name, flow), order=order
         )
         yield MeasuredMotion(*head, flow, vertices, None, remarks)
 
@@ -262,3 +360,71 @@ def _follow(
 def _read(session: Session, rig: Rig, instant: Instant) -> Pictures:
     folder = session.path.parent
     return read_pictures(rig, instant.pattern, folder=folder, what=instant.whose)
+
+
+def _each_once(*notes: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(chain.from_iterable(notes)))
+
+
+def _texture_notes(name: str, flow: RangeFlow) -> tuple[str, ...]:
+    """A note on where the surface has too little texture to be tracked, and how much it needs.
+
+    Parameters
+    ----------
+    name : str                      of the motion
+    flow : RangeFlow
+
+    Returns
+    -------
+    tuple of str                    empty if hardly any points lack texture
+    """
+    poor = flow.outcome == Outcome.TEXTURE
+    if len(poor) == 0 or poor.mean() <= _MAX_TEXTURELESS:
+        return ()
+    column, row = np.median(flow.pixel[poor], axis=0)
+    needed = 3.0 * float(np.max(flow.noise))
+    note = (
+        f"'{name}': {100 * poor.mean():.0f} % of the points have too little texture to be followed"
+        f" (around column {column:.0f}, row {row:.0f} of the reference camera); a window of"
+        f" {flow.subset} px needs grey levels that vary by {needed:.1f} or more (1 sigma): speckle"
+        " the surface, or light it better"
+    )
+    return (note,)
+
+
+def _order_notes(probing: str, sizes: Mapping[str, float]) -> tuple[str, ...]:
+    """Notes where an earlier image of a probing shows more motion than the last one.
+
+    Parameters
+    ----------
+    probing : str                   its name
+    sizes : mapping of str to float [m]     name of every motion of the probing, the last at full
+                                    force, to its `_typical_motion`
+
+    Returns
+    -------
+    tuple of str
+    """
+    *earlier, (_, last) = sizes.items()
+    return tuple(
+        f"probing '{probing}': image '{name}' shows more motion"
+        f" ({1e3 * size:.3g} mm) than the last one ({1e3 * last:.3g} mm), which must be"
+        " the one at full force; is their order right?"
+        for name, size in earlier
+        if size > _MAX_EARLIER_MOTION * last
+    )
+
+
+def _typical_motion(flow: RangeFlow) -> float:
+    """Root mean square of the displacement over the valid points.
+
+    Parameters
+    ----------
+    flow : RangeFlow
+
+    Returns
+    -------
+    float [m]                       0 if no point is valid
+    """
+    square = np.nansum(flow.displacement**2, axis=1)[np.isfinite(flow.displacement[:, 0])]
+    return float(np.sqrt(square.mean())) if len(square) else 0.0

@@ -1,0 +1,342 @@
+"""Contacts of tools, their radii and places: those that a fit with them makes consistent.
+
+A tool moves along a straight line. The object under it does not: a block that is pressed beside its
+middle leans, a tool on its flank pushes it over. So the place that the tool touches moves along the
+surface, by a millimetre where the object moves by four, and that of a ball most, since it touches
+where the surface faces it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.bem import BoundarySurface, PressureDisc, disc_displacement, disc_potentials
+from palpate.errors import InputError, NotConvergedError
+from palpate.estimation import FitSettings, ProbeObservations, best_constants_of, predicted_surface
+from palpate.geometry import (
+    CREASE_ANGLE,
+    TriangleMesh,
+    closest_points,
+    interpolation_matrix,
+    unit_normals,
+)
+from palpate.pipeline.observations import ungraded_observations
+from palpate.probe import LocalSurface, contact_circle, convex_contact, local_surface
+from palpate.progress import Progress, part_of
+from palpate.records import MESH, SLIDES, SPHERE, Contact, Probing, Session, Tool
+from palpate.shapes import Points, Vector3, Vertices
+
+# Contact radii vary only with the cube root of the modulus, so they converge with the constants.
+# The relative tolerance is a tenth of the prior standard deviation of such a radius.
+_MOST_CONTACT_ROUNDS, _CONTACT_TOLERANCE = 8, 0.005
+# Slopes of the fitted modulus over the one that radii were computed for, beyond which a secant step
+# is no longer trusted.
+_SECANT_SLOPES = (-1.0, 0.8)
+# At one half the formulae of the contact have a removable singularity.
+_LARGEST_RATIO = 0.4999
+# A change of place counts this many times less than one of the radius, both over the radius: by
+# default it is known four times less well on a contact of 2.5 mm, twice on one of 5 mm.
+_POINT_SHARE = 4.0
+# Distances, in reaches of the contact, of the points about it at which the object's motion is
+# taken, how many there are on each circle, and how many are enough for a plane.
+_CIRCLES, _ON_CIRCLE, _ENOUGH = (1.5, 2.0, 2.5), 12, 6
+# Share of a change of place that is taken at once: the object moves less sideways under a contact
+# that has followed it, so a whole step goes too far, by a quarter on a block.
+STEP = 0.75
+# Farther than this many reaches the linear model does not follow a contact.
+_FARTHEST = 1.0
+
+
+def with_consistent_contacts(
+    session: Session,
+    *,
+    settings: FitSettings,
+    cache: Path | None,
+    displaced: bool,
+    progress: Progress,
+) -> tuple[Session, list[ProbeObservations]]:
+    """A session with contacts of its tools that are consistent with the constants fitted to it.
+
+    Parameters
+    ----------
+    session : Session
+    settings : FitSettings
+    cache : Path or None            folder in which what is computed of the body is kept for reuse
+    displaced : bool                True: contacts move sideways with the object
+    progress : callable             called with the current step (text) and the fraction done
+
+    Returns
+    -------
+    Session
+    list of ProbeObservations       with the model of the mesh before grading
+
+    Raises
+    ------
+    NotConvergedError               force and displacements do not belong together
+    """
+    model, fitted, taken = None, list[float](), list[float]()
+    for iteration in range(_MOST_CONTACT_ROUNDS):
+        # The number of iterations is not known: each takes half of the remaining progress.
+        model, observations = ungraded_observations(
+            session, settings=settings, cache=cache, like=model,
+            with_surface=displaced,
+            progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
+        )  # fmt: skip
+        ratio, modulus = best_constants_of(observations, settings=settings)
+        fitted.append(float(np.log(modulus)))
+        taken.append(_consistent_modulus(taken, fitted))
+        constants = {
+            "shear_modulus": float(np.exp(taken[-1])),
+            "poisson_ratio": min(ratio, _LARGEST_RATIO),
+        }
+        updated = session
+        if displaced:
+            moved = [_displacement_of_vertices(probe, ratio, modulus) for probe in observations]
+            updated = displaced_contacts(session, model.system.surface, moved, **constants)
+        updated = with_contact_radii(updated, **constants)
+        change = largest_change(session, updated)
+        # Responses of all vertices are large, and not needed any more.
+        observations = [replace(probe, vertices=None) for probe in observations]
+        if change < _CONTACT_TOLERANCE:
+            return session, observations
+        previous, session = session, updated
+    # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
+    if change < previous.errors.touched_radius:
+        return previous, observations
+    raise NotConvergedError(
+        f"what the tools touch still changes after {_MOST_CONTACT_ROUNDS} fits: the"
+        " force and the displacements do not belong together; check tool_radius and the unit of"
+        " the force"
+    )
+
+
+def has_tools(session: Session) -> bool:
+    """Whether a contact's radius follows from its tool."""
+    return any(probing.contact.tool is not None for probing in session.probings)
+
+
+def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio: float) -> Session:
+    """A session with contact radius and pressure profile computed for each tool.
+
+    Parameters
+    ----------
+    session : Session
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu < 0.5
+
+    Returns
+    -------
+    Session                         contacts without a tool stay as they are
+
+    Raises
+    ------
+    InputError                      a tool that pulls, or that is buried
+    NotConvergedError               contact of a mesh-shaped tool is not found (`convex_contact`)
+    """
+
+    def with_radius(probing: Probing) -> Probing:
+        contact = probing.contact
+        try:
+            settled = settled_contact(
+                session,
+                contact,
+                probing.force,
+                shear_modulus=shear_modulus,
+                poisson_ratio=poisson_ratio,
+            )
+        except InputError as error:
+            raise InputError(f"probing '{probing.name}': {error}") from error
+        return replace(probing, contact=settled)
+
+    return replace(session, probings=tuple(with_radius(probing) for probing in session.probings))
+
+
+def settled_contact(
+    session: Session,
+    contact: Contact,
+    force: Vector3,
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
+) -> Contact:
+    """A contact with the radius and the pressure that follow from its tool.
+
+    Parameters
+    ----------
+    session : Session               of the object
+    contact : Contact               one without a tool stays as it is
+    force : (3,) float [N]          of the tool on the object
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu <= 0.5
+
+    Returns
+    -------
+    Contact
+
+    Raises
+    ------
+    InputError                      a tool that pulls, is buried, or whose mesh touches far from
+                                    its origin
+    NotConvergedError               no equilibrium under a mesh
+    """
+    tool = contact.tool
+    if tool is None:
+        return contact
+    local = local_surface(session.mesh, contact.point, tool.radius)
+    pressed = -float(local.normal @ force)
+    constants = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
+    if tool.shape == MESH:
+        convex = convex_contact(tool, local, pressed, **constants)
+        return replace(contact, radius=convex.radius, pressure_map=convex.pressure_map)
+    circle = contact_circle(tool, local.curvature, pressed, **constants)
+    return replace(contact, radius=circle.radius, profile=circle.profile, outward=circle.outward)
+
+
+def largest_change(before: Session, after: Session) -> float:
+    """Largest change of a contact between two versions of a session: of its radius, over it, of its
+    point, over `_POINT_SHARE` of the radius, or of its outward traction [-]."""
+    changes = [0.0]
+    for earlier, later in zip(before.probings, after.probings, strict=True):
+        old, new = earlier.contact, later.contact
+        if old.radius is not None and new.radius is not None:
+            changes += [abs(old.radius / new.radius - 1.0), abs(old.outward - new.outward)]
+            shift = float(np.linalg.norm(new.point - old.point))
+            changes.append(shift / (_POINT_SHARE * new.radius))
+    return max(changes)
+
+
+def displaced_contacts(
+    session: Session,
+    surface: BoundarySurface,
+    moved: Sequence[Vertices],
+    *,
+    shear_modulus: float,
+    poisson_ratio: float,
+) -> Session:
+    """A session with the contacts of its tools nearer to where these press in the end.
+
+    Parameters
+    ----------
+    session : Session                       k probings, their tools with contact radii
+    surface : BoundarySurface               of the session's mesh
+    moved : sequence of k (v, 3) float [m]  displacement of its vertices under each tool
+    shear_modulus : float [Pa]              > 0
+    poisson_ratio : float [-]               -1 < nu < 0.5
+
+    Returns
+    -------
+    Session                                 `STEP` of the way; contacts without a tool stay as they
+                                            are
+    """
+    probings = []
+    for probing, displacement in zip(session.probings, moved, strict=True):
+        contact, tool = probing.contact, probing.contact.tool
+        if tool is not None:
+            start = contact.start
+            local = local_surface(session.mesh, start, tool.radius)
+            points, whole = _around(session.mesh, contact, local, surface, displacement)
+            shift = np.zeros(3)
+            if len(points) >= _ENOUGH:
+                under_tool = _under_tool(probing, local, points, shear_modulus, poisson_ratio)
+                shift = _shift(
+                    probing, tool, local, _plane(contact, local, points, whole - under_tool)
+                )
+            target = contact.point + STEP * (start + shift - contact.point)
+            point = closest_points(session.mesh, target[None]).position[0]
+            probing = replace(probing, contact=replace(contact, point=point, first_point=start))
+        probings.append(probing)
+    return replace(session, probings=tuple(probings))
+
+
+def _displacement_of_vertices(probe: ProbeObservations, ratio: float, modulus: float) -> Vertices:
+    """Displacement of all vertices under the measured force, (v, 3) [m]."""
+    load = np.concatenate([np.append(probe.force, 1.0) / modulus, probe.motion])
+    moved = predicted_surface(probe, ratio, load)
+    return np.zeros((0, 3)) if moved is None else moved
+
+
+def _consistent_modulus(taken: Sequence[float], fitted: Sequence[float]) -> float:
+    """Logarithm of the modulus for which radii are to be computed next: the last one fitted, from
+    the third on a step of the secant method.
+
+    Parameters
+    ----------
+    taken : sequence of n float         those that radii have been computed for
+    fitted : sequence of n + 1 float    fitted with the initial radii, then with each of these
+    """
+    if len(taken) < 2 or taken[-1] == taken[-2]:
+        return fitted[-1]
+    slope = (fitted[-1] - fitted[-2]) / (taken[-1] - taken[-2])
+    return taken[-1] + (fitted[-1] - taken[-1]) / (1.0 - float(np.clip(slope, *_SECANT_SLOPES)))
+
+
+def _shift(
+    probing: Probing, tool: Tool, local: LocalSurface, plane: Float[np.ndarray, "3 3"]
+) -> Vector3:
+    """Shift of a contact along the surface [m], from the displacement of the whole object there and
+    its derivatives along two tangents.
+
+    With u the displacement along the surface, s that of the tool, g the slope that the surface
+    takes and k its curvature, a ball of radius R touches at y where (y + u - s) / R + k y = g. For
+    tools of other shapes R is taken as 0, and to one that sticks the surface does not move.
+    """
+    tangents, shift = local.tangents, np.zeros(2)
+    if tool.friction == SLIDES:
+        travel = np.zeros(3) if probing.tip_displacement is None else probing.tip_displacement
+        shift = tangents @ (travel - plane[0])
+    if tool.shape == SPHERE:
+        shift += tool.radius * (plane[1:] @ local.normal)
+        shift /= 1.0 + tool.radius * max(local.curvature, 0.0)
+    length, farthest = float(np.linalg.norm(shift)), _FARTHEST * probing.contact.reach
+    return shift @ tangents * min(1.0, farthest / max(length, np.finfo(float).tiny))
+
+
+def _plane(
+    contact: Contact, local: LocalSurface, places: Points, displacement: Points
+) -> Float[np.ndarray, "3 3"]:
+    """Displacement [m] at a contact and its derivatives along two tangents, of the whole object:
+    from a displacement without that under the tool's pressure, which has neither at the centre."""
+    offset = (places - contact.point) @ local.tangents.T
+    # A curved surface lies lower away from the contact.
+    terms = np.column_stack([np.ones(len(offset)), offset, (offset**2).sum(axis=1)])
+    return np.linalg.lstsq(terms, displacement, rcond=None)[0][:3]
+
+
+def _under_tool(
+    probing: Probing,
+    local: LocalSurface,
+    places: Points,
+    shear_modulus: float,
+    poisson_ratio: float,
+) -> Points:
+    """Displacement of a half space under the force along its normal, (p, 3) [m]."""
+    contact = probing.contact
+    pressing = float(local.normal @ probing.force) * local.normal
+    disc = PressureDisc(contact.point, contact.reach, contact.pressure)
+    constant, slope = disc_displacement(
+        disc, disc_potentials(contact.pressure), local.normal, places
+    )
+    return (constant + poisson_ratio * slope) @ pressing / shear_modulus
+
+
+def _around(
+    mesh: TriangleMesh,
+    contact: Contact,
+    local: LocalSurface,
+    surface: BoundarySurface,
+    displacement: Vertices,
+) -> tuple[Points, Points]:
+    """Points about a contact on the same face of the object, and their displacement [m]."""
+    angle = 2.0 * np.pi * np.arange(_ON_CIRCLE) / _ON_CIRCLE
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    offset = np.concatenate([reach * circle @ local.tangents for reach in _CIRCLES])
+    near = closest_points(mesh, contact.point + contact.reach * offset)
+    level = unit_normals(mesh)[near.triangle] @ local.normal > np.cos(CREASE_ANGLE)
+    rows = np.flatnonzero(level)
+    at_points = interpolation_matrix(
+        surface.displacement, near.triangle[rows], near.barycentric[rows]
+    )
+    return near.position[rows], at_points @ displacement

@@ -1,0 +1,516 @@
+"""What to measure, and what to expect of it, before it is measured: the expected precision of a
+measurement, and the most informative next places, given what is measured already.
+
+The cameras' pictures are rendered for an object that moves according to guessed constants, with the
+tool and its shadow. They are tracked like the pictures of a session, and the Fisher information of
+the resulting points follows from the model of the fit. Whatever hides, darkens or blurs the surface
+costs points here as in the measurement.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt
+from scipy.spatial import cKDTree
+
+from palpate.errors import InputError
+from palpate.estimation import Information, fisher_information
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    closest_points,
+    split_sides,
+    unit_normals,
+    vertex_normals,
+)
+from palpate.lab import Material, Pictures, Variant, planned_pictures
+from palpate.pipeline.contacts import with_contact_radii
+from palpate.pipeline.fit_session import fit_session
+from palpate.pipeline.model.grading import refined_session
+from palpate.pipeline.model.object_model import make_object_model
+from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
+from palpate.pipeline.motion.displacement import vertex_field
+from palpate.pipeline.observations import graded_observations, session_observations
+from palpate.progress import Progress, part_of, silent
+from palpate.records import (
+    BudgetEntry,
+    DisplacementField,
+    Probing,
+    Rig,
+    Session,
+    picture_size,
+    read_rig,
+    require_probings,
+)
+from palpate.shapes import Points, Vector3, Vertices
+from palpate.vision import JointFlow, measured_vertices, surface_map, visible
+
+# Depth behind the rendered surface up to which a vertex counts as visible, over the object's size.
+_DEPTH_TOLERANCE = 2e-3
+# Fractions of the work that are done when rendering starts, and when all points are tracked.
+_PICTURES, _POINTS = 0.1, 0.8
+# Called with the name and the grey levels of a picture.
+Show = Callable[[str, UInt[np.ndarray, "_ _"]], None]
+# Accepted range, from the softest gel to diamond [Pa].
+_YOUNG_RANGE = (1.0, 1.2e12)
+# Number of places that are compared.
+_CANDIDATES = 40
+# Distance of a contact's centre from creases and rims of held parts, in contact radii.
+_CLEARANCE = 1.3
+# A tool approaches along the surface normal: radius of its shaft and height at which it begins, in
+# contact radii; and the largest cosine between that normal and the mean normal of the supports.
+_SHAFT_RADII, _SHAFT_STARTS, _FROM_BELOW = 1.5, 1.0, 0.3
+# The tool hides the surface within this distance, in contact radii.
+_HIDDEN_RADII = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedProbing:
+    """The expected precision of one probing alone.
+
+    Attributes
+    ----------
+    name : str
+    seen : int                      vertices whose displacement can be measured in the pictures
+    displacement : float [m]        median of |u| there
+    sigma : float [m]               median standard deviation of a component there
+    precision : name -> float       standard deviation of each constant; infinite where the probing
+                                    alone does not determine it
+    """
+
+    name: str
+    seen: int
+    displacement: float
+    sigma: float
+    precision: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementPlan:
+    """The expected precision of a session.
+
+    Attributes
+    ----------
+    probings : tuple of PlannedProbing
+    precision : name -> float       standard deviation of each constant from all probings together
+    visible : name -> float         fraction of the free vertices that each camera sees
+    budget : tuple of BudgetEntry   contributions to these standard deviations, by source
+    """
+
+    probings: tuple[PlannedProbing, ...]
+    precision: dict[str, float]
+    visible: dict[str, float]
+    budget: tuple[BudgetEntry, ...]
+
+
+def plan_measurement(
+    session: Session,
+    *,
+    young_modulus: float,
+    poisson_ratio: float,
+    variant: Variant,
+    pictures: Pictures = Pictures(),
+    show: Show | None = None,
+    progress: Progress = silent,
+) -> MeasurementPlan:
+    """The expected precision of a session whose pictures are still to be taken.
+
+    The object is assumed to obey the model: errors from a wrong support, a wrong mesh or another
+    material are not included.
+
+    Parameters
+    ----------
+    session : Session               with a rig; its displacements and pictures are ignored
+    young_modulus : float [Pa]      a guess, 1 to 1.2e12; precision is nearly proportional to it
+    poisson_ratio : float [-]       a guess, -1 < nu < 0.5
+    variant : Variant               of Mitsuba
+    pictures : Pictures             settings of the cameras and their pictures
+    show : callable or None         called with name and grey levels of every picture; names are
+                                    `rest_c0`, `n01_c0` and so on
+    progress : callable             called with the current step (text) and the fraction done
+
+    Returns
+    -------
+    MeasurementPlan
+
+    Raises
+    ------
+    InputError                      a session without a rig or without probings; constants out of
+                                    range; cameras without sizes; no vertex that two cameras see, or
+                                    that can be tracked
+    RecordError, CalibrationError   the rig cannot be read, or contradicts itself
+    SingularSystemError, NotConvergedError    as in `graded_observations`
+    """
+    _check(session, young_modulus, poisson_ratio)
+    rig = read_rig(session.rig or session.path)
+    is_visible = _visibility(session, rig)
+    if not (is_visible.sum(axis=0) >= 2).any():
+        raise InputError(
+            f"{session.rig}: no vertex of the object is seen by two cameras; turn them to the"
+            " object"
+        )
+    material = Material(young_modulus, poisson_ratio)
+    progress("how the object will move", 0.0)
+    moved = _moved(session, material)
+    taken = planned_pictures(
+        session, [u for u, _ in moved], material=material, pictures=pictures, variant=variant
+    )
+    report = part_of(progress, _PICTURES, _POINTS)
+    report("texture and light", 0.0)
+    fields = _followed(session, rig, taken, show, report)
+    measured = _measured(session, fields, [tip for _, tip in moved])
+    progress("what the points tell", _POINTS)
+    information = _information(measured, material)
+    free = np.setdiff1d(
+        np.arange(len(session.mesh.vertices)),
+        session.mesh.triangles[session.held_triangles].ravel(),
+    )
+    return MeasurementPlan(
+        tuple(
+            _planned(probing, information.bound([k])) for k, probing in enumerate(measured.probings)
+        ),
+        information.bound(range(len(measured.probings))),
+        {camera.name: float(is_visible[c, free].mean()) for c, camera in enumerate(rig.cameras)},
+        information.budget,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NextProbings:
+    """Places for further probings, and the precision to expect with them.
+
+    Attributes
+    ----------
+    session : Session               with the probings measured so far
+    force : float [N]               of every further probing, along the inward normal
+    radius : float [m]              of its contact
+    point : (c, 3) float [m]        places that a tool can reach
+    inward : (c, 3) float [-]       unit inward normals there
+    now : name -> float             standard deviations of the constants from the measured probings
+    alone : tuple of name -> float  the same with one of the c places added
+    chosen : tuple of int           indices of the best places, best first
+    after : tuple of name -> float  the same with each chosen place and those before it
+    information : Information       of the session's probings, then of the places
+    """
+
+    session: Session
+    force: float
+    radius: float
+    point: Points
+    inward: Points
+    now: dict[str, float]
+    alone: tuple[dict[str, float], ...]
+    chosen: tuple[int, ...]
+    after: tuple[dict[str, float], ...]
+    information: Information
+
+
+def plan_next(
+    session: Session,
+    *,
+    count: int = 3,
+    progress: Progress = silent,
+) -> NextProbings:
+    """Find the most informative places for further probings, one at a time (greedy D-optimal).
+
+    A further probing has the contact of the first one, its points except those that the tool hides,
+    and their standard deviations; its force is the median of the session's.
+
+    Parameters
+    ----------
+    session : Session               with measured probings; the first under a round patch
+    count : int                     number of places to choose, at least 1
+    progress : callable
+
+    Returns
+    -------
+    NextProbings
+
+    Raises
+    ------
+    InputError                      a count below 1; no contact radius or displacement in the first
+                                    probing; no place that a tool can reach
+    SingularSystemError, NotConvergedError    as in `fit_session`
+
+    Source
+    ------
+    Fedorov, Theory of Optimal Experiments (1972).
+    """
+    require_probings(session)
+    first = session.probings[0]
+    radius = first.contact.radius
+    if count < 1:
+        raise InputError(f"count is {count}; must be at least 1")
+    if radius is None or first.displacement is None:
+        raise InputError(
+            f"probing '{first.name}' has no contact radius or no displacement: further probings"
+            " are planned like the first one; put one first that has both"
+        )
+    progress("the constants", 0.0)
+    fitted = fit_session(session, progress=part_of(progress, 0.0, 0.4))
+    estimate = fitted.estimate
+    given = [
+        _with_std(probing, fit.rms_residual)
+        for probing, fit in zip(session.probings, estimate.probes, strict=True)
+    ]
+    force = float(np.median([np.linalg.norm(probing.force) for probing in given]))
+    point, inward = _reachable(session, radius)
+    if not len(point):
+        raise InputError("no place of the surface is left for a further probing of this radius")
+    # Resolved about the measured contacts only: about all places it would be the whole surface.
+    resolved = refined_session(replace(session, probings=tuple(given)))
+    further = [
+        _like(resolved.probings[0], resolved.mesh, place, force * direction, f"further {k}")
+        for k, (place, direction) in enumerate(zip(point, inward, strict=True))
+    ]
+    whole = replace(resolved, probings=(*resolved.probings, *further))
+    progress("what every place tells", 0.4)
+    observed = session_observations(whole, make_object_model(whole))
+    information = fisher_information(
+        observed,
+        poisson_ratio=estimate.poisson_ratio.value,
+        shear_modulus=estimate.shear_modulus.value,
+    )
+    made = list(range(len(given)))
+    chosen = _greedy(information, made, len(point), min(count, len(point)))
+    progress("done", 1.0)
+    sets = [made + [len(made) + k for k in chosen[: n + 1]] for n in range(len(chosen))]
+    return NextProbings(
+        session, force, radius, point, inward,
+        now=information.bound(made),
+        alone=tuple(information.bound([*made, len(made) + k]) for k in range(len(point))),
+        chosen=tuple(chosen),
+        after=tuple(information.bound(probings) for probings in sets),
+        information=information,
+    )  # fmt: skip
+
+
+def _check(session: Session, young: float, poisson: float) -> None:
+    require_probings(session)
+    if session.rig is None:
+        raise InputError(
+            f'{session.path}: has no cameras; add [rig] cameras = "rig.toml" to plan pictures'
+        )
+    low, high = _YOUNG_RANGE
+    if not (low <= young <= high and -1.0 < poisson < 0.5):
+        raise InputError(
+            f"young_modulus is {young:g} Pa, poisson_ratio {poisson:g}; must be {low:g} to"
+            f" {high:g} Pa, from the softest gel to diamond, and in (-1, 0.5)"
+        )
+
+
+def _visibility(session: Session, rig: Rig) -> Bool[np.ndarray, "c v"]:
+    """Which vertices each camera sees."""
+    mesh = session.mesh
+    tolerance = _DEPTH_TOLERANCE * bounding_diagonal(mesh)
+    shown = []
+    for camera in rig.cameras:
+        surface = surface_map(camera, picture_size(camera)[::-1], mesh.vertices, mesh.triangles)
+        shown.append(visible(surface, camera, mesh.vertices, tolerance=tolerance))
+    return np.stack(shown)
+
+
+def _moved(session: Session, material: Material) -> list[tuple[Vertices, Vector3 | None]]:
+    """Displacement of the mesh's vertices in every probing [m], and of the contact point where the
+    session has a tip displacement."""
+    vertices = session.mesh.vertices
+    still = DisplacementField(
+        points=vertices,
+        displacement=np.zeros_like(vertices),
+        std=None,
+        vertex=None,
+        surface=closest_points(session.mesh, vertices),
+        source="plan",
+    )
+    observed = replace(
+        session,
+        probings=tuple(replace(probing, displacement=still) for probing in session.probings),
+    )
+    shear, ratio = material.shear_modulus, material.poisson_ratio
+    guessed = _at_guess(observed, material)
+    moved = []
+    for probe in session_observations(guessed, make_object_model(guessed), shear_modulus=shear):
+        load = np.concatenate([probe.force / shear, [1.0 / shear], probe.motion])
+        rows = (probe.response.value(ratio)[:, : load.size] @ load).reshape(-1, 3)
+        tip = None if probe.tip_displacement is None else rows[len(vertices)]
+        moved.append((rows[: len(vertices)], tip))
+    return moved
+
+
+def _followed(
+    session: Session,
+    rig: Rig,
+    taken: Iterator[tuple[str, tuple[UInt[np.ndarray, "_ _"], ...]]],
+    show: Show | None,
+    progress: Progress,
+) -> list[DisplacementField]:
+    """Displacements tracked in the pictures of each probing; the first ones taken are at rest."""
+    flow, fields, state = JointFlow(), [], None
+    for number, (name, pictures) in enumerate(taken):
+        for camera, picture in zip(rig.cameras, pictures, strict=True):
+            if show is not None:
+                show(f"{name}_{camera.name}", picture)
+        progress(f"pictures of {name}", (number + 1) / (len(session.probings) + 1))
+        grey = tuple(picture.astype(np.float32) for picture in pictures)
+        if state is None:
+            state = flow.start(rig, grey, session.mesh)
+            continue
+        vertices = flow.vertices(flow.follow(state, grey)[1], rig, session.mesh)
+        followed = measured_vertices(vertices)
+        if not followed.any():
+            raise InputError(
+                f"probing '{name}': no vertex could be followed in the pictures that are to be"
+                " expected; turn the cameras, or press less deep"
+            )
+        rows = np.flatnonzero((vertices.count > 0) | followed)
+        fields.append(vertex_field(session.mesh, vertices, rows, f"planned pictures of {name}"))
+    return fields
+
+
+def _measured(
+    session: Session, fields: Sequence[DisplacementField], tips: Sequence[Vector3 | None]
+) -> Session:
+    """The session as if it had been measured."""
+    probings = [
+        replace(probing, displacement=field, images=None, tip_displacement=tip)
+        for probing, field, tip in zip(session.probings, fields, tips, strict=True)
+    ]
+    return replace(session, probings=tuple(probings))
+
+
+def _information(session: Session, material: Material) -> Information:
+    """Fisher information of the points, with the model of a fit and all its errors."""
+    shear, ratio = material.shear_modulus, material.poisson_ratio
+    observed = graded_observations(_at_guess(session, material))
+    with_reference = [
+        replace(probe, reference="planned pictures at rest")
+        for probe in with_stretch(observed, calibration_strains(session))
+    ]
+    return fisher_information(with_reference, poisson_ratio=ratio, shear_modulus=shear)
+
+
+def _at_guess(session: Session, material: Material) -> Session:
+    """The session on a mesh resolved for the model, with the contact radii of its tools."""
+    return with_contact_radii(
+        refined_session(session),
+        shear_modulus=material.shear_modulus,
+        poisson_ratio=material.poisson_ratio,
+    )
+
+
+def _planned(probing: Probing, precision: dict[str, float]) -> PlannedProbing:
+    field = probing.displacement
+    if field is None or field.std is None:
+        raise InputError(f"probing '{probing.name}' has no displacement")
+    return PlannedProbing(
+        probing.name,
+        int(np.isfinite(field.displacement).all(axis=1).sum()),
+        float(np.nanmedian(np.linalg.norm(field.displacement, axis=1))),
+        float(np.nanmedian(np.sqrt((field.std**2).mean(axis=1)))),
+        precision,
+    )
+
+
+def _greedy(information: Information, made: list[int], places: int, count: int) -> list[int]:
+    """Places that increase the determinant of the information most, one at a time."""
+    chosen: list[int] = []
+    for _ in range(count):
+        left = [k for k in range(places) if k not in chosen]
+        so_far = made + [len(made) + k for k in chosen]
+        gain = [np.linalg.det(information.of([*so_far, len(made) + k])) for k in left]
+        chosen.append(left[int(np.argmax(gain))])
+    return chosen
+
+
+def _with_std(probing: Probing, rms: float) -> Probing:
+    """A probing with standard deviations; where none are given, the RMS of its residuals."""
+    field = probing.displacement
+    if field is None or field.std is not None:
+        return probing
+    return replace(probing, displacement=replace(field, std=np.full_like(field.displacement, rms)))
+
+
+def _like(
+    first: Probing, mesh: TriangleMesh, place: np.ndarray, force: np.ndarray, name: str
+) -> Probing:
+    """A probing like the first, at another place."""
+    field, contact = first.displacement, first.contact
+    if field is None or field.std is None:
+        raise InputError(f"probing '{first.name}' has no displacement")
+    distance = np.linalg.norm(field.points - place, axis=1)
+    observed = distance > _HIDDEN_RADII * (contact.radius or 0.0)
+    observed &= np.isfinite(field.displacement).any(axis=1)
+    points = field.points[observed]
+    no_motion = np.where(np.isfinite(field.displacement[observed]), 0.0, np.nan)
+    planned = DisplacementField(
+        points, no_motion, field.std[observed], None, closest_points(mesh, points), "plan",
+    )  # fmt: skip
+    force_std = first.force_std
+    if force_std is not None:
+        force_std = np.full(3, np.linalg.norm(force_std) / np.sqrt(3.0))
+    return Probing(
+        name, replace(contact, point=place), force, force_std, None, None, planned, None,
+        force_sensor=first.force_sensor,
+    )  # fmt: skip
+
+
+def _reachable(session: Session, radius: float) -> tuple[Points, Points]:
+    """Evenly spread places at which a tool can press, and the inward normals there."""
+    mesh = session.mesh
+    normals = vertex_normals(mesh.vertices, mesh.triangles)
+    free = _far_from_edges(session, radius) & ~_from_the_support(session, normals)
+    taken = np.array([probing.contact.point for probing in session.probings])
+    free &= cKDTree(taken).query(mesh.vertices)[0] > radius
+    vertices = _spread(mesh.vertices, np.flatnonzero(free), taken, 3 * _CANDIDATES)
+    reachable = [k for k in vertices if _shaft_is_free(mesh, mesh.vertices[k], normals[k], radius)]
+    chosen = np.array(reachable[:_CANDIDATES], dtype=np.int64)
+    return mesh.vertices[chosen], -normals[chosen]
+
+
+def _far_from_edges(session: Session, radius: float) -> Bool[np.ndarray, " v"]:
+    """Vertices that keep clear of creases, rims and what is held."""
+    mesh = session.mesh
+    held = np.zeros(len(mesh.triangles), dtype=np.int64)
+    held[session.held_triangles] = 1
+    sides = split_sides(mesh, held)
+    corner = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2)
+    ends = corner[sides.cut[sides.edge]]
+    free = np.ones(len(mesh.vertices), dtype=bool)
+    if len(ends):
+        along = np.linspace(0.0, 1.0, 9)[:, None, None]
+        line = mesh.vertices[ends[:, 0]] * (1 - along) + mesh.vertices[ends[:, 1]] * along
+        free = cKDTree(line.reshape(-1, 3)).query(mesh.vertices)[0] > _CLEARANCE * radius
+    free[np.unique(mesh.triangles[session.held_triangles])] = False
+    return free
+
+
+def _from_the_support(session: Session, normals: Points) -> Bool[np.ndarray, " v"]:
+    """Vertices that face the same way as the supports, where the fixture obstructs the tool."""
+    outward = unit_normals(session.mesh)[session.held_triangles].mean(axis=0)
+    return normals @ outward > _FROM_BELOW
+
+
+def _shaft_is_free(
+    mesh: TriangleMesh, place: np.ndarray, outward: np.ndarray, radius: float
+) -> bool:
+    """Whether the tool's shaft would be clear of the object."""
+    offset = mesh.vertices[mesh.triangles].mean(axis=1) - place
+    along = offset @ outward
+    off_axis = np.linalg.norm(offset - along[:, None] * outward, axis=1)
+    return not bool(((along > _SHAFT_STARTS * radius) & (off_axis < _SHAFT_RADII * radius)).any())
+
+
+def _spread(
+    vertices: Points, free: Int[np.ndarray, " f"], taken: Float[np.ndarray, "p 3"], count: int
+) -> list[int]:
+    """Farthest-point sample of the free vertices, starting from the points already taken."""
+    if not len(free):
+        return []
+    gap = cKDTree(taken).query(vertices[free])[0]
+    chosen = []
+    for _ in range(min(count, len(free))):
+        k = int(gap.argmax())
+        chosen.append(int(free[k]))
+        gap = np.minimum(gap, np.linalg.norm(vertices[free] - vertices[free[k]], axis=1))
+    return chosen

@@ -1,0 +1,138 @@
+"""Output as JSON, stages told one by one, completion for shells."""
+
+import json
+
+import numba
+import pytest
+
+from palpate.app.process import Output, output_as
+from palpate.app.terminal import progress_bar, table_content
+
+POKE = (
+    "--at", "20mm", "2 cm", "0.04", "--force", "0", "0", "-500mN", "--young-modulus", "50 kPa",
+    "--poisson-ratio", "0.3",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("place", ["before", "behind"])
+def test_tables_and_sentences_become_one_document(palpate, cube_session, place):
+    words = ("check", cube_session)
+    code, out, _ = palpate(*(("--json", *words) if place == "before" else (*words, "--json")))
+    found = json.loads(out)
+    assert (code, found["format"]) == (0, "palpate-output/1")
+    surface, probings = found["tables"]
+    assert surface["rows"][0] == {"figure": "vertices, triangles", "value": [218, 432]}
+    # Numbers are numbers.
+    assert probings["rows"][0]["probing"] == "n01"
+    assert probings["rows"][0]["observed"] == 168
+    assert found["sentences"]
+
+
+def test_cells_are_read_as_a_person_reads_them():
+    columns = ("name", "count", "value", "interval", "lost", "words", "minus", "place")
+    row = (
+        "12",
+        "12",
+        "0.30 ± 0.01",
+        "20.7 to 21.3",
+        "not determined",
+        "5 mm",
+        "-3e-05",
+        "1.9, -9.7, 28",
+    )
+    (found,) = table_content("t", columns, [row], "c")["rows"]
+    assert found == {
+        "name": "12", "count": 12, "value": {"value": 0.30, "std": 0.01},
+        "interval": [20.7, 21.3], "lost": None, "words": "5 mm", "minus": -3e-05,
+        "place": [1.9, -9.7, 28],
+    }  # fmt: skip
+
+
+def test_an_error_leaves_no_half_document(palpate):
+    code, out, err = palpate("check", "nowhere", "--json")
+    assert (code, out) == (2, "")
+    assert "nowhere" in err
+
+
+def test_stages_are_told_with_their_times(palpate, cube_session):
+    _, _, quiet = palpate("poke", cube_session, *POKE)
+    _, out, err = palpate("poke", cube_session, *POKE, "-v")
+    lines = [line for line in err.splitlines() if line not in quiet.splitlines()]
+    assert [line.split("%  ")[1] for line in lines] == [
+        "integrals over the surface", "factorisation", "interior points",
+    ]  # fmt: skip
+    assert all(line.startswith("palpate: ") and " s  " in line for line in lines)
+    assert "Displacement" in out
+
+
+def test_units_of_options_are_understood(palpate, cube_session):
+    plain = ("--at", "0.02", "0.02", "0.04", "--force", "0", "0", "-0.5",
+             "--young-modulus", "50000", "--poisson-ratio", "0.3")  # fmt: skip
+    assert palpate("poke", cube_session, *POKE)[1] == palpate("poke", cube_session, *plain)[1]
+    code, _, err = palpate("poke", cube_session, *POKE[:9], "50 furlong", *POKE[10:])
+    assert code == 2
+    assert "'50 furlong'" in err
+    assert "kPa" in err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_learn_the_commands(palpate, shell):
+    code, out, _ = palpate("completion", shell)
+    assert code == 0
+    assert all(word in out for word in ("compression", "reproduce", "poisson-range"))
+
+
+@pytest.mark.parametrize("words", [("fit",), ("lab", "make"), ("calibrate", "rig"), ("mesh",)])
+def test_help_has_no_noise_and_even_line_ends(palpate, words):
+    code, out, _ = palpate(*words, "--help")
+    assert code == 0
+    assert "--empty" not in out
+    assert "--no-force" not in out
+    assert "default: False" not in out
+    assert "--json" in out
+    boxed = [line.rstrip() for line in out.splitlines() if line.startswith("│")]
+    assert len({len(line) for line in boxed}) == 1
+
+
+def test_the_lists_of_the_facility_can_be_found(palpate):
+    assert "palpate lab --list" in palpate("lab", "--help")[1]
+
+
+def test_nothing_is_shown_where_stderr_is_no_terminal(capsys):
+    with progress_bar() as report:
+        report("factorisation", 0.5)
+        report("fit", 1.0)
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+def test_stages_are_shown_on_a_terminal(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    with progress_bar() as report:
+        report("factorisation", 0.5)
+    shown = capsys.readouterr().err
+    assert "factorisation" in shown
+    assert "50%" in shown
+
+
+def test_a_stage_that_waits_for_the_compiler_says_so(capsys):
+    @numba.njit
+    def inner(x):
+        return x + 1
+
+    @numba.njit
+    def outer(x):
+        return inner(x) * 2
+
+    with output_as(Output(verbose=True), ["fit"]), progress_bar() as report:
+        report("matching", 0.25)
+        assert outer(3) == 8
+        assert outer(4) == 10
+        report("fit", 0.5)
+    stages = [line.split("%")[1].strip() for line in capsys.readouterr().err.splitlines()]
+    assert stages == ["matching", "matching (compiling, once)", "matching", "fit"]
+    fresh = numba.njit(outer.py_func)
+    assert fresh(3) == 8
+    # Nobody listens any longer.
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,118 @@
+"""Finite strain adds what is of second order in the load; an estimate that corrects it is right."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.errors import InputError
+from palpate.geometry import closest_points
+from palpate.pipeline import fit_session
+from palpate.pipeline.model.large_strain import make_finite_body, strain_corrections
+from palpate.records import (
+    BIASED,
+    EXACT,
+    FREE,
+    PRESSURES,
+    Contact,
+    DisplacementField,
+    Estimate,
+    Probing,
+    Session,
+    Support,
+)
+from palpate.solids import (
+    SplitNeoHookean,
+    held_nodes,
+    make_body,
+    make_solid,
+    pressure_load,
+    solve_finite,
+    solve_load,
+    surface_values,
+)
+
+SHEAR, NU, RADIUS = 2e4, 0.3, 12e-3
+PLACE = np.array([0.021, 0.019, 0.04])
+
+
+def _session(push: float) -> Session:
+    """A glued cube of 4 cm, pressed from above, seen on its free faces."""
+    mesh = box((0.04, 0.04, 0.04), 4)
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    points = mesh.vertices[mesh.vertices[:, 2] > 1e-6]
+    field = DisplacementField(
+        points, np.zeros_like(points), None, None, closest_points(mesh, points), ""
+    )
+    force = np.array([0.0, 0.0, -push])
+    contact = Contact(PLACE, RADIUS, "smooth")
+    probing = Probing("n", contact, force, np.full(3, 1e-3), None, None, field, None)
+    return Session("cube", Path("cube"), mesh, held, (probing,), None, None, None, (), errors=EXACT)
+
+
+def _correction(push: float) -> np.ndarray:
+    # The order is that of any elements.
+    body = make_finite_body(_session(push), coarser=2.0)
+    (found,), _ = strain_corrections(body, shear_modulus=SHEAR, poisson_ratio=NU)
+    return found
+
+
+def test_it_is_of_second_order_in_the_load() -> None:
+    small, large = (_correction(push) for push in (0.05, 0.1))
+    # A third order of some tenths of the second is left at 0.1 N, 2 % strain.
+    assert np.linalg.norm(large) / np.linalg.norm(small) == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.slow
+def test_an_object_pressed_far_gives_its_constants() -> None:
+    """Those that a linear object of the same elements, others than the fit's, would give."""
+    session = _session(1.5)
+    (probing,) = session.probings
+    solid = make_solid(session.mesh, edge=9e-3, fine=[(PLACE, 12e-3, 4e-3)])
+    held = held_nodes(solid, session.held_triangles)
+    body = make_body(solid, held, shear_modulus=SHEAR, poisson_ratio=NU)
+    load = pressure_load(solid, PLACE, RADIUS, PRESSURES["smooth"])[:, None] * probing.force
+    seen = surface_values(solid, probing.displacement.points)
+
+    def estimate(nodal: np.ndarray, finite_strain: bool) -> Estimate:
+        field = replace(probing.displacement, displacement=seen @ nodal)
+        notes = (f"Of the session: {BIASED}.",)
+        one = replace(session, probings=(replace(probing, displacement=field),), notes=notes)
+        return fit_session(one, finite_strain=finite_strain).estimate
+
+    # Not the law that the correction assumes.
+    nodal = solve_finite(body, load, law=SplitNeoHookean)
+    truth = estimate(solve_load(body, load), False)
+    linear, finite = (estimate(nodal, one) for one in (False, True))
+    young = truth.young_modulus.value
+    ratio = truth.poisson_ratio.value
+    assert abs(linear.poisson_ratio.value - ratio) > 0.01
+    # The patch's middle is at no vertex of the given mesh, but of the graded one.
+    depth = float(np.abs(solve_load(body, load)[:, 2]).max()) / RADIUS
+    told = re.match(r"In n the tool went in by (\d+) % of the radius", linear.notes[0])
+    assert told is not None
+    assert float(told[1]) == pytest.approx(100 * depth, rel=0.1)
+    # Only where it is corrected for is it no bias.
+    assert [sum(BIASED in note for note in one.notes) for one in (linear, finite)] == [1, 0]
+    # The correction has its own elements, constants settle at 0.1 % and 0.0005, and the parameter
+    # of the law takes up some of what the mesh of 4 x 4 squares leaves (0.003 of nu).
+    assert finite.young_modulus.value == pytest.approx(young, rel=0.005)
+    assert finite.poisson_ratio.value == pytest.approx(ratio, abs=0.004)
+    # Beside the linear one, the law that it is: the correction's own is none of its steps away.
+    found = {one.name: one for one in finite.probes[0].errors}
+    law = found["finite strain, in steps from one neo-Hookean law to another,"]
+    assert abs(law.value) < 2.5
+    assert law.prior_std == 1.0
+    mesh = found["finite strain of n, in steps from coarser to finer elements,"]
+    assert abs(mesh.value) < 2.0
+    assert "the linear model alone is" in finite.notes[-1]
+
+
+def test_supports_that_move_are_refused() -> None:
+    session = _session(0.1)
+    support = Support(session.held_triangles, FREE)
+    with pytest.raises(InputError, match="support 1 moves"):
+        make_finite_body(replace(session, supports=(support,)))
