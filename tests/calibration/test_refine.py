@@ -5,9 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.boards import SIZE, true_bundle
-from palpate.calibration.known_object.body import KnownSurface
-from palpate.calibration.known_object.refine import Refined, refined_rig
-from palpate.calibration.known_object.ties import Ties
+from palpate.calibration.refinement import KnownSurface, Refined, Ties, refined_rig
 from palpate.errors import CalibrationError
 from palpate.geometry import TriangleMesh
 from palpate.records import Camera, Rig, RigCovariance, camera_matrix

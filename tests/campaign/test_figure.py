@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.campaign.figure import campaign_figure
-from palpate.campaign.rows import DONE, FAILED, Row
+from palpate.campaign.rows import DONE, FAILED, Row, campaign_figure
 
 
 def row(name, young, half, *, group="", ratio=0.4):

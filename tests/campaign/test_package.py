@@ -7,7 +7,7 @@ import pytest
 
 import palpate
 from palpate.campaign import FitOptions, Work, pack_session
-from palpate.campaign.package import Package, pack_files, unpack
+from palpate.campaign.work import Package, pack_files, unpack
 from palpate.errors import RecordError
 
 

@@ -13,13 +13,11 @@ from palpate.campaign import (
     campaign,
     do_work,
     pack_session,
-    pieces,
     read_items,
     run_campaign,
     work,
 )
-from palpate.campaign.campaign import _Run
-from palpate.campaign.pieces import _pieces, body_work, motion_works, shared_meshes
+from palpate.campaign.campaign import _pieces, _Run, body_work, motion_works, shared_meshes
 from palpate.errors import InputError, RecordError
 from palpate.geometry import write_mesh
 
@@ -94,7 +92,7 @@ def test_one_session_s_pictures_are_measured_by_several_workers(
     seen, scheduler, tmp_path, begun, monkeypatch
 ):
     """The same bytes as in one piece: a start from the same pictures is the same start."""
-    monkeypatch.setattr(pieces, "_LEAST_INSTANTS", 1)
+    monkeypatch.setattr(campaign, "_LEAST_INSTANTS", 1)
     (row,) = run_campaign(
         read_items(seen.parent), tmp_path / "campaign", options=GIVEN, scheduler=scheduler
     )

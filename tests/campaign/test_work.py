@@ -10,7 +10,7 @@ import pytest
 from palpate.bem import check_memory
 from palpate.bem.compressed import choice
 from palpate.campaign import FitOptions, Work, do_work, pack_session
-from palpate.campaign.package import pack_files
+from palpate.campaign.work import pack_files
 from palpate.errors import InputError
 from palpate.pipeline import fit_session
 from palpate.records import read_estimate, read_session

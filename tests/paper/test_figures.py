@@ -7,9 +7,8 @@ import pytest
 from flow_samples import rig, sample
 
 from palpate.errors import InputError
-from palpate.paper.figures import flow_curves, flow_picture, vertex_curves
-from palpate.paper.published import MotionRow, Spread
-from palpate.paper.sessions import PaperSession
+from palpate.paper.motion import flow_curves, flow_picture, vertex_curves
+from palpate.paper.sessions import MotionRow, PaperSession, Spread
 from palpate.pipeline import MeasuredMotion, SessionFlow
 from palpate.records import Session, Step
 
@@ -19,7 +18,7 @@ ORANGE, BLUE = (0xD5, 0x5E, 0x00), (0x00, 0x72, 0xB2)
 def measured(monkeypatch):
     """The sample's motion under the name s1, and a lost one, s2."""
     one = sample()
-    monkeypatch.setattr("palpate.paper.figures.surface_map", lambda *_: one.surface)
+    monkeypatch.setattr("palpate.paper.motion.surface_map", lambda *_: one.surface)
     motions = (
         MeasuredMotion("s1", None, True, one.picture, one.flow, one.vertices, None),
         MeasuredMotion("s2", None, True, one.picture, None, None, "torn picture"),

@@ -17,8 +17,7 @@ from palpate.paper.motion import (
     vertex_summary,
     vertex_table,
 )
-from palpate.paper.published import MotionRow, Spread
-from palpate.paper.sessions import PaperSession
+from palpate.paper.sessions import MotionRow, PaperSession, Spread
 from palpate.pipeline import MeasuredMotion, SessionFlow
 from palpate.vision import Outcome, VertexDisplacement
 

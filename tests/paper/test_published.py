@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.paper.published import (
+from palpate.paper.sessions import (
     PAPER_ALL_PROBES,
     PAPER_ANGLE_ERROR_ROTATION,
     PAPER_ANGLE_ERROR_X,

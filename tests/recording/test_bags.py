@@ -9,8 +9,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from palpate.errors import RecordError
-from palpate.recording.force.log import Gauge, read_force_log
-from palpate.recording.poses import read_poses
+from palpate.recording.force_log import Gauge, read_force_log
+from palpate.recording.record import read_poses
 
 _TIMES = 1.7e9 + 0.01 * np.arange(200)
 _FORCE = np.stack([0.1 * np.sin(_TIMES), 0.2 * np.cos(_TIMES), np.linspace(0.0, -2.0, 200)], axis=1)

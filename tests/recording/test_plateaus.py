@@ -17,14 +17,17 @@ from recording.bench_signals import (
 )
 
 from palpate.errors import RecordError
-from palpate.recording.force.log import ForceLog, Gauge, read_force_log
-from palpate.recording.force.plateaus import (
+from palpate.recording.force_log import ForceLog, Gauge, read_force_log
+from palpate.recording.touches import (
     find_plateau,
+    find_touches,
+    find_zero,
+    mean_std,
     read_force,
+    resample_force,
     still_force,
     unreadable_reason,
 )
-from palpate.recording.force.touches import find_touches, find_zero, mean_std, resample_force
 
 
 def _log(time: np.ndarray, force: np.ndarray) -> ForceLog:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.errors import RecordError
-from palpate.recording.poses import read_poses
+from palpate.recording.record import read_poses
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,7 @@ from recording.bench_signals import DIRECTION, HOLD, RAMP, begins, push
 from palpate.app.cli import main
 from palpate.errors import RecordError
 from palpate.recording import find_presses, read_recording, write_recorded
-from palpate.recording.pictures.footage import Footage
-from palpate.recording.pictures.motion import camera_motion
+from palpate.recording.footage import Footage, camera_motion
 from palpate.records import folder_changes, read_session
 
 

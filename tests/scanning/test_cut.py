@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.geometry import TriangleMesh, half_edges
 from palpate.scanning import Plane
-from palpate.scanning.mending.solid import above
+from palpate.scanning.solid import above
 
 
 @pytest.mark.slow

@@ -5,8 +5,8 @@ import pytest
 
 from palpate.geometry import triangle_areas
 from palpate.scanning import Plane
-from palpate.scanning.joining.fusion import fused
-from palpate.scanning.mending.solid import above
+from palpate.scanning.fusion import fused
+from palpate.scanning.solid import above
 
 TABLE = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 RADIUS, CENTRE = 0.03, 0.02

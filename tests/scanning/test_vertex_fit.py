@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from palpate.geometry import TriangleMesh
-from palpate.scanning.joining.vertex_fit import fitted
+from palpate.scanning.fusion import fitted
 
 _SIDE, _VIEWS, _WINDOW, _SIGMA = 40, 1, 5, 0.02
 

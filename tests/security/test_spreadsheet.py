@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 import palpate
-from palpate.calibration import Calibration, files as calibration_files
+from palpate.calibration import Calibration, quality
 from palpate.calibration.quality import PictureError
-from palpate.campaign.rows import Row
-from palpate.campaign.table import table_text
+from palpate.campaign.rows import Row, table_text
 from palpate.paper.result import ResultTable, csv_text
 from palpate.records import spreadsheet_text
 
@@ -56,8 +55,8 @@ def test_tables_of_results_are_written_so(formula):
 
 def test_the_table_of_a_calibration_is_written_so(tmp_path, monkeypatch):
     one = PictureError("=1+1", "@view", 48, 0, 0.1)
-    monkeypatch.setattr(calibration_files, "picture_errors", lambda _: [one])
-    calibration_files._write_pictures(tmp_path / "views.csv", object.__new__(Calibration))
+    monkeypatch.setattr(quality, "picture_errors", lambda _: [one])
+    quality._write_pictures(tmp_path / "views.csv", object.__new__(Calibration))
     written = (tmp_path / "views.csv").read_text(encoding="utf-8")
     assert cells_of(written)[1] == ["'=1+1", "'@view", "48", "0", "0.1000"]
 

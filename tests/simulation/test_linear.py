@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.simulation.kernels.linear import assign, solve
+from palpate.simulation.contact_response import assign, solve
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 7, 40])

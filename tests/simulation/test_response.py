@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.simulation import PlacedTool, Sphere
-from palpate.simulation.kernels.response import REBUILT_AFTER, updated_response
-from palpate.simulation.kernels.state import Nodal
-from palpate.simulation.tools import tool_arrays
+from palpate.simulation.contact import tool_arrays
+from palpate.simulation.contact_response import REBUILT_AFTER, Nodal, updated_response
 
 # Nodes that touch all the time, and those that come in and leave around them.
 CORE, RIM = 12, 8

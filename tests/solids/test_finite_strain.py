@@ -15,13 +15,14 @@ from palpate.solids.finite_elements import (
     solve_load,
 )
 from palpate.solids.finite_strain import (
+    NeoHookean,
+    SplitNeoHookean,
     deformation_gradient,
     energy,
     internal_forces,
     solve_finite,
     tangent,
 )
-from palpate.solids.laws import NeoHookean, SplitNeoHookean
 from palpate.solids.tetrahedra import make_solid
 
 SHEAR = 7e4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.solids.newton import find_equilibrium, find_in_increments
+from palpate.solids.finite_strain import find_equilibrium, find_in_increments
 
 
 class Hollow:

@@ -17,8 +17,8 @@ from palpate.geometry import (
     triangle_areas,
 )
 from palpate.lab.config import LabConfig, Probe, Specimen
-from palpate.lab.pictures.head import make_head
-from palpate.lab.pictures.textures import dot_count
+from palpate.lab.head import make_head
+from palpate.lab.render_mesh import dot_count
 from palpate.lab.specimens import SHAPES
 from palpate.records import (
     STIFFNESS_UNITS,

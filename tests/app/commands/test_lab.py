@@ -6,7 +6,7 @@ import pytest
 from lab.lab_configs import STAGE
 
 from palpate.app.commands.lab import _config_file
-from palpate.campaign import cluster as cluster_file
+from palpate.campaign import engine as engine_file
 from palpate.lab.config_files import built_in
 from palpate.records import read_session
 
@@ -91,7 +91,7 @@ def test_a_wrong_number_of_workers_is_refused(palpate, tmp_path):
 def test_a_scheduler_that_is_not_there_is_no_error_of_the_configuration(
     palpate, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
+    monkeypatch.setattr(engine_file, "_CONNECT_TIMEOUT", 1)
     (tmp_path / "toy.toml").write_text(SMALL)
     code, _, err = palpate(
         "lab", "toy.toml", "made", "--scheduler", "tcp://127.0.0.1:9", "--insecure"

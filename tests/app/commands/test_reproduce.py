@@ -123,7 +123,7 @@ def bench(monkeypatch, tmp_path):
         reproduce_command, "choose_variant", lambda: Variant("none", "no [bench]", None)
     )
     monkeypatch.setattr(workers_file, "started_engine", workers)
-    monkeypatch.setattr("palpate.paper.figures.surface_map", lambda *_: sample().surface)
+    monkeypatch.setattr("palpate.paper.motion.surface_map", lambda *_: sample().surface)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
     return asked

@@ -8,10 +8,10 @@ import pytest
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
 from palpate.lab import Arm, Head, Material, Probe, built_in, read_lab_config
-from palpate.lab.bench.arm import aim, fine_place, probe_body, rod_at, solid_under
-from palpate.lab.bench.session_text import probe_tables
+from palpate.lab.arm import aim, fine_place, probe_body, rod_at, solid_under
 from palpate.lab.config import Specimen
-from palpate.lab.pictures.head import make_head
+from palpate.lab.facility import probe_tables
+from palpate.lab.head import make_head
 from palpate.lab.specimens import block, half_ball, toy
 from palpate.solids.contact import touch
 from palpate.solids.finite_elements import held_nodes, make_body

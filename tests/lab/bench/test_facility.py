@@ -11,8 +11,14 @@ from lab.lab_configs import HALF_BALL, STAGE
 from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError, MeshError
-from palpate.lab import Stage, choose_variant, make_session, make_sessions, read_lab_config
-from palpate.lab.bench import facility
+from palpate.lab import (
+    Stage,
+    choose_variant,
+    facility,
+    make_session,
+    make_sessions,
+    read_lab_config,
+)
 from palpate.records import read_rig, read_session
 from palpate.solids.finite_elements import make_body
 from palpate.vision import project, read_pictures

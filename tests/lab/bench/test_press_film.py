@@ -9,7 +9,7 @@ from fault_injection import largest_file
 from scipy.ndimage import spline_filter
 
 from palpate.errors import RecordError
-from palpate.lab.bench.press_film import _warped, write_film
+from palpate.lab.press_film import _warped, write_film
 from palpate.vision import video_frames
 
 

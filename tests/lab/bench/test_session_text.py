@@ -8,7 +8,7 @@ import pytest
 from lab.lab_configs import HALF_BALL, STAGE
 
 from palpate.lab import Sensor, read_lab_config
-from palpate.lab.bench.session_text import probe_tables, step_tables, write_session
+from palpate.lab.facility import probe_tables, step_tables, write_session
 from palpate.solids import TIPS, Press
 
 

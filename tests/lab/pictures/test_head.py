@@ -6,7 +6,7 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.lab.config import Calibration, Head
-from palpate.lab.pictures.head import make_head, miscalibrated
+from palpate.lab.head import make_head, miscalibrated
 from palpate.lab.specimens import half_ball
 from palpate.vision.cameras.projection import project
 

@@ -7,7 +7,7 @@ import pytest
 from vision_cameras import BARREL, RATIONAL, make_camera
 
 from palpate.errors import CalibrationError, InputError
-from palpate.lab.pictures.ideal_view import FINE, IdealView, camera_picture, ideal_view
+from palpate.lab.ideal_view import FINE, IdealView, camera_picture, ideal_view
 from palpate.vision import normalised, project, rays
 
 SIZE = (120, 90)

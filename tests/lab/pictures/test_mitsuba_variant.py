@@ -7,8 +7,8 @@ from types import ModuleType
 import pytest
 
 from palpate.errors import InputError
-from palpate.lab.pictures import mitsuba_variant
-from palpate.lab.pictures.mitsuba_variant import (
+from palpate.lab import scene
+from palpate.lab.scene import (
     LLVM_SETTING,
     Variant,
     choose_variant,
@@ -65,21 +65,21 @@ def test_a_library_without_the_version_of_llvm_16_is_too_old():
 
 @pytest.mark.parametrize("trial", [_CRASH, _UNKNOWN])
 def test_a_compiler_that_fails_costs_only_its_own_process(libraries, monkeypatch, trial):
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", trial)
+    monkeypatch.setattr(scene, "_TRIAL", trial)
     variant = choose_variant(folders=[str(libraries)], environment={})
     assert variant.name == "scalar_rgb"
     assert "libLLVM-9.so fails in Mitsuba's compiler" in variant.why
 
 
 def test_a_compiler_that_hangs_is_given_up(libraries, monkeypatch):
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", "import time; time.sleep(60)")
-    monkeypatch.setattr(mitsuba_variant, "_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(scene, "_TRIAL", "import time; time.sleep(60)")
+    monkeypatch.setattr(scene, "_TIMEOUT_S", 0.2)
     variant = choose_variant(folders=[str(libraries)], environment={})
     assert "could not be tried" in variant.why
 
 
 def test_a_fit_library_is_taken_and_the_users_own_is_asked_first(libraries, monkeypatch):
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", _FIT)
+    monkeypatch.setattr(scene, "_TRIAL", _FIT)
     newest = libraries / "libLLVM.so.19.1"
     variant = choose_variant(folders=[str(libraries)], environment={})
     assert variant == Variant("llvm_ad_rgb", f"Mitsuba renders with LLVM 99.0.0 ({newest})", newest)
@@ -94,13 +94,13 @@ def test_loading_tells_the_compiler_its_library_and_keeps_the_variant(monkeypatc
     fake = ModuleType("mitsuba")
     fake.variant = lambda: chosen[-1] if chosen else None
     fake.set_variant = chosen.append
-    monkeypatch.setattr(mitsuba_variant, "late_import", lambda *_, **__: fake)
+    monkeypatch.setattr(scene, "late_import", lambda *_, **__: fake)
     monkeypatch.setenv(LLVM_SETTING, "before")
-    variant = Variant("llvm_ad_rgb", "", mitsuba_variant.Path("/some/libLLVM.so"))
+    variant = Variant("llvm_ad_rgb", "", scene.Path("/some/libLLVM.so"))
     load_mitsuba(variant)
     load_mitsuba(variant)
     assert chosen == ["llvm_ad_rgb"]
-    assert mitsuba_variant.os.environ[LLVM_SETTING] == str(variant.llvm)
+    assert scene.os.environ[LLVM_SETTING] == str(variant.llvm)
 
 
 def test_missing_mitsuba_names_the_extra(monkeypatch):

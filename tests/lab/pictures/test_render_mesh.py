@@ -6,7 +6,7 @@ from surfaces import box, sphere
 
 from palpate.errors import InputError
 from palpate.geometry import enclosed_volume, vertex_normals, welded
-from palpate.lab.pictures.render_mesh import make_render_mesh
+from palpate.lab.render_mesh import make_render_mesh
 from palpate.records import Camera
 from palpate.vision import project
 

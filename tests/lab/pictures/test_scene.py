@@ -10,8 +10,7 @@ from vision_cameras import BARREL, RATIONAL, make_camera
 
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh
-from palpate.lab.pictures.mitsuba_variant import choose_variant
-from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
+from palpate.lab.scene import DrawnBody, Lamp, Light, choose_variant, render
 from palpate.vision import rays
 
 # The scalar variant runs everywhere.

@@ -7,7 +7,7 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.lab import Pictures
-from palpate.lab.pictures.sensor import (
+from palpate.lab.studio import (
     blur_radius,
     defocused,
     exposure_gain,

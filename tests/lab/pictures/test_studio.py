@@ -9,9 +9,9 @@ from lab.lab_configs import HALF_BALL
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.lab import Look, Pictures, choose_variant, read_lab_config
-from palpate.lab.pictures.head import make_head
-from palpate.lab.pictures.studio import exposure, make_studio, photograph
+from palpate.lab.head import make_head
 from palpate.lab.specimens import rod
+from palpate.lab.studio import exposure, make_studio, photograph
 from palpate.solids.tips import Sphere
 
 QUIET = Pictures(samples=8, noise=0.0)

@@ -5,7 +5,7 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.lab.pictures.textures import RIM, natural, speckle, texture
+from palpate.lab.render_mesh import RIM, natural, speckle, texture
 
 
 def _box(side=0.1):

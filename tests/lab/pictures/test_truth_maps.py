@@ -11,12 +11,10 @@ from surfaces import box, sphere
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh, read_mesh
 from palpate.lab import Pictures
-from palpate.lab.pictures.mitsuba_variant import choose_variant
-from palpate.lab.pictures.render_mesh import make_render_mesh
-from palpate.lab.pictures.scene import DrawnBody, Lamp, Light, render
-from palpate.lab.pictures.sensor import exposure_gain, grey_picture
-from palpate.lab.pictures.textures import speckle
-from palpate.lab.pictures.truth_maps import truth_map, write_truth_map
+from palpate.lab.ideal_view import truth_map, write_truth_map
+from palpate.lab.render_mesh import make_render_mesh, speckle
+from palpate.lab.scene import DrawnBody, Lamp, Light, choose_variant, render
+from palpate.lab.studio import exposure_gain, grey_picture
 from palpate.records import Camera, Rig, read_rig
 from palpate.vision import project
 
