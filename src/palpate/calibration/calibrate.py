@@ -33,7 +33,7 @@ _POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 _MAX_DIFFERENCE = 0.1
 # With fewer views, a camera's lens cannot be separated from the boards' poses.
 _MIN_VIEWS = 3
-Pose = Float[np.ndarray, "4 4"]
+_Pose = Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,7 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
     CalibrationError                too few views; cameras that share none; views too alike; more
                                     than a third of the views contradict the others
     """
-    bundle, corners, inconsistent = start_bundle(found, targets)
+    bundle, corners, inconsistent = _start_bundle(found, targets)
     cameras = cameras_of(found, bundle)
     notes = list(found.notes)
     for v in np.flatnonzero(inconsistent).tolist():
@@ -301,7 +301,7 @@ def _names(cameras: Sequence[str]) -> tuple[str, ...]:
     return (*lens, *(f"{camera}.{term}" for camera in cameras[1:] for term in _POSE_TERMS))
 
 
-def start_bundle(
+def _start_bundle(
     found: Sightings, targets: Sequence[Target]
 ) -> tuple[Bundle, Corners, Bool[np.ndarray, " v"]]:
     """Initial cameras and board poses for the bundle adjustment.
@@ -347,7 +347,7 @@ def start_bundle(
     return Bundle(np.stack(intrinsics), np.stack(camera), np.stack(view)), corners, flags
 
 
-def _single_camera(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, Pose]]:
+def _single_camera(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, _Pose]]:
     """Lens of one camera, and the poses of the boards it sees in its own frame."""
     mine = found.corners.chosen(found.corners.camera == c)
     views = np.unique(mine.view)
@@ -371,12 +371,12 @@ def _single_camera(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], di
 
 
 def _placed(
-    found: Sightings, targets: Sequence[Target], poses: Sequence[Mapping[int, Pose]]
-) -> tuple[list[Pose], list[Pose], list[tuple[int, int]], list[int]]:
+    found: Sightings, targets: Sequence[Target], poses: Sequence[Mapping[int, _Pose]]
+) -> tuple[list[_Pose], list[_Pose], list[tuple[int, int]], list[int]]:
     """Poses of cameras and views in the first camera's frame; pairs (camera, view) whose marks are
     numbered the other way round; views whose poses differ between cameras."""
-    camera: dict[int, Pose] = {0: np.eye(4)}
-    view: dict[int, Pose] = dict(poses[0])
+    camera: dict[int, _Pose] = {0: np.eye(4)}
+    view: dict[int, _Pose] = dict(poses[0])
     turned: list[tuple[int, int]] = []
     inconsistent: list[int] = []
     while len(camera) < len(poses):
@@ -410,7 +410,7 @@ def _placed(
     return *posed, turned, inconsistent
 
 
-def half_turn(target: Target) -> Pose | None:
+def half_turn(target: Target) -> _Pose | None:
     """Half-turn symmetry of a target: the motion that maps it onto itself; None if it has none.
 
     Parameters
@@ -429,28 +429,28 @@ def half_turn(target: Target) -> Pose | None:
 
 
 def _agreed(
-    view: Mapping[int, Pose],
-    seen: Mapping[int, Pose],
+    view: Mapping[int, _Pose],
+    seen: Mapping[int, _Pose],
     common: Sequence[int],
-    turns: Mapping[int, Pose | None],
-) -> tuple[Pose, list[int], list[float]]:
+    turns: Mapping[int, _Pose | None],
+) -> tuple[_Pose, list[int], list[float]]:
     """Pose of a camera with the smallest median distance to those from the shared views; the views
     seen after half a turn; and the distance of every shared view from it."""
-    tries: list[list[Pose]] = []
+    tries: list[list[_Pose]] = []
     for v in common:
         back = np.linalg.inv(view[v])
         candidates = [np.eye(4)] if turns[v] is None else [np.eye(4), turns[v]]
         tries.append([seen[v] @ way @ back for way in candidates])
     size = np.median([np.linalg.norm(view[v][:3, 3]) for v in common])
 
-    def difference(a: Pose, b: Pose) -> float:
+    def difference(a: _Pose, b: _Pose) -> float:
         angle = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).magnitude()
         return float(angle + np.linalg.norm(a[:3, 3] - b[:3, 3]) / size)
 
-    def gaps(pose: Pose) -> list[float]:
+    def gaps(pose: _Pose) -> list[float]:
         return [min(difference(pose, other) for other in candidates) for candidates in tries]
 
-    def cost(pose: Pose) -> float:
+    def cost(pose: _Pose) -> float:
         return float(np.median(gaps(pose)))
 
     best = min((pose for candidates in tries for pose in candidates), key=cost)

@@ -39,7 +39,7 @@ _TURN, _SHIFT = np.deg2rad(0.5), 0.01
 # standard deviations, beyond which points belong to something else.
 _SIZE_SIGMA, _MAX_DEVIATIONS = 0.003, 4.0
 # Number of compact groups of points; points that share matching errors lie in the same group.
-GROUPS = 64
+_GROUPS = 64
 # Central differences over this many standard deviations on each side.
 _DIFFERENCE = 0.25
 
@@ -141,7 +141,7 @@ def refined_rig(
     """
     prior = _default_prior(rig) if known is None else known
     scale = _square_root(prior.covariance)
-    usable = np.isfinite(residuals(rig, ties)).all(axis=1)
+    usable = np.isfinite(_residuals(rig, ties)).all(axis=1)
     ties, count = ties.chosen(usable), len(usable)
     if usable.sum() < _MIN_POINTS:
         raise CalibrationError(
@@ -149,7 +149,7 @@ def refined_rig(
             " needed to refine a rig: give pictures of more instants, with a *, and see whether the"
             " object is textured and large in the pictures of two cameras"
         )
-    label = compact_groups(tie_points(rig, ties), GROUPS)
+    label = compact_groups(tie_points(rig, ties), _GROUPS)
     half = label % 2 == 0
     trial = _fit(rig, prior, scale, ties.chosen(half), label[half], surface)
     held = ties.chosen(~half)
@@ -189,13 +189,13 @@ def _fit(
     count = scale.shape[1]
     # Unknowns: steps of the rig; rotation, shift and relative size of the object.
     total, inflation, step = np.zeros(count), 1.0, np.full(count, np.inf)
-    body = None if surface is None else Body(surface, surface.pose, 0.0)
+    body = None if surface is None else _Body(surface, surface.pose, 0.0)
     for _ in range(_MAX_STEPS):
         here = moved_rig(rig, prior.names, scale @ total)
-        residual = residuals(here, ties)
+        residual = _residuals(here, ties)
         good, noise = _good(residual, _freedom(ties))
         if np.abs(step).max() > _NEAR_STEP:
-            jacobian, _ = jacobians(here, prior, scale, ties)
+            jacobian, _ = _jacobians(here, prior, scale, ties)
         weight = good / (inflation * noise**2)
         score = np.einsum("n,nr,nrk->nk", weight, residual, jacobian)
         # Without a surface the last seven unknowns stay zero.
@@ -210,7 +210,7 @@ def _fit(
         step = change[:count]
         total = total + step
         body = None if body is None else body.moved(here, change[count:])
-        inflation = max(variance_inflation(score * np.sqrt(inflation), label), 1.0)
+        inflation = max(_variance_inflation(score * np.sqrt(inflation), label), 1.0)
         if np.abs(step).max() < _SMALL_STEP:
             break
     covariance = scale @ np.linalg.inv(matrix)[:count, :count] @ scale.T
@@ -240,7 +240,7 @@ def _improvement(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[f
     groups, as neighbouring points are correlated.
     """
     freedom, seen = _freedom(ties), np.isfinite(ties.pixels).all(axis=2)
-    both = [residuals(one, ties) for one in (rig, other)]
+    both = [_residuals(one, ties) for one in (rig, other)]
     good, _ = _good(both[1], freedom)
     squares = [(residual[good] ** 2).sum(axis=1) for residual in both]
     sums = np.bincount(label[good], squares[0] - squares[1])[np.unique(label[good])]
@@ -294,7 +294,7 @@ def _largest_change(step: Float[np.ndarray, " p"], prior: RigCovariance) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class _Body:
     """Pose and size of the object during the adjustment.
 
     Attributes
@@ -337,7 +337,7 @@ class Body:
         gap = np.einsum("na,na->n", normal, place - found.position)
         inside = (found.barycentric > 0.0).all(axis=1)
         noise = STD_OVER_MEDIAN * float(np.median(np.abs(gap[inside])))
-        _, shift = jacobians(rig, prior, scale, ties)
+        _, shift = _jacobians(rig, prior, scale, ties)
         rows = np.concatenate(
             [
                 np.einsum("na,ab,nbk->nk", normal, self.pose[:3, :3], shift),
@@ -349,14 +349,14 @@ class Body:
         weight = (inside & (np.abs(gap) < _MAX_DEVIATIONS * noise)) / noise**2
         score = (weight * gap)[:, None] * rows
         # Neighbouring points share errors, from overlapping windows and from the mesh.
-        weight /= max(variance_inflation(score[:, -7:], compact_groups(offset, GROUPS)), 1.0)
+        weight /= max(_variance_inflation(score[:, -7:], compact_groups(offset, _GROUPS)), 1.0)
         matrix = rows.T @ (weight[:, None] * rows)
         right = -rows.T @ (weight * gap)
         matrix[-1, -1] += _SIZE_SIGMA**-2
         right[-1] -= self.relative_size / _SIZE_SIGMA**2
         return matrix, right
 
-    def moved(self, rig: Rig, change: Float[np.ndarray, "7"]) -> "Body":
+    def moved(self, rig: Rig, change: Float[np.ndarray, "7"]) -> "_Body":
         """Apply a rotation about the centroid of the points, a shift, and a change of size.
 
         Parameters
@@ -382,7 +382,7 @@ class Body:
         return place - centre, centre
 
 
-def jacobians(
+def _jacobians(
     rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"], ties: Ties
 ) -> tuple[Float[np.ndarray, "n r k"], Float[np.ndarray, "n 3 k"]]:
     """Derivatives of the residuals and of the triangulated points with respect to steps of the rig.
@@ -396,7 +396,7 @@ def jacobians(
 
     Returns
     -------
-    (n, r, k) float [-]             of `residuals`
+    (n, r, k) float [-]             of `_residuals`
     (n, 3, k) float [m]             of `tie_points`
 
     Raises
@@ -448,7 +448,7 @@ def tie_points(rig: Rig, ties: Ties) -> Float[np.ndarray, "n 3"]:
     return triangulate(rig, ties.pixels, ties.covariance).point
 
 
-def residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
+def _residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
     """Whitened reprojection errors of each point, in standard deviations of the match.
 
     Parameters
@@ -466,7 +466,7 @@ def residuals(rig: Rig, ties: Ties) -> Float[np.ndarray, "n r"]:
     return _white(error[..., None], ties)[..., 0]
 
 
-def variance_inflation(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, " n"]) -> float:
+def _variance_inflation(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, " n"]) -> float:
     """Variance inflation by errors that neighbouring points share.
 
     It is the variance of sums of the score over groups, relative to that of independent points.

@@ -168,7 +168,7 @@ class _Run:
         """
         try:
             session = pack_session(item.path)
-            is_unmeasured = needs_motion(item.path)
+            is_unmeasured = _needs_motion(item.path)
         except PalpateError as error:
             self._fail(item, error)
             return
@@ -308,7 +308,7 @@ def motion_works(path: Path, packed: PackedSession, options: FitOptions) -> tupl
     return tuple(works)
 
 
-def needs_motion(path: Path) -> bool:
+def _needs_motion(path: Path) -> bool:
     """Whether a session's motion must still be measured in pictures.
 
     Parameters

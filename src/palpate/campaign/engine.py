@@ -29,7 +29,7 @@ T = TypeVar("T")
 _QUEUED_PER_THREAD = 2
 # Name of the temporary folder of a local cluster, in which Dask has one for all workers, and in
 # that one for each; all of it is removed with the cluster.
-LOCAL_FOLDER_PREFIX = "palpate-workers-"
+_LOCAL_FOLDER_PREFIX = "palpate-workers-"
 # Number of times that Dask may give up on a piece of work, after several workers died, before it
 # counts as failed.
 _MAX_DEATHS = 3
@@ -221,7 +221,7 @@ class Engine:
             raise self._lost_scheduler()
         error = future.exception()
         if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("palpate"):
-            raise InputError(f"a worker at {self.address} has no Palpate; {install_advice()}")
+            raise InputError(f"a worker at {self.address} has no Palpate; {_install_advice()}")
         if isinstance(error, PalpateError):
             return error
         if isinstance(error, self._library.KilledWorker):
@@ -267,11 +267,11 @@ def worker_share() -> tuple[Path, float | None]:
     limit = worker.memory_manager.memory_limit
     share = None if not limit else limit / worker.state.nthreads
     own = Path(worker.local_directory)
-    is_local = own.parents[1].name.startswith(LOCAL_FOLDER_PREFIX)
+    is_local = own.parents[1].name.startswith(_LOCAL_FOLDER_PREFIX)
     return (own.parent if is_local else own) / "palpate", share
 
 
-def install_advice() -> str:
+def _install_advice() -> str:
     """What to install on scheduler and workers, for messages."""
     return (
         "install the same everywhere, scheduler and workers: pip install"
@@ -371,10 +371,10 @@ def _own_environment() -> Iterator[None]:
 @contextmanager
 def _workers_folder() -> Iterator[str]:
     """A temporary folder for the workers; those of commands that were killed are removed."""
-    for other in Path(tempfile.gettempdir()).glob(f"{LOCAL_FOLDER_PREFIX}*"):
+    for other in Path(tempfile.gettempdir()).glob(f"{_LOCAL_FOLDER_PREFIX}*"):
         if is_abandoned(other / _LOCK_NAME):
             shutil.rmtree(other, ignore_errors=True)
-    folder = Path(tempfile.mkdtemp(prefix=LOCAL_FOLDER_PREFIX))
+    folder = Path(tempfile.mkdtemp(prefix=_LOCAL_FOLDER_PREFIX))
     lock = folder / _LOCK_NAME
     handle = take_lock(lock, folder)
     try:
@@ -490,7 +490,7 @@ def _check_workers(client: Any, address: str) -> None:
                 f"Palpate {theirs.get('palpate') or 'not at all'} instead of {__version__}"
             )
         if wrong:
-            raise InputError(f"{who} has {', '.join(wrong)}; {install_advice()}")
+            raise InputError(f"{who} has {', '.join(wrong)}; {_install_advice()}")
 
 
 def _comparable_version(name: str, version: str | None) -> str:

@@ -43,7 +43,7 @@ from palpate.records import (
 )
 
 # Deviance at the edge of the 50 and 95 % regions: chi squared with two degrees of freedom.
-REGIONS = {50: 1.3863, 95: 5.9915}
+_REGIONS = {50: 1.3863, 95: 5.9915}
 MAX_DEVIANCE = 16.0  # the likelihood is shown up to this deviance
 _SYMBOLS = {
     "poisson_ratio": r"Poisson's ratio $\nu$",
@@ -128,7 +128,7 @@ def likelihood_figure(result: FitResult) -> Figure:
     figure = Figure(figsize=(4.6, 3.9))
     axes = figure.add_axes((0.14, 0.12, 0.82, 0.70))
     # A spline may dip below zero.
-    levels = [min(0.0, float(deviance.min())) - 1e-9, *REGIONS.values()]
+    levels = [min(0.0, float(deviance.min())) - 1e-9, *_REGIONS.values()]
     axes.contourf(nu, shear, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE])
     axes.contour(nu, shear, deviance, levels=levels[1:], colors=BLUE, linewidths=0.8)
     axes.set(xlim=(nu[0], nu[-1]), ylim=(shear[0], shear[-1]))
@@ -136,7 +136,7 @@ def likelihood_figure(result: FitResult) -> Figure:
     axes.set(xlabel=r"Poisson's ratio $\nu$", ylabel=f"shear modulus $G$ ({unit})")
     patches = {
         f"both together, {share} %": Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
-        for share, colour in zip(REGIONS, (MIDDLE_BLUE, PALE_BLUE), strict=True)
+        for share, colour in zip(_REGIONS, (MIDDLE_BLUE, PALE_BLUE), strict=True)
     }
     handles = patches | _interval_lines(axes, estimate, nu, factor)
     figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=2, columnspacing=1.4)

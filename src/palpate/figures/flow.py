@@ -63,7 +63,7 @@ CAUSE_COLOURS = {
 # Colour maps without grey, which means "no value".
 _OPTICAL, _LENGTH, _SIGMA = "plasma", "viridis", "magma"
 _NO_LIMIT = 1e30  # end of a scale without values
-MARGIN = 0.05  # around the object, as a fraction of its size in the picture
+_MARGIN = 0.05  # around the object, as a fraction of its size in the picture
 MAX_PIXELS = 700  # along a side of a panel; a page shows no more
 GREYS = (-0.16, 1.14)  # levels of black and white, for a slightly paler picture
 OPACITY = 0.85  # of colours, so that the texture shows through faintly
@@ -311,7 +311,7 @@ def make_flow_view(
     if len(rows):
         first = np.array([columns.min(), rows.min()])
         last = np.array([columns.max(), rows.max()])
-        more = int(np.ceil(MARGIN * (last - first).max())) + 2
+        more = int(np.ceil(_MARGIN * (last - first).max())) + 2
         low, high = np.maximum(first - more, 0), np.minimum(last + more + 1, size)
     stride = int(np.ceil((high - low).max() / MAX_PIXELS))
     part = (slice(low[1], high[1], stride), slice(low[0], high[0], stride))

@@ -72,7 +72,7 @@ class _Bench:
             parts, "" if parts is None else content_digest((config, self.rig, variant.name))
         )
         instants = [
-            instant_name(probe, number)
+            _instant_name(probe, number)
             for probe in config.probes
             for number in range(1, probe.steps + 1)
         ]
@@ -299,7 +299,7 @@ def _photographed(bench: _Bench, k: int, body: Body, interpolation: csr_array) -
     for number, state in enumerate(states, start=1):
         after = mesh.vertices + interpolation @ state.displacement
         rod = rod_at(tip, state.tip_position, rig.cameras)
-        name = instant_name(probe, number)
+        name = _instant_name(probe, number)
         exposed = exposure(config, before, after)
         files |= bench.photograph(name, 1000 * (k + 1) + number, exposed, rod)
         before = after
@@ -374,7 +374,7 @@ def _check_view(rig: Rig, mesh: TriangleMesh) -> None:
             )
 
 
-def instant_name(probe: Probe, number: int) -> str:
+def _instant_name(probe: Probe, number: int) -> str:
     """Name of a probing's pictures at one load step.
 
     Parameters
@@ -429,7 +429,7 @@ def probe_tables(
     """
     last, force, position = states[-1], config.force_sensor, config.position_sensor
     travel = last.depth * tip.direction
-    loaded = [instant_name(probe, number) for number in range(1, probe.steps + 1)]
+    loaded = [_instant_name(probe, number) for number in range(1, probe.steps + 1)]
     session = {
         "name": probe.name,
         "contact": {

@@ -229,7 +229,7 @@ def flow_summary(title: str, tests: Tests) -> ResultTable:
         "angle sigma, first step (deg)", "steps",
     )  # fmt: skip
     cells = [
-        (motion, source, _MM * _worst([length_bias(row) for row in rows]),
+        (motion, source, _MM * _worst([_length_bias(row) for row in rows]),
          _worst([_millimetres(row.length)[1] for row in rows]), _degrees(rows[0].angle)[1],
          len(rows))
         for motion, source, rows in _each(tests)
@@ -259,7 +259,7 @@ def vertex_summary(title: str, tests: Tests) -> ResultTable:
     return ResultTable(title, columns, (0, 0, 2, 2, 2, 2, 0), tuple(cells))
 
 
-def length_bias(row: MotionRow) -> float:
+def _length_bias(row: MotionRow) -> float:
     """Mean length in table 1 minus the true length.
 
     The paper's stage did not reach the commanded positions exactly, so its encoder counts as the
@@ -389,7 +389,7 @@ def flow_curves(tests: Tests) -> Picture:
 
 def _shown_bias(row: MotionRow) -> float:
     """Absolute bias of the length [mm], at least `_MIN_BIAS`."""
-    return max(1e3 * abs(length_bias(row)), _MIN_BIAS)
+    return max(1e3 * abs(_length_bias(row)), _MIN_BIAS)
 
 
 @styled

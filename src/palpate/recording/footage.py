@@ -160,7 +160,7 @@ def _video_frames(footage: Footage) -> Iterator[Frame]:
         )
 
 
-def header_frame_count(footage: Footage) -> int:
+def _header_frame_count(footage: Footage) -> int:
     """Number of frames according to the file's header.
 
     Parameters
@@ -250,7 +250,7 @@ class CameraMotion:
         return float(np.median(np.diff(self.time)))
 
 
-def downsampled(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"]:
+def _downsampled(grey: Shaped[np.ndarray, "_ _"]) -> Float[np.ndarray, "rows columns"]:
     """A picture downsampled by averaging blocks of pixels.
 
     Parameters
@@ -287,9 +287,9 @@ def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMot
     times: list[float] = []
     speeds, changes = [np.nan], [0.0]
     first = before = np.zeros((0, 0), dtype=np.float32)
-    announced = header_frame_count(footage)
+    announced = _header_frame_count(footage)
     for frame in read_frames(footage):
-        picture = downsampled(frame.grey)
+        picture = _downsampled(frame.grey)
         if times:
             speeds.append(_rms(picture - before))
             changes.append(_rms(picture - first))
@@ -403,7 +403,7 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | 
             kept = []
         if waiting and waiting[0].shows(frame.time):
             kept = _thinned(kept)
-            kept.append((frame.time, downsampled(frame.grey)))
+            kept.append((frame.time, _downsampled(frame.grey)))
     for press in waiting:
         found.append(_ramp(press, kept))
         kept = []

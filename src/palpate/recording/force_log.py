@@ -154,7 +154,7 @@ def read_force_log(gauge: Gauge) -> ForceLog:
                                     decrease, implausible forces
     InputError                      the optional package for bags is missing
     """
-    table = read_log_table(gauge.file, topic=gauge.topic, wanted=FORCES, cure=_CURE)
+    table = read_log_table(gauge.file, topic=gauge.topic, wanted=_FORCES, cure=_CURE)
     (time,) = _columns(table, [gauge.time] if gauge.time else [], _TIME_WORDS, 1, _TIME_ADVICE)
     count = len(gauge.axes)
     columns = _columns(table, gauge.columns, _FORCE_WORDS, count, _FORCE_ADVICE.format(count))
@@ -325,7 +325,7 @@ class LoggedQuantity:
     kinds: Mapping[str, str]
 
 
-FORCES = LoggedQuantity(
+_FORCES = LoggedQuantity(
     "force",
     ("fx [N]", "fy [N]", "fz [N]"),
     {

@@ -292,7 +292,7 @@ def _place_press(
         point = source.points[press.number - 1]
     elif source.poses is not None:
         poses = read_poses(source.poses, metres_per_unit=unit, topic=source.topic)
-        point, travel, travel_std = tip_motion(poses, press.touch, press.reading)
+        point, travel, travel_std = _tip_motion(poses, press.touch, press.reading)
     elif model is not None:
         point, std = _contact_from_motion(folder, recording, press, model)
     place = closest_points(recording.mesh, point[None])
@@ -468,7 +468,7 @@ def read_poses(path: Path, *, metres_per_unit: float, topic: str | None = None) 
     return PoseLog(seconds * values[:, 0], metres * values[:, 1:], str(path))
 
 
-def tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3, Vector3, float]:
+def _tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3, Vector3, float]:
     """Contact point, displacement of the tip up to the reading, and its standard deviation.
 
     Contact is detected with a delay of up to a tenth of a second; the contact point is taken as

@@ -110,17 +110,17 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
     pictures, missing = _pictures(folder, [probing.name for probing in surface.probings])
     return {
         "name": surface.name,
-        "verdict": verdict(estimate),
-        "constants": constant_rows(estimate),
-        "probings": probing_rows(estimate),
-        "predictions": prediction_rows(estimate, surface),
-        "errors": error_rows(estimate),
-        "budget": budget_rows(estimate),
-        "rejected": rejection_rows(estimate),
+        "verdict": _verdict(estimate),
+        "constants": _constant_rows(estimate),
+        "probings": _probing_rows(estimate),
+        "predictions": _prediction_rows(estimate, surface),
+        "errors": _error_rows(estimate),
+        "budget": _budget_rows(estimate),
+        "rejected": _rejection_rows(estimate),
         "notes": (*estimate.notes, *estimate.details),
-        "seconds": second_rows(estimate),
-        "settings": setting_rows(estimate),
-        "inputs": input_rows(folder),
+        "seconds": _second_rows(estimate),
+        "settings": _setting_rows(estimate),
+        "inputs": _input_rows(folder),
         "log": read_text(folder / "log.txt") if (folder / "log.txt").is_file() else "",
         "drawings": {name: _drawing(folder / f"{name}.svg") for name in _DRAWINGS},
         "drawn": _DRAWINGS,
@@ -129,7 +129,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "scene": shown,
         "shown": [one["name"] for one in shown["probings"]],
         "left_out": shown["left_out"],
-        "unit": unit_of_moduli(estimate),
+        "unit": _unit_of_moduli(estimate),
         "style": _style(shown["colours"]),
         "script": (_TEMPLATES / "viewer.js").read_text(encoding="utf-8"),
     }
@@ -218,7 +218,7 @@ class Verdict:
     good: bool
 
 
-def verdict(estimate: Estimate) -> Verdict:
+def _verdict(estimate: Estimate) -> Verdict:
     """Verdict on an estimate.
 
     Parameters
@@ -237,7 +237,7 @@ def verdict(estimate: Estimate) -> Verdict:
     return Verdict(word, sentence, cure, status is Status.OK)
 
 
-def constant_rows(estimate: Estimate) -> list[dict[str, str]]:
+def _constant_rows(estimate: Estimate) -> list[dict[str, str]]:
     """Rows of the constants with their intervals.
 
     Parameters
@@ -257,7 +257,7 @@ def constant_rows(estimate: Estimate) -> list[dict[str, str]]:
     return rows
 
 
-def probing_rows(estimate: Estimate) -> list[list[str]]:
+def _probing_rows(estimate: Estimate) -> list[list[str]]:
     """Rows of each probing alone; moduli in the unit of the joint Young's modulus.
 
     Parameters
@@ -289,7 +289,7 @@ def _alone(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
     return constant_text(getattr(probe, name), factor=factor)
 
 
-def prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str]]:
+def _prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str]]:
     """Rows of each probing's prediction from the other probings.
 
     Parameters
@@ -326,7 +326,7 @@ def _rms(vectors: Points) -> float:
     return float(np.sqrt((vectors[known] ** 2).sum(axis=1).mean())) if known.any() else math.nan
 
 
-def error_rows(estimate: Estimate) -> list[list[str]]:
+def _error_rows(estimate: Estimate) -> list[list[str]]:
     """Rows of the systematic errors: prior, estimate, and estimate over prior standard deviation.
 
     Parameters
@@ -340,7 +340,7 @@ def error_rows(estimate: Estimate) -> list[list[str]]:
     return [_error_row(one) for one in every_error(estimate)]
 
 
-def budget_rows(estimate: Estimate) -> list[list[str]]:
+def _budget_rows(estimate: Estimate) -> list[list[str]]:
     """Rows of the uncertainty budget.
 
     Parameters
@@ -387,7 +387,7 @@ def _error_row(error: ErrorEstimate) -> list[str]:
     ]  # fmt: skip
 
 
-def rejection_rows(estimate: Estimate) -> list[list[str]]:
+def _rejection_rows(estimate: Estimate) -> list[list[str]]:
     """Rows of the points of each probing that were not measured or were rejected.
 
     Parameters
@@ -414,7 +414,7 @@ def _counted(count: int, every: int) -> str:
     return f"{count} ({100 * count / every:.0f} %)" if every else "0"
 
 
-def second_rows(estimate: Estimate) -> list[list[str]]:
+def _second_rows(estimate: Estimate) -> list[list[str]]:
     """Rows of the wall time of every stage [s].
 
     Parameters
@@ -431,7 +431,7 @@ def second_rows(estimate: Estimate) -> list[list[str]]:
     ]
 
 
-def setting_rows(estimate: Estimate) -> dict[str, Any]:
+def _setting_rows(estimate: Estimate) -> dict[str, Any]:
     """The settings of an estimate: `command`, `versions`, and all `others` as rows.
 
     Parameters
@@ -462,7 +462,7 @@ def _setting(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def input_rows(folder: Path) -> list[list[str]]:
+def _input_rows(folder: Path) -> list[list[str]]:
     """Rows of the input files of a result, with their SHA-256 checksums.
 
     Parameters
@@ -483,8 +483,8 @@ def input_rows(folder: Path) -> list[list[str]]:
     return [[Path(name).name, digest] for digest, _, name in pairs]
 
 
-def unit_of_moduli(estimate: Estimate) -> str:
-    """Unit of the moduli in `probing_rows`.
+def _unit_of_moduli(estimate: Estimate) -> str:
+    """Unit of the moduli in `_probing_rows`.
 
     Parameters
     ----------

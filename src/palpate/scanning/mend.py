@@ -95,7 +95,7 @@ def mend(mesh: TriangleMesh, support: Plane | None = None) -> Mended:
     _refuse_cavities(before, mesh)
     if support is not None:
         support = _upward(support, mesh)
-    mesh, guessed, more = closed(mesh, support)
+    mesh, guessed, more = _closed(mesh, support)
     actions += more
     patches = compacted(mesh.vertices, mesh.triangles[guessed]) if guessed.any() else None
     _refuse_sheet(mesh)
@@ -311,7 +311,7 @@ def rims(triangles: Triangles) -> list[Chain]:
     return chains
 
 
-def closed(
+def _closed(
     mesh: TriangleMesh, support: Plane | None
 ) -> tuple[TriangleMesh, Bool[np.ndarray, " _"], list[Action]]:
     """Close holes by flat patches; those at the support, in its plane.

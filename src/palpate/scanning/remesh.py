@@ -250,7 +250,7 @@ def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:
 
 def _projected(free: TriangleMesh, surface: TriangleMesh) -> TriangleMesh:
     """Project vertices onto a surface, except where that would flatten or invert triangles."""
-    _, place = nearest(free.vertices, surface)
+    _, place = _nearest(free.vertices, surface)
     before = _smallest_angles(free.vertices, free.triangles)
     normal = area_vectors(free)
     for _ in range(_ROUNDS):
@@ -305,10 +305,10 @@ def distances(points: Points, mesh: TriangleMesh) -> PointScalars:
     ------
     InputError                      a package of the extra `surface` is not installed
     """
-    return nearest(points, mesh)[0]
+    return _nearest(points, mesh)[0]
 
 
-def nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
+def _nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
     """Distance of points from a surface, and the closest points on it.
 
     Parameters

@@ -90,7 +90,7 @@ class ScannedSurface:
     mesh: TriangleMesh
     sigma: Float[np.ndarray, " v"]
     guessed: Bool[np.ndarray, " m"]
-    agreements: tuple[Agreement, ...]
+    _agreements: tuple[Agreement, ...]
     views: tuple[View, ...]
     distance: tuple[float, float]
     volume_std: float
@@ -126,7 +126,7 @@ def scan_surface(
     MeshError                       the surface does not close, or needs more triangles
     """
     views = posed(views, progress=part_of(progress, 0.0, 0.3))
-    found = agreements(views)
+    found = _agreements(views)
     points = np.concatenate([view.points for view in views])
     normals = np.concatenate([view.normals for view in views])
     sigma = np.concatenate([view.sigma for view in views])
@@ -199,7 +199,7 @@ def _volume_std(mesh: TriangleMesh, sigma: Float[np.ndarray, " v"]) -> float:
     return float(np.sqrt(((area * sigma)[known] ** 2).sum()))
 
 
-def agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
+def _agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
     """Check the agreement of views, all in one frame, with each other.
 
     Parameters

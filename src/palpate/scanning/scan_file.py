@@ -50,12 +50,12 @@ Pose = Float[np.ndarray, "4 4"]
 # Neighbours in its own view, itself included, that define a point's tangent plane.
 _NEIGHBOURS = 24
 _MIN_POINTS = 50
-POINT_SUFFIXES = (".ply", ".pcd", ".e57", ".npy", ".xyz", ".txt", ".csv", ".asc")
+_POINT_SUFFIXES = (".ply", ".pcd", ".e57", ".npy", ".xyz", ".txt", ".csv", ".asc")
 _MAX_POINT_BYTES = 2**30
 # Smallest plausible extent and largest plausible coordinate [m]; otherwise the unit is wrong.
 _SPAN = (1e-6, 1e4)
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
-DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
+_DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 _MAX_DEPTH_BYTES = 2**28
 # Plausible range of depth [m].
 _NEAREST, _FARTHEST = 0.02, 30.0
@@ -278,9 +278,9 @@ def _view(table: TomlTable, number: int, setup: _Setup) -> tuple[View, list[Path
     make: Callable[..., View] = partial(
         make_view, file.name, sigma=setup.sigma, eye=None if eye is None else setup.unit * eye
     )
-    if file.suffix.lower() in DEPTH_SUFFIXES and setup.camera is not None:
+    if file.suffix.lower() in _DEPTH_SUFFIXES and setup.camera is not None:
         points = depth_points(file, setup.camera, metres_per_level=setup.metres_per_level)
-    elif file.suffix.lower() in POINT_SUFFIXES:
+    elif file.suffix.lower() in _POINT_SUFFIXES:
         points = read_points(file, metres_per_unit=setup.unit)
     else:
         table.fail("file", f"is {file.name}; a depth map needs a [depth] table with its camera")
@@ -388,10 +388,10 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
     InputError                      the optional package for E57 is missing
     """
     suffix = path.suffix.lower()
-    if suffix not in POINT_SUFFIXES:
+    if suffix not in _POINT_SUFFIXES:
         raise RecordError(
             f"{path}: point files of type '{suffix}' are not read; convert it to one of"
-            f" {' '.join(POINT_SUFFIXES)}"
+            f" {' '.join(_POINT_SUFFIXES)}"
         )
     content = read_bytes(path, max_bytes=_MAX_POINT_BYTES)
     if suffix == ".e57":

@@ -125,9 +125,9 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
     lines = [
         "** SI units; made by Palpate, see README.txt",
         "*NODE, NSET=ALL",
-        *numbered_lines(model.nodes),
+        *_numbered_lines(model.nodes),
         "*ELEMENT, TYPE=C3D10, ELSET=BODY",
-        *numbered_lines(model.solid.elements),
+        *_numbered_lines(model.solid.elements),
         "*NSET, NSET=HELD",
         *(f"{node + 1}," for node in np.flatnonzero(model.held)),
         "*MATERIAL, NAME=ESTIMATED",
@@ -315,7 +315,7 @@ def _array(name: str, kind: str, values: np.ndarray, components: int) -> Iterabl
     yield (
         f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="ascii">'
     )
-    yield number_text(values)
+    yield _number_text(values)
     yield "</DataArray>"
 
 
@@ -343,17 +343,17 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
     loaded = np.flatnonzero(model.linear_load.any(axis=1))
     push = ""
     if body.push is not None:
-        forces = number_text(model.linear_load[loaded])
-        push = f'    <ConstantForceField indices="{number_text(loaded)}" forces="{forces}"/>\n'
+        forces = _number_text(model.linear_load[loaded])
+        push = f'    <ConstantForceField indices="{_number_text(loaded)}" forces="{forces}"/>\n'
     plugins = "\n".join(f'  <RequiredPlugin name="Sofa.Component.{name}"/>' for name in _PLUGINS)
     text = _SCENE.format(
         plugins=plugins,
-        position=number_text(model.nodes),
-        tetrahedra=number_text(model.linear),
+        position=_number_text(model.nodes),
+        tetrahedra=_number_text(model.linear),
         mass=enclosed_volume(body.session.mesh) * body.density,
         young=body.material.young_modulus,
         poisson=body.material.poisson_ratio,
-        held=number_text(np.flatnonzero(model.held)),
+        held=_number_text(np.flatnonzero(model.held)),
         push=push,
     )
     write_text(folder / "model.scn", text)
@@ -385,12 +385,12 @@ def write_mujoco(folder: Path, model: SolidModel) -> None:
     volume = enclosed_volume(body.session.mesh)
     text = _MODEL.format(
         name=body.session.path.parent.name.replace('"', "").replace("<", "").replace("&", ""),
-        mass=number_text(np.array([volume * body.density])),
-        point=number_text(model.nodes),
-        element=number_text(model.linear),
-        young=number_text(np.array([body.material.young_modulus])),
-        poisson=number_text(np.array([body.material.poisson_ratio])),
-        pin=number_text(np.flatnonzero(model.held)),
+        mass=_number_text(np.array([volume * body.density])),
+        point=_number_text(model.nodes),
+        element=_number_text(model.linear),
+        young=_number_text(np.array([body.material.young_modulus])),
+        poisson=_number_text(np.array([body.material.poisson_ratio])),
+        pin=_number_text(np.flatnonzero(model.held)),
     )
     write_text(folder / "model.xml", text)
     write_replay(folder, model, model.linear_load)
@@ -412,7 +412,7 @@ MUJOCO = Format(
 )
 
 
-def number_text(values: Shaped[np.ndarray, "..."]) -> str:
+def _number_text(values: Shaped[np.ndarray, "..."]) -> str:
     """Numbers separated by spaces, floating-point ones with nine digits.
 
     Parameters
@@ -429,7 +429,7 @@ def number_text(values: Shaped[np.ndarray, "..."]) -> str:
     return " ".join(f"{value:.9g}" for value in flat.tolist())
 
 
-def numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> Iterable[str]:
+def _numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> Iterable[str]:
     """Rows, each after its number from 1, separated by commas; nodes are numbered from 1, too.
 
     Parameters

@@ -60,7 +60,7 @@ MATERIAL = PhysxDeformableBodyMaterialCfg(
     density={density:.9g},
 )
 '''
-SURFACE = "surface.obj"
+_SURFACE = "surface.obj"
 # Largest number of vertices that may be touched: those nearest to the session's contacts.
 _NODES = 400
 _STAGE = """#usda 1.0
@@ -125,7 +125,7 @@ def write_genesis(folder: Path, model: SolidModel) -> None:
     vertex[nodes] = np.arange(len(nodes))
     triangles = triangles.reshape(-1, 3)
     held = np.flatnonzero(model.held[nodes]).tolist()
-    write_mesh(folder / SURFACE, TriangleMesh(model.nodes[nodes], triangles))
+    write_mesh(folder / _SURFACE, TriangleMesh(model.nodes[nodes], triangles))
     write_text(folder / "held.json", json_text({"vertices": held}))
     text = _SCENE.format(
         volume=enclosed_volume(surface) / len(model.linear),
@@ -163,7 +163,7 @@ def write_isaaclab(folder: Path, body: EstimatedObject) -> None:
     ------
     RecordError                     a file cannot be written
     """
-    write_obj_and_script(folder, body, "body.py", _ISAACLAB_TEXT)
+    _write_obj_and_script(folder, body, "body.py", _ISAACLAB_TEXT)
 
 
 ISAACLAB = Format(
@@ -187,10 +187,10 @@ def write_obj(folder: Path, body: EstimatedObject) -> None:
     ------
     RecordError                     the file cannot be written
     """
-    write_mesh(folder / SURFACE, body.session.mesh)
+    write_mesh(folder / _SURFACE, body.session.mesh)
 
 
-def write_obj_and_script(folder: Path, body: EstimatedObject, name: str, text: str) -> None:
+def _write_obj_and_script(folder: Path, body: EstimatedObject, name: str, text: str) -> None:
     """Write surface.obj, and a script with the material for a simulator that meshes the interior.
 
     Parameters

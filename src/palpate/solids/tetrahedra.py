@@ -52,7 +52,7 @@ _MAX_DEVIATION = 0.4
 # Largest number of elements along a body: the candidate points are many times finer still.
 _MAX_ELEMENTS_ACROSS = 2000
 _NONE = np.zeros((0, 3))
-Spacing = Callable[[np.ndarray], np.ndarray]
+_Spacing = Callable[[np.ndarray], np.ndarray]
 # Least distance of points, as a fraction of the spacing: thinned points lie 1.0 to 2.0 times this
 # apart, about 1.35 times after smoothing.
 _NEAREST = 0.75
@@ -150,9 +150,9 @@ def make_solid(
         if not (np.isfinite(radius) and radius >= 0.0):
             raise InputError(f"radius of a fine place is {radius}; must not be negative")
     mesh, _ = checked_mesh(mesh)
-    spacing = make_spacing(edge, fine)
-    shell = surface_points(mesh, spacing, closest_points(mesh, marked).position)
-    inner = volume_points(mesh, spacing, shell)
+    spacing = _make_spacing(edge, fine)
+    shell = _surface_points(mesh, spacing, closest_points(mesh, marked).position)
+    inner = _volume_points(mesh, spacing, shell)
     if len(shell) < 4 or not len(inner):
         raise MeshError(
             f"an edge of {1e3 * edge:.3g} mm leaves no point inside the body; use a smaller edge"
@@ -284,7 +284,7 @@ def _is_outer(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
 
 
 def _tetrahedra(
-    mesh: TriangleMesh, shell: Points, inner: Float[np.ndarray, "k 3"], spacing: Spacing
+    mesh: TriangleMesh, shell: Points, inner: Float[np.ndarray, "k 3"], spacing: _Spacing
 ) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "m 4"]]:
     """Delaunay tetrahedra that fill the body, with smoothed interior points."""
     count = len(shell)
@@ -299,7 +299,7 @@ def _tetrahedra(
     return points[used], cells.reshape(-1, 4)
 
 
-def _smoothed(points: Points, cells: Int[np.ndarray, "m 4"], spacing: Spacing) -> Points:
+def _smoothed(points: Points, cells: Int[np.ndarray, "m 4"], spacing: _Spacing) -> Points:
     """Every point moved to the mean of its cells' centroids, weighted by volume over wanted volume.
 
     Source
@@ -332,7 +332,7 @@ def _inner_cells(
     not_flat = _shape(corner) > 1e-6
     keep[surface_only[~not_flat]] = False
     centre = corner[not_flat].mean(axis=1)
-    keep[surface_only[not_flat][~inside(mesh, centre)]] = False
+    keep[surface_only[not_flat][~_inside(mesh, centre)]] = False
     cells = cells[keep]
     while True:
         outer = _is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
@@ -342,7 +342,7 @@ def _inner_cells(
         cells = cells[~peel]
 
 
-def make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -> Spacing:
+def _make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -> _Spacing:
     """Wanted spacing of points as a function of position.
 
     Parameters
@@ -372,15 +372,15 @@ def make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -
     return spacing
 
 
-def surface_points(
-    mesh: TriangleMesh, spacing: Spacing, marked: Float[np.ndarray, "k 3"]
+def _surface_points(
+    mesh: TriangleMesh, spacing: _Spacing, marked: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Evenly spaced points on a surface, including points on its sharp edges and corners.
 
     Parameters
     ----------
     mesh : TriangleMesh                 closed
-    spacing : (n, 3) -> (n,) [m]        of `make_spacing`
+    spacing : (n, 3) -> (n,) [m]        of `_make_spacing`
     marked : (k, 3) float [m]           points of the surface that are included, except those too
                                         close to a sharp edge or to each other
 
@@ -406,13 +406,15 @@ def surface_points(
     return points
 
 
-def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[np.ndarray, "k 3"]:
+def _volume_points(
+    mesh: TriangleMesh, spacing: _Spacing, shell: Points
+) -> Float[np.ndarray, "k 3"]:
     """Points inside a closed surface, at a distance from the points on it.
 
     Parameters
     ----------
     mesh : TriangleMesh                 closed, outward normals
-    spacing : (n, 3) -> (n,) [m]        of `make_spacing`
+    spacing : (n, 3) -> (n,) [m]        of `_make_spacing`
     shell : (n, 3) float [m]            the points on the surface
 
     Returns
@@ -434,12 +436,12 @@ def volume_points(mesh: TriangleMesh, spacing: Spacing, shell: Points) -> Float[
     distance, _ = cKDTree(shell).query(points)
     # The cheap test first: testing whether points are inside is costly.
     points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
-    points = points[inside(mesh, points)]
+    points = points[_inside(mesh, points)]
     gap = closest_points(mesh, points).distance
     return points[gap > _OFF_SURFACE * spacing(points)]
 
 
-def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
+def _inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     """Which points lie inside a closed surface with outward normals.
 
     Parameters
@@ -479,7 +481,7 @@ def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     return np.einsum("na,na->n", points - closest.position, normal) < 0.0
 
 
-def _crease_candidates(mesh: TriangleMesh, spacing: Spacing) -> Points:
+def _crease_candidates(mesh: TriangleMesh, spacing: _Spacing) -> Points:
     """Corners, where sharp edges end or turn, followed by points along the sharp edges."""
     normals = unit_normals(mesh)
     sides = _sides(mesh)
@@ -521,7 +523,7 @@ def _pointed(mesh: TriangleMesh, normals: Float[np.ndarray, "m 3"]) -> Bool[np.n
     return pointed
 
 
-def _surface_candidates(mesh: TriangleMesh, spacing: Spacing) -> tuple[Points, PointScalars]:
+def _surface_candidates(mesh: TriangleMesh, spacing: _Spacing) -> tuple[Points, PointScalars]:
     """Candidate points on a surface, and the fraction of a wanted point that each represents."""
     corner, small = mesh.vertices[mesh.triangles], []
     while len(corner):
@@ -556,7 +558,7 @@ def _lattice(low: np.ndarray, high: np.ndarray, cell: float) -> Points:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _thinned(points: Points, spacing: Spacing) -> Float[np.ndarray, "k 3"]:
+def _thinned(points: Points, spacing: _Spacing) -> Float[np.ndarray, "k 3"]:
     """Greedy thinning in the given order: drops points too close to one already kept."""
     if not len(points):
         return points

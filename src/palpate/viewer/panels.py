@@ -40,7 +40,7 @@ _NU_STEP, _LARGEST_NU = 0.001, 0.499
 # Duration of each picture when played [s].
 _PACE = 0.4
 _MAX_FLOW_MAGNIFICATION = 30
-PRESS, CONTACT, FACE, HOLD, FREE = WHAT = (
+PRESS, CONTACT, FACE, HOLD, _FREE = WHAT = (
     "presses the object", "sets the contact of the probing", "holds the flat face",
     "holds what is near", "frees what is near",
 )  # fmt: skip

@@ -104,7 +104,7 @@ def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
     )
 
 
-def fitted_probings(session: Session, result: FitResult) -> tuple[FittedProbing, ...]:
+def _fitted_probings(session: Session, result: FitResult) -> tuple[FittedProbing, ...]:
     """All probings with the quantities of a fit.
 
     Parameters
@@ -248,7 +248,7 @@ class BackgroundWork:
             self.model_text = f"the session cannot be fitted: {error}"
             return
         if self.subject.surface is None:
-            self.probings = fitted_probings(session, fitted)
+            self.probings = _fitted_probings(session, fitted)
         self.model_text, self.fitted = "", fitted
 
     def _prepare_touch(self, session: Session) -> None:
