@@ -83,7 +83,7 @@ _LONGEST_FIRST = (
     "tests/geometry/registration",
     "tests/pipeline/test_flow_methods.py",
     "tests/pipeline/test_measure_motion.py",
-    "tests/lab/bench",
+    "tests/lab/test_facility.py",
     "tests/calibration",
     "tests/scanning",
     "tests/vision/joint",

@@ -16,7 +16,7 @@ from palpate.api import Result
 from palpate.errors import InputError
 from palpate.records import read_session
 from palpate.viewer import read_subject
-from palpate.viewer.placement import Draft
+from palpate.viewer.clicking import Draft
 from palpate.viewer.stage import text_html
 from palpate.viewer.subject import BackgroundWork
 

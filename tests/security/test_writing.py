@@ -6,7 +6,7 @@ from security.fake_page import opened_tab
 
 from palpate.records import read_session
 from palpate.viewer import read_subject
-from palpate.viewer.placement import Draft, draft_files, write_draft
+from palpate.viewer.clicking import Draft, draft_files, write_draft
 from palpate.viewer.subject import BackgroundWork
 
 

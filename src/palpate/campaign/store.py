@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from palpate.campaign.rows import COLUMNS, WAITING, Row, constants_of
-from palpate.campaign.work import ESTIMATE_FILE, Outcome, Package, Work, check_package
+from palpate.campaign.work import (
+    ESTIMATE_FILE,
+    Outcome,
+    Package,
+    Work,
+    check_package,
+    real_session_file,
+)
 from palpate.disk import created_folder, write_bytes
 from palpate.errors import InputError, RecordError, quoted
 from palpate.files import read_bytes
@@ -323,7 +330,7 @@ def _in_folder(folder: Path) -> Iterator[CampaignItem]:
 
 
 def _in_list(file: Path) -> Iterator[CampaignItem]:
-    line_of: dict[str, int] = {}
+    line_of: dict[Path, int] = {}
     for number, line in enumerate(read_text(file).splitlines(), start=1):
         name, _, group = (part.strip() for part in line.partition("#")[0].partition(","))
         if not name:
@@ -331,7 +338,7 @@ def _in_list(file: Path) -> Iterator[CampaignItem]:
         path = file.parent / name
         try:
             # The same for all spellings of the path, and for the folder and the file in it.
-            real = os.path.realpath(path / _SESSION_FILE if path.is_dir() else path)
+            real = real_session_file(path)
         except (OSError, ValueError) as error:
             raise RecordError(f"{file}, line {number}: {quoted(name)} cannot be a file") from error
         if real in line_of:

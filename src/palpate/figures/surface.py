@@ -3,15 +3,14 @@
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgb, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from palpate.figures.displacement import CLAY, HELD, SurfaceView, make_view, projected
+from palpate.figures.displacement import CLAY, SurfaceView, draw_body, make_view, projected
 from palpate.figures.style import (
     BLUE,
     GREY,
@@ -24,7 +23,7 @@ from palpate.figures.style import (
     three_panels,
     title_panel,
 )
-from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas, unit_normals
+from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas
 from palpate.pipeline import NextProbings
 from palpate.scanning import PreparedSurface, ScannedSurface, distances
 from palpate.shapes import Points, TriangleScalars, Vector3
@@ -61,17 +60,10 @@ def surface_figure(name: str, surface: PreparedSurface) -> Figure:
     """
     direction = _seen_from(surface)
     given, made = _view(surface.given, direction), make_view(surface.mesh, direction)
-    corners = np.concatenate([view.polygons.reshape(-1, 2) for view in (given, made)])
-    low, high = 1e3 * corners.min(axis=0), 1e3 * corners.max(axis=0)
-    margin = 0.04 * float((high - low).max())
-    figure, panels = three_panels(high - low + 2 * margin)
-    for axes in panels:
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-        axes.set_aspect("equal")
+    figure, panels = _panels_around([given, made], margin=0.04)
     _draw(panels[0], given, lined=len(surface.given.triangles) <= _MOST_LINED)
-    shown = _drawn_order(surface.mesh, direction)
     lined = len(surface.mesh.triangles) <= _MOST_LINED
-    _draw(panels[1], made, lined=lined, orange=surface.guessed[shown])
+    _draw(panels[1], made, lined=lined, orange=surface.guessed[made.triangle])
     places = np.array([action.place for action in surface.actions]).reshape(-1, 3)
     _mark(panels[0], given, places)
     gap = 1e3 * distances(
@@ -106,17 +98,10 @@ def scan_figure(name: str, surface: ScannedSurface) -> Figure:
     """
     mesh, direction = surface.mesh, _scan_direction(surface)
     made = make_view(mesh, direction)
-    corners = 1e3 * made.polygons.reshape(-1, 2)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = 0.06 * float((high - low).max())
-    figure, panels = three_panels(high - low + 2 * margin)
-    for axes in panels:
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-        axes.set_aspect("equal")
+    figure, panels = _panels_around([made], margin=0.06)
     _points_of_views(panels[0], made, surface, direction)
-    shown = _drawn_order(mesh, direction)
     lined = len(mesh.triangles) <= _MOST_LINED
-    _draw(panels[1], made, lined=lined, orange=surface.guessed[shown])
+    _draw(panels[1], made, lined=lined, orange=surface.guessed[made.triangle])
     corner = surface.sigma[mesh.triangles]
     known = np.isfinite(corner)
     sigma = np.where(known, corner, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
@@ -130,6 +115,18 @@ def scan_figure(name: str, surface: ScannedSurface) -> Figure:
     guessed = f"orange: not seen, {100.0 * share:.1f} % of the area; " if share else ""
     add_texts(figure, name, guessed + "grey on the right: no standard deviation", "")
     return figure
+
+
+def _panels_around(views: list[SurfaceView], *, margin: float) -> tuple[Figure, list[Axes]]:
+    """Three panels [mm] with room for all views; margin as a fraction of their larger side."""
+    corners = 1e3 * np.concatenate([view.polygons.reshape(-1, 2) for view in views])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    room = margin * float((high - low).max())
+    low, high = low - room, high + room
+    figure, panels = three_panels(high - low)
+    for axes in panels:
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    return figure, panels
 
 
 def _counted(count: int, what: str) -> str:
@@ -181,13 +178,6 @@ def _view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
     return make_view(both, direction)
 
 
-def _drawn_order(mesh: TriangleMesh, direction: Vector3) -> Int[np.ndarray, " k"]:
-    """Front-facing triangles in the order of `make_view`."""
-    front = np.flatnonzero(unit_normals(mesh) @ direction > 0.0)
-    depth = mesh.vertices[mesh.triangles[front]].mean(axis=1) @ direction
-    return front[np.argsort(depth)]
-
-
 def _draw(
     axes: Axes, view: SurfaceView, *, lined: bool, orange: Bool[np.ndarray, " m"] | None = None
 ) -> None:
@@ -225,7 +215,7 @@ def _coloured(
 ) -> None:
     """Draw triangles coloured by a value [mm], grey if unknown, with a colour bar below."""
     view = make_view(mesh, direction)
-    shown = value[_drawn_order(mesh, direction)]
+    shown = value[view.triangle]
     norm = Normalize(0.0, max(float(np.nanquantile(value, 0.99)), _SMALLEST))
     colours = ScalarMappable(norm, "magma_r").to_rgba(np.nan_to_num(shown))
     colours[np.isnan(shown)] = to_rgba(_PALE_GREY)
@@ -235,15 +225,7 @@ def _coloured(
         ),
         autolim=False,
     )
-    total = figure.get_figheight()
-    cell = axes.get_position(original=True)
-    place = (cell.x0 + 0.19 * cell.width, 0.61 / total, 0.62 * cell.width, 0.075 / total)
-    bar = figure.colorbar(
-        ScalarMappable(norm, "magma_r"), cax=figure.add_axes(place), orientation="horizontal",
-        extend="max", ticks=MaxNLocator(3),
-    )  # fmt: skip
-    bar.outline.set_linewidth(0.4)
-    bar.set_label(label, labelpad=2)
+    add_colour_bar(figure, [axes], "magma_r", norm, label)
 
 
 @styled
@@ -261,16 +243,11 @@ def next_probings_figure(name: str, found: NextProbings) -> Figure:
     """
     mesh = found.session.mesh
     views = [make_view(mesh, np.array(side) / np.linalg.norm(side)) for side in _SIDES]
-    corners = np.concatenate([1e3 * view.polygons.reshape(-1, 2) for view in views])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = 0.06 * float((high - low).max())
-    figure, panels = three_panels(high - low + 2 * margin)
+    figure, panels = _panels_around(views, margin=0.06)
     gain = _gain(found)
     norm = Normalize(0.0, max(float(gain.max(initial=0.0)), 1.0))
     for axes, view, title in zip(panels, views, _TITLES, strict=True):
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-        axes.set_aspect("equal")
-        _draw_held(axes, view, found)
+        draw_body(axes, view, np.isin(view.triangle, found.session.held_triangles))
         _mark_places(axes, view, found, gain, norm)
         title_panel(axes, title)
     add_colour_bar(figure, panels, _MAP, norm, "one push there narrows the interval of nu by [%]")
@@ -287,16 +264,6 @@ def _gain(found: NextProbings) -> np.ndarray:
     if not np.isfinite(now):
         now = float(np.max(after[np.isfinite(after)], initial=1.0))
     return 100.0 * np.clip(1.0 - np.where(np.isfinite(after), after, now) / now, 0.0, 1.0)
-
-
-def _draw_held(axes: Axes, view: SurfaceView, found: NextProbings) -> None:
-    colours = CLAY(view.brightness)
-    held = np.isin(view.triangle, found.session.held_triangles)
-    colours[held, :3] = (0.75 + 0.25 * view.brightness[held, None]) * np.array(to_rgb(HELD))
-    polygons = PolyCollection(
-        cast(Any, 1e3 * view.polygons), facecolors=colours, edgecolors=colours, linewidths=0.3
-    )
-    axes.add_collection(polygons, autolim=False)
 
 
 def _mark_places(

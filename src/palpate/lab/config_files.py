@@ -156,8 +156,8 @@ def _support(
     if not selectors and (stiffness is not None or "support" not in root.values):
         selectors = {"plane": _BASE}
     held = read_support(replace(table, values=selectors), body, metres_per_unit=1.0)
-    told = {} if stiffness is None else {"stiffness": stiffness}
-    return held, selectors | told, stiffness
+    layer = {} if stiffness is None else {"stiffness": stiffness}
+    return held, selectors | layer, stiffness
 
 
 def _check_edge(table: TomlTable, edge: float, lengths: Mapping[str, float]) -> None:

@@ -232,7 +232,7 @@ def flow_summary(title: str, tests: Tests) -> ResultTable:
         (motion, source, _MM * _worst([_length_bias(row) for row in rows]),
          _worst([_millimetres(row.length)[1] for row in rows]), _degrees(rows[0].angle)[1],
          len(rows))
-        for motion, source, rows in _each(tests)
+        for motion, source, rows in _listed(tests)
     ]  # fmt: skip
     return ResultTable(title, columns, (0, 0, 4, 4, 2, 0), tuple(cells))
 
@@ -254,7 +254,7 @@ def vertex_summary(title: str, tests: Tests) -> ResultTable:
     )  # fmt: skip
     cells = [
         (motion, source, *_degrees(rows[0].angle), *_degrees(rows[-1].angle), len(rows))
-        for motion, source, rows in _each(tests)
+        for motion, source, rows in _listed(tests)
     ]
     return ResultTable(title, columns, (0, 0, 2, 2, 2, 2, 0), tuple(cells))
 
@@ -284,7 +284,7 @@ def _instants(measured: PaperSession, method: Method) -> list[tuple[MeasuredMoti
     return list(zip(measured.found[method].motions, rigid_steps(measured.session), strict=True))
 
 
-def _each(tests: Tests) -> list[tuple[str, str, Sequence[MotionRow]]]:
+def _listed(tests: Tests) -> list[tuple[str, str, Sequence[MotionRow]]]:
     """Motion, source and rows of each source."""
     return [(motion, *each) for motion, rows in tests.items() for each in rows.items()]
 

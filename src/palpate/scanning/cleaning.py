@@ -122,7 +122,7 @@ def _without_flat(vertices: Vertices, triangles: Triangles, actions: list[Action
     longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
     areas = triangle_areas(TriangleMesh(vertices=vertices, triangles=triangles))
     flat = 2.0 * areas <= _DEGENERATE_HEIGHT * longest**2
-    _tell(actions, "degenerate triangle", flat, corner, "removed, their neighbours joined")
+    _record(actions, "degenerate triangle", flat, corner, "removed, their neighbours joined")
     return triangles[~flat]
 
 
@@ -133,11 +133,11 @@ def _without_copies(vertices: Vertices, triangles: Triangles, actions: list[Acti
     _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     copy = np.ones(len(triangles), dtype=bool)
     copy[first] = False
-    _tell(actions, "duplicate triangle", copy, vertices[triangles], "removed")
+    _record(actions, "duplicate triangle", copy, vertices[triangles], "removed")
     return triangles[~copy]
 
 
-def _tell(
+def _record(
     actions: list[Action],
     what: str,
     found: Bool[np.ndarray, " m"],

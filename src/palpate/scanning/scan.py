@@ -269,16 +269,16 @@ def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> No
     """
     write_mesh(folder / "mesh.ply", surface.mesh)
     if isinstance(surface, ScannedSurface):
-        said = _of_views(surface)
+        details = _of_views(surface)
         rows = np.column_stack([surface.mesh.vertices, surface.sigma])
         lines = ["x_m,y_m,z_m,sigma_m"]
         lines += [",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in rows]
         write_text(folder / "vertex_sigma.csv", "\n".join(lines) + "\n")
     else:
-        said = _of_mending(surface)
+        details = _of_mending(surface)
     content = {
         "format": MESH_FORMAT,
-        **said,
+        **details,
         "guessed_triangles": np.flatnonzero(surface.guessed),
         "quality": asdict(surface.quality),
     }

@@ -16,8 +16,18 @@ from palpate.geometry import closest_points
 from palpate.pipeline import FittedProbing
 from palpate.records import length_unit, modulus_unit
 from palpate.shapes import Vector3
+from palpate.viewer.clicking import (
+    Draft,
+    Pressed,
+    draft_files,
+    flat_face,
+    force_text,
+    place_ball,
+    press,
+    triangles_near,
+    write_draft,
+)
 from palpate.viewer.drawings import LikelihoodPlot, camera_picture, frames
-from palpate.viewer.placement import Draft, draft_files, flat_face, triangles_near, write_draft
 from palpate.viewer.stage import (
     FIELDS,
     MEASURED,
@@ -29,7 +39,6 @@ from palpate.viewer.stage import (
     text_html,
 )
 from palpate.viewer.subject import BackgroundWork, with_prediction
-from palpate.viewer.touch import Pressed, force_text, place_ball, press
 
 # Initial drawn length of the largest displacement, as a fraction of the object's size.
 _SHOWN = 0.06
@@ -192,13 +201,13 @@ class MaterialPanel:
         for slider in (self.modulus, self.ratio):
             slider.on_update(lambda _: self._ask())
         back.on_click(lambda _: self._back(nu, _short(best / self._unit)))
-        self._tell(nu, best, None)
+        self._show_numbers(nu, best, None)
 
     def _back(self, nu: float, modulus: float) -> None:
         """Return to the constants of the fit, not to the sliders' nearest steps."""
         self.modulus.value, self.ratio.value = modulus, round(nu, 3)
         self._look.override({})
-        self._tell(nu, modulus * self._unit, None)
+        self._show_numbers(nu, modulus * self._unit, None)
 
     def _ask(self) -> None:
         """Compute and show the model's prediction at the sliders' constants."""
@@ -215,9 +224,9 @@ class MaterialPanel:
         self._look.override(
             {one.name: with_prediction(one, found[one.name]) for one in self._background.probings}
         )
-        self._tell(nu, modulus, state)
+        self._show_numbers(nu, modulus, state)
 
-    def _tell(self, nu: float, modulus: float, state: ModelState | None) -> None:
+    def _show_numbers(self, nu: float, modulus: float, state: ModelState | None) -> None:
         """Update the numbers next to the sliders, and the cross in the plot."""
         young = 2.0 * modulus * (1.0 + nu) / self._unit
         misfit = 0.0 if state is None else max(state.misfit, 0.0)

@@ -21,10 +21,10 @@ import numpy as np
 from palpate.errors import InputError, PalpateError
 from palpate.optional_imports import late_import
 from palpate.records import verdict_text
+from palpate.viewer.clicking import ray_intersection
 from palpate.viewer.panels import LookPanel, MaterialPanel, PicturesPanel, SettingPanel, TouchPanel
 from palpate.viewer.stage import Stage, text_html
 from palpate.viewer.subject import BackgroundWork, Subject
-from palpate.viewer.touch import ray_intersection
 
 # Accept connections from this computer only.
 _HOST = "127.0.0.1"

@@ -311,8 +311,8 @@ def merged_labels(
     found = []
     for place, names in places:
         more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        told = next((text for name in names if (text := starts[name][1])), names[0])
-        found.append((told + more, place))
+        label = next((text for name in names if (text := starts[name][1])), names[0])
+        found.append((label + more, place))
     return found
 
 

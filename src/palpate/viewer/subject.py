@@ -238,12 +238,12 @@ class BackgroundWork:
     def _fit(self, session: Session) -> None:
         """Fit the session, for the model that the sliders query."""
 
-        def say(text: str, share: float) -> None:
+        def report(text: str, share: float) -> None:
             self.model_text = f"{text}, {share:.0%}"
             self._changed()
 
         try:
-            fitted = fit_session(session, cache=self.cache, progress=say)
+            fitted = fit_session(session, cache=self.cache, progress=report)
         except PalpateError as error:
             self.model_text = f"the session cannot be fitted: {error}"
             return

@@ -14,6 +14,7 @@ from palpate.records import read_rig
 
 _SIZE, _PLACES, _STILL, _MOVING = (320, 256), 5, 4, 3
 _BOARD = Chessboard(7, 5, 0.016)
+_WORDS = "--target chessboard --columns 7 --rows 5 --square 16mm --out"
 
 
 def _texture() -> tuple[np.ndarray, tuple[float, float]]:
@@ -58,9 +59,6 @@ def _films(folder: Path) -> np.ndarray:
             writer.write(cv2.merge([np.rint(noisy).astype(np.uint8)] * 3))
         writer.release()
     return truth.camera[1]
-
-
-_WORDS = "--target chessboard --columns 7 --rows 5 --square 16mm --out"
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The cut of a surface by its support's plane."""
+"""The part of a solid above a plane, such as the support."""
 
 import numpy as np
 import pytest

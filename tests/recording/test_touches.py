@@ -29,6 +29,8 @@ from palpate.recording.touches import (
     unreadable_reason,
 )
 
+_HEADING = "t,Fx [N],Fy [N],Fz [N],Tx [Nm]"
+
 
 def _log(time: np.ndarray, force: np.ndarray) -> ForceLog:
     gaps = tuple((time[k], time[k + 1]) for k in np.flatnonzero(np.diff(time) > 0.05))
@@ -145,9 +147,6 @@ def test_the_mean_of_filtered_readings_is_less_sure() -> None:
     # 300 means: their standard deviation is known to 4 %; the claim is from one series each.
     claimed = np.sqrt(np.mean(mean_std(series) ** 2))
     assert claimed == pytest.approx(series.mean(axis=0).std(), rel=0.2)
-
-
-_HEADING = "t,Fx [N],Fy [N],Fz [N],Tx [Nm]"
 
 
 def _gauge(file: Path, **changed) -> Gauge:
