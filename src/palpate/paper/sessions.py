@@ -32,7 +32,6 @@ METHODS: tuple[Method, ...] = ("lang-pai", "joint")
 _MAKING = 0.5
 # Quick runs: largest number of steps or probings, and divisor of the picture size.
 _QUICK_STEPS, _QUICK_SHRINK = 3, 2
-PAPER_COMPRESSION_MODULUS = 1.75
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -421,3 +420,4 @@ PAPER_PROBES = tuple(
 )
 # Table 3: all probings in one estimate, and the compression test of a cylinder ("about").
 PAPER_ALL_PROBES = MaterialRow(None, 0.1730, 0.7283, 1.709)
+PAPER_COMPRESSION_MODULUS = 1.75

@@ -90,7 +90,7 @@ class ScannedSurface:
     mesh: TriangleMesh
     sigma: Float[np.ndarray, " v"]
     guessed: Bool[np.ndarray, " m"]
-    _agreements: tuple[Agreement, ...]
+    agreements: tuple[Agreement, ...]
     views: tuple[View, ...]
     distance: tuple[float, float]
     volume_std: float

@@ -94,6 +94,59 @@ class NeoHookean:
         return moduli
 
 
+@dataclass(frozen=True, slots=True)
+class SplitNeoHookean:
+    """mu/2 (J^(-2/3) tr C - 3) + K/2 (J - 1)^2: deviatoric and volumetric parts uncoupled (`Law`).
+
+    Parameters
+    ----------
+    mu, lame : float [Pa]           Lame's constants; K = lambda + 2/3 mu
+
+    Source
+    ------
+    Holzapfel, Nonlinear solid mechanics (2000), sections 6.4 and 6.5: the neo-Hookean law of
+    Abaqus and CalculiX.
+    """
+
+    mu: float
+    lame: float
+
+    @property
+    def bulk(self) -> float:
+        """Bulk modulus [Pa]."""
+        return self.lame + 2.0 / 3.0 * self.mu
+
+    def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
+        """Of `Law`."""
+        volume, shear, squares = self._parts(gradient)
+        return 0.5 * (shear * squares - 3.0 * self.mu) + 0.5 * self.bulk * (volume - 1.0) ** 2
+
+    def stress(self, gradient: Gradient) -> Gradient:
+        """Of `Law`."""
+        volume, shear, squares = self._parts(gradient)
+        pressure = self.bulk * (volume - 1.0) * volume
+        inverse = _inverse_transposed(gradient)
+        return shear * gradient + (pressure - shear * squares / 3.0) * inverse
+
+    def moduli(self, gradient: Gradient) -> Moduli:
+        """Derivative of the stress, with dJ = J H : dF and dH_aA = -H_aB H_bA dF_bB, H = F^-T."""
+        volume, shear, squares = self._parts(gradient)
+        inverse = _inverse_transposed(gradient)
+        pressure = self.bulk * (volume - 1.0) * volume
+        rising = self.bulk * (2.0 * volume - 1.0) * volume
+        mixed = _outer(inverse, gradient)
+        moduli = (rising + 2.0 / 9.0 * shear * squares) * _outer(inverse, inverse)
+        moduli += (shear * squares / 3.0 - pressure) * _crossed(inverse)
+        moduli -= 2.0 / 3.0 * shear * (mixed + mixed.transpose(2, 3, 0, 1, 4, 5))
+        _add_unit(moduli, shear)
+        return moduli
+
+    def _parts(self, gradient: Gradient) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """J, mu J^(-2/3) and tr C."""
+        volume = _determinant(gradient)
+        return volume, self.mu * volume ** (-2.0 / 3.0), (gradient**2).sum(axis=(0, 1))
+
+
 def solve_finite(
     body: Body, load: Float[np.ndarray, "n 3"], *, law: LawOf = NeoHookean
 ) -> Float[np.ndarray, "n 3"]:
@@ -192,7 +245,7 @@ def energy(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> floa
     float [J]                       infinite if an element is inverted
     """
     gradient = deformation_gradient(basis, displacement)
-    if (np.linalg.det(gradient.transpose(2, 3, 0, 1)) <= 0.0).any():
+    if (_determinant(gradient) <= 0.0).any():
         return np.inf
     return float((law.density(gradient) * basis.dx).sum())
 
@@ -255,59 +308,6 @@ def deformation_gradient(
     """
     slopes = np.stack([basis.interpolate(component).grad for component in displacement.T])
     return np.eye(3)[:, :, None, None] + slopes
-
-
-@dataclass(frozen=True, slots=True)
-class SplitNeoHookean:
-    """mu/2 (J^(-2/3) tr C - 3) + K/2 (J - 1)^2: deviatoric and volumetric parts uncoupled (`Law`).
-
-    Parameters
-    ----------
-    mu, lame : float [Pa]           Lame's constants; K = lambda + 2/3 mu
-
-    Source
-    ------
-    Holzapfel, Nonlinear solid mechanics (2000), sections 6.4 and 6.5: the neo-Hookean law of
-    Abaqus and CalculiX.
-    """
-
-    mu: float
-    lame: float
-
-    @property
-    def bulk(self) -> float:
-        """Bulk modulus [Pa]."""
-        return self.lame + 2.0 / 3.0 * self.mu
-
-    def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
-        """Of `Law`."""
-        volume, shear, squares = self._parts(gradient)
-        return 0.5 * (shear * squares - 3.0 * self.mu) + 0.5 * self.bulk * (volume - 1.0) ** 2
-
-    def stress(self, gradient: Gradient) -> Gradient:
-        """Of `Law`."""
-        volume, shear, squares = self._parts(gradient)
-        pressure = self.bulk * (volume - 1.0) * volume
-        inverse = _inverse_transposed(gradient)
-        return shear * gradient + (pressure - shear * squares / 3.0) * inverse
-
-    def moduli(self, gradient: Gradient) -> Moduli:
-        """Derivative of the stress, with dJ = J H : dF and dH_aA = -H_aB H_bA dF_bB, H = F^-T."""
-        volume, shear, squares = self._parts(gradient)
-        inverse = _inverse_transposed(gradient)
-        pressure = self.bulk * (volume - 1.0) * volume
-        rising = self.bulk * (2.0 * volume - 1.0) * volume
-        mixed = _outer(inverse, gradient)
-        moduli = (rising + 2.0 / 9.0 * shear * squares) * _outer(inverse, inverse)
-        moduli += (shear * squares / 3.0 - pressure) * _crossed(inverse)
-        moduli -= 2.0 / 3.0 * shear * (mixed + mixed.transpose(2, 3, 0, 1, 4, 5))
-        _add_unit(moduli, shear)
-        return moduli
-
-    def _parts(self, gradient: Gradient) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """J, mu J^(-2/3) and tr C."""
-        volume = _determinant(gradient)
-        return volume, self.mu * volume ** (-2.0 / 3.0), (gradient**2).sum(axis=(0, 1))
 
 
 def _outer(one: Gradient, other: Gradient) -> Moduli:

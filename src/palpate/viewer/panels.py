@@ -49,7 +49,7 @@ _NU_STEP, _LARGEST_NU = 0.001, 0.499
 # Duration of each picture when played [s].
 _PACE = 0.4
 _MAX_FLOW_MAGNIFICATION = 30
-PRESS, CONTACT, FACE, HOLD, _FREE = WHAT = (
+_PRESS, _CONTACT, _FACE, _HOLD, _FREE = _CLICKS = (
     "presses the object", "sets the contact of the probing", "holds the flat face",
     "holds what is near", "frees what is near",
 )  # fmt: skip
@@ -184,14 +184,11 @@ class MaterialPanel:
         estimate = fitted.estimate
         best = estimate.shear_modulus.value
         self._unit, name = modulus_unit(best)
-        low, high = (_short(best * factor / self._unit) for factor in (1 / _FACTOR, _FACTOR))
+        start = _rounded(best / self._unit, 4)
+        low, high = (_rounded(best * factor / self._unit, 4) for factor in (1 / _FACTOR, _FACTOR))
         gui = self._gui
         self.modulus = gui.add_slider(
-            f"shear modulus, {name}",
-            low,
-            high,
-            _short((high - low) / _STEPS),
-            _short(best / self._unit),
+            f"shear modulus, {name}", low, high, _rounded((high - low) / _STEPS, 4), start
         )
         nu = float(np.clip(estimate.poisson_ratio.value, 0.0, _LARGEST_NU))
         self.ratio = gui.add_slider("Poisson's ratio", 0.0, _LARGEST_NU, _NU_STEP, round(nu, 3))
@@ -200,7 +197,7 @@ class MaterialPanel:
         self._image = gui.add_image(self._plot.marked(nu, best), format="png")
         for slider in (self.modulus, self.ratio):
             slider.on_update(lambda _: self._ask())
-        back.on_click(lambda _: self._back(nu, _short(best / self._unit)))
+        back.on_click(lambda _: self._back(nu, start))
         self._show_numbers(nu, best, None)
 
     def _back(self, nu: float, modulus: float) -> None:
@@ -238,11 +235,6 @@ class MaterialPanel:
         )
         if self._plot is not None:
             self._image.image = self._plot.marked(nu, modulus)
-
-
-def _short(number: float) -> float:
-    """Round to four digits, for readable sliders."""
-    return float(f"{number:.4g}")
 
 
 def rms_text(one: FittedProbing | None) -> str:
@@ -357,11 +349,11 @@ class SettingPanel:
     def __init__(self, gui: Any, stage: Stage, look: LookPanel) -> None:
         self._gui, self._stage, self._look = gui, stage, look
         self.draft = Draft()
-        self.click = gui.add_dropdown("a click", WHAT)
+        self.click = gui.add_dropdown("a click", _CLICKS)
         size = stage.size
         self.near = gui.add_slider(
-            "near is, mm", float(f"{0.01 * size:.2g}"), float(f"{0.3 * size:.2g}"),
-            float(f"{0.005 * size:.2g}"), float(f"{_NEAR * size:.2g}"),
+            "near is, mm", _rounded(0.01 * size), _rounded(0.3 * size), _rounded(0.005 * size),
+            _rounded(_NEAR * size),
         )  # fmt: skip
         self.text = gui.add_html("")
         write = gui.add_button("write session.toml ...")
@@ -372,22 +364,22 @@ class SettingPanel:
     @property
     def presses(self) -> bool:
         """Whether a click presses the object."""
-        return bool(self.click.value == PRESS)
+        return bool(self.click.value == _PRESS)
 
     def clicked(self, point: Vector3) -> None:
         """Apply a click at a point of the surface at rest [m]."""
         session, what = self._stage.subject.session, self.click.value
         place = closest_points(session.mesh, point[None])
-        if what == CONTACT:
+        if what == _CONTACT:
             self.draft = self.draft.with_contact(self._look.probing.value, place.position[0])
         else:
             held = self.draft.support
             held = session.held_triangles if held is None else held
             near = triangles_near(session.mesh, place.position[0], 1e-3 * float(self.near.value))
             near = np.append(near, place.triangle[0])
-            if what == FACE:
+            if what == _FACE:
                 held = flat_face(session.mesh, int(place.triangle[0]))
-            elif what == HOLD:
+            elif what == _HOLD:
                 held = np.union1d(held, near)
             else:
                 held = np.setdiff1d(held, near)
@@ -462,12 +454,13 @@ class TouchPanel:
         self.text = gui.add_html("")
         self.scale = gui.add_html("")
         self.radius = gui.add_slider(
-            "ball's radius, mm", _round(0.02 * size), _round(0.4 * size), _round(0.005 * size),
-            _round(_RADIUS * size),
+            "ball's radius, mm", _rounded(0.02 * size), _rounded(0.4 * size),
+            _rounded(0.005 * size), _rounded(_RADIUS * size),
         )  # fmt: skip
         self.depth = gui.add_slider(
-            "depth, mm", 0.0, _round(_DEEPEST * size), _round(0.001 * size), _round(_DEPTH * size)
-        )
+            "depth, mm", 0.0, _rounded(_DEEPEST * size), _rounded(0.001 * size),
+            _rounded(_DEPTH * size),
+        )  # fmt: skip
         self.away = gui.add_button("take the ball away")
         self.depth.on_update(lambda _: self._press_deeper())
         self.away.on_click(lambda _: self.release())
@@ -545,6 +538,6 @@ class TouchPanel:
         self._look.draw()
 
 
-def _round(length: float) -> float:
-    """Round to two digits, for readable sliders."""
-    return float(f"{length:.2g}")
+def _rounded(number: float, digits: int = 2) -> float:
+    """Round to some digits, for readable sliders."""
+    return float(f"{number:.{digits}g}")
