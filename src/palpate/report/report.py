@@ -5,7 +5,7 @@ import io
 import math
 import re
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -200,41 +200,17 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     return estimate
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """The head of a report.
-
-    Attributes
-    ----------
-    word : str                      "Determined", "Partly determined", ...
-    sentence : str                  summary of the estimate
-    cure : str                      what to do; empty if there is nothing to do
-    good : bool                     all constants are determined
-    """
-
-    word: str
-    sentence: str
-    cure: str
-    good: bool
-
-
-def _verdict(estimate: Estimate) -> Verdict:
-    """Verdict on an estimate.
-
-    Parameters
-    ----------
-    estimate : Estimate
-
-    Returns
-    -------
-    Verdict
-    """
+def _verdict(estimate: Estimate) -> dict[str, Any]:
+    """The head of a report: a word, a sentence, what to do, and whether all is determined."""
     status = estimate.status
-    cure = status.cure[:1].upper() + status.cure[1:] + "." if status.cure else ""
-    word = _WORDS.get(status, "Partly determined")
     # No line break between a number and its unit.
     sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
-    return Verdict(word, sentence, cure, status is Status.OK)
+    return {
+        "word": _WORDS.get(status, "Partly determined"),
+        "sentence": sentence,
+        "cure": status.cure[:1].upper() + status.cure[1:] + "." if status.cure else "",
+        "good": status is Status.OK,
+    }
 
 
 def _constant_rows(estimate: Estimate) -> list[dict[str, str]]:

@@ -14,7 +14,6 @@ from palpate.simulation.contact import (
     PlacedTool as PlacedTool,
     Sphere as Sphere,
     convex_tool as convex_tool,
-    displacement_under as displacement_under,
     flat_punch as flat_punch,
     force_covariance as force_covariance,
     start_contact as start_contact,
