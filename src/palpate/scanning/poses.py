@@ -97,7 +97,14 @@ def _pair_pose(first: View, second: View, a: _Cloud, b: _Cloud, *, guess: Pose) 
     few = _cloud(second, _FEW)
     size = float(np.linalg.norm(np.ptp(few.points, axis=0)))
     centre = few.points.mean(axis=0)
-    starts = [guess, *(_turned(centre, axis, angle) for axis in _axes() for angle in _TURNS)]
+    starts = [
+        guess,
+        *(
+            _motion(np.radians(angle) * axis, np.zeros(3), centre)
+            for axis in _axes()
+            for angle in _TURNS
+        ),
+    ]
     costs, found = [], []
     for start in starts:
         pose = start
@@ -128,25 +135,27 @@ def _axes() -> Float[np.ndarray, "a 3"]:
     return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
 
 
-def _turned(centre: np.ndarray, axis: np.ndarray, degrees: float) -> Pose:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
-    pose[:3, 3] = centre - pose[:3, :3] @ centre
-    return pose
+def _compared(
+    a: _Cloud, b: _Cloud, pose: Pose
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points of b in a's frame, normals of the nearest points of a, distances from these and from
+    their tangent planes, cosines between the normals."""
+    place = b.points @ pose[:3, :3].T + pose[:3, 3]
+    gap, index = a.tree.query(place)
+    normal = a.normals[index]
+    height = np.einsum("na,na->n", place - a.points[index], normal)
+    return place, normal, gap, height, np.einsum("na,na->n", b.normals @ pose[:3, :3].T, normal)
 
 
 def _matched(
     a: _Cloud, b: _Cloud, pose: Pose, width: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points of b in a's frame, normals of a there, distances from a's tangent planes, weights."""
-    place = b.points @ pose[:3, :3].T + pose[:3, 3]
-    gap, index = a.tree.query(place)
-    normal = a.normals[index]
-    height = np.einsum("na,na->n", place - a.points[index], normal)
+    place, normal, gap, height, facing = _compared(a, b, pose)
     weight = 1.0 / (1.0 + (height / width) ** 2) ** 2
     # Points without a counterpart, or on another side of the object, get no weight.
     weight *= 1.0 / (1.0 + (gap / (3.0 * width + a.spacing)) ** 2) ** 2
-    weight *= np.einsum("na,na->n", b.normals @ pose[:3, :3].T, normal) > 0.5
+    weight *= facing > 0.5
     return place, normal, height, weight
 
 
@@ -179,12 +188,9 @@ def _cost(a: _Cloud, b: _Cloud, pose: Pose, width: float) -> float:
 
 def _overlap(a: _Cloud, b: _Cloud, pose: Pose) -> float:
     """Fraction of the points of b that lie on a."""
-    place = b.points @ pose[:3, :3].T + pose[:3, 3]
-    gap, index = a.tree.query(place)
-    height = np.einsum("na,na->n", place - a.points[index], a.normals[index])
-    facing = np.einsum("na,na->n", b.normals @ pose[:3, :3].T, a.normals[index]) > 0.7
+    _, _, gap, height, facing = _compared(a, b, pose)
     near = (gap < 3.0 * a.spacing) & (abs(height) < _WIDTH * max(a.sigma, b.sigma))
-    return float((near & facing).mean())
+    return float((near & (facing > 0.7)).mean())
 
 
 def _adjusted(clouds: Sequence[_Cloud], poses: list[Pose], *, progress: Progress) -> list[Pose]:
