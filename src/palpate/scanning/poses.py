@@ -97,14 +97,8 @@ def _pair_pose(first: View, second: View, a: _Cloud, b: _Cloud, *, guess: Pose) 
     few = _cloud(second, _FEW)
     size = float(np.linalg.norm(np.ptp(few.points, axis=0)))
     centre = few.points.mean(axis=0)
-    starts = [
-        guess,
-        *(
-            _motion(np.radians(angle) * axis, np.zeros(3), centre)
-            for axis in _axes()
-            for angle in _TURNS
-        ),
-    ]
+    turns = (np.radians(angle) * axis for axis in _axes() for angle in _TURNS)
+    starts = [guess, *(_motion(turn, np.zeros(3), centre) for turn in turns)]
     costs, found = [], []
     for start in starts:
         pose = start

@@ -22,7 +22,7 @@ from palpate.pipeline import outward_pushes, poke_session
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Estimate, Probing, Session
 from palpate.shapes import Points, Vector3
-from palpate.solids import Solid, held_nodes, make_solid, surface_values
+from palpate.solids import Solid, boundary_surface, held_nodes, make_solid, surface_values
 
 # Density of a body whose session gives none: that of water [kg/m^3].
 USUAL_DENSITY = 1000.0
@@ -32,8 +32,6 @@ _ALONG_BODY, _ALONG_CONTACT = 9.0, 2.5
 _FINE_REACH = 1.2
 # Quarterings of the triangles under a contact for the integration of its pressure.
 _LEVELS = 4
-# The four triangles of a six-node triangle.
-_QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 # Midside nodes of a ten-node tetrahedron: ends of each inner diagonal, then the ring around it; and
 # the tetrahedra at its corners.
 _DIAGONALS = np.array([[4, 9, 5, 6, 7, 8], [5, 7, 4, 6, 9, 8], [6, 8, 4, 5, 9, 7]])
@@ -182,7 +180,7 @@ class SolidModel:
     def boundary_surface(self) -> TriangleMesh:
         """Outer triangles of the linear tetrahedra, counter-clockwise seen from outside, with all
         nodes as vertices."""
-        return TriangleMesh(self.nodes, self.solid.facets[:, _QUARTERS].reshape(-1, 3))
+        return boundary_surface(self.nodes, self.solid.facets)
 
 
 def make_estimated_object(
@@ -377,11 +375,11 @@ def _make_push(
 def _loaded(model: SolidModel, push: Push) -> SolidModel:
     """The model with the push's force distributed to its nodes."""
     points, forces = _point_forces(model.body.session.mesh, push)
-    boundary_surface = model.boundary_surface
-    closest = closest_points(boundary_surface, points)
+    surface = model.boundary_surface
+    closest = closest_points(surface, points)
     share = closest.barycentric[:, :, None] * forces[:, None]
     flat = np.zeros((len(model.nodes), 3))
-    np.add.at(flat, boundary_surface.triangles[closest.triangle], share)
+    np.add.at(flat, surface.triangles[closest.triangle], share)
     at = surface_values(model.solid, push.point[None])
     return replace(
         model,

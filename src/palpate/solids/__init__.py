@@ -30,7 +30,11 @@ from palpate.solids.finite_strain import (
     SplitNeoHookean as SplitNeoHookean,
     solve_finite as solve_finite,
 )
-from palpate.solids.tetrahedra import Solid as Solid, make_solid as make_solid
+from palpate.solids.tetrahedra import (
+    Solid as Solid,
+    boundary_surface as boundary_surface,
+    make_solid as make_solid,
+)
 from palpate.solids.tips import (
     TIPS as TIPS,
     Punch as Punch,
