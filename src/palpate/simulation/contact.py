@@ -27,13 +27,12 @@ from palpate.simulation.contact_response import (
 )
 from palpate.simulation.green_functions import GreenFunctions
 from palpate.simulation.settle import add_resultants, settle, tool_gap
+from palpate.solids import inside
 
 # Tolerance relative to the largest nodal force, and largest number of rounds to reach it.
 _TOLERANCE, _MAX_ROUNDS = 1e-9, 120
 # Fewer nodes under a tool do not resolve its contact (with six, its force is 20 % too high).
 FEW_NODES = 10
-# Winding number above which a point is inside a closed surface.
-_INSIDE = 0.5
 # Sides of the prism that approximates a round punch.
 _SIDES = 48
 # Largest deviation of an entry of R R^T from the identity.
@@ -318,32 +317,9 @@ def _depth(mesh: TriangleMesh, arrays: ToolArrays, t: int) -> float:
     normal = np.empty(3)
     local = (mesh.vertices - arrays.position[t]) @ arrays.rotation[t]
     deepest = -min(tool_gap(arrays, t, -1, point, normal)[0] for point in local)
-    seen = winding_number(mesh, arrays.position[t])
-    return max(deepest, float(arrays.bounding_radius[t])) if seen > _INSIDE else deepest
-
-
-def winding_number(mesh: TriangleMesh, point: Float[np.ndarray, "3"]) -> float:
-    """Winding number of a closed surface about a point: 1 inside, 0 outside.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh                 outward
-    point : (3,) float [m]
-
-    Returns
-    -------
-    float
-
-    Source
-    ------
-    Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125, eq. 8
-    """
-    a, b, c = (mesh.vertices - point)[mesh.triangles].transpose(1, 0, 2)
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    top = np.einsum("ma,ma->m", a, np.cross(b, c))
-    dots = [np.einsum("ma,ma->m", x, y) for x, y in ((a, b), (b, c), (c, a))]
-    angle = 2 * np.arctan2(top, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
-    return float(angle.sum() / (4 * np.pi))
+    if inside(mesh, arrays.position[t][None])[0]:
+        return max(deepest, float(arrays.bounding_radius[t]))
+    return deepest
 
 
 def surface_displacement(green: GreenFunctions, state: ContactState) -> Vertices:

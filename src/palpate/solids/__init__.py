@@ -33,6 +33,7 @@ from palpate.solids.finite_strain import (
 from palpate.solids.tetrahedra import (
     Solid as Solid,
     boundary_surface as boundary_surface,
+    inside as inside,
     make_solid as make_solid,
 )
 from palpate.solids.tips import (

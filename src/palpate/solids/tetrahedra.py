@@ -332,7 +332,7 @@ def _inner_cells(
     not_flat = _shape(corner) > 1e-6
     keep[surface_only[~not_flat]] = False
     centre = corner[not_flat].mean(axis=1)
-    keep[surface_only[not_flat][~_inside(mesh, centre)]] = False
+    keep[surface_only[not_flat][~inside(mesh, centre)]] = False
     cells = cells[keep]
     while True:
         outer = _is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
@@ -436,12 +436,12 @@ def _volume_points(
     distance, _ = cKDTree(shell).query(points)
     # The cheap test first: testing whether points are inside is costly.
     points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
-    points = points[_inside(mesh, points)]
+    points = points[inside(mesh, points)]
     gap = closest_points(mesh, points).distance
     return points[gap > _OFF_SURFACE * spacing(points)]
 
 
-def _inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
+def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
     """Which points lie inside a closed surface with outward normals.
 
     Parameters
