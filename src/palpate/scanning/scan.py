@@ -1,7 +1,7 @@
 """From the views of an object to its mesh, with a standard deviation for each vertex.
 
 Every view must agree with the others on the position of the surface. The result is written as
-mesh.ply, surface.json and vertex_sigma.csv, as is a mended surface, the first two only.
+mesh.ply, surface.json and vertex_sigma.csv; a mended surface as the first two.
 """
 
 from collections.abc import Sequence
