@@ -4,9 +4,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palpate.calibration import Sightings, Target
-from palpate.calibration.adjustment import Bundle, Corners
-from palpate.calibration.lens_model import seen_points
-from palpate.lab.pictures.board_view import board_picture
+from palpate.calibration.adjustment import Bundle, Corners, seen_points
+from palpate.lab.head import board_picture
 from palpate.records import Camera, camera_matrix
 
 SIZE = (1280, 1024)

@@ -45,7 +45,7 @@ from palpate.campaign import (
     started_engine,
     work_on_worker,
 )
-from palpate.campaign.package import pack_files
+from palpate.campaign.work import pack_files
 from palpate.errors import PalpateError
 
 START = "import sys; from palpate.app.cli import main; sys.exit(main())"

@@ -16,7 +16,7 @@ import numpy as np
 
 from palpate.geometry import closest_points
 from palpate.lab import built_in, half_ball, read_lab_config
-from palpate.lab.bench.arm import aim, solid_under
+from palpate.lab.arm import aim, solid_under
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,

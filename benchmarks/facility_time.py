@@ -9,12 +9,11 @@ import numpy as np
 from benchmarks.clock import shortest
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
-from palpate.lab import choose_variant, read_lab_config
-from palpate.lab.bench.arm import aim, rod_at
+from palpate.lab import choose_variant, read_lab_config, scene
+from palpate.lab.arm import aim, rod_at
 from palpate.lab.config_files import built_in
-from palpate.lab.pictures import scene
-from palpate.lab.pictures.head import make_head
-from palpate.lab.pictures.studio import make_studio, photograph
+from palpate.lab.head import make_head
+from palpate.lab.studio import make_studio, photograph
 
 
 def measure(options: Options) -> list[Figure]:

@@ -1,6 +1,6 @@
 """Videos of presses on the virtual half ball, with a force log: a recording whose truth is known.
 
-How films are made: `palpate.lab.bench.press_film`. Each press is solved at six depths; files are
+How films are made: `palpate.lab.press_film`. Each press is solved at six depths; files are
 AVI without losses (FFV1).
 """
 
@@ -27,8 +27,8 @@ from palpate.lab import (
     solve_press,
     write_film,
 )
-from palpate.lab.bench.arm import aim
-from palpate.lab.pictures.head import make_head
+from palpate.lab.arm import aim
+from palpate.lab.head import make_head
 from palpate.records import Rig, write_rig, write_text
 
 FILM = Film(presses=10)

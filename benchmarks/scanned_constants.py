@@ -36,7 +36,7 @@ from palpate.records import (
     Session,
 )
 from palpate.scanning import Plane, read_scan, remeshed, scan_surface
-from palpate.scanning.mending.solid import above
+from palpate.scanning.solid import above
 from palpate.shapes import Points
 from palpate.solids import make_body, make_solid
 

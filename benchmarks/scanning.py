@@ -25,8 +25,8 @@ from palpate.geometry import TriangleMesh, checked_mesh, enclosed_volume, refine
 from palpate.lab import SHAPES, choose_variant, make_session, read_lab_config
 from palpate.records import read_rig
 from palpate.scanning import ScannedSurface, distances, read_scan, scan_surface
-from palpate.scanning.joining.poses import posed
-from palpate.scanning.mending.deviation import surface_samples
+from palpate.scanning.poses import posed
+from palpate.scanning.remesh import surface_samples
 from palpate.vision import prepare_pictures, read_pictures, stereo_points
 
 RADIUS = {"toy": 0.035, "half-ball": 0.05}

@@ -82,7 +82,7 @@ _LONGEST_FIRST = (
     "tests/faults/test_interrupted.py",
     "tests/geometry/registration",
     "tests/pipeline/motion/test_measure_motion.py",
-    "tests/lab/bench",
+    "tests/lab/test_facility.py",
     "tests/calibration",
     "tests/scanning",
     "tests/vision/joint",

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.boards import SIZE, board_points, bundle_errors, seen_corners, true_bundle
-from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust
-from palpate.calibration.lens_model import seen_points
+from palpate.calibration.adjustment import Adjusted, Bundle, Corners, adjust, seen_points
 from palpate.errors import CalibrationError
 from palpate.records import Camera, camera_matrix
 from palpate.vision import project

@@ -25,8 +25,7 @@ from palpate.calibration import (
     find_pictures,
     timing_note,
 )
-from palpate.calibration.adjustment import Bundle
-from palpate.calibration.lens_model import seen_points
+from palpate.calibration.adjustment import Bundle, seen_points
 from palpate.errors import CalibrationError, RecordError
 
 _BOARD = Chessboard(9, 7, 0.012)

@@ -14,7 +14,7 @@ from surfaces import box
 
 from palpate.bem import make_elastic_map, solve
 from palpate.campaign import pack_session
-from palpate.campaign.package import PackedSession
+from palpate.campaign.work import PackedSession
 from palpate.geometry import write_mesh
 from palpate.pipeline import make_object_model
 from palpate.records import read_session

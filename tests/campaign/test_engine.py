@@ -17,7 +17,7 @@ import numba
 import pytest
 
 from palpate import __version__
-from palpate.campaign import cluster as cluster_file, started_engine
+from palpate.campaign import engine as engine_file, started_engine
 from palpate.campaign.engine import Engine, WorkerError, worker_share
 from palpate.disk import take_lock
 from palpate.errors import InputError, MeshError
@@ -25,7 +25,7 @@ from palpate.errors import InputError, MeshError
 
 @pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "tls://127.0.0.1:no"])
 def test_no_scheduler_at_that_address(address, monkeypatch):
-    monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
+    monkeypatch.setattr(engine_file, "_CONNECT_TIMEOUT", 1)
     expected = f"no scheduler answers at {re.escape(address)} .*start one with `dask scheduler`"
     with pytest.raises(InputError, match=expected), started_engine(address, None):
         pass
@@ -35,7 +35,7 @@ def test_no_scheduler_at_that_address(address, monkeypatch):
 
 
 def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr(cluster_file, "_FIRST_WORKER_TIMEOUT", 0.2)
+    monkeypatch.setattr(engine_file, "_FIRST_WORKER_TIMEOUT", 0.2)
     with (
         distributed.LocalCluster(
             n_workers=0, processes=False, protocol="tls", dashboard_address=":0"
@@ -288,18 +288,18 @@ def test_folders_of_workers_whose_command_was_killed_are_removed(tmp_path, monke
     handle = take_lock(alive / ".lock", alive)
     for folder in (killed, others):
         os.close(take_lock(folder / ".lock", folder))
-    with cluster_file._workers_folder() as own:
+    with engine_file._workers_folder() as own:
         assert Path(own).parent == tmp_path
         assert not killed.exists()
         # Neither one in use, nor one that is just being made, nor another program's.
         assert all((folder / "bodies" / "part").exists() for folder in (alive, new, others))
         # Another command leaves this one's alone.
-        with cluster_file._workers_folder() as another:
+        with engine_file._workers_folder() as another:
             assert Path(own).is_dir()
             assert Path(another).is_dir()
     assert not Path(own).exists()
     os.close(handle)
-    with cluster_file._workers_folder():
+    with engine_file._workers_folder():
         assert not alive.exists()
 
 
@@ -312,9 +312,9 @@ def test_what_a_worker_still_writes_at_the_end_is_removed_by_the_next_command(
         """A worker writes as fast as this removes."""
 
     with monkeypatch.context() as patched:
-        patched.setattr(cluster_file.shutil, "rmtree", too_soon)
-        with cluster_file._workers_folder() as first:
+        patched.setattr(engine_file.shutil, "rmtree", too_soon)
+        with engine_file._workers_folder() as first:
             (Path(first) / "bodies").mkdir()
     assert Path(first).is_dir()
-    with cluster_file._workers_folder():
+    with engine_file._workers_folder():
         assert not Path(first).exists()

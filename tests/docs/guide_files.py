@@ -33,7 +33,7 @@ from palpate.app.cli import main
 from palpate.calibration import Charuco
 from palpate.geometry import write_mesh
 from palpate.lab import Head
-from palpate.lab.pictures.head import make_head
+from palpate.lab.head import make_head
 from palpate.lab.specimens import half_ball
 from palpate.records import read_session, write_rig
 from palpate.viewer import stills

@@ -14,8 +14,7 @@ from scan_views import camera_at, seen_points, toy
 from benchmarks.boards import draw_board, true_bundle
 from palpate.api import Result
 from palpate.calibration import Chessboard
-from palpate.campaign.items import read_items
-from palpate.campaign.store import Store
+from palpate.campaign.store import Store, read_items
 from palpate.records import RigCovariance, read_session, write_rig
 from palpate.records.rig import write_rig_covariance
 

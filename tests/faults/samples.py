@@ -35,11 +35,10 @@ from palpate.lab import read_lab_config
 from palpate.pipeline import read_fitted_surface
 from palpate.probe import read_compression
 from palpate.recording import read_recording
-from palpate.recording.force.log import read_force_log
-from palpate.recording.force.touches import find_touches, find_zero, resample_force
-from palpate.recording.pictures.footage import Footage, read_times
-from palpate.recording.pictures.motion import camera_motion
-from palpate.recording.poses import read_poses
+from palpate.recording.footage import Footage, camera_motion, read_times
+from palpate.recording.force_log import read_force_log
+from palpate.recording.record import read_poses
+from palpate.recording.touches import find_touches, find_zero, resample_force
 from palpate.records import (
     CONSTANT_NAMES,
     Camera,

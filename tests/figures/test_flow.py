@@ -10,14 +10,17 @@ from matplotlib.colors import Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from palpate.figures.flow import CAUSE_COLOURS, flow_figure, quality_figure, write_flow_pictures
-from palpate.figures.flow_view import (
+from palpate.figures.flow import (
+    CAUSE_COLOURS,
     CLAY,
     draw_picture,
     draw_points,
     draw_vertices,
+    flow_figure,
     make_flow_view,
+    quality_figure,
     seen_corners,
+    write_flow_pictures,
 )
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import MeasuredMotion

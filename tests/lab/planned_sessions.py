@@ -4,7 +4,7 @@ from pathlib import Path
 
 from palpate.geometry import write_mesh
 from palpate.lab import Head
-from palpate.lab.pictures.head import make_head
+from palpate.lab.head import make_head
 from palpate.lab.specimens import half_ball
 from palpate.records import write_rig
 

@@ -12,15 +12,21 @@ import pytest
 
 from palpate.geometry import vertex_normals
 from palpate.lab import built_in, choose_variant, read_lab_config
-from palpate.lab.pictures.head import make_head
+from palpate.lab.head import make_head
 from palpate.paper.constants import (
     CONSTANTS,
     constant_errors,
     estimated_constants,
     intervals_hold,
 )
-from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
-from palpate.paper.sessions import measured_session, reduced, true_material
+from palpate.paper.sessions import (
+    PAPER_ALL_PROBES,
+    PAPER_COMPRESSION_MODULUS,
+    PAPER_PROBES,
+    measured_session,
+    reduced,
+    true_material,
+)
 from palpate.records import camera_centre
 from palpate.solids import held_nodes, make_body, make_solid, solve_load, surface_values
 from palpate.vision import LangPaiFlow, project

@@ -11,9 +11,8 @@ from palpate.recording.clock import (
     fine_clock,
     hysteresis_of,
 )
-from palpate.recording.force.touches import Touch
-from palpate.recording.pictures.motion import CameraMotion
-from palpate.recording.pictures.ramps import Ramp
+from palpate.recording.footage import CameraMotion, Ramp
+from palpate.recording.touches import Touch
 
 _OFFSET, _FRAME = 0.4137, 1.0 / 30.0
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from palpate.errors import RecordError
-from palpate.recording.pictures import footage
-from palpate.recording.pictures.footage import Footage, read_frames
+from palpate.recording import footage
+from palpate.recording.footage import Footage, read_frames
 
 WIDE = np.arange(48, dtype=np.uint8).reshape(6, 8)
 HIGH = WIDE.T.copy()

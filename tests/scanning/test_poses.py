@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError
 from palpate.progress import silent
-from palpate.scanning.joining import poses
-from palpate.scanning.joining.poses import posed
+from palpate.scanning import poses
+from palpate.scanning.poses import posed
 
 
 @pytest.mark.slow

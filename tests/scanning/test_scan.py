@@ -9,8 +9,7 @@ from scan_views import NOISE, toy, views_around
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry import checked_mesh, mesh_quality
-from palpate.scanning import Plane, deviation, distances, make_view, scan_surface
-from palpate.scanning.joining import fusion
+from palpate.scanning import Plane, deviation, distances, fusion, make_view, scan_surface
 
 TABLE = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 

@@ -30,7 +30,7 @@ def viewer(tmp_path_factory):
     """A running viewer that computes nothing."""
     pytest.importorskip("viser", reason="needs viser, the extra `view`, which is not installed")
     from palpate.viewer import Viewer, read_subject  # noqa: PLC0415
-    from palpate.viewer.background_work import BackgroundWork  # noqa: PLC0415
+    from palpate.viewer.subject import BackgroundWork  # noqa: PLC0415
 
     folder = write_hostile_session(tmp_path_factory.mktemp("viewer") / "cube", NAMES[0])
     with pytest.MonkeyPatch.context() as patch:

@@ -10,7 +10,7 @@ from drawn_ball import MILLIMETRE, written_ball
 
 from palpate.campaign import started_engine
 from palpate.geometry import read_mesh
-from palpate.lab.pictures import mitsuba_variant
+from palpate.lab import scene
 
 # Modules that children import before or after they have set their path.
 MODULES = ("cascadio", "ctypes", "drjit", "multiprocessing", "pickle", "selectors", "threading",
@@ -44,10 +44,10 @@ def test_a_step_file_is_converted_by_the_installed_package(stranger, tmp_path):
 
 
 def test_a_library_is_tried_with_the_installed_packages(stranger, tmp_path):
-    fit, finding = mitsuba_variant._try(tmp_path / "libLLVM.so")
+    fit, finding = scene._try(tmp_path / "libLLVM.so")
     assert (fit, finding) == (False, "cannot be loaded")
-    for library in mitsuba_variant.llvm_candidates()[:1]:
-        mitsuba_variant._try(library)
+    for library in scene.llvm_candidates()[:1]:
+        scene._try(library)
     assert not stranger.exists()
 
 

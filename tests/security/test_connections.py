@@ -12,7 +12,7 @@ from websockets.exceptions import InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
 from palpate.errors import PalpateError  # noqa: E402
-from palpate.viewer.gate import guarded_server  # noqa: E402
+from palpate.viewer.server import guarded_server  # noqa: E402
 
 
 class Address:

@@ -16,9 +16,9 @@ from palpate.api import Result
 from palpate.errors import InputError
 from palpate.records import read_session
 from palpate.viewer import read_subject
-from palpate.viewer.background_work import BackgroundWork
-from palpate.viewer.markup import text_html
-from palpate.viewer.placement import Draft
+from palpate.viewer.clicking import Draft
+from palpate.viewer.stage import text_html
+from palpate.viewer.subject import BackgroundWork
 
 
 class Shown(HTMLParser):
@@ -43,7 +43,7 @@ def test_the_viewer_shows_a_name_as_it_is(tmp_path, monkeypatch, name):
     def refuse(*_):
         raise InputError(name)
 
-    monkeypatch.setattr("palpate.viewer.panels.setting.write_draft", refuse)
+    monkeypatch.setattr("palpate.viewer.panels.write_draft", refuse)
     background = BackgroundWork(read_subject(write_hostile_session(tmp_path / "cube", name)), None)
     background.model_text = background.touch_text = name
     tab, page = opened_tab(background)

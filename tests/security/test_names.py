@@ -10,8 +10,7 @@ from lab.lab_configs import HALF_BALL
 from lab.planned_sessions import SESSION, planned_session
 
 from palpate.errors import CalibrationError, InputError, RecordError
-from palpate.lab import Material, Variant, make_session, planned_pictures, read_lab_config
-from palpate.lab.bench import facility
+from palpate.lab import Material, Variant, facility, make_session, planned_pictures, read_lab_config
 from palpate.records import Rig, check_file_names, file_stems, path_below, read_rig, read_session
 
 # What is wrong with it, as the message says.

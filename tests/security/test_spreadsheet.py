@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 import palpate
-from palpate.calibration import Calibration, files as calibration_files
+from palpate.calibration import Calibration, quality
 from palpate.calibration.quality import PictureError
-from palpate.campaign.rows import Row
-from palpate.campaign.table import table_text
+from palpate.campaign.rows import Row, table_text
 from palpate.paper.result import ResultTable, csv_text
 from palpate.records import spreadsheet_text
 
@@ -56,14 +55,15 @@ def test_tables_of_results_are_written_so(formula):
 
 def test_the_table_of_a_calibration_is_written_so(tmp_path, monkeypatch):
     one = PictureError("=1+1", "@view", 48, 0, 0.1)
-    monkeypatch.setattr(calibration_files, "picture_errors", lambda _: [one])
-    calibration_files._write_pictures(tmp_path / "views.csv", object.__new__(Calibration))
+    monkeypatch.setattr(quality, "picture_errors", lambda _: [one])
+    quality._write_pictures(tmp_path / "views.csv", object.__new__(Calibration))
     written = (tmp_path / "views.csv").read_text(encoding="utf-8")
     assert cells_of(written)[1] == ["'=1+1", "'@view", "48", "0", "0.1000"]
 
 
 def test_no_other_file_writes_csv():
     root = Path(palpate.__file__).parent
-    texts = {file.name: file.read_text(encoding="utf-8") for file in root.rglob("*.py")}
-    assert [name for name, text in texts.items() if "csv.writer(" in text] == ["csv_table.py"]
-    assert "spreadsheet_text(rows)" in texts["session_folder.py"]
+    texts = {file: file.read_text(encoding="utf-8") for file in root.rglob("*.py")}
+    written = [file.name for file, text in texts.items() if "csv.writer(" in text]
+    assert written == ["csv_table.py"]
+    assert "spreadsheet_text(rows)" in texts[root / "recording" / "record.py"]

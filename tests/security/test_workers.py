@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from palpate.app.commands.lab import distribution
-from palpate.campaign import check_workers, cluster as cluster_file, started_engine
+from palpate.campaign import check_workers, engine as engine_file, started_engine
 from palpate.errors import InputError
 
 
@@ -128,7 +128,7 @@ def test_a_scheduler_without_tls_is_reached_with_the_flag():
 
 
 def test_tls_without_certificates_says_where_they_are_named(monkeypatch):
-    monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
+    monkeypatch.setattr(engine_file, "_CONNECT_TIMEOUT", 1)
     named = ("ca-file", "client.cert", "client.key")
     with (
         dask.config.set({f"distributed.comm.tls.{name}": None for name in named}),

@@ -6,8 +6,8 @@ from security.fake_page import opened_tab
 
 from palpate.records import read_session
 from palpate.viewer import read_subject
-from palpate.viewer.background_work import BackgroundWork
-from palpate.viewer.placement import Draft, draft_files, write_draft
+from palpate.viewer.clicking import Draft, draft_files, write_draft
+from palpate.viewer.subject import BackgroundWork
 
 
 @pytest.fixture

@@ -20,8 +20,8 @@ from palpate.simulation import (
     start_contact,
     touch,
 )
+from palpate.simulation.contact_response import BY_FORCE, STICKS
 from palpate.simulation.green_functions import hat_load
-from palpate.simulation.kernels.state import BY_FORCE, STICKS
 
 RADIUS = 0.03
 BALL = Sphere(RADIUS)

@@ -15,7 +15,6 @@ from palpate.records import Contact, read_session
 from palpate.simulation import (
     GreenFunctions,
     Material,
-    displacement_under,
     estimated_material,
     exact_material,
     make_green_functions,
@@ -30,29 +29,13 @@ def test_a_force_on_a_vertex_moves_the_surface_as_a_poke_there(session, green):
         session, force, Contact(np.array(TOP), None, "vertex"), shear_modulus=SHEAR,
         poisson_ratio=NU,
     )  # fmt: skip
-    moved = displacement_under(green, np.array([TOP]), force[None])
     at = np.linalg.norm(session.mesh.vertices - TOP, axis=1).argmin()
+    moved = np.tensordot(force, green.surface[np.searchsorted(green.nodes, at)], 1)
     # Made symmetric: off by what the discretisation is not.
     np.testing.assert_allclose(moved[at], poked.displacement, rtol=2 * green.asymmetry)
     assert green.asymmetry < 0.05
     held = session.mesh.triangles[session.held_triangles]
     assert not moved[held].any()
-
-
-def test_a_force_between_vertices_is_shared_by_them(session, green):
-    corner = session.mesh.triangles[np.isin(session.mesh.triangles, green.nodes).all(axis=1)][0]
-    share, force = np.array([0.2, 0.3, 0.5]), np.array([[0.0, 0.0, -1.0]])
-    point = (share @ session.mesh.vertices[corner])[None]
-    parts = [displacement_under(green, session.mesh.vertices[[c]], force) for c in corner]
-    # Linear: rounding.
-    np.testing.assert_allclose(
-        displacement_under(green, point, force), np.tensordot(share, parts, 1), atol=1e-12
-    )
-
-
-def test_a_force_where_nothing_is_known_is_refused(green):
-    with pytest.raises(InputError, match="1 of 1 points lie outside"):
-        displacement_under(green, np.array([[0.0, 0.02, 0.01]]), np.ones((1, 3)))
 
 
 def test_files_give_back_what_was_written(tmp_path, green):

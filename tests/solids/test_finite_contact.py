@@ -7,8 +7,7 @@ from surfaces import box
 from palpate.errors import InputError, NotConvergedError
 from palpate.solids.finite_contact import press_finite
 from palpate.solids.finite_elements import Body, make_body, quadratic_basis
-from palpate.solids.finite_strain import internal_forces
-from palpate.solids.laws import NeoHookean
+from palpate.solids.finite_strain import NeoHookean, internal_forces
 from palpate.solids.tetrahedra import make_solid
 from palpate.solids.tips import Punch, Sphere, Tip
 

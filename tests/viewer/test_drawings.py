@@ -8,7 +8,7 @@ from PIL import Image
 from palpate.estimation import LikelihoodMap
 from palpate.records import Camera, Rig, read_session
 from palpate.viewer.drawings import LikelihoodPlot, camera_picture
-from palpate.viewer.panels.material import rms_text
+from palpate.viewer.panels import rms_text
 from palpate.viewer.stage import camera_view_pose, merged_labels
 from palpate.viewer.subject import read_subject, shown_probings
 

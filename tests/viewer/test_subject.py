@@ -20,8 +20,8 @@ from palpate.records import (
     session_files,
 )
 from palpate.viewer import read_subject
-from palpate.viewer.colours import FIELDS, RESIDUAL, coloured_field, colours_of, linear_light
 from palpate.viewer.server import free_port, heading
+from palpate.viewer.stage import FIELDS, RESIDUAL, coloured_field, colours_of, linear_light
 from palpate.viewer.subject import Subject, shown_probings
 
 

@@ -6,7 +6,8 @@ Takes      : pictures or videos of a target, a folder for every camera; pictures
 Gives      : `Calibration`: cameras, their covariance, residuals; `ObjectView`, a rig in an object's
              frame, refined by the object's texture; files of both.
 Depends on : `vision`, `geometry`, `records`.
-Read first : `targets.py`, then `calibrate.py` and `adjustment.py`; `known_object/view.py`.
+Read first : `targets.py`, then `calibrate.py` and `adjustment.py`; `object_view.py`, then
+             `refinement.py`.
 """
 
 from palpate.calibration.adjustment import Adjusted as Adjusted, Corners as Corners
@@ -15,9 +16,7 @@ from palpate.calibration.calibrate import (
     board_frame as board_frame,
     calibrate as calibrate,
 )
-from palpate.calibration.files import write_calibration as write_calibration
-from palpate.calibration.known_object.refine import Refined as Refined, refined_rig as refined_rig
-from palpate.calibration.known_object.view import (
+from palpate.calibration.object_view import (
     ObjectView as ObjectView,
     find_instants as find_instants,
     view_object as view_object,
@@ -33,11 +32,17 @@ from palpate.calibration.quality import (
     length_check as length_check,
     length_sigma as length_sigma,
     picture_errors as picture_errors,
+    timing_note as timing_note,
+    write_calibration as write_calibration,
 )
+from palpate.calibration.refinement import Refined as Refined, refined_rig as refined_rig
 from palpate.calibration.sightings import (
     Sightings as Sightings,
     find_boards as find_boards,
     find_pictures as find_pictures,
+    find_videos as find_videos,
+    still_frames as still_frames,
+    without_repeats as without_repeats,
 )
 from palpate.calibration.targets import (
     AprilGrid as AprilGrid,
@@ -45,10 +50,4 @@ from palpate.calibration.targets import (
     Chessboard as Chessboard,
     Circles as Circles,
     Target as Target,
-)
-from palpate.calibration.timing import timing_note as timing_note
-from palpate.calibration.videos import (
-    find_videos as find_videos,
-    still_frames as still_frames,
-    without_repeats as without_repeats,
 )

@@ -1,14 +1,31 @@
-"""Quality of a calibration: residuals by camera and region, missing views, checks of lengths."""
+"""Quality of a calibration: residuals by camera and region, missing views, lengths, timing; files.
 
-from dataclasses import dataclass
+Timing errors, a rolling shutter or unsynchronised cameras, are seen while boards move, whose motion
+need not be known. The residuals of a view are compared with those that a velocity of its board
+would cause: with a rolling shutter, each row is shifted by the time at which it is read; if a
+camera is late, all its corners are shifted.
+"""
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
 import numpy as np
+import yaml
 from jaxtyping import Float, Int
 
-from palpate.calibration.adjustment import Corners, adjust, missing_tilts
+from palpate.calibration.adjustment import Corners, adjust, missing_tilts, view_jacobians
 from palpate.calibration.calibrate import Calibration, cameras_of, known_rig, without_views
-from palpate.errors import CalibrationError
-from palpate.records import Rig
+from palpate.errors import CalibrationError, RecordError
+from palpate.records import (
+    Camera,
+    Rig,
+    spreadsheet_text,
+    write_rig,
+    write_rig_covariance,
+    write_text,
+)
 from palpate.vision import space_strains, triangulate
 
 # Regions of a picture in each direction.
@@ -20,6 +37,19 @@ _MIN_CORNERS = 10
 _MAX_BASELINE_ERROR = 0.05
 # One view in this many is held out to check lengths.
 _FOLD = 4
+# Minimum fraction of the residual variance explained by velocities, adjusted for their number; and
+# its minimum excess for rows over columns, because a bent board is fitted equally well by both.
+_MUCH, _MORE = 0.3, 0.1
+_POSE, _VELOCITY = 6, 3
+_ROLLS = (
+    "boards that move while rows are read one after another explain {fraction:.0%} of the variance"
+    " of the corners: a shutter rolls; hold the board still for a second in each place"
+)
+_LATE = (
+    "boards that move between the cameras' pictures explain {fraction:.0%} of the variance of the"
+    " corners: {who} not at one instant; start the cameras by one trigger, or hold the board still"
+    " for a second in each place"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,3 +297,153 @@ def baseline_text(calibration: Calibration, baseline: float) -> str:
             " a row of its squares and give their true side to --square, or correct --baseline"
         )
     return f"{text}: {100.0 * (1.0 / ratio - 1.0):+.2f} %\n"
+
+
+def timing_note(calibration: Calibration) -> str:
+    """Note on timing errors, if velocities of the boards explain the residuals of the corners.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    str                             cause and remedy; empty if they do not
+    """
+    names, sizes = calibration.found.cameras, calibration.found.sizes
+    corners = calibration.corners
+    late = corners.pixel / np.array(sizes, dtype=np.float64)[corners.camera] - 0.5
+    by_column, by_row = (explained_by_velocity(calibration, late[:, k]) for k in range(2))
+    fractions = [by_row if by_row - by_column > _MORE else 0.0]
+    if len(names) > 1:
+        fractions += [
+            explained_by_velocity(calibration, (corners.camera == c).astype(np.float64))
+            for c in range(len(names))
+        ]
+    best = int(np.argmax(fractions))
+    if not fractions[best] > _MUCH:
+        return ""
+    who = f"'{names[best - 1]}' and the others take theirs"
+    if len(names) == 2:
+        who = f"'{names[0]}' and '{names[1]}' take theirs"
+    return (_LATE if best else _ROLLS).format(fraction=fractions[best], who=who)
+
+
+def explained_by_velocity(calibration: Calibration, late: Float[np.ndarray, " m"]) -> float:
+    """Fraction of the residual variance of the corners explained by a velocity of each board.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    late : (m,) float               time at which each corner was recorded, in any unit
+
+    Returns
+    -------
+    float [-]                       relative to the variance left by a pose per view, adjusted for
+                                    degrees of freedom; 0 (no more than as many arbitrary terms
+                                    would explain) to 1
+    """
+    adjusted, corners = calibration.adjusted, calibration.corners
+    unit = 1.0 / adjusted.noise[corners.camera]
+    jacobian = unit[:, None, None] * view_jacobians(adjusted.bundle, corners)
+    residual = unit[:, None] * adjusted.residual
+    squares, freedom = np.zeros(2), np.zeros(2)
+    for view in range(len(adjusted.bundle.view)):
+        rows = (corners.view == view) & adjusted.good
+        if rows.sum() <= _POSE + _VELOCITY:
+            continue
+        pose = jacobian[rows].reshape(-1, _POSE)
+        moved = (late[rows, None, None] * jacobian[rows, :, -_VELOCITY:]).reshape(-1, _VELOCITY)
+        for k, terms in enumerate((pose, np.hstack([pose, moved]))):
+            base = _independent(terms)
+            remainder = residual[rows].ravel()
+            remainder = remainder - base @ (base.T @ remainder)
+            squares[k] += remainder @ remainder
+            freedom[k] += len(remainder) - base.shape[1]
+    if not (freedom > 0.0).all():
+        return 0.0
+    before, after = squares / freedom
+    return float(max(1.0 - after / before, 0.0))
+
+
+def _independent(terms: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n r"]:
+    """Orthonormal basis of the span of all terms. They may be dependent: if one camera alone sees a
+    view, its delay is already part of the pose."""
+    size = np.linalg.norm(terms, axis=0)
+    base, values, _ = np.linalg.svd(terms[:, size > 0.0] / size[size > 0.0], full_matrices=False)
+    return base[:, values > 1e-9 * values[0]]
+
+
+def write_calibration(
+    folder: Path, calibration: Calibration, *, frame: Float[np.ndarray, "4 4"] | None = None
+) -> None:
+    """Write rig.toml, rig_covariance.npz, views.csv, opencv.yml and kalibr.yaml.
+
+    Parameters
+    ----------
+    folder : Path                   exists
+    calibration : Calibration
+    frame : (4, 4) float [m] or None    x_first camera = frame x_rig; None: the frames coincide
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    cameras = calibration.cameras
+    if frame is not None:
+        cameras = tuple(
+            replace(camera, T_camera_object=camera.T_camera_object @ frame) for camera in cameras
+        )
+    if len(cameras) > 1:
+        write_rig(folder / "rig.toml", Rig(cameras, 0, str(folder)))
+        _write_kalibr(folder / "kalibr.yaml", cameras)
+    _write_opencv(folder / "opencv.yml", cameras)
+    write_rig_covariance(folder, known_rig(calibration), calibration.adjusted.noise)
+    _write_pictures(folder / "views.csv", calibration)
+
+
+def _write_pictures(path: Path, calibration: Calibration) -> None:
+    """Write one row per picture; the rms is left empty where no corner was kept."""
+    rows: list[tuple[object, ...]] = [("camera", "view", "corners", "left out", "rms [px]")]
+    for one in picture_errors(calibration):
+        rms = "" if np.isnan(one.rms) else f"{one.rms:.4f}"
+        rows.append((one.camera, one.view, one.corners, one.rejected, rms))
+    write_text(path, spreadsheet_text(rows))
+
+
+def _write_opencv(path: Path, cameras: Sequence[Camera]) -> None:
+    """Write K1 D1 R1 T1 size1, K2 ... with `cv2.FileStorage`; lengths in metres."""
+    storage = cv2.FileStorage(str(path), cv2.FileStorage_WRITE)
+    if not storage.isOpened():
+        raise RecordError(f"{path}: cannot be written; check the folder's rights")
+    storage.write("length_unit", "m")
+    for number, camera in enumerate(cameras, start=1):
+        pose = camera.T_camera_object
+        storage.write(f"K{number}", np.array(camera.matrix))
+        storage.write(f"D{number}", np.array(camera.distortion[None]))
+        storage.write(f"R{number}", pose[:3, :3].copy())
+        storage.write(f"T{number}", pose[:3, 3:].copy())
+        if camera.size is not None:
+            storage.write(f"size{number}", np.array(camera.size)[None])
+    storage.release()
+
+
+def _write_kalibr(path: Path, cameras: Sequence[Camera]) -> None:
+    """Write a chain cam0, cam1, ...; the radtan model has no third radial term, k3 is dropped."""
+    chain = {}
+    for number, camera in enumerate(cameras):
+        k = camera.matrix
+        entry = {
+            "camera_model": "pinhole",
+            "intrinsics": [float(x) for x in (k[0, 0], k[1, 1], k[0, 2], k[1, 2])],
+            "distortion_model": "radtan",
+            "distortion_coeffs": [float(term) for term in camera.distortion[:4]],
+            "resolution": list(camera.size or ()),
+            "rostopic": f"/{camera.name}/image_raw",
+        }
+        if number:
+            before = cameras[number - 1].T_camera_object
+            step = camera.T_camera_object @ np.linalg.inv(before)
+            entry["T_cn_cnm1"] = step.tolist()
+        chain[f"cam{number}"] = entry
+    write_text(path, yaml.safe_dump(chain, sort_keys=False))

@@ -4,35 +4,38 @@ Purpose    : fit every session of a list, resume after any interruption, and sum
 Takes      : a list of sessions, or a folder tree with sessions; workers.
 Gives      : a folder with a table in SQLite and CSV and every result; a summary figure.
 Depends on : `pipeline`, `estimation`, `bem`, `figures`, `records`.
-Read first : `campaign.py`, then `work.py`, `engine.py`, then `cluster.py`.
+Read first : `campaign.py`, then `work.py`, `engine.py`.
 """
 
 from palpate.campaign.campaign import (
     run_campaign as run_campaign,
     work_on_worker as work_on_worker,
 )
-from palpate.campaign.cluster import (
+from palpate.campaign.engine import (
+    Engine as Engine,
     check_workers as check_workers,
     cores as cores,
     started_engine as started_engine,
 )
-from palpate.campaign.engine import Engine as Engine
-from palpate.campaign.figure import campaign_figure as campaign_figure
-from palpate.campaign.items import CampaignItem as CampaignItem, read_items as read_items
-from palpate.campaign.package import pack_session as pack_session
 from palpate.campaign.rows import (
     DONE as DONE,
     FAILED as FAILED,
     WAITING as WAITING,
     Row as Row,
+    campaign_figure as campaign_figure,
     groups_of as groups_of,
     outliers as outliers,
+    write_table as write_table,
 )
-from palpate.campaign.store import Store as Store
-from palpate.campaign.table import write_table as write_table
+from palpate.campaign.store import (
+    CampaignItem as CampaignItem,
+    Store as Store,
+    read_items as read_items,
+)
 from palpate.campaign.work import (
     FitOptions as FitOptions,
     Outcome as Outcome,
     Work as Work,
     do_work as do_work,
+    pack_session as pack_session,
 )

@@ -11,14 +11,10 @@ Read first : `style.py`, then `estimate.py` and `flow.py`.
 from palpate.figures.calibration import (
     board_figure as board_figure,
     object_figure as object_figure,
+    recording_figure as recording_figure,
     residual_figure as residual_figure,
     rig_figure as rig_figure,
     save_page as save_page,
-)
-from palpate.figures.checks import (
-    budget_figure as budget_figure,
-    errors_figure as errors_figure,
-    predictions_figure as predictions_figure,
 )
 from palpate.figures.displacement import (
     HELD as HELD,
@@ -32,18 +28,19 @@ from palpate.figures.displacement import (
     projected as projected,
 )
 from palpate.figures.estimate import (
+    budget_figure as budget_figure,
+    errors_figure as errors_figure,
     likelihood_figure as likelihood_figure,
+    predictions_figure as predictions_figure,
     probings_figure as probings_figure,
     refined_likelihood as refined_likelihood,
     write_plots as write_plots,
 )
 from palpate.figures.flow import (
     flow_figure as flow_figure,
+    make_flow_view as make_flow_view,
     write_flow_pictures as write_flow_pictures,
 )
-from palpate.figures.flow_view import make_flow_view as make_flow_view
-from palpate.figures.next_probings import next_probings_figure as next_probings_figure
-from palpate.figures.recording import recording_figure as recording_figure
 from palpate.figures.style import (
     BLUE as BLUE,
     GREY as GREY,
@@ -59,4 +56,8 @@ from palpate.figures.style import (
     save_pixels as save_pixels,
     styled as styled,
 )
-from palpate.figures.surface import scan_figure as scan_figure, surface_figure as surface_figure
+from palpate.figures.surface import (
+    next_probings_figure as next_probings_figure,
+    scan_figure as scan_figure,
+    surface_figure as surface_figure,
+)

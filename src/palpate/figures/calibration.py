@@ -1,4 +1,4 @@
-"""Figures of a calibration: residuals and coverage of every camera, the rig; boards to print."""
+"""Figures of calibrations, rigs, boards to print, and a recording over time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,9 +7,12 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float, Int
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from palpate.calibration import (
@@ -21,8 +24,18 @@ from palpate.calibration import (
     camera_quality,
     picture_errors,
 )
-from palpate.figures.style import BLUE, GREY, INK, ORANGE, open_frame, styled
+from palpate.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    MIDDLE_BLUE,
+    ORANGE,
+    PALE_BLUE,
+    open_frame,
+    styled,
+)
 from palpate.geometry import CREASE_ANGLE, TriangleMesh, unit_normals
+from palpate.recording import Recorded
 from palpate.records import Camera, Rig, camera_centre
 from palpate.shapes import Vector3
 from palpate.vision import project
@@ -42,6 +55,8 @@ _VIEWS_HEIGHT, _MOST_NAMED = 0.75, 13
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 # Resolution of a printed board, such that a module of a marker is a whole number of pixels.
 _PIXELS_PER_SQUARE = 240
+# Largest number of points of a line: more than 8 inches show at 150 dpi.
+_POINTS = 4000
 
 
 @styled
@@ -291,3 +306,88 @@ def save_page(figure: Figure, path: Path, *, kind: str) -> None:
     OSError                         the file cannot be written
     """
     figure.savefig(path, dpi=_DOTS_PER_INCH, format=kind)
+
+
+@styled
+def recording_figure(found: Recorded, name: str) -> Figure:
+    """Force and motion over the whole recording, with plateaus and moments at rest.
+
+    Parameters
+    ----------
+    found : Recorded
+    name : str                      of the session, for the heading
+
+    Returns
+    -------
+    Figure
+    """
+    rows = 1 + len(found.motions)
+    figure = Figure(figsize=(8.4, 2.3 + 0.85 * len(found.motions)), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, height_ratios=[2.2, *[1.0] * (rows - 1)])
+    axes = np.atleast_1d(axes)
+    _draw_force(axes[0], found)
+    for panel, motion, clock in zip(axes[1:], found.motions, found.clocks, strict=True):
+        time = motion.time + clock.offset
+        every = max(1, len(time) // _POINTS)
+        panel.plot(time[::every], motion.change[::every], color=BLUE, linewidth=0.7)
+        text = f"{1e3 * clock.std:.1f} ms" if np.isfinite(clock.std) else "unknown"
+        accuracy = "told" if clock.given else f"± {text}"
+        panel.annotate(
+            f"{motion.camera}: clock {clock.offset:+.4f} s, {accuracy}", (0.005, 0.97),
+            xycoords="axes fraction", va="top", fontsize=6.5, parse_math=False,
+        )  # fmt: skip
+        panel.set_ylim(0.0, 1.35 * float(motion.change.max()))
+        panel.set_yticks([])
+        panel.set_ylabel("picture's\nchange")
+    for panel in axes:
+        _draw_moments(panel, found)
+        open_frame(panel)
+    axes[-1].set_xlabel("time of the force log [s]")
+    axes[-1].set_xlim(found.resampled.time[0], found.resampled.time[-1])
+    figure.legend(handles=_keys(found), loc="outside lower center", ncols=4)
+    kept, all_of = len(found.presses), len(found.touches)
+    figure.suptitle(
+        f"{name}: {kept} of {all_of} presses", fontsize=9, weight="bold", parse_math=False
+    )
+    return figure
+
+
+def _keys(found: Recorded) -> list[Artist]:
+    """Legend of the colours."""
+    keys: list[Artist] = [
+        Patch(color=MIDDLE_BLUE, alpha=0.7, label="picture at rest"),
+        Patch(color=PALE_BLUE, label="plateau: nothing moves"),
+        Line2D([], [], color=ORANGE, linewidth=2.0, label="force that is read"),
+    ]
+    if len(found.presses) < len(found.touches):
+        keys.append(Patch(color=GREY, alpha=0.35, label="left out"))
+    return keys
+
+
+def _draw_force(axes: Axes, found: Recorded) -> None:
+    """Draw the magnitude of the force without weight and drift, and the reading of each press."""
+    even = found.resampled
+    size = np.linalg.norm(even.force - found.zero.at(even.time), axis=1)
+    every = max(1, len(size) // _POINTS)
+    axes.plot(even.time[::every], size[::every], color=INK, linewidth=0.7)
+    for press in found.presses:
+        reading = press.reading
+        force = float(np.linalg.norm(reading.force))
+        axes.plot([reading.begin, reading.end], [force, force], color=ORANGE, linewidth=2.0)
+        axes.annotate(
+            press.name, (reading.time, force), (0.0, 4.0), textcoords="offset points",
+            ha="center", fontsize=6.5, parse_math=False,
+        )  # fmt: skip
+    axes.set_ylim(0.0, 1.15 * float(np.nanmax(size)))
+    axes.set_ylabel("force [N]")
+
+
+def _draw_moments(axes: Axes, found: Recorded) -> None:
+    """Draw plateaus and moments at rest as bands, and touches that are left out in grey."""
+    kept = {press.number for press in found.presses}
+    for number, touch in enumerate(found.touches, start=1):
+        if number not in kept:
+            axes.axvspan(touch.begin, touch.end, color=GREY, alpha=0.35, linewidth=0)
+    for press in found.presses:
+        axes.axvspan(press.reading.begin, press.reading.end, color=PALE_BLUE, linewidth=0, zorder=0)
+        axes.axvspan(*press.rest, color=MIDDLE_BLUE, alpha=0.7, linewidth=0, zorder=0)

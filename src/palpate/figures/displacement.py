@@ -170,7 +170,7 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points], sigmas: PointScalars
         panels, titles, arrows, shown, scales, strict=True
     ):
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        _surface(axes, scene)
+        draw_body(axes, scene.view, scene.held)
         _points(axes, scene, colour, cmap, most)
         add_arrows(axes, scene.points[front, :2], panel_arrows, pitch=scene.size / ARROWS_ACROSS)
         title_panel(axes, title)
@@ -220,22 +220,6 @@ def _extent(
 def _arrow_tail(scene: _Scene) -> Float[np.ndarray, "2"]:
     """Start of the force's arrow [mm]."""
     return (scene.contact - 0.2 * scene.size * scene.push)[:2]
-
-
-def _surface(axes: Axes, scene: _Scene) -> None:
-    """Shaded triangles, nearest last."""
-    colours = CLAY(scene.view.brightness)
-    shade = 0.75 + 0.25 * scene.view.brightness[scene.held, None]
-    colours[scene.held, :3] = shade * np.array(to_rgb(HELD))
-    axes.add_collection(
-        PolyCollection(
-            cast(Any, 1e3 * scene.view.polygons),
-            facecolors=colours,
-            edgecolors=colours,
-            linewidths=0.3,
-        ),
-        autolim=False,  # the limits are set already, and finding them takes time
-    )
 
 
 def _points(axes: Axes, scene: _Scene, length: PointScalars, cmap: str, top: float) -> None:
@@ -326,6 +310,24 @@ def make_view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
     light = np.array(LIGHT) / np.linalg.norm(LIGHT)
     brightness = np.clip(normals[order] @ light, 0.0, 1.0)
     return SurfaceView(rotation, corners[order, :, :2], brightness, order)
+
+
+def draw_body(axes: Axes, view: SurfaceView, held: Bool[np.ndarray, " m"]) -> None:
+    """Draw shaded triangles, nearest last, in millimetres.
+
+    Parameters
+    ----------
+    axes : Axes                 with limits
+    view : SurfaceView
+    held : (m,) bool            triangles of the view that are drawn darker
+    """
+    colours = CLAY(view.brightness)
+    colours[held, :3] = (0.75 + 0.25 * view.brightness[held, None]) * np.array(to_rgb(HELD))
+    polygons = PolyCollection(
+        cast(Any, 1e3 * view.polygons), facecolors=colours, edgecolors=colours, linewidths=0.3
+    )
+    # The limits are set already, and finding them takes time.
+    axes.add_collection(polygons, autolim=False)
 
 
 def projected(view: SurfaceView, points: Shaped[np.ndarray, "*n 3"]) -> Shaped[np.ndarray, "*n 3"]:

@@ -1,4 +1,7 @@
-"""Figures of an estimate: likelihood, single probings, measured against predicted."""
+"""Figures of an estimate: likelihood, single probings, measured against predicted; diagnostics.
+
+Diagnostics are cross-validated predictions, estimated systematic errors and the uncertainty budget.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,9 +17,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import RectBivariateSpline
 
-from palpate.estimation import FitResult, LikelihoodMap
-from palpate.figures.checks import budget_figure, errors_figure, predictions_figure
-from palpate.figures.displacement import displacement_figure
+from palpate.estimation import FitResult, LikelihoodMap, ProbeFit
+from palpate.figures.displacement import OUTLIER_WEIGHT, displacement_figure
 from palpate.figures.style import (
     BLUE,
     GREY,
@@ -29,16 +31,36 @@ from palpate.figures.style import (
     save_figure,
     styled,
 )
-from palpate.records import Constant, Estimate, Session, file_stems, modulus_unit
+from palpate.records import (
+    IMPOSSIBLE,
+    SURPRISING,
+    Constant,
+    Estimate,
+    Probing,
+    Session,
+    file_stems,
+    modulus_unit,
+)
 
 # Deviance at the edge of the 50 and 95 % regions: chi squared with two degrees of freedom.
-REGIONS = {50: 1.3863, 95: 5.9915}
+_REGIONS = {50: 1.3863, 95: 5.9915}
 MAX_DEVIANCE = 16.0  # the likelihood is shown up to this deviance
 _SYMBOLS = {
     "poisson_ratio": r"Poisson's ratio $\nu$",
     "shear_modulus": "shear modulus $G$",
     "young_modulus": "Young's modulus $E$",
 }
+# Largest number of dots; more would hide each other.
+_MOST_DOTS = 4000
+# Largest number of errors shown: those with the most prior standard deviations.
+_MOST_ERRORS = 16
+# Constant, axis label, factor of its standard deviations.
+_BUDGETS = (
+    ("young_modulus", "standard deviation of $E$ (%)", 100.0),
+    ("poisson_ratio", r"standard deviation of $\nu$", 1.0),
+)
+# Smallest contribution shown, as a fraction of the largest.
+_SMALLEST_PART = 0.02
 
 
 def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]:
@@ -106,7 +128,7 @@ def likelihood_figure(result: FitResult) -> Figure:
     figure = Figure(figsize=(4.6, 3.9))
     axes = figure.add_axes((0.14, 0.12, 0.82, 0.70))
     # A spline may dip below zero.
-    levels = [min(0.0, float(deviance.min())) - 1e-9, *REGIONS.values()]
+    levels = [min(0.0, float(deviance.min())) - 1e-9, *_REGIONS.values()]
     axes.contourf(nu, shear, deviance, levels=levels, colors=[MIDDLE_BLUE, PALE_BLUE])
     axes.contour(nu, shear, deviance, levels=levels[1:], colors=BLUE, linewidths=0.8)
     axes.set(xlim=(nu[0], nu[-1]), ylim=(shear[0], shear[-1]))
@@ -114,7 +136,7 @@ def likelihood_figure(result: FitResult) -> Figure:
     axes.set(xlabel=r"Poisson's ratio $\nu$", ylabel=f"shear modulus $G$ ({unit})")
     patches = {
         f"both together, {share} %": Patch(facecolor=colour, edgecolor=BLUE, linewidth=0.8)
-        for share, colour in zip(REGIONS, (MIDDLE_BLUE, PALE_BLUE), strict=True)
+        for share, colour in zip(_REGIONS, (MIDDLE_BLUE, PALE_BLUE), strict=True)
     }
     handles = patches | _interval_lines(axes, estimate, nu, factor)
     figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=2, columnspacing=1.4)
@@ -310,3 +332,147 @@ def _panel_limits(
     low, high = max(reach.min(), low - 2 * width), min(reach.max(), high + 2 * width)
     margin = 0.04 * max(high - low, width)
     return float(low - margin), float(high + margin)
+
+
+@styled
+def predictions_figure(session: Session, result: FitResult) -> Figure | None:
+    """Measured displacement of every point against its prediction from the other probings.
+
+    The component of the measured displacement along the predicted direction is drawn: unlike its
+    length, it is not biased by noise. Outliers are left out.
+
+    Parameters
+    ----------
+    session : Session
+    result : FitResult              of that session
+
+    Returns
+    -------
+    Figure or None                  None if there is only one probing
+    """
+    by_name = {probing.name: probing for probing in session.probings}
+    pairs = [_pairs(by_name[one.name], one) for one in result.probes]
+    known = [pair for pair in pairs if pair is not None]
+    if not known:
+        return None
+    predicted, measured, used = np.concatenate(known, axis=1)
+    predicted, measured = 1e3 * predicted[used > 0.0], 1e3 * measured[used > 0.0]
+    step = max(1, len(measured) // _MOST_DOTS)
+    size = float(np.clip(60.0 / np.sqrt(len(measured) + 1.0), 2.2, 5.0))
+    low = min(float(measured.min(initial=0.0)), 0.0)
+    figure = Figure(figsize=(4.6, 3.9))
+    axes = figure.add_axes((0.14, 0.12, 0.82, 0.78))
+    top = float(max(predicted.max(initial=0.0), measured.max(initial=0.0))) or 1.0
+    axes.plot([0.0, top], [0.0, top], color=INK, linewidth=0.8, label="equal")
+    axes.plot(
+        predicted[::step], measured[::step], "o", color=BLUE, markersize=size, alpha=0.55,
+        markeredgewidth=0, label="a point", zorder=3,
+    )  # fmt: skip
+    axes.set(
+        xlabel="predicted by the other probings (mm)", ylabel="measured along that direction (mm)"
+    )
+    axes.set(xlim=(0.0, 1.04 * top), ylim=(low - 0.02 * top, 1.04 * top))
+    figure.legend(loc="upper center", ncols=2)
+    open_frame(axes)
+    return figure
+
+
+def _pairs(probing: Probing, fit: ProbeFit) -> np.ndarray | None:
+    """Predicted lengths [m], measured components along the predicted directions [m], and 1 for used
+    points, else 0; (3, n)."""
+    field = probing.displacement
+    if field is None or fit.left_out_predicted is None:
+        return None
+    seen = np.isfinite(field.displacement).all(axis=1)
+    predicted, measured = fit.left_out_predicted[seen], field.displacement[seen]
+    length = np.linalg.norm(predicted, axis=1)
+    along = np.einsum("nk,nk->n", predicted, measured) / np.maximum(length, 1e-300)
+    return np.stack([length, along, fit.weight[seen].max(axis=1) >= OUTLIER_WEIGHT])
+
+
+@styled
+def errors_figure(estimate: Estimate) -> Figure | None:
+    """Estimate and posterior deviation of each systematic error, in prior standard deviations.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    Figure or None                  None if no systematic error was estimated
+    """
+    every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
+    every = [one for one in every if one.prior_std > 0.0]
+    if not every:
+        return None
+    farthest = sorted(every, key=lambda one: -abs(one.value) / one.prior_std)[:_MOST_ERRORS]
+    value = np.array([one.value / one.prior_std for one in farthest])
+    std = np.array([one.std / one.prior_std for one in farthest])
+    figure = Figure(figsize=(7.0, 0.85 + 0.2 * len(farthest)), layout="constrained")
+    axes = figure.add_subplot()
+    rows = np.arange(len(farthest))
+    axes.axvspan(
+        -1.0, 1.0, color="#e6e8eb", linewidth=0, zorder=0, label="assumed (prior, 1 sigma)"
+    )
+    for limit in (SURPRISING, IMPOSSIBLE):
+        for side in (-limit, limit):
+            axes.axvline(side, color=ORANGE if limit == IMPOSSIBLE else GREY, linewidth=0.8,
+                         linestyle=(0, (2, 2)), zorder=1)  # fmt: skip
+    axes.errorbar(value, rows, xerr=std, fmt="o", color=BLUE, markersize=3.5, elinewidth=0.9,
+                  label="found, 1 sigma", zorder=3)  # fmt: skip
+    reach = max(SURPRISING + 0.4, float(np.abs(value).max() + std.max()) + 0.2)
+    axes.set(xlim=(-reach, reach), ylim=(len(farthest) - 0.4, -0.6))
+    axes.set_yticks(rows, [_short(one.name) for one in farthest], parse_math=False)
+    axes.set_xlabel("in the assumed standard deviations (prior)")
+    axes.tick_params(axis="y", length=0)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    figure.legend(loc="outside upper center", ncols=2)
+    return figure
+
+
+@styled
+def budget_figure(estimate: Estimate) -> Figure | None:
+    """Uncertainty budget: contributions to the standard deviations of E and nu, by source.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    Figure or None                  None if neither is determined, or there is no budget
+    """
+    panels = [
+        (name, label, factor)
+        for name, label, factor in _BUDGETS
+        if estimate.budget and estimate.identifiable[name]
+    ]
+    if not panels:
+        return None
+    parts = np.array([[f * getattr(one, name) for name, _, f in panels] for one in estimate.budget])
+    # The smallest bars would be invisible.
+    shown = np.flatnonzero((parts > _SMALLEST_PART * parts.max(axis=0)).any(axis=1))
+    sources = [estimate.budget[k].source for k in shown]
+    height = 1.05 + 0.22 * len(shown)
+    figure = Figure(figsize=(7.0, height))
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    figure.subplots_adjust(
+        left=0.27, right=0.95, wspace=0.12, bottom=0.5 / height, top=1 - 0.35 / height
+    )
+    for panel, (_, label, _), values in zip(axes, panels, parts.T, strict=True):
+        whole = float(np.sqrt((values**2).sum()))
+        panel.barh(np.arange(len(shown)), values[shown], height=0.62, color=BLUE)
+        panel.axvline(whole, color=ORANGE, linewidth=1.2)
+        panel.set(xlabel=label, xlim=(0.0, 1.08 * whole), ylim=(len(shown) - 0.4, -0.6))
+        panel.tick_params(axis="y", length=0)
+        panel.spines[["top", "right"]].set_visible(False)
+    axes[0].set_yticks(np.arange(len(shown)), sources, parse_math=False)
+    handles = {"from one source, 1 sigma": Patch(color=BLUE, linewidth=0),
+               "all together": Line2D([], [], color=ORANGE, linewidth=1.2)}  # fmt: skip
+    figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=2)
+    return figure
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 54 else f"{name[:53]}\N{HORIZONTAL ELLIPSIS}"

@@ -1,29 +1,30 @@
-"""Figures of repaired and scanned surfaces: before, after, and their accuracy."""
+"""Figures of repaired and scanned surfaces with their accuracy; where to probe next."""
 
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgb, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from palpate.figures.displacement import CLAY, SurfaceView, make_view, projected
+from palpate.figures.displacement import CLAY, SurfaceView, draw_body, make_view, projected
 from palpate.figures.style import (
     BLUE,
     GREY,
     INK,
     MIDDLE_BLUE,
     ORANGE,
+    add_colour_bar,
     add_texts,
     styled,
     three_panels,
     title_panel,
 )
-from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas, unit_normals
+from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas
+from palpate.pipeline import NextProbings
 from palpate.scanning import PreparedSurface, ScannedSurface, distances
 from palpate.shapes import Points, TriangleScalars, Vector3
 
@@ -36,6 +37,12 @@ _MOST_POINTS = 40_000
 _PALE_GREY = "#d9dce1"
 # Least end of the colour scale [mm].
 _SMALLEST = 0.01
+# Viewing directions, all from slightly above.
+_SIDES = ((0.45, -0.75, 0.48), (0.5, 0.75, 0.43), (-0.85, -0.1, 0.52))
+_TITLES = ("from the front", "from behind", "from the left")
+# Least cosine between outward direction and view of a place that is drawn.
+_FRONT = 0.15
+_MAP = "viridis"
 
 
 @styled
@@ -53,17 +60,10 @@ def surface_figure(name: str, surface: PreparedSurface) -> Figure:
     """
     direction = _seen_from(surface)
     given, made = _view(surface.given, direction), make_view(surface.mesh, direction)
-    corners = np.concatenate([view.polygons.reshape(-1, 2) for view in (given, made)])
-    low, high = 1e3 * corners.min(axis=0), 1e3 * corners.max(axis=0)
-    margin = 0.04 * float((high - low).max())
-    figure, panels = three_panels(high - low + 2 * margin)
-    for axes in panels:
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-        axes.set_aspect("equal")
+    figure, panels = _panels_around([given, made], margin=0.04)
     _draw(panels[0], given, lined=len(surface.given.triangles) <= _MOST_LINED)
-    shown = _drawn_order(surface.mesh, direction)
     lined = len(surface.mesh.triangles) <= _MOST_LINED
-    _draw(panels[1], made, lined=lined, orange=surface.guessed[shown])
+    _draw(panels[1], made, lined=lined, orange=surface.guessed[made.triangle])
     places = np.array([action.place for action in surface.actions]).reshape(-1, 3)
     _mark(panels[0], given, places)
     gap = 1e3 * distances(
@@ -98,17 +98,10 @@ def scan_figure(name: str, surface: ScannedSurface) -> Figure:
     """
     mesh, direction = surface.mesh, _scan_direction(surface)
     made = make_view(mesh, direction)
-    corners = 1e3 * made.polygons.reshape(-1, 2)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = 0.06 * float((high - low).max())
-    figure, panels = three_panels(high - low + 2 * margin)
-    for axes in panels:
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-        axes.set_aspect("equal")
+    figure, panels = _panels_around([made], margin=0.06)
     _points_of_views(panels[0], made, surface, direction)
-    shown = _drawn_order(mesh, direction)
     lined = len(mesh.triangles) <= _MOST_LINED
-    _draw(panels[1], made, lined=lined, orange=surface.guessed[shown])
+    _draw(panels[1], made, lined=lined, orange=surface.guessed[made.triangle])
     corner = surface.sigma[mesh.triangles]
     known = np.isfinite(corner)
     sigma = np.where(known, corner, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
@@ -122,6 +115,18 @@ def scan_figure(name: str, surface: ScannedSurface) -> Figure:
     guessed = f"orange: not seen, {100.0 * share:.1f} % of the area; " if share else ""
     add_texts(figure, name, guessed + "grey on the right: no standard deviation", "")
     return figure
+
+
+def _panels_around(views: list[SurfaceView], *, margin: float) -> tuple[Figure, list[Axes]]:
+    """Three panels [mm] with room for all views; margin as a fraction of their larger side."""
+    corners = 1e3 * np.concatenate([view.polygons.reshape(-1, 2) for view in views])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    room = margin * float((high - low).max())
+    low, high = low - room, high + room
+    figure, panels = three_panels(high - low)
+    for axes in panels:
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    return figure, panels
 
 
 def _counted(count: int, what: str) -> str:
@@ -173,13 +178,6 @@ def _view(mesh: TriangleMesh, direction: Vector3) -> SurfaceView:
     return make_view(both, direction)
 
 
-def _drawn_order(mesh: TriangleMesh, direction: Vector3) -> Int[np.ndarray, " k"]:
-    """Front-facing triangles in the order of `make_view`."""
-    front = np.flatnonzero(unit_normals(mesh) @ direction > 0.0)
-    depth = mesh.vertices[mesh.triangles[front]].mean(axis=1) @ direction
-    return front[np.argsort(depth)]
-
-
 def _draw(
     axes: Axes, view: SurfaceView, *, lined: bool, orange: Bool[np.ndarray, " m"] | None = None
 ) -> None:
@@ -217,7 +215,7 @@ def _coloured(
 ) -> None:
     """Draw triangles coloured by a value [mm], grey if unknown, with a colour bar below."""
     view = make_view(mesh, direction)
-    shown = value[_drawn_order(mesh, direction)]
+    shown = value[view.triangle]
     norm = Normalize(0.0, max(float(np.nanquantile(value, 0.99)), _SMALLEST))
     colours = ScalarMappable(norm, "magma_r").to_rgba(np.nan_to_num(shown))
     colours[np.isnan(shown)] = to_rgba(_PALE_GREY)
@@ -227,12 +225,70 @@ def _coloured(
         ),
         autolim=False,
     )
-    total = figure.get_figheight()
-    cell = axes.get_position(original=True)
-    place = (cell.x0 + 0.19 * cell.width, 0.61 / total, 0.62 * cell.width, 0.075 / total)
-    bar = figure.colorbar(
-        ScalarMappable(norm, "magma_r"), cax=figure.add_axes(place), orientation="horizontal",
-        extend="max", ticks=MaxNLocator(3),
+    add_colour_bar(figure, [axes], "magma_r", norm, label)
+
+
+@styled
+def next_probings_figure(name: str, found: NextProbings) -> Figure:
+    """Three views of the object with the candidate places; the best ones are numbered.
+
+    Parameters
+    ----------
+    name : str                      heading
+    found : NextProbings
+
+    Returns
+    -------
+    Figure
+    """
+    mesh = found.session.mesh
+    views = [make_view(mesh, np.array(side) / np.linalg.norm(side)) for side in _SIDES]
+    figure, panels = _panels_around(views, margin=0.06)
+    gain = _gain(found)
+    norm = Normalize(0.0, max(float(gain.max(initial=0.0)), 1.0))
+    for axes, view, title in zip(panels, views, _TITLES, strict=True):
+        draw_body(axes, view, np.isin(view.triangle, found.session.held_triangles))
+        _mark_places(axes, view, found, gain, norm)
+        title_panel(axes, title)
+    add_colour_bar(figure, panels, _MAP, norm, "one push there narrows the interval of nu by [%]")
+    held = np.isin(np.concatenate([one.triangle for one in views]), found.session.held_triangles)
+    note = "grey: held" if held.any() else ""
+    add_texts(figure, name, "crosses: measured; rings: push here, in this order", note)
+    return figure
+
+
+def _gain(found: NextProbings) -> np.ndarray:
+    """Relative reduction of the interval of nu by a push at each place alone [%]."""
+    now = found.now["poisson_ratio"]
+    after = np.array([one["poisson_ratio"] for one in found.alone])
+    if not np.isfinite(now):
+        now = float(np.max(after[np.isfinite(after)], initial=1.0))
+    return 100.0 * np.clip(1.0 - np.where(np.isfinite(after), after, now) / now, 0.0, 1.0)
+
+
+def _mark_places(
+    axes: Axes, view: SurfaceView, found: NextProbings, gain: np.ndarray, norm: Normalize
+) -> None:
+    """Draw candidate, chosen and existing contact points on the near side."""
+    turn = view.R_view_object
+    # A place whose outward normal faces the viewer is on the near side of a convex body, and of
+    # most others.
+    front = -found.inward @ turn[2] > _FRONT
+    place = 1e3 * (found.point @ turn.T)
+    axes.scatter(
+        place[front, 0], place[front, 1], c=gain[front], cmap=_MAP, norm=norm, s=22,
+        linewidths=0.3, edgecolors=INK, zorder=3,
     )  # fmt: skip
-    bar.outline.set_linewidth(0.4)
-    bar.set_label(label, labelpad=2)
+    for number, k in enumerate(found.chosen, start=1):
+        if front[k]:
+            axes.plot(*place[k, :2], "o", mfc="none", mec=ORANGE, mew=1.6, ms=9, zorder=4)
+            axes.annotate(
+                str(number), place[k, :2], (6, 4), textcoords="offset points", color=ORANGE,
+                weight="bold", zorder=5,
+            )  # fmt: skip
+    measured = np.array([one.contact.point for one in found.session.probings])
+    pushed = np.array([one.force for one in found.session.probings])
+    length = np.maximum(np.linalg.norm(pushed, axis=1), np.finfo(float).tiny)
+    seen = -(pushed / length[:, None]) @ turn[2] > _FRONT
+    crosses = 1e3 * (measured @ turn.T)[seen]
+    axes.plot(crosses[:, 0], crosses[:, 1], "x", color=INK, markersize=5, mew=1.2, zorder=4)

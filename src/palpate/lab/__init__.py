@@ -5,25 +5,9 @@ Takes      : a configuration in TOML, format `palpate-lab/1`, and a seed.
 Gives      : a session folder that also holds `truth.toml` and truth maps.
 Depends on : `solids`, `vision`, `records`, `geometry`; never on `bem`: the model that estimates the
              constants must not have generated the data.
-Read first : `config.py`, `bench/facility.py`, then `specimens.py`, `pictures/studio.py`.
+Read first : `config.py`, `facility.py`, `arm.py`, then `specimens.py`, `studio.py`, `scene.py`.
 """
 
-from palpate.lab.bench.facility import make_session as make_session, make_sessions as make_sessions
-from palpate.lab.bench.planned_pictures import planned_pictures as planned_pictures
-from palpate.lab.bench.press_film import (
-    Film as Film,
-    SolvedPress as SolvedPress,
-    film_frames as film_frames,
-    gauge_readings as gauge_readings,
-    rest_pictures as rest_pictures,
-    solve_press as solve_press,
-    write_film as write_film,
-)
-from palpate.lab.bench.tutorial import (
-    Print as Print,
-    TutorialSize as TutorialSize,
-    make_tutorial as make_tutorial,
-)
 from palpate.lab.config import (
     Arm as Arm,
     Calibration as Calibration,
@@ -40,8 +24,19 @@ from palpate.lab.config_files import (
     built_in as built_in,
     read_lab_config as read_lab_config,
 )
-from palpate.lab.pictures.head import miscalibrated as miscalibrated
-from palpate.lab.pictures.mitsuba_variant import (
+from palpate.lab.facility import make_session as make_session, make_sessions as make_sessions
+from palpate.lab.head import miscalibrated as miscalibrated
+from palpate.lab.planned_pictures import planned_pictures as planned_pictures
+from palpate.lab.press_film import (
+    Film as Film,
+    SolvedPress as SolvedPress,
+    film_frames as film_frames,
+    gauge_readings as gauge_readings,
+    rest_pictures as rest_pictures,
+    solve_press as solve_press,
+    write_film as write_film,
+)
+from palpate.lab.scene import (
     Variant as Variant,
     choose_variant as choose_variant,
 )
@@ -49,4 +44,9 @@ from palpate.lab.specimens import (
     SHAPES as SHAPES,
     cylinder as cylinder,
     half_ball as half_ball,
+)
+from palpate.lab.tutorial import (
+    Print as Print,
+    TutorialSize as TutorialSize,
+    make_tutorial as make_tutorial,
 )

@@ -17,8 +17,8 @@ from palpate.geometry import (
     triangle_areas,
 )
 from palpate.lab.config import LabConfig, Probe, Specimen
-from palpate.lab.pictures.head import make_head
-from palpate.lab.pictures.textures import dot_count
+from palpate.lab.head import make_head
+from palpate.lab.render_mesh import dot_count
 from palpate.lab.specimens import SHAPES
 from palpate.records import (
     STIFFNESS_UNITS,
@@ -156,8 +156,8 @@ def _support(
     if not selectors and (stiffness is not None or "support" not in root.values):
         selectors = {"plane": _BASE}
     held = read_support(replace(table, values=selectors), body, metres_per_unit=1.0)
-    told = {} if stiffness is None else {"stiffness": stiffness}
-    return held, selectors | told, stiffness
+    layer = {} if stiffness is None else {"stiffness": stiffness}
+    return held, selectors | layer, stiffness
 
 
 def _check_edge(table: TomlTable, edge: float, lengths: Mapping[str, float]) -> None:

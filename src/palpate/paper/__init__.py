@@ -6,7 +6,7 @@ Takes      : built-in configurations of the lab.
 Gives      : `PaperResult`: text, tables and pictures, as files and as a page.
 Depends on : `figures`, `pipeline`, `lab`, `estimation`, `vision`, `solids`, `records`,
              `geometry`.
-Read first : `published.py`, `experiments.py`, `sessions.py`.
+Read first : `sessions.py`, then `experiments.py`.
 """
 
 from palpate.paper.budget import (

@@ -12,9 +12,14 @@ from palpate.estimation import FitResult
 from palpate.figures import Picture, displacement_figure, figure_pixels
 from palpate.lab import Material, cylinder
 from palpate.paper.motion import PAPER
-from palpate.paper.published import PAPER_ALL_PROBES, PAPER_COMPRESSION_MODULUS, PAPER_PROBES
 from palpate.paper.result import Cell, ResultTable
-from palpate.paper.sessions import Method, PaperSession
+from palpate.paper.sessions import (
+    PAPER_ALL_PROBES,
+    PAPER_COMPRESSION_MODULUS,
+    PAPER_PROBES,
+    Method,
+    PaperSession,
+)
 from palpate.pipeline import fit_session, with_measured_displacement
 from palpate.records import Constant, Estimate, ProbeEstimate, Session
 from palpate.solids import Punch, held_nodes, make_body, make_solid, press

@@ -17,28 +17,28 @@ from palpate.paper.constants import (
     estimated_constants,
     motion_picture,
 )
-from palpate.paper.figures import flow_curves, flow_picture, vertex_curves
 from palpate.paper.motion import (
     PAPER,
+    flow_curves,
+    flow_picture,
     flow_rows,
     flow_summary,
     flow_table,
+    vertex_curves,
     vertex_rows,
     vertex_summary,
     vertex_table,
 )
-from palpate.paper.published import (
+from palpate.paper.result import Cell, PaperResult, ResultTable
+from palpate.paper.sessions import (
+    METHODS,
     PAPER_ANGLE_ERROR_ROTATION,
     PAPER_ANGLE_ERROR_X,
     PAPER_ANGLE_ERROR_Y,
     PAPER_FLOW_LEFT_REAR,
     PAPER_FLOW_REAR_RIGHT,
-    MotionRow,
-)
-from palpate.paper.result import Cell, PaperResult, ResultTable
-from palpate.paper.sessions import (
-    METHODS,
     Method,
+    MotionRow,
     PaperSession,
     measured_session,
     reduced,

@@ -1,4 +1,12 @@
-"""Sessions of the virtual facility, their motion measured by each method, and the ground truth."""
+"""What the paper printed, and the facility's sessions that repeat it, measured by each method.
+
+The paper's own numbers, tables 1, 2 and 3, are in SI units; lengths are printed in cm there, angles
+in degrees. Results of this project for the same tables use the same types, so that both can be
+compared. The ground truth of the sessions is known.
+
+Source: Lang and Pai, Estimation of elastic constants from 3D range-flow, 3DIM (2001), sections 4
+and 5.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -268,3 +276,148 @@ def _motion(table: TomlTable) -> Float[np.ndarray, "4 4"]:
     motion[:3, :3] = [TomlTable(table.file, table.name, {"R": row}).vector("R") for row in rows]
     motion[:3, 3] = table.vector("t")
     return motion
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean and standard deviation of a quantity over points.
+
+    Attributes
+    ----------
+    mean, std : float               in the quantity's unit; NaN if there are no points
+    """
+
+    mean: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotionRow:
+    """A row of table 1 or 2: measurements after some steps of a rigid motion.
+
+    Attributes
+    ----------
+    step : int                      from 1
+    angle : Spread [rad]            table 1: between the range flow and the optical axis of the
+                                    reference camera; table 2: between the measured and the true
+                                    displacement of a vertex
+    length : Spread or None [m]     of the flow or displacement; None: not printed
+    command : float or None [m]     table 1: commanded travel of the stage; table 2: mean length of
+                                    the true displacement of the same vertices
+    encoder : float or None [m]     table 1: travel from the first instant, from the stage's encoder
+    count : int or None             tracked points or measured vertices; None: not printed
+    """
+
+    step: int
+    angle: Spread
+    length: Spread | None = None
+    command: float | None = None
+    encoder: float | None = None
+    count: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialRow:
+    """A row of table 3: constants from a probing.
+
+    Attributes
+    ----------
+    node : int or None              the probed node; None: all nodes together
+    poisson_ratio : float [-]
+    shear_modulus : float           unit not printed; N/cm^2 would fit its other units
+    young_modulus : float           the same unit
+    """
+
+    node: int | None
+    poisson_ratio: float
+    shear_modulus: float
+    young_modulus: float
+
+
+def _rows(*rows: tuple[float, ...]) -> tuple[MotionRow, ...]:
+    """Rows from the printed numbers: angle and sigma [deg], then, if printed, length, sigma,
+    encoder (table 1 only) and command [cm]."""
+    made = []
+    for step, row in enumerate(rows, start=1):
+        angle, metres = np.deg2rad(row[:2]).tolist(), [1e-2 * length for length in row[2:]]
+        made.append(
+            MotionRow(
+                step,
+                Spread(*angle),
+                Spread(*metres[:2]) if metres else None,
+                command=metres[-1] if metres else None,
+                encoder=metres[2] if len(metres) == 4 else None,
+            )
+        )
+    return tuple(made)
+
+
+# Table 1 (a): motion to the left-rear of the reference picture.
+PAPER_FLOW_LEFT_REAR = _rows(
+    (67.0081, 10.2836, 0.2678, 0.0340, 0.2355, 0.2500),
+    (64.7748, 5.7253, 0.5396, 0.0402, 0.4864, 0.5000),
+    (64.8529, 4.1890, 0.8113, 0.0464, 0.7374, 0.7500),
+    (64.8575, 3.5898, 1.0849, 0.0571, 0.9911, 1.0000),
+    (64.9783, 2.8942, 1.3567, 0.0626, 1.2378, 1.2500),
+    (65.0915, 2.6112, 1.6290, 0.0697, 1.4867, 1.5000),
+    (65.1626, 2.3755, 1.9019, 0.0770, 1.7366, 1.7500),
+    (65.2725, 1.9633, 2.1747, 0.0827, 1.9929, 2.0000),
+)
+# Table 1 (b): motion to the rear-right.
+PAPER_FLOW_REAR_RIGHT = _rows(
+    (48.8813, 7.4717, 0.2367, 0.0334, 0.2230, 0.2500),
+    (46.2486, 4.5264, 0.4926, 0.0461, 0.4750, 0.5000),
+    (46.0249, 3.3112, 0.7404, 0.0518, 0.7146, 0.7500),
+    (45.4467, 2.6273, 0.9997, 0.0507, 0.9729, 1.0000),
+    (45.6313, 2.6246, 1.2471, 0.0606, 1.2161, 1.2500),
+    (45.4051, 2.5060, 1.5086, 0.0780, 1.4705, 1.5000),
+    (45.4808, 2.4960, 1.7614, 0.0889, 1.7192, 1.7500),
+    (45.2843, 2.3798, 2.0266, 0.0937, 1.9736, 2.0000),
+)
+# Table 2, translation in X.
+PAPER_ANGLE_ERROR_X = _rows(
+    (10.9142, 23.2285), (8.6968, 20.3784), (7.9037, 18.9947), (8.0567, 21.4754),
+    (8.3435, 23.5471), (8.0368, 24.2161), (8.1894, 26.5517), (7.9706, 28.0945),
+)  # fmt: skip
+# Table 2, translation in Y.
+PAPER_ANGLE_ERROR_Y = _rows(
+    (7.4402, 15.0430), (5.8115, 11.7741), (5.2960, 10.6937), (5.0309, 10.2249),
+    (4.8527, 9.9227), (4.8800, 9.994), (4.9821, 10.1555), (4.9916, 10.1864),
+)  # fmt: skip
+# Table 2, rotation around Z by 2 degrees a step.
+PAPER_ANGLE_ERROR_ROTATION = _rows(
+    (23.5574, 47.8135, 0.2998, 0.0518, 0.3053),
+    (24.8044, 58.0988, 0.5928, 0.0884, 0.6089),
+    (19.1940, 42.1753, 0.8739, 0.1468, 0.9052),
+    (17.5430, 41.4193, 1.1370, 0.2130, 1.2070),
+    (13.7172, 37.8691, 1.4744, 0.2350, 1.5336),
+    (12.2357, 36.0586, 1.7621, 0.3434, 1.8643),
+    (10.0026, 32.9437, 1.9929, 0.4729, 2.1297),
+    (8.2385, 31.2005, 2.1469, 0.6727, 2.3233),
+)
+# Table 3: each probing alone.
+PAPER_PROBES = tuple(
+    MaterialRow(*row)
+    for row in (
+        (1, 0.1183, 0.7809, 1.746),
+        (2, 0.1878, 0.6308, 1.499),
+        (3, 0.2227, 0.6039, 1.477),
+        (4, 0.2516, 0.6555, 1.641),
+        (5, 0.1857, 0.6977, 1.655),
+        (6, 0.2009, 0.6696, 1.608),
+        (8, 0.2089, 0.6550, 1.584),
+        (9, 0.2007, 0.6646, 1.596),
+        (11, 0.1868, 0.7175, 1.703),
+        (12, 0.2082, 0.7585, 1.833),
+        (14, 0.1997, 0.7993, 1.918),
+        (15, 0.2084, 0.7451, 1.801),
+        (17, 0.1192, 0.7666, 1.716),
+        (18, 0.1366, 0.7562, 1.719),
+        (20, 0.1400, 0.7480, 1.705),
+        (22, 0.1264, 0.7121, 1.604),
+        (26, 0.1442, 0.9383, 2.147),
+    )
+)
+# Table 3: all probings in one estimate, and the compression test of a cylinder ("about").
+PAPER_ALL_PROBES = MaterialRow(None, 0.1730, 0.7283, 1.709)
+PAPER_COMPRESSION_MODULUS = 1.75

@@ -5,37 +5,33 @@ Purpose    : find the presses in a recording, the clocks' offsets and the moment
 Takes      : recording.toml: a video or pictures for each camera, a force log, a mesh, a rig.
 Gives      : `Recorded`, a session folder; `survey_folder` and the outline of a session.
 Depends on : `vision`, `bem`, `probe`, `records`, `geometry`.
-Read first : `record.py`, then `force/touches.py`, `clock.py` and `session_folder.py`.
+Read first : `record.py`, then `touches.py`, `clock.py` and `footage.py`.
 """
 
-from palpate.recording.folder_survey import (
+from palpate.recording.outline import (
     SIDES as SIDES,
+    TEMPLATES as TEMPLATES,
     FolderSurvey as FolderSurvey,
+    Outline as Outline,
+    Template as Template,
     chosen_side as chosen_side,
     default_radius as default_radius,
     flat_sides as flat_sides,
+    likely_template as likely_template,
     likely_unit as likely_unit,
+    outline_text as outline_text,
     read_surface as read_surface,
     survey_folder as survey_folder,
 )
-from palpate.recording.outline import (
-    TEMPLATES as TEMPLATES,
-    Outline as Outline,
-    Template as Template,
-    likely_template as likely_template,
-    outline_text as outline_text,
-)
 from palpate.recording.record import (
+    PlacedPress as PlacedPress,
     Press as Press,
     Recorded as Recorded,
     find_presses as find_presses,
+    hysteresis as hysteresis,
+    write_recorded as write_recorded,
 )
 from palpate.recording.recording_file import (
     Recording as Recording,
     read_recording as read_recording,
-)
-from palpate.recording.session_folder import (
-    PlacedPress as PlacedPress,
-    hysteresis as hysteresis,
-    write_recorded as write_recorded,
 )

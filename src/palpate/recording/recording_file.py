@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from palpate.errors import RecordError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.recording.force.log import Gauge
-from palpate.recording.pictures.footage import Footage, read_times
+from palpate.recording.footage import Footage, read_times
+from palpate.recording.force_log import Gauge
 from palpate.records import (
     FILE_LENGTH_UNITS,
     LENGTH_UNITS,

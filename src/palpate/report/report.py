@@ -3,12 +3,14 @@
 import base64
 import io
 import math
+import re
 import time
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
@@ -22,21 +24,24 @@ from palpate.pipeline import (
     write_fitted_surface,
     write_residuals,
 )
-from palpate.records import Estimate, Session, file_stems, read_estimate, read_text, write_estimate
-from palpate.report.content import (
-    budget_rows,
-    constant_rows,
-    error_rows,
-    input_rows,
-    prediction_rows,
-    probing_rows,
-    rejection_rows,
-    second_rows,
-    setting_rows,
-    unit_of_moduli,
-    verdict,
+from palpate.records import (
+    ErrorEstimate,
+    Estimate,
+    ProbeEstimate,
+    Session,
+    Status,
+    constant_row,
+    constant_text,
+    error_texts,
+    file_stems,
+    modulus_unit,
+    read_estimate,
+    read_text,
+    verdict_text,
+    write_estimate,
 )
 from palpate.report.scene import scene
+from palpate.shapes import Points
 
 _TEMPLATES = resources.files("palpate.report") / "templates"
 # Figures that a report shows, with their captions.
@@ -49,6 +54,29 @@ _DRAWINGS = {
 }
 # Size limit of the probings' pictures [bytes of base64], and their quality (WebP).
 _MOST_BYTES, _QUALITY = 1_800_000, 82
+_LABELS = {
+    "young_modulus": ("Young's modulus", "E"),
+    "shear_modulus": ("Shear modulus", "G"),
+    "poisson_ratio": ("Poisson's ratio", "\N{GREEK SMALL LETTER NU}"),
+}
+_WORDS = {
+    Status.OK: "Determined",
+    Status.MODEL_CONTRADICTED: "Not to be trusted",
+    Status.NOT_CONVERGED: "No estimate",
+    Status.NOTHING_IDENTIFIABLE: "Not determined",
+}
+# Settings of an estimate that the report shows elsewhere.
+_ELSEWHERE = ("versions", "command")
+_STAGES = {
+    "loading": "loading the program",
+    "reading_and_motion": "reading, and motion in the pictures",
+    "given_mesh": "model of the given mesh",
+    "assembly": "integrals over the graded mesh",
+    "factorisation": "factorisation and reduced model",
+    "fit": "search and intervals",
+    "drawing": "tables and pictures",
+    "total": "total",
+}
 
 
 def write_report(folder: Path, target: Path) -> None:
@@ -82,17 +110,17 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
     pictures, missing = _pictures(folder, [probing.name for probing in surface.probings])
     return {
         "name": surface.name,
-        "verdict": verdict(estimate),
-        "constants": constant_rows(estimate),
-        "probings": probing_rows(estimate),
-        "predictions": prediction_rows(estimate, surface),
-        "errors": error_rows(estimate),
-        "budget": budget_rows(estimate),
-        "rejected": rejection_rows(estimate),
+        "verdict": _verdict(estimate),
+        "constants": _constant_rows(estimate),
+        "probings": _probing_rows(estimate),
+        "predictions": _prediction_rows(estimate, surface),
+        "errors": _error_rows(estimate),
+        "budget": _budget_rows(estimate),
+        "rejected": _rejection_rows(estimate),
         "notes": (*estimate.notes, *estimate.details),
-        "seconds": second_rows(estimate),
-        "settings": setting_rows(estimate),
-        "inputs": input_rows(folder),
+        "seconds": _second_rows(estimate),
+        "settings": _setting_rows(estimate),
+        "inputs": _input_rows(folder),
         "log": read_text(folder / "log.txt") if (folder / "log.txt").is_file() else "",
         "drawings": {name: _drawing(folder / f"{name}.svg") for name in _DRAWINGS},
         "drawn": _DRAWINGS,
@@ -101,7 +129,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "scene": shown,
         "shown": [one["name"] for one in shown["probings"]],
         "left_out": shown["left_out"],
-        "unit": unit_of_moduli(estimate),
+        "unit": _unit_of_moduli(estimate),
         "style": _style(shown["colours"]),
         "script": (_TEMPLATES / "viewer.js").read_text(encoding="utf-8"),
     }
@@ -170,3 +198,281 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     estimate = replace(result.estimate, seconds=seconds)
     write_estimate(folder / "estimate.json", estimate)
     return estimate
+
+
+def _verdict(estimate: Estimate) -> dict[str, Any]:
+    """The head of a report: a word, a sentence, what to do, and whether all is determined."""
+    status = estimate.status
+    # No line break between a number and its unit.
+    sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
+    return {
+        "word": _WORDS.get(status, "Partly determined"),
+        "sentence": sentence,
+        "cure": status.cure[:1].upper() + status.cure[1:] + "." if status.cure else "",
+        "good": status is Status.OK,
+    }
+
+
+def _constant_rows(estimate: Estimate) -> list[dict[str, str]]:
+    """Rows of the constants with their intervals.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    list of dict                    label, symbol, value, interval, unit
+    """
+    rows = []
+    for name, (label, symbol) in _LABELS.items():
+        value, interval, unit = constant_row(estimate, name)
+        rows.append(
+            {"label": label, "symbol": symbol, "value": value, "interval": interval, "unit": unit}
+        )
+    return rows
+
+
+def _probing_rows(estimate: Estimate) -> list[list[str]]:
+    """Rows of each probing alone; moduli in the unit of the joint Young's modulus.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             name, E, G, nu, number of points, rms residual [mm]
+    """
+    return [
+        [
+            probe.name,
+            *(_alone(estimate, probe, name) for name in _LABELS),
+            str(probe.observed),
+            _millimetres(probe.rms_residual),
+        ]
+        for probe in estimate.probes
+    ]
+
+
+def _alone(estimate: Estimate, probe: ProbeEstimate, name: str) -> str:
+    factor = 1.0
+    if name != "poisson_ratio":
+        factor, _ = modulus_unit(estimate.young_modulus.value)
+    # By default a probing alone determines no more than all together.
+    if not probe.identifiable.get(name, estimate.identifiable[name]):
+        return "\N{EN DASH}"
+    return constant_text(getattr(probe, name), factor=factor)
+
+
+def _prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[str]]:
+    """Rows of each probing's prediction from the other probings.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    surface : FittedSurface
+
+    Returns
+    -------
+    list of list of str             name, rms displacement, prediction error and noise [mm], and
+                                    prediction error over noise
+    """
+    rows = []
+    measured = {probing.name: probing for probing in surface.probings}
+    for probe in estimate.probes:
+        if probe.prediction_error is None or probe.name not in measured:
+            continue
+        typical = _rms(measured[probe.name].displacement)
+        seen = measured[probe.name]
+        noise = _rms(np.where(np.isfinite(seen.displacement), seen.sigma, np.nan))
+        over = probe.prediction_error / noise if noise > 0.0 else math.nan
+        rows.append(
+            [
+                probe.name, _millimetres(typical), _millimetres(probe.prediction_error),
+                _millimetres(noise), f"{over:.2f}" if math.isfinite(over) else "\N{EN DASH}",
+            ]
+        )  # fmt: skip
+    return rows
+
+
+def _rms(vectors: Points) -> float:
+    """Root mean square length of the finite vectors; NaN if there are none."""
+    known = np.isfinite(vectors).all(axis=1)
+    return float(np.sqrt((vectors[known] ** 2).sum(axis=1).mean())) if known.any() else math.nan
+
+
+def _error_rows(estimate: Estimate) -> list[list[str]]:
+    """Rows of the systematic errors: prior, estimate, and estimate over prior standard deviation.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             name, prior, estimate, ratio
+    """
+    return [_error_row(one) for one in every_error(estimate)]
+
+
+def _budget_rows(estimate: Estimate) -> list[list[str]]:
+    """Rows of the uncertainty budget.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             source, its contribution to the standard deviations of E [%],
+                                    G [%] and nu
+    """
+    return [
+        [
+            one.source, _part(100.0 * one.young_modulus), _part(100.0 * one.shear_modulus),
+            _part(one.poisson_ratio),
+        ]
+        for one in estimate.budget
+    ]  # fmt: skip
+
+
+def _part(std: float) -> str:
+    return "\N{EN DASH}" if math.isnan(std) else f"{std:.2g}"
+
+
+def every_error(estimate: Estimate) -> list[ErrorEstimate]:
+    """Systematic errors common to all probings, then those of single probings.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    list of ErrorEstimate
+    """
+    return [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
+
+
+def _error_row(error: ErrorEstimate) -> list[str]:
+    value, std, prior = error_texts(error)
+    return [
+        error.name, f"\N{PLUS-MINUS SIGN} {prior}", f"{value} \N{PLUS-MINUS SIGN} {std}",
+        f"{error.value / error.prior_std:+.1f}" if error.prior_std else "\N{EN DASH}",
+    ]  # fmt: skip
+
+
+def _rejection_rows(estimate: Estimate) -> list[list[str]]:
+    """Rows of the points of each probing that were not measured or were rejected.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             name, all points, not measured, rejected as outliers, used
+    """
+    rows = []
+    for probe in estimate.probes:
+        every = probe.observed + probe.missing
+        rows.append(
+            [
+                probe.name, str(every), _counted(probe.missing, every),
+                _counted(probe.rejected, every), str(probe.observed - probe.rejected),
+            ]
+        )  # fmt: skip
+    return rows
+
+
+def _counted(count: int, every: int) -> str:
+    return f"{count} ({100 * count / every:.0f} %)" if every else "0"
+
+
+def _second_rows(estimate: Estimate) -> list[list[str]]:
+    """Rows of the wall time of every stage [s].
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    list of list of str             stage, time
+    """
+    return [
+        [_STAGES.get(name, name.replace("_", " ")), f"{seconds:.1f} s"]
+        for name, seconds in estimate.seconds.items()
+    ]
+
+
+def _setting_rows(estimate: Estimate) -> dict[str, Any]:
+    """The settings of an estimate: `command`, `versions`, and all `others` as rows.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    dict
+    """
+    settings = estimate.settings
+    return {
+        "command": settings.get("command", ""),
+        "versions": list(settings.get("versions", {}).items()),
+        "others": [
+            [name.replace("_", " "), _setting(value)]
+            for name, value in settings.items()
+            if name not in _ELSEWHERE
+        ],
+    }
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} = {_setting(item)}" for key, item in value.items()) or "none"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_setting, value)) or "none"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _input_rows(folder: Path) -> list[list[str]]:
+    """Rows of the input files of a result, with their SHA-256 checksums.
+
+    Parameters
+    ----------
+    folder : Path                   of the result
+
+    Returns
+    -------
+    list of list of str             file name, checksum
+
+    Raises
+    ------
+    RecordError                     the list of inputs cannot be read
+    """
+    path = folder / "inputs.txt"
+    lines = read_text(path).splitlines() if path.is_file() else []
+    pairs = [line.partition("  ") for line in lines if line and not line.startswith("#")]
+    return [[Path(name).name, digest] for digest, _, name in pairs]
+
+
+def _unit_of_moduli(estimate: Estimate) -> str:
+    """Unit of the moduli in `_probing_rows`.
+
+    Parameters
+    ----------
+    estimate : Estimate
+
+    Returns
+    -------
+    str                             "kPa" and the like
+    """
+    return modulus_unit(estimate.young_modulus.value)[1]
+
+
+def _millimetres(metres: float | None) -> str:
+    known = metres is not None and math.isfinite(metres)
+    return f"{1e3 * metres:#.3g}".rstrip(".") if known and metres is not None else "\N{EN DASH}"

@@ -1,26 +1,33 @@
-"""Even remeshing of a closed surface to a wanted number of vertices, finer near given points."""
+"""New triangles for a surface, by Mmg, and the distance between two surfaces.
+
+A closed surface is remeshed to a wanted number of vertices, finer near given points, or to given
+edge lengths.
+"""
 
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry import (
+    CREASE_ANGLE,
     TriangleMesh,
+    area_vectors,
     bounding_diagonal,
     checked_mesh,
+    enclosed_volume,
+    half_edges,
     triangle_areas,
     wall_thickness,
 )
-from palpate.scanning.mending.action import place_text
-from palpate.scanning.mending.adapt import adapted
-from palpate.scanning.mending.deviation import distances
-from palpate.scanning.plane import Plane
-from palpate.shapes import Points, Vertices
+from palpate.optional_imports import late_import
+from palpate.scanning.plane import Plane, place_text
+from palpate.shapes import Points, PointScalars, Triangles, TriangleScalars, Vertices
 
 # Ratio of edge lengths at the given points and far away, and growth of edges per distance.
 FINER = 1.0 / 3.0
@@ -32,6 +39,14 @@ _OTHERWISE = (0.97, 1.03, 0.92)
 _MIN_VERTICES, _MAX_VERTICES = 50, 50_000
 # A wall thinner than this, in edges of its own triangles, cannot be distinguished from a sheet.
 _THINNEST = 0.5
+# Largest ratio of neighbouring edges, Mmg's default.
+_GRADATION = 1.3
+# Distance from a plane below which a vertex lies in it, as a fraction of the diagonal.
+_IN_PLANE = 1e-6
+# Smallest angle allowed when vertices are projected onto the surface; rounds until none is smaller.
+_FLAT, _ROUNDS = np.radians(12.0), 12
+_SAMPLES = 20_000
+_SEED = 1
 
 
 def remeshed(
@@ -163,3 +178,205 @@ def _accepted(mesh: TriangleMesh) -> TriangleMesh:
             f" {cure}, or use points finer there"
         )
     return sound
+
+
+def adapted(
+    mesh: TriangleMesh,
+    size: Float[np.ndarray, " v"],
+    *,
+    surface: TriangleMesh | None = None,
+    creases: bool = True,
+    support: Plane | None = None,
+) -> TriangleMesh:
+    """Remesh a surface to given edge lengths, with vertices projected back onto it.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, manifold
+    size : (v,) float [m]           wanted edge length at each vertex
+    surface : TriangleMesh or None  surface to project the vertices onto; None: `mesh`
+    creases : bool                  keep edges where triangles turn by more than 40 degrees
+    support : Plane or None         plane whose boundary edges with the surface are kept; for
+                                    `creases` False
+
+    Returns
+    -------
+    TriangleMesh
+
+    Raises
+    ------
+    MeshError                       Mmg fails
+    InputError                      a package of the extra `surface` is not installed
+
+    Source
+    ------
+    Dapogny, Dobrzynski, Frey, Three-dimensional adaptive domain remeshing, implicit domain meshing
+    and applications to free and moving boundary problems, J. Comput. Phys. 262 (2014): Mmg.
+    """
+    mmg = late_import("mmgpy", extra="surface", purpose="remeshing a surface")
+    body = mmg.MmgMeshS(mesh.vertices.copy(), mesh.triangles.astype(np.int32))
+    body["metric"] = np.ascontiguousarray(size[:, None])
+    ridges = {"ar": float(np.degrees(CREASE_ANGLE))} if creases else {"angle": 0}
+    if support is not None:
+        rim = _rim(mesh, support)
+        body.set_mesh_size(
+            vertices=len(mesh.vertices), triangles=len(mesh.triangles), edges=len(rim)
+        )
+        body.set_vertices(mesh.vertices.copy())
+        body.set_triangles(mesh.triangles.astype(np.int32))
+        body.set_edges(rim.astype(np.int32))
+        body.set_ridge_edges(np.arange(len(rim), dtype=np.int32))
+    # A large Hausdorff distance, so that curvature does not refine below the given sizes.
+    try:
+        body.remesh(hgrad=_GRADATION, hausd=float(size.max()), verbose=-1, **ridges)
+    except RuntimeError as error:
+        raise MeshError(
+            f"the surface of {len(mesh.vertices)} vertices cannot be remeshed ({error}); smooth it"
+            " in a mesh program first"
+        ) from error
+    free = TriangleMesh(
+        vertices=np.array(body.get_vertices(), dtype=np.float64),
+        triangles=np.array(body.get_triangles(), dtype=np.int64),
+    )
+    # Mmg's own smooth surface deviates by up to an edge where sizes change quickly.
+    return _projected(free, surface or mesh)
+
+
+def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:
+    """Edges between a triangle in a plane and one outside it."""
+    flat = abs(support.heights(mesh.vertices)) < _IN_PLANE * bounding_diagonal(mesh)
+    return half_edges(mesh.triangles).rim(flat[mesh.triangles].all(axis=1))
+
+
+def _projected(free: TriangleMesh, surface: TriangleMesh) -> TriangleMesh:
+    """Project vertices onto a surface, except where that would flatten or invert triangles."""
+    _, place = _nearest(free.vertices, surface)
+    before = _smallest_angles(free.vertices, free.triangles)
+    normal = area_vectors(free)
+    for _ in range(_ROUNDS):
+        moved = TriangleMesh(vertices=place, triangles=free.triangles)
+        flat = _smallest_angles(place, free.triangles) < np.minimum(_FLAT, 0.5 * before)
+        flat |= np.einsum("ea,ea->e", area_vectors(moved), normal) <= 0.0
+        if not flat.any():
+            break
+        back = np.unique(free.triangles[flat])
+        place[back] = free.vertices[back]
+    return TriangleMesh(vertices=place, triangles=free.triangles)
+
+
+def _smallest_angles(vertices: Vertices, triangles: Triangles) -> TriangleScalars:
+    """Smallest angle of each triangle [rad]."""
+    corner = vertices[triangles]
+    edge = np.roll(corner, -1, axis=1) - corner
+    unit = edge / np.maximum(np.linalg.norm(edge, axis=2, keepdims=True), 1e-300)
+    cosine = -np.einsum("eka,eka->ek", unit, np.roll(unit, 1, axis=1))
+    return np.arccos(np.clip(cosine, -1.0, 1.0)).min(axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """Distance between two surfaces, sampled on both, and difference of their volumes.
+
+    Attributes
+    ----------
+    median, percentile_95, largest : float [m]
+    volume : float [-]              relative: 0.01 if the second surface's volume is 1 % larger
+    """
+
+    median: float
+    percentile_95: float
+    largest: float
+    volume: float
+
+
+def distances(points: Points, mesh: TriangleMesh) -> PointScalars:
+    """Distance of points from a surface.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    (n,) float [m]
+
+    Raises
+    ------
+    InputError                      a package of the extra `surface` is not installed
+    """
+    return _nearest(points, mesh)[0]
+
+
+def _nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
+    """Distance of points from a surface, and the closest points on it.
+
+    Parameters
+    ----------
+    points : (n, 3) float [m]
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    (n,) float [m], (n, 3) float [m]    distances, closest points
+
+    Raises
+    ------
+    InputError                          a package of the extra `surface` is not installed
+    """
+    igl = late_import("igl", extra="surface", purpose="comparing surfaces")
+    square, _, place = igl.point_mesh_squared_distance(
+        np.ascontiguousarray(points), mesh.vertices, mesh.triangles
+    )
+    gap = np.sqrt(np.maximum(np.asarray(square).ravel(), 0.0))
+    return gap, np.array(place).reshape(-1, 3)
+
+
+def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
+    """Two-sided distance between two closed surfaces.
+
+    Parameters
+    ----------
+    true, other : TriangleMesh      closed, outward normals
+
+    Returns
+    -------
+    Deviation
+
+    Raises
+    ------
+    InputError                      a package of the extra `surface` is not installed
+    """
+    gap = np.concatenate(
+        [
+            distances(surface_samples(other, _SAMPLES), true),
+            distances(other.vertices, true),
+            distances(surface_samples(true, _SAMPLES), other),
+        ]
+    )
+    return Deviation(
+        median=float(np.median(gap)),
+        percentile_95=float(np.quantile(gap, 0.95)),
+        largest=float(gap.max()),
+        volume=enclosed_volume(other) / enclosed_volume(true) - 1.0,
+    )
+
+
+def surface_samples(mesh: TriangleMesh, count: int) -> Points:
+    """Random points uniform over the area of a surface, the same at every call.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    count : int
+
+    Returns
+    -------
+    (count, 3) float [m]
+    """
+    rng = np.random.default_rng(_SEED)
+    area = triangle_areas(mesh)
+    triangle = rng.choice(len(area), count, p=area / area.sum())
+    u, v = np.sqrt(rng.random(count)), rng.random(count)
+    weight = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=1)
+    return np.einsum("nv,nva->na", weight, mesh.vertices[mesh.triangles[triangle]])

@@ -1,13 +1,19 @@
-"""From the views of an object to its mesh, with a standard deviation for each vertex."""
+"""From the views of an object to its mesh, with a standard deviation for each vertex.
+
+Every view must agree with the others on the position of the surface. The result is written as
+mesh.ply, surface.json and vertex_sigma.csv; a mended surface as the first two.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from palpate.errors import MeshError
+from palpate.errors import InputError, MeshError
 from palpate.geometry import (
     MeshQuality,
     TriangleMesh,
@@ -15,18 +21,17 @@ from palpate.geometry import (
     checked_mesh,
     mesh_quality,
     triangle_areas,
+    write_mesh,
 )
 from palpate.progress import Progress, part_of, silent
-from palpate.scanning.joining.agreement import Agreement, agreements
-from palpate.scanning.joining.fusion import fused
-from palpate.scanning.joining.poses import posed
-from palpate.scanning.joining.vertex_fit import fitted
-from palpate.scanning.mending.action import place_text
-from palpate.scanning.mending.deviation import distances
-from palpate.scanning.mending.solid import above
-from palpate.scanning.plane import Plane
-from palpate.scanning.remesh import remeshed
-from palpate.scanning.views.view import View
+from palpate.records import json_text, write_text
+from palpate.scanning.fusion import fitted, fused
+from palpate.scanning.mend import PreparedSurface
+from palpate.scanning.plane import Plane, place_text
+from palpate.scanning.poses import posed
+from palpate.scanning.remesh import distances, remeshed
+from palpate.scanning.scan_file import View
+from palpate.scanning.solid import above
 from palpate.shapes import Points
 
 # Largest fraction of the surface that may be guessed without a support.
@@ -34,6 +39,33 @@ _MAX_GUESSED = 0.10
 # A triangle counts as measured if a point is within this fraction of its edge, or of the object's
 # size.
 _NEAR_EDGE, _NEAR_SIZE = 0.5, 0.01
+# Points of a view that are compared with the others.
+_SAMPLES = 4000
+# Minimum fraction of a view's points with points of others nearby; the distance that counts as
+# nearby, as a fraction of the object's size.
+_OVERLAP, _NEAR = 0.1, 0.03
+# Largest offset of a view from the others, in standard deviations of a point, or as a fraction of
+# the size if that is larger.
+_OFF, _OFF_SIZE = 4.0, 2e-3
+MESH_FORMAT = "palpate-mesh/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Agreement of a view with the others.
+
+    Attributes
+    ----------
+    name : str
+    points : int                    number of points
+    overlap : float [-]             fraction of its points that other views show too
+    offset : float [m]              median absolute distance from the others' surface there
+    """
+
+    name: str
+    points: int
+    overlap: float
+    offset: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +126,7 @@ def scan_surface(
     MeshError                       the surface does not close, or needs more triangles
     """
     views = posed(views, progress=part_of(progress, 0.0, 0.3))
-    found = agreements(views)
+    found = _agreements(views)
     points = np.concatenate([view.points for view in views])
     normals = np.concatenate([view.normals for view in views])
     sigma = np.concatenate([view.sigma for view in views])
@@ -165,3 +197,109 @@ def _volume_std(mesh: TriangleMesh, sigma: Float[np.ndarray, " v"]) -> float:
     np.add.at(area, mesh.triangles.ravel(), np.repeat(triangle_areas(mesh) / 3.0, 3))
     known = np.isfinite(sigma)
     return float(np.sqrt(((area * sigma)[known] ** 2).sum()))
+
+
+def _agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
+    """Check the agreement of views, all in one frame, with each other.
+
+    Parameters
+    ----------
+    views : sequence of View        in the object's frame
+
+    Returns
+    -------
+    tuple of Agreement              overlap 0 and offset 0 for a single view
+
+    Raises
+    ------
+    InputError                      a view overlaps the others too little, or contradicts them
+    """
+    if len(views) == 1:
+        return (Agreement(views[0].name, len(views[0].points), 0.0, 0.0),)
+    everything = np.concatenate([view.points for view in views])
+    size = float(np.linalg.norm(np.ptp(everything, axis=0)))
+    found = tuple(_agreement(views, k, _NEAR * size) for k in range(len(views)))
+    for one, view in zip(found, views, strict=True):
+        if one.overlap < _OVERLAP:
+            raise InputError(
+                f"view '{one.name}' shows {100.0 * one.overlap:.0f} % of what others show, too"
+                f" little to be joined ({100.0 * _OVERLAP:.0f} % at least): take views between, or"
+                " check its pose and unit"
+            )
+        allowed = max(_OFF * float(np.median(view.sigma)), _OFF_SIZE * size)
+        if one.offset > allowed:
+            raise InputError(
+                f"view '{one.name}' contradicts the others: half of its points are"
+                f" {1e3 * one.offset:.2g} mm or more off their surface, {1e3 * allowed:.2g} mm are"
+                " in the noise; the object moved between the views, or its pose is wrong: leave it"
+                " out, or leave all poses out to have them estimated"
+            )
+    return found
+
+
+def _agreement(views: Sequence[View], k: int, near: float) -> Agreement:
+    view = views[k]
+    step = max(1, len(view.points) // _SAMPLES)
+    points, normals = view.points[::step], view.normals[::step]
+    others = [other for j, other in enumerate(views) if j != k]
+    place = np.concatenate([other.points for other in others])
+    facing = np.concatenate([other.normals for other in others])
+    gap, index = cKDTree(place).query(points, k=8, distance_upper_bound=near)
+    both = np.isfinite(gap)
+    index = np.where(both, index, 0)
+    both &= np.einsum("nka,na->nk", facing[index], normals) > 0.7
+    seen = both.any(axis=1)
+    height = np.einsum("nka,nka->nk", points[:, None] - place[index], facing[index])
+    height = np.ma.median(np.ma.array(height, mask=~both), axis=1).filled(0.0)
+    off = float(np.median(abs(height[seen]))) if seen.any() else 0.0
+    return Agreement(view.name, len(view.points), float(seen.mean()), off)
+
+
+def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> None:
+    """Write mesh.ply, in metres, and surface.json; for a scan also vertex_sigma.csv.
+
+    Parameters
+    ----------
+    folder : Path                   exists
+    surface : PreparedSurface or ScannedSurface
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    write_mesh(folder / "mesh.ply", surface.mesh)
+    if isinstance(surface, ScannedSurface):
+        details = _of_views(surface)
+        rows = np.column_stack([surface.mesh.vertices, surface.sigma])
+        lines = ["x_m,y_m,z_m,sigma_m"]
+        lines += [",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in rows]
+        write_text(folder / "vertex_sigma.csv", "\n".join(lines) + "\n")
+    else:
+        details = _of_mending(surface)
+    content = {
+        "format": MESH_FORMAT,
+        **details,
+        "guessed_triangles": np.flatnonzero(surface.guessed),
+        "quality": asdict(surface.quality),
+    }
+    write_text(folder / "surface.json", json_text(content))
+
+
+def _of_mending(surface: PreparedSurface) -> dict[str, Any]:
+    """Repairs, and the deviation of the mesh from the mended surface."""
+    return {
+        "actions": [
+            {"defect": a.defect, "count": a.count, "place": a.place, "done": a.done}
+            for a in surface.actions
+        ],
+        "deviation": asdict(surface.deviation),
+    }
+
+
+def _of_views(surface: ScannedSurface) -> dict[str, Any]:
+    """Agreement of the views with each other and with the mesh."""
+    return {
+        "views": [asdict(one) for one in surface.agreements],
+        "distance": {"median": surface.distance[0], "percentile_95": surface.distance[1]},
+        "volume_std": surface.volume_std,
+    }

@@ -4,43 +4,37 @@ Purpose    : forces and displacements of an object under tools, at haptic rates.
 Takes      : a `Session`, an `Estimate`; tools with their poses.
 Gives      : `GreenFunctions` and their files, `ContactState`; folders for simulators.
 Depends on : `pipeline`, `solids`, `bem`, `probe`, `records`, `geometry`.
-Read first : `green_functions.py`, `contact.py`; `export.py`, then `solid_model.py`.
+Read first : `green_functions.py`, `contact.py`, then the kernels: `settle.py`, `friction.py`,
+             `contact_response.py`; `export.py`, then `estimated_object.py`.
 """
 
 from palpate.simulation.contact import (
     ContactState as ContactState,
-    force_covariance as force_covariance,
-    start_contact as start_contact,
-    touch as touch,
-)
-from palpate.simulation.export import (
-    FitSource as FitSource,
-    export_fit as export_fit,
-    read_fit as read_fit,
-)
-from palpate.simulation.formats.registry import FORMATS as FORMATS
-from palpate.simulation.green_files import (
-    read_green_functions as read_green_functions,
-    write_green_functions as write_green_functions,
-)
-from palpate.simulation.green_functions import (
-    GreenFunctions as GreenFunctions,
-    make_green_functions as make_green_functions,
-    nearest_nodes as nearest_nodes,
-)
-from palpate.simulation.material import (
-    Material as Material,
-    estimated_material as estimated_material,
-    exact_material as exact_material,
-)
-from palpate.simulation.surface_motion import (
-    displacement_under as displacement_under,
-    surface_displacement as surface_displacement,
-)
-from palpate.simulation.tools import (
     ConvexTool as ConvexTool,
     PlacedTool as PlacedTool,
     Sphere as Sphere,
     convex_tool as convex_tool,
     flat_punch as flat_punch,
+    force_covariance as force_covariance,
+    start_contact as start_contact,
+    surface_displacement as surface_displacement,
+    touch as touch,
+)
+from palpate.simulation.estimated_object import (
+    Material as Material,
+    estimated_material as estimated_material,
+    exact_material as exact_material,
+)
+from palpate.simulation.export import (
+    FORMATS as FORMATS,
+    FitSource as FitSource,
+    export_fit as export_fit,
+    read_fit as read_fit,
+)
+from palpate.simulation.green_functions import (
+    GreenFunctions as GreenFunctions,
+    make_green_functions as make_green_functions,
+    nearest_nodes as nearest_nodes,
+    read_green_functions as read_green_functions,
+    write_green_functions as write_green_functions,
 )

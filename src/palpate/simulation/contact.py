@@ -2,29 +2,133 @@
 
 A tick takes a state and the tools' new poses to the next state. It starts from the contacts of the
 tick before, and so takes a fraction of a millisecond.
+
+The tips of the virtual facility move along one axis; a haptic tool also rotates and approaches from
+any side. Any convex shape can be given as planes, by `convex_tool`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 
 from palpate.errors import InputError, NotConvergedError
-from palpate.geometry import TriangleMesh
+from palpate.geometry import TriangleMesh, convex_planes
+from palpate.shapes import Matrix3, Vector3, Vertices
+from palpate.simulation.contact_response import (
+    FACES,
+    SPHERE,
+    STICKS,
+    Nodal,
+    ToolArrays,
+    move_surface,
+)
 from palpate.simulation.green_functions import GreenFunctions
-from palpate.simulation.kernels.nodes import tool_gap
-from palpate.simulation.kernels.settle import add_resultants, settle
-from palpate.simulation.kernels.state import STICKS, Nodal, ToolArrays
-from palpate.simulation.tools import PlacedTool, tool_arrays
+from palpate.simulation.settle import add_resultants, settle, tool_gap
+from palpate.solids import inside
 
 # Tolerance relative to the largest nodal force, and largest number of rounds to reach it.
 _TOLERANCE, _MAX_ROUNDS = 1e-9, 120
 # Fewer nodes under a tool do not resolve its contact (with six, its force is 20 % too high).
 FEW_NODES = 10
-# Winding number above which a point is inside a closed surface.
-_INSIDE = 0.5
+# Sides of the prism that approximates a round punch.
+_SIDES = 48
+# Largest deviation of an entry of R R^T from the identity.
+_ROTATION_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A ball about the origin of its frame.
+
+    Parameters
+    ----------
+    radius : float [m]              > 0
+
+    Raises
+    ------
+    InputError                      a radius that is not positive
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        _check_length("radius of the sphere", self.radius)
+
+    @property
+    def kind(self) -> int:
+        """Kind of tool for the kernels: `SPHERE`."""
+        return SPHERE
+
+    @property
+    def bounding_radius(self) -> float:
+        """Its radius [m]."""
+        return self.radius
+
+    @property
+    def planes(self) -> Float[np.ndarray, "p 4"]:
+        """No planes, (0, 4)."""
+        return np.zeros((0, 4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConvexTool:
+    """The convex body bounded by planes.
+
+    Parameters
+    ----------
+    planes : (p, 4) float           outward unit normals, and the offset along each [m]
+    bounding_radius : float [m]     of a ball about the origin that contains the body
+    """
+
+    planes: Float[np.ndarray, "p 4"]
+    bounding_radius: float
+
+    @property
+    def kind(self) -> int:
+        """Kind of tool for the kernels: `FACES`."""
+        return FACES
+
+    @property
+    def radius(self) -> float:
+        """Zero: only a sphere has one."""
+        return 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedTool:
+    """A tool and its pose in the object's frame.
+
+    Parameters
+    ----------
+    tool : Sphere or ConvexTool
+    position : (3,) float [m]       of the origin of its frame
+    rotation : (3, 3) float         from its frame to the object's
+    friction : float                Coulomb coefficient; 0: slides freely, infinite: sticks
+
+    Raises
+    ------
+    InputError                      a matrix that is no rotation, a negative coefficient
+    """
+
+    tool: Sphere | ConvexTool
+    position: Vector3
+    rotation: Matrix3 = field(default_factory=lambda: np.eye(3))
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        square = rotation.shape == (3, 3)
+        deviation = np.abs(rotation @ rotation.T - np.eye(3)).max() if square else np.inf
+        if not deviation <= _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+            raise InputError(f"rotation is {rotation.tolist()}; must be a rotation, (3, 3)")
+        if not self.friction >= 0.0:
+            raise InputError(
+                f"friction is {self.friction}; must be 0 (slides), a coefficient, or infinite"
+                " (sticks)"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,29 +317,104 @@ def _depth(mesh: TriangleMesh, arrays: ToolArrays, t: int) -> float:
     normal = np.empty(3)
     local = (mesh.vertices - arrays.position[t]) @ arrays.rotation[t]
     deepest = -min(tool_gap(arrays, t, -1, point, normal)[0] for point in local)
-    seen = winding_number(mesh, arrays.position[t])
-    return max(deepest, float(arrays.bounding_radius[t])) if seen > _INSIDE else deepest
+    if inside(mesh, arrays.position[t][None])[0]:
+        return max(deepest, float(arrays.bounding_radius[t]))
+    return deepest
 
 
-def winding_number(mesh: TriangleMesh, point: Float[np.ndarray, "3"]) -> float:
-    """Winding number of a closed surface about a point: 1 inside, 0 outside.
+def surface_displacement(green: GreenFunctions, state: ContactState) -> Vertices:
+    """Displacement of the whole surface under tools.
 
     Parameters
     ----------
-    mesh : TriangleMesh                 outward
-    point : (3,) float [m]
+    green : GreenFunctions
+    state : ContactState
 
     Returns
     -------
-    float
-
-    Source
-    ------
-    Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125, eq. 8
+    (v, 3) float [m]
     """
-    a, b, c = (mesh.vertices - point)[mesh.triangles].transpose(1, 0, 2)
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    top = np.einsum("ma,ma->m", a, np.cross(b, c))
-    dots = [np.einsum("ma,ma->m", x, y) for x, y in ((a, b), (b, c), (c, a))]
-    angle = 2 * np.arctan2(top, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
-    return float(angle.sum() / (4 * np.pi))
+    count, _, vertices, _ = green.surface.shape
+    out = np.empty(3 * vertices)
+    surface = green.surface.reshape(count, 3, 3 * vertices)
+    move_surface(surface, state.touching, state.force, out)
+    return out.reshape(vertices, 3)
+
+
+def flat_punch(radius: float, length: float) -> ConvexTool:
+    """A round rod with a flat end at the origin, along +z; it presses towards -z.
+
+    Parameters
+    ----------
+    radius : float [m]              > 0; of the circumscribed circle of a prism of 48 sides
+    length : float [m]              > 0
+
+    Returns
+    -------
+    ConvexTool
+
+    Raises
+    ------
+    InputError                      a length that is not positive
+    """
+    _check_length("radius of the punch", radius)
+    _check_length("length of the punch", length)
+    angle = 2 * np.pi * (np.arange(_SIDES) + 0.5) / _SIDES
+    across = radius * np.cos(np.pi / _SIDES)
+    sides = np.column_stack(
+        [np.cos(angle), np.sin(angle), np.zeros(_SIDES), np.full(_SIDES, across)]
+    )
+    ends = np.array([[0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 1.0, length]])
+    return ConvexTool(np.concatenate([ends, sides]), float(np.hypot(radius, length)))
+
+
+def convex_tool(mesh: TriangleMesh) -> ConvexTool:
+    """A tool of the shape of a convex mesh, in the mesh's own frame.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, convex
+
+    Returns
+    -------
+    ConvexTool                      coplanar triangles are one face
+
+    Raises
+    ------
+    InputError                      a mesh that is flat, open or not convex
+    """
+    planes = convex_planes(mesh)
+    return ConvexTool(planes, float(np.linalg.norm(mesh.vertices, axis=1).max()))
+
+
+def tool_arrays(now: Sequence[PlacedTool], previous: Sequence[PlacedTool]) -> ToolArrays:
+    """Tools in the layout of the kernels.
+
+    Parameters
+    ----------
+    now : sequence of t PlacedTool
+    previous : sequence of t PlacedTool     the same tools at the previous tick
+
+    Returns
+    -------
+    ToolArrays
+    """
+    tools = [one.tool for one in now]
+    start = np.cumsum([0, *(len(tool.planes) for tool in tools)])
+    return ToolArrays(
+        kind=np.array([tool.kind for tool in tools]),
+        start=start,
+        radius=np.array([tool.radius for tool in tools]),
+        bounding_radius=np.array([tool.bounding_radius for tool in tools]),
+        planes=np.concatenate([np.zeros((0, 4)), *(tool.planes for tool in tools)]),
+        friction=np.array([float(one.friction) for one in now]),
+        position=np.array([one.position for one in now], dtype=np.float64),
+        rotation=np.array([one.rotation for one in now], dtype=np.float64),
+        previous_position=np.array([one.position for one in previous], dtype=np.float64),
+        previous_rotation=np.array([one.rotation for one in previous], dtype=np.float64),
+    )
+
+
+def _check_length(name: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0.0):
+        raise InputError(f"{name} is {value}; must be positive, in metres")

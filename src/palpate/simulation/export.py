@@ -1,5 +1,6 @@
 """Export of a result of `palpate fit` to a simulator: a self-explanatory folder."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,18 +23,33 @@ from palpate.records import (
     sums_in,
     write_text,
 )
-from palpate.simulation.formats.registry import FORMATS
-from palpate.simulation.material import Material, estimated_material
-from palpate.simulation.solid_model import (
+from palpate.simulation.estimated_object import (
     EstimatedObject,
     Format,
+    Material,
     SolidModel,
     check_edge,
+    estimated_material,
     make_estimated_object,
     make_solid_model,
 )
+from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
+from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPENUSD
 
 EXPORT_FORMAT = "palpate-export/1"
+# To add a simulator: a file with its `Format`, and one line here.
+FORMATS: Mapping[str, Format] = {
+    "mujoco": MUJOCO,
+    "calculix": CALCULIX,
+    "febio": FEBIO,
+    "sofa": SOFA,
+    "vtu": VTU,
+    "openusd": OPENUSD,
+    "obj": OBJ,
+    "genesis": GENESIS,
+    "isaaclab": ISAACLAB,
+    "npz": NPZ,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

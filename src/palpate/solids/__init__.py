@@ -24,12 +24,18 @@ from palpate.solids.finite_elements import (
     solve_load as solve_load,
     surface_values as surface_values,
 )
-from palpate.solids.finite_strain import LawOf as LawOf, solve_finite as solve_finite
-from palpate.solids.laws import (
+from palpate.solids.finite_strain import (
+    LawOf as LawOf,
     NeoHookean as NeoHookean,
     SplitNeoHookean as SplitNeoHookean,
+    solve_finite as solve_finite,
 )
-from palpate.solids.tetrahedra import Solid as Solid, make_solid as make_solid
+from palpate.solids.tetrahedra import (
+    Solid as Solid,
+    boundary_surface as boundary_surface,
+    inside as inside,
+    make_solid as make_solid,
+)
 from palpate.solids.tips import (
     TIPS as TIPS,
     Punch as Punch,

@@ -18,9 +18,18 @@ from palpate.geometry import quadratic_shapes
 from palpate.shapes import Points, PointScalars
 from palpate.solids.contact import facet_samples, touch
 from palpate.solids.finite_elements import Body, quadratic_basis, solve_free
-from palpate.solids.finite_strain import LawOf, energy, internal_forces, stable_factor, tangent
-from palpate.solids.laws import Law, NeoHookean
-from palpate.solids.newton import Unknowns, find_equilibrium, find_in_increments
+from palpate.solids.finite_strain import (
+    Law,
+    LawOf,
+    NeoHookean,
+    Unknowns,
+    energy,
+    find_equilibrium,
+    find_in_increments,
+    internal_forces,
+    stable_factor,
+    tangent,
+)
 from palpate.solids.tips import Tip
 
 # Penalty stiffness in units of shear modulus over tip radius: a pressure equal to the shear modulus

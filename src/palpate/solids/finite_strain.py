@@ -1,8 +1,16 @@
-"""A body at finite strain: the nonlinearity that the linear model neglects."""
+"""A body at finite strain: the nonlinearity that the linear model neglects.
+
+The hyperelastic laws reduce to Hooke's law at small strain. Both are known as neo-Hookean: they
+have the same constants but couple volumetric and deviatoric strain differently, by as much as real
+soft materials of equal constants may differ.
+
+A stable equilibrium is the minimum of a potential: Newton's method with step halving, and load
+increments where the full load does not converge at once.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -17,14 +25,126 @@ from palpate.solids.finite_elements import (
     solve_free,
     stiffness_matrix,
 )
-from palpate.solids.laws import Law, NeoHookean
-from palpate.solids.newton import Unknowns, find_equilibrium, find_in_increments
 from palpate.solids.sparse_cholesky import Cholesky, factorise
 
 # Tolerance on the residual forces, relative to the load: Newton's last step leaves only rounding.
 _FORCE_TOLERANCE = 1e-9
+Gradient = Float[np.ndarray, "3 3 m q"]
+Moduli = Float[np.ndarray, "3 3 3 3 m q"]
+_MAX_STEPS = 40
+_MAX_HALVINGS = 10
+# Smallest load increment, as a fraction of the load; increments that fail are halved.
+_MIN_INCREMENT = 1e-3
+Unknowns = Float[np.ndarray, " unknowns"]
+
+
+@runtime_checkable
+class Law(Protocol):
+    """An isotropic hyperelastic law, in the deformation gradient F = I + du/dX (row: component of
+    the deformed position, column: reference direction) at q quadrature points of m elements,
+    (3, 3, m, q)."""
+
+    def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
+        """Strain energy per reference volume, (m, q) [Pa]; not finite unless det F > 0."""
+
+    def stress(self, gradient: Gradient) -> Gradient:
+        """First Piola-Kirchhoff stress, (3, 3, m, q) [Pa]: derivative of the energy in F."""
+
+    def moduli(self, gradient: Gradient) -> Moduli:
+        """Derivative of the stress aA in F_bB, (3, 3, 3, 3, m, q) [Pa]; indices a, A, b, B."""
+
 
 LawOf = Callable[[float, float], Law]
+
+
+@dataclass(frozen=True, slots=True)
+class NeoHookean:
+    """mu/2 (tr C - 3) - mu ln J + lambda/2 (ln J)^2, with C = F^T F and J = det F (`Law`).
+
+    Parameters
+    ----------
+    mu, lame : float [Pa]           Lame's constants
+
+    Source
+    ------
+    Bonet and Wood, Nonlinear continuum mechanics for finite element analysis (2nd ed. 2008),
+    section 6.4.3.
+    """
+
+    mu: float
+    lame: float
+
+    def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
+        """Of `Law`."""
+        log = np.log(_determinant(gradient))
+        squares = (gradient**2).sum(axis=(0, 1))
+        return 0.5 * self.mu * (squares - 3.0) - self.mu * log + 0.5 * self.lame * log**2
+
+    def stress(self, gradient: Gradient) -> Gradient:
+        """Of `Law`."""
+        log = np.log(_determinant(gradient))
+        return self.mu * gradient + (self.lame * log - self.mu) * _inverse_transposed(gradient)
+
+    def moduli(self, gradient: Gradient) -> Moduli:
+        """mu delta_ab delta_AB + (mu - lambda ln J) H_aB H_bA + lambda H_aA H_bB, H = F^-T."""
+        inverse = _inverse_transposed(gradient)
+        falling = self.mu - self.lame * np.log(_determinant(gradient))
+        moduli = self.lame * _outer(inverse, inverse) + falling * _crossed(inverse)
+        _add_unit(moduli, self.mu)
+        return moduli
+
+
+@dataclass(frozen=True, slots=True)
+class SplitNeoHookean:
+    """mu/2 (J^(-2/3) tr C - 3) + K/2 (J - 1)^2: deviatoric and volumetric parts uncoupled (`Law`).
+
+    Parameters
+    ----------
+    mu, lame : float [Pa]           Lame's constants; K = lambda + 2/3 mu
+
+    Source
+    ------
+    Holzapfel, Nonlinear solid mechanics (2000), sections 6.4 and 6.5: the neo-Hookean law of
+    Abaqus and CalculiX.
+    """
+
+    mu: float
+    lame: float
+
+    @property
+    def bulk(self) -> float:
+        """Bulk modulus [Pa]."""
+        return self.lame + 2.0 / 3.0 * self.mu
+
+    def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
+        """Of `Law`."""
+        volume, shear, squares = self._parts(gradient)
+        return 0.5 * (shear * squares - 3.0 * self.mu) + 0.5 * self.bulk * (volume - 1.0) ** 2
+
+    def stress(self, gradient: Gradient) -> Gradient:
+        """Of `Law`."""
+        volume, shear, squares = self._parts(gradient)
+        pressure = self.bulk * (volume - 1.0) * volume
+        inverse = _inverse_transposed(gradient)
+        return shear * gradient + (pressure - shear * squares / 3.0) * inverse
+
+    def moduli(self, gradient: Gradient) -> Moduli:
+        """Derivative of the stress, with dJ = J H : dF and dH_aA = -H_aB H_bA dF_bB, H = F^-T."""
+        volume, shear, squares = self._parts(gradient)
+        inverse = _inverse_transposed(gradient)
+        pressure = self.bulk * (volume - 1.0) * volume
+        rising = self.bulk * (2.0 * volume - 1.0) * volume
+        mixed = _outer(inverse, gradient)
+        moduli = (rising + 2.0 / 9.0 * shear * squares) * _outer(inverse, inverse)
+        moduli += (shear * squares / 3.0 - pressure) * _crossed(inverse)
+        moduli -= 2.0 / 3.0 * shear * (mixed + mixed.transpose(2, 3, 0, 1, 4, 5))
+        _add_unit(moduli, shear)
+        return moduli
+
+    def _parts(self, gradient: Gradient) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """J, mu J^(-2/3) and tr C."""
+        volume = _determinant(gradient)
+        return volume, self.mu * volume ** (-2.0 / 3.0), (gradient**2).sum(axis=(0, 1))
 
 
 def solve_finite(
@@ -125,7 +245,7 @@ def energy(law: Law, basis: Any, displacement: Float[np.ndarray, "n 3"]) -> floa
     float [J]                       infinite if an element is inverted
     """
     gradient = deformation_gradient(basis, displacement)
-    if (np.linalg.det(gradient.transpose(2, 3, 0, 1)) <= 0.0).any():
+    if (_determinant(gradient) <= 0.0).any():
         return np.inf
     return float((law.density(gradient) * basis.dx).sum())
 
@@ -188,3 +308,109 @@ def deformation_gradient(
     """
     slopes = np.stack([basis.interpolate(component).grad for component in displacement.T])
     return np.eye(3)[:, :, None, None] + slopes
+
+
+def _outer(one: Gradient, other: Gradient) -> Moduli:
+    return np.einsum("aAmq,bBmq->aAbBmq", one, other)
+
+
+def _crossed(inverse: Gradient) -> Moduli:
+    return np.einsum("aBmq,bAmq->aAbBmq", inverse, inverse)
+
+
+def _add_unit(moduli: Moduli, size: float | Float[np.ndarray, "m q"]) -> None:
+    """Add `size` times delta_ab delta_AB in place."""
+    for a, i in np.ndindex(3, 3):
+        moduli[a, i, a, i] += size
+
+
+def _determinant(gradient: Gradient) -> Float[np.ndarray, "m q"]:
+    return np.linalg.det(gradient.transpose(2, 3, 0, 1))
+
+
+def _inverse_transposed(gradient: Gradient) -> Gradient:
+    return np.linalg.inv(gradient.transpose(2, 3, 0, 1)).transpose(3, 2, 0, 1)
+
+
+@runtime_checkable
+class Potential(Protocol):
+    """Total potential energy: stored energy minus the work of the loads.
+
+    Unknowns, forces and steps are (u,) arrays.
+    """
+
+    def value(self, at: Unknowns) -> float:
+        """Potential [J]; infinite for inadmissible unknowns."""
+
+    def forces(self, at: Unknowns) -> Unknowns:
+        """Residual forces, the negative gradient [N]; zero for fixed unknowns."""
+
+    def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
+        """Newton's step [m]; None where the tangent is not positive definite."""
+
+
+def find_equilibrium(potential: Potential, at: Unknowns, *, tolerance: float) -> Unknowns | None:
+    """Equilibrium near an initial guess.
+
+    Parameters
+    ----------
+    potential : Potential
+    at : (u,) float [m]             initial guess
+    tolerance : float [N]           on the norm of the residual forces, > 0
+
+    Returns
+    -------
+    (u,) float [m] or None          None if Newton's method does not converge
+
+    Source
+    ------
+    Nocedal and Wright, Numerical optimization (2nd ed. 2006), section 3.1: backtracking, here by
+    halving the step until the potential does not increase.
+    """
+    for _ in range(_MAX_STEPS):
+        forces = potential.forces(at)
+        if np.linalg.norm(forces) <= tolerance:
+            return at
+        step = potential.step(at, forces)
+        improved = None if step is None else _shortened(potential, at, step)
+        if improved is None:
+            return None
+        at = improved
+    return None
+
+
+def find_in_increments(
+    find: Callable[[float, Unknowns], Unknowns | None], start: Unknowns
+) -> tuple[Unknowns, float]:
+    """Equilibrium under the full load, in load increments where it is not found at once.
+
+    Parameters
+    ----------
+    find : function                 fraction of the load, initial guess -> equilibrium, or None
+    start : (u,) float [m]          equilibrium without load
+
+    Returns
+    -------
+    found : (u,) float [m]          the last equilibrium found
+    done : float [-]                fraction of the load there; 1 on success
+    """
+    now, done, increment = start, 0.0, 1.0
+    while done < 1.0 and increment >= _MIN_INCREMENT:
+        target = min(1.0, done + increment)
+        found = find(target, now)
+        if found is None:
+            increment *= 0.5
+        else:
+            now, done = found, target
+    return now, done
+
+
+def _shortened(potential: Potential, at: Unknowns, step: Unknowns) -> Unknowns | None:
+    """End of a step, halved until the potential does not rise (within rounding); None: fails."""
+    before = potential.value(at)
+    for _ in range(_MAX_HALVINGS):
+        after = potential.value(at + step)
+        if after <= before + 1e-12 * abs(before):
+            return at + step
+        step = 0.5 * step
+    return None

@@ -5,7 +5,7 @@ Purpose    : look at a session or a result, query the model at other constants, 
 Takes      : a session, or a result folder of `palpate fit`.
 Gives      : `Viewer`, a web page on a port of this computer; a picture, a turntable video.
 Depends on : `figures`, `simulation`, `pipeline`, `vision`, `estimation`, `records`, `geometry`.
-Read first : `server.py`, then `gate.py`, `stage.py` and `background_work.py`.
+Read first : `server.py`, then `panels.py`, `stage.py` and `subject.py`.
 """
 
 from palpate.viewer.server import Viewer as Viewer

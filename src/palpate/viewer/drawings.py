@@ -4,15 +4,22 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw
 
 from palpate.errors import PalpateError
 from palpate.estimation import LikelihoodMap
-from palpate.figures import INK, MIDDLE_BLUE, ORANGE, PALE_BLUE, refined_likelihood, styled
+from palpate.figures import (
+    INK,
+    MIDDLE_BLUE,
+    ORANGE,
+    PALE_BLUE,
+    figure_pixels,
+    refined_likelihood,
+    styled,
+)
 from palpate.pipeline import FittedProbing
-from palpate.records import Camera, Rig, Session, modulus_unit
+from palpate.records import Camera, Rig, Session, camera_centre, modulus_unit
 from palpate.vision import project, read_grey
 
 # Largest side of a picture in the page [px].
@@ -62,7 +69,7 @@ def _likelihood_pixels(
     likelihood: LikelihoodMap, factor: float, unit: str
 ) -> tuple[RGB, Callable[[float, float], tuple[float, float]]]:
     """The plot's pixels, and a function from a pair of constants to its pixel."""
-    figure = Figure(figsize=(3.4, 2.7), dpi=150, layout="constrained")
+    figure = Figure(figsize=(3.4, 2.7), layout="constrained")
     axes = figure.subplots()
     nu, modulus, deviance = refined_likelihood(likelihood)
     modulus = modulus / factor
@@ -73,9 +80,7 @@ def _likelihood_pixels(
     axes.set(xlim=likelihood.poisson_ratio[[0, -1]], ylim=whole[[0, -1]])
     axes.set(xlabel="Poisson's ratio", ylabel=f"shear modulus, {unit}")
     axes.set_title("50 and 95 % regions; cross: the sliders", fontsize=8)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    pixels = figure_pixels(figure)[..., :3]
     transform, rows = axes.transData, len(pixels)
 
     def to_pixel(nu: float, value: float) -> tuple[float, float]:
@@ -158,11 +163,9 @@ def _draw_flow(
 
 def _facing(camera: Camera, flow: FittedProbing, session: Session) -> np.ndarray:
     """Whether each point is on the camera's side of the object."""
-    pose = camera.T_camera_object
-    centre = -pose[:3, :3].T @ pose[:3, 3]
     mesh = session.mesh
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    return np.asarray((flow.points - middle) @ (centre - middle) > 0.0)
+    return np.asarray((flow.points - middle) @ (camera_centre(camera) - middle) > 0.0)
 
 
 def _thinned(positions: Float[np.ndarray, "n 2"], pitch: float) -> np.ndarray:

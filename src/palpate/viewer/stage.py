@@ -1,20 +1,37 @@
-"""The 3-D scene of one browser tab; lengths in the scene are in millimetres."""
+"""The 3-D scene of one browser tab, coloured by a quantity at the points of a probing.
+
+Lengths in the scene are in millimetres. viser puts HTML into the page unchecked: texts go through
+`text_html`.
+"""
 
 import threading
 from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
 from typing import Any, cast
 
+import matplotlib as mpl
 import numpy as np
 import trimesh
-from jaxtyping import Float
-from matplotlib.colors import to_rgb
+from jaxtyping import Float, UInt8
+from matplotlib.colors import to_hex, to_rgb
 
-from palpate.figures import BLUE, GREY, HELD, INK, ORANGE, PALE_BLUE, best_direction
+from palpate.figures import (
+    BLUE,
+    GREY,
+    HELD,
+    INK,
+    LENGTHS,
+    MOST_SIGMAS,
+    ORANGE,
+    PALE_BLUE,
+    RESIDUALS,
+    best_direction,
+)
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
 from palpate.pipeline import FittedProbing
 from palpate.records import Camera
-from palpate.shapes import Indices, PointScalars, Vector3, Vertices
-from palpate.viewer.colours import ColouredField, Colours, colours_of, linear_light
+from palpate.shapes import Indices, Points, PointScalars, Vector3, Vertices
 from palpate.viewer.drawings import camera_picture, frames
 from palpate.viewer.subject import Subject
 
@@ -28,12 +45,43 @@ _BODY, _SET = "#c9ccd2", "#e69f00"
 _POINT, _ARROW, _TIP, _FRUSTUM, _NEAR = 0.012, 0.2, 0.006, 0.12, 0.03
 # Largest number of arrows; more would hide the points.
 _MAX_ARROWS = 250
+MEASURED, PREDICTED, RESIDUAL, SIGMA = FIELDS = (
+    "displacement, measured", "displacement, predicted", "residual, in sigmas", "sigma",
+)  # fmt: skip
+# Quantile of the values at the end of the scale, so that false matches do not determine it.
+_TOP = 0.97
+Colours = UInt8[np.ndarray, "n 3"]
+# As viser sets its own texts.
+_STYLE = "padding:0 .8em .7em;font-size:.875rem;white-space:pre-line;overflow-wrap:anywhere"
+_STOPS = 12
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
     """A matplotlib colour as three bytes, 0 to 255."""
     red, green, blue = (round(255 * share) for share in to_rgb(colour))
     return red, green, blue
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColouredField:
+    """Points with one value each, for drawing.
+
+    Attributes
+    ----------
+    points : (n, 3) float [m]           at rest
+    displacement : (n, 3) float [m]     with which they are drawn
+    values : (n,) float                 in `unit`
+    top : float                         value at the end of the scale
+    unit : str                          "mm" or "sigmas"
+    cmap : str                          colour map of matplotlib
+    """
+
+    points: Points
+    displacement: Points
+    values: PointScalars
+    top: float
+    unit: str
+    cmap: str
 
 
 class Stage:
@@ -263,8 +311,8 @@ def merged_labels(
     found = []
     for place, names in places:
         more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        told = next((text for name in names if (text := starts[name][1])), names[0])
-        found.append((told + more, place))
+        label = next((text for name in names if (text := starts[name][1])), names[0])
+        found.append((label + more, place))
     return found
 
 
@@ -351,3 +399,105 @@ def length_colours(displacement: Vertices) -> tuple[Colours, PointScalars, float
     length = 1e3 * np.linalg.norm(displacement, axis=1)
     top = max(float(length.max()), 1e-6)
     return colours_of(length, top, "viridis"), length, top
+
+
+def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
+    """Values of one quantity at the points of a probing.
+
+    Parameters
+    ----------
+    probing : FittedProbing
+    what : str                          one of `FIELDS`
+
+    Returns
+    -------
+    ColouredField or None               None if it is unknown at all points
+    """
+    displacement, cmap, unit = probing.displacement, LENGTHS, "mm"
+    if what == PREDICTED:
+        displacement = probing.predicted
+    values = 1e3 * np.linalg.norm(displacement, axis=1)
+    if what == RESIDUAL:
+        scaled = (probing.displacement - probing.predicted) / probing.sigma
+        values, cmap, unit = np.sqrt(np.mean(scaled**2, axis=1)), RESIDUALS, "sigmas"
+    elif what == SIGMA:
+        values = 1e3 * np.sqrt(np.mean(probing.sigma**2, axis=1))
+    known = np.isfinite(values) & np.isfinite(displacement).all(axis=1)
+    if not known.any():
+        return None
+    top = MOST_SIGMAS if what == RESIDUAL else float(np.quantile(values[known], _TOP))
+    return ColouredField(
+        probing.points[known], displacement[known], values[known], max(top, 1e-6), unit, cmap
+    )
+
+
+def colours_of(values: PointScalars, top: float, cmap: str) -> Colours:
+    """RGB colours of values on a scale from zero.
+
+    Parameters
+    ----------
+    values : (n,) float
+    top : float                         > 0; end of the scale
+    cmap : str                          colour map of matplotlib
+
+    Returns
+    -------
+    (n, 3) uint8
+    """
+    share = np.clip(np.nan_to_num(values) / top, 0.0, 1.0)
+    return np.asarray(np.rint(255 * mpl.colormaps[cmap](share)[:, :3]), dtype=np.uint8)
+
+
+def linear_light(colours: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Convert sRGB colours to linear RGB, which glTF requires.
+
+    Parameters
+    ----------
+    colours : (n, 3) float              0 to 1, sRGB
+
+    Returns
+    -------
+    (n, 3) float                        0 to 1
+    """
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+
+
+def text_html(text: str, *, bold: str = "", italic: bool = False) -> str:
+    """HTML that shows a text as it is: what a file has put into it is no markup.
+
+    Parameters
+    ----------
+    text : str                          line breaks are kept
+    bold : str                          shown in bold before it
+    italic : bool                       of a text that says what is not there, or not yet
+
+    Returns
+    -------
+    str
+    """
+    shown = (f"<b>{escape(bold)}</b>" if bold else "") + escape(text)
+    return f'<div style="{_STYLE}">{f"<i>{shown}</i>" if italic else shown}</div>'
+
+
+def scale_html(top: float, unit: str, cmap: str) -> str:
+    """A colour bar with its numbers, as HTML.
+
+    Parameters
+    ----------
+    top : float                         value at its right end
+    unit : str
+    cmap : str                          colour map of matplotlib
+
+    Returns
+    -------
+    str
+    """
+    stops = ", ".join(to_hex(c) for c in mpl.colormaps[cmap](np.linspace(0.0, 1.0, _STOPS)))
+    numbers = "".join(f"<span>{value:.3g}</span>" for value in (0.0, top / 2))
+    return (
+        '<div style="margin:.3em 1em;font-size:.8em">'
+        '<div style="height:.9em;border:1px solid #888;'
+        f'background:linear-gradient(to right,{stops})">'
+        '</div><div style="display:flex;justify-content:space-between">'
+        f"{numbers}<span>{top:.3g} {unit} and more</span></div></div>"
+    )

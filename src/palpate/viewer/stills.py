@@ -34,8 +34,14 @@ from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, un
 from palpate.pipeline import FittedProbing
 from palpate.progress import Progress, silent
 from palpate.shapes import Vector3, Vertices
-from palpate.viewer.colours import MEASURED, PREDICTED, ColouredField, coloured_field, colours_of
-from palpate.viewer.stage import direction_of
+from palpate.viewer.stage import (
+    MEASURED,
+    PREDICTED,
+    ColouredField,
+    coloured_field,
+    colours_of,
+    direction_of,
+)
 from palpate.viewer.subject import Subject, shown_probings
 
 # Number of pictures of one revolution, and duration of each [s].

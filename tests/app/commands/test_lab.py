@@ -14,7 +14,7 @@ from lab.lab_configs import STAGE
 
 from palpate.app.commands import lab as lab_command
 from palpate.app.commands.lab import _config_file, reproduce
-from palpate.campaign import cluster as cluster_file
+from palpate.campaign import engine as engine_file
 from palpate.errors import InputError
 from palpate.geometry import write_mesh
 from palpate.lab import Variant, read_lab_config
@@ -126,7 +126,7 @@ def test_a_wrong_number_of_workers_is_refused(palpate, tmp_path):
 def test_a_scheduler_that_is_not_there_is_no_error_of_the_configuration(
     palpate, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cluster_file, "_CONNECT_TIMEOUT", 1)
+    monkeypatch.setattr(engine_file, "_CONNECT_TIMEOUT", 1)
     (tmp_path / "toy.toml").write_text(SMALL)
     code, _, err = palpate(
         "lab", "toy.toml", "made", "--scheduler", "tcp://127.0.0.1:9", "--insecure"
@@ -209,7 +209,7 @@ def bench(monkeypatch, tmp_path):
     monkeypatch.setattr("palpate.paper.experiments.measured_session", measured_session)
     monkeypatch.setattr(lab_command, "choose_variant", lambda: Variant("none", "no [bench]", None))
     monkeypatch.setattr(lab_command, "started_engine", workers)
-    monkeypatch.setattr("palpate.paper.figures.surface_map", lambda *_: sample().surface)
+    monkeypatch.setattr("palpate.paper.motion.surface_map", lambda *_: sample().surface)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
     return asked

@@ -1,0 +1,477 @@
+"""Simulators that take the tetrahedra: CalculiX and Abaqus, FEBio, VTU, SOFA, MuJoCo.
+
+CalculiX, FEBio and VTU, the files of ParaView and meshio, take ten-node tetrahedra with the held
+nodes and the push as nodal forces; SOFA corotational linear tetrahedra with the push as a constant
+force; MuJoCo a flex of linear tetrahedra, with a program that repeats the push.
+
+Source
+------
+FEBio User Manual 4, "Free format input" (help.febio.org). VTK file formats, "XML File Formats",
+https://docs.vtk.org; a quadratic tetrahedron is cell type 24. SOFA's documentation of StaticSolver,
+TetrahedronFEMForceField, FixedProjectiveConstraint and ConstantForceField
+(sofa-framework.github.io).
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from palpate.geometry import enclosed_volume
+from palpate.records import json_text, write_text
+from palpate.simulation.estimated_object import Format, SolidModel
+
+_HEAD = """<?xml version="1.0" encoding="UTF-8"?>
+<!-- SI units; made by Palpate, see README.txt -->
+<febio_spec version="4.0">
+  <Module type="solid"/>
+  <Control>
+    <analysis>STATIC</analysis>
+    <time_steps>1</time_steps>
+    <step_size>1</step_size>
+    <solver type="solid"><symmetric_stiffness>symmetric</symmetric_stiffness></solver>
+  </Control>
+  <Material>
+    <material id="1" name="estimated" type="isotropic elastic">
+      <density>{density:.9g}</density>
+      <E>{young:.9g}</E>
+      <v>{poisson:.9g}</v>
+    </material>
+  </Material>
+  <Mesh>
+    <Nodes name="nodes">
+"""
+_QUADRATIC_TETRAHEDRON = 24
+_PLUGINS = (
+    "Constraint.Projective", "LinearSolver.Direct", "Mass", "MechanicalLoad", "ODESolver.Backward",
+    "SolidMechanics.FEM.Elastic", "StateContainer", "Topology.Container.Constant", "Visual",
+)  # fmt: skip
+_SCENE = """<?xml version="1.0"?>
+<!-- SI units; made by Palpate, see README.txt -->
+<Node name="root" gravity="0 0 0" dt="0.01">
+{plugins}
+  <VisualStyle displayFlags="showBehaviorModels showForceFields"/>
+  <DefaultAnimationLoop/>
+  <Node name="body">
+    <NewtonRaphsonSolver name="newton" maxNbIterationsNewton="100" maxNbIterationsLineSearch="1"
+                         warnWhenLineSearchFails="false"/>
+    <StaticSolver newtonSolver="@newton"/>
+    <EigenSimplicialLDLT template="CompressedRowSparseMatrixMat3x3"/>
+    <MeshTopology name="mesh" position="{position}" tetrahedra="{tetrahedra}"/>
+    <MechanicalObject name="state" template="Vec3d" src="@mesh"/>
+    <UniformMass totalMass="{mass:.9g}"/>
+    <TetrahedronFEMForceField template="Vec3d" method="large" youngModulus="{young:.9g}"
+                              poissonRatio="{poisson:.9g}"/>
+    <FixedProjectiveConstraint indices="{held}"/>
+{push}  </Node>
+</Node>
+"""
+_MODEL = """<mujoco model="{name}">
+  <!-- SI units; made by Palpate, see README.txt -->
+  <option timestep="0.01" gravity="0 0 0" integrator="discrete"/>
+  <worldbody>
+    <flexcomp name="body" type="direct" dim="3" mass="{mass}" radius="1e-4"
+              point="{point}"
+              element="{element}">
+      <elasticity young="{young}" poisson="{poisson}" damping="0.01"/>
+      <contact selfcollide="none"/>
+      <pin id="{pin}"/>
+    </flexcomp>
+  </worldbody>
+</mujoco>
+"""
+_REPLAY = '''"""Repeat the push of replay.json on model.xml; print where its point comes to rest."""
+
+import json
+import sys
+
+import mujoco
+import numpy as np
+
+STEPS = 60
+share = float(sys.argv[1]) if len(sys.argv) > 1 else 0.02
+push = json.load(open("replay.json"))
+model = mujoco.MjModel.from_xml_path("model.xml")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+rest = data.flexvert_xpos.copy()
+body = model.flex_vertbodyid[push["loaded_nodes"]]
+for _ in range(STEPS):
+    data.xfrc_applied[body, :3] = share * np.array(push["nodal_forces"])
+    mujoco.mj_step(model, data)
+moved = (data.flexvert_xpos - rest)[push["point_nodes"]]
+found = np.array(push["point_shares"]) @ moved / share
+wanted = np.array(push["displacement"])
+print("displacement of the point in MuJoCo  [m]:", *found)
+print("displacement of the point in Palpate [m]:", *wanted)
+print("apart by", np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+'''
+
+
+def write_calculix(folder: Path, model: SolidModel) -> None:
+    """Write model.inp and replay.json.
+
+    Parameters
+    ----------
+    folder : Path
+    model : SolidModel
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    material = model.body.material
+    lines = [
+        "** SI units; made by Palpate, see README.txt",
+        "*NODE, NSET=ALL",
+        *_numbered_lines(model.nodes),
+        "*ELEMENT, TYPE=C3D10, ELSET=BODY",
+        *_numbered_lines(model.solid.elements),
+        "*NSET, NSET=HELD",
+        *(f"{node + 1}," for node in np.flatnonzero(model.held)),
+        "*MATERIAL, NAME=ESTIMATED",
+        "*ELASTIC",
+        f"{material.young_modulus:.9g}, {material.poisson_ratio:.9g}",
+        "*DENSITY",
+        f"{model.body.density:.9g}",
+        "*SOLID SECTION, ELSET=BODY, MATERIAL=ESTIMATED",
+        "*BOUNDARY",
+        "HELD, 1, 3, 0.",
+    ]
+    if model.body.push is not None:
+        lines += [
+            "*NSET, NSET=POINT",
+            *(f"{node + 1}," for node in model.node),
+            "*STEP",
+            "*STATIC",
+            "*CLOAD",
+            *(
+                f"{node + 1}, {axis + 1}, {model.load[node, axis]:.9g}"
+                for node, axis in np.argwhere(model.load != 0.0)
+            ),
+            "*NODE FILE",
+            "U",
+            "*NODE PRINT, NSET=POINT",
+            "U",
+            "*END STEP",
+        ]
+    write_replay(folder, model, model.load)
+    write_text(folder / "model.inp", "\n".join(lines) + "\n")
+
+
+CALCULIX = Format(
+    "CalculiX",
+    (-0.999, 0.499),
+    "ccx model (Abaqus: abaqus job=model): equilibrium under the push; model.dat has the"
+    " displacement of the nodes around its point, replay.json their shares.",
+    of_solid=write_calculix,
+)
+
+
+def write_febio(folder: Path, model: SolidModel) -> None:
+    """Write model.feb and replay.json.
+
+    Parameters
+    ----------
+    folder : Path
+    model : SolidModel
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    material = model.body.material
+    head = _HEAD.format(
+        density=model.body.density, young=material.young_modulus, poisson=material.poisson_ratio
+    )
+    nodes = [_row("node", k, row, ".9g") for k, row in enumerate(model.nodes.tolist(), start=1)]
+    elements = [
+        _row("elem", k, row, "d") for k, row in enumerate((model.solid.elements + 1).tolist(), 1)
+    ]
+    loaded = np.flatnonzero(model.load.any(axis=1))
+    sets = [_node_set("held", np.flatnonzero(model.held))]
+    if loaded.size:
+        sets.append(_node_set("loaded", loaded))
+    text = head + "\n".join(
+        [
+            *nodes,
+            "    </Nodes>",
+            '    <Elements type="tet10" name="body">',
+            *elements,
+            "    </Elements>",
+            *sets,
+            "  </Mesh>",
+            '  <MeshDomains><SolidDomain name="body" mat="estimated"/></MeshDomains>',
+            *_data(model, loaded),
+            "  <Boundary>",
+            '    <bc name="support" node_set="held" type="zero displacement">',
+            "      <x_dof>1</x_dof><y_dof>1</y_dof><z_dof>1</z_dof>",
+            "    </bc>",
+            "  </Boundary>",
+            *_loads(loaded.size > 0),
+            "  <Output>",
+            '    <plotfile type="febio"><var type="displacement"/></plotfile>',
+            '    <logfile><node_data data="ux;uy;uz" file="displacement.csv" delim=","/></logfile>',
+            "  </Output>",
+            "</febio_spec>",
+            "",
+        ]
+    )
+    write_text(folder / "model.feb", text)
+    write_replay(folder, model, model.load)
+
+
+def _row(
+    tag: str, number: int, values: list[float] | list[int], form: str, *, key: str = "id"
+) -> str:
+    """One node, element or value with its number."""
+    inside = ",".join(format(value, form) for value in values)
+    return f'      <{tag} {key}="{number}">{inside}</{tag}>'
+
+
+def _node_set(name: str, nodes: np.ndarray) -> str:
+    numbers = ",".join(map(str, (nodes + 1).tolist()))
+    return f'    <NodeSet name="{name}">{numbers}</NodeSet>'
+
+
+def _data(model: SolidModel, loaded: np.ndarray) -> list[str]:
+    """The nodal forces as a data map over the set of loaded nodes."""
+    if not loaded.size:
+        return []
+    rows = model.load[loaded].tolist()
+    return [
+        "  <MeshData>",
+        '    <NodeData name="forces" node_set="loaded" data_type="vec3">',
+        *(_row("node", k, row, ".9g", key="lid") for k, row in enumerate(rows, start=1)),
+        "    </NodeData>",
+        "  </MeshData>",
+    ]
+
+
+def _loads(any_load: bool) -> list[str]:
+    if not any_load:
+        return []
+    return [
+        "  <Loads>",
+        '    <nodal_load name="push" node_set="loaded" type="nodal_force">',
+        '      <value type="map">forces</value>',
+        "    </nodal_load>",
+        "  </Loads>",
+    ]
+
+
+FEBIO = Format(
+    "FEBio",
+    (-0.999, 0.499),
+    "febio4 -i model.feb: equilibrium under the push; displacement.csv has the displacement of"
+    " every node. FEBio's isotropic elastic material (Saint Venant and Kirchhoff) gives way under"
+    " large compression: scale the forces down where the push is deep. Not tried in FEBio itself.",
+    of_solid=write_febio,
+)
+
+
+def write_vtu(folder: Path, model: SolidModel) -> None:
+    """Write model.vtu and replay.json.
+
+    Parameters
+    ----------
+    folder : Path
+    model : SolidModel
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    count, nodes = len(model.solid.elements), len(model.nodes)
+    ends = 10 * np.arange(1, count + 1)
+    lines = [
+        '<?xml version="1.0"?>',
+        '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian">',
+        "<UnstructuredGrid>",
+        f'<Piece NumberOfPoints="{nodes}" NumberOfCells="{count}">',
+        '<PointData Vectors="force">',
+        *_array("force", "Float64", model.load, 3),
+        *_array("held", "UInt8", model.held.astype(np.uint8), 1),
+        "</PointData>",
+        "<Points>",
+        *_array("Points", "Float64", model.nodes, 3),
+        "</Points>",
+        "<Cells>",
+        *_array("connectivity", "Int64", model.solid.elements, 1),
+        *_array("offsets", "Int64", ends, 1),
+        *_array("types", "UInt8", np.full(count, _QUADRATIC_TETRAHEDRON, dtype=np.uint8), 1),
+        "</Cells>",
+        "</Piece>",
+        "</UnstructuredGrid>",
+        "</VTKFile>",
+    ]
+    write_text(folder / "model.vtu", "\n".join(lines) + "\n")
+    write_replay(folder, model, model.load)
+
+
+def _array(name: str, kind: str, values: np.ndarray, components: int) -> Iterable[str]:
+    """One array as text."""
+    yield (
+        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="ascii">'
+    )
+    yield _number_text(values)
+    yield "</DataArray>"
+
+
+VTU = Format(
+    "VTU",
+    (-0.999, 0.5),
+    "ParaView or meshio open model.vtu; constants are in palpate.json.",
+    of_solid=write_vtu,
+)
+
+
+def write_sofa(folder: Path, model: SolidModel) -> None:
+    """Write model.scn and replay.json.
+
+    Parameters
+    ----------
+    folder : Path
+    model : SolidModel
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    body = model.body
+    loaded = np.flatnonzero(model.linear_load.any(axis=1))
+    push = ""
+    if body.push is not None:
+        forces = _number_text(model.linear_load[loaded])
+        push = f'    <ConstantForceField indices="{_number_text(loaded)}" forces="{forces}"/>\n'
+    plugins = "\n".join(f'  <RequiredPlugin name="Sofa.Component.{name}"/>' for name in _PLUGINS)
+    text = _SCENE.format(
+        plugins=plugins,
+        position=_number_text(model.nodes),
+        tetrahedra=_number_text(model.linear),
+        mass=enclosed_volume(body.session.mesh) * body.density,
+        young=body.material.young_modulus,
+        poisson=body.material.poisson_ratio,
+        held=_number_text(np.flatnonzero(model.held)),
+        push=push,
+    )
+    write_text(folder / "model.scn", text)
+    write_replay(folder, model, model.linear_load)
+
+
+SOFA = Format(
+    "SOFA",
+    (0.0, 0.495),
+    "runSofa model.scn: the object comes to rest under the push; replay.json has the nodes around"
+    " its point and their shares. Not tried in SOFA itself.",
+    of_solid=write_sofa,
+)
+
+
+def write_mujoco(folder: Path, model: SolidModel) -> None:
+    """Write model.xml, replay.json and replay.py.
+
+    Parameters
+    ----------
+    folder : Path
+    model : SolidModel
+
+    Raises
+    ------
+    RecordError                     a file cannot be written
+    """
+    body = model.body
+    volume = enclosed_volume(body.session.mesh)
+    text = _MODEL.format(
+        name=body.session.path.parent.name.replace('"', "").replace("<", "").replace("&", ""),
+        mass=_number_text(np.array([volume * body.density])),
+        point=_number_text(model.nodes),
+        element=_number_text(model.linear),
+        young=_number_text(np.array([body.material.young_modulus])),
+        poisson=_number_text(np.array([body.material.poisson_ratio])),
+        pin=_number_text(np.flatnonzero(model.held)),
+    )
+    write_text(folder / "model.xml", text)
+    write_replay(folder, model, model.linear_load)
+    if body.push is not None:
+        write_text(folder / "replay.py", _REPLAY)
+
+
+MUJOCO = Format(
+    "MuJoCo",
+    (0.0, 0.495),
+    "python replay.py [SHARE] repeats SHARE of the push (usually 0.02) and prints where its point"
+    " comes to rest, over SHARE. MuJoCo's material (Saint Venant and Kirchhoff) gives way under"
+    " large compression; a small share stays where the estimate holds. Written for MuJoCo 4; in"
+    ' MuJoCo 3 replace integrator="discrete" by "implicitfast". MuJoCo may warn that the'
+    " stiffness is ill-conditioned and the inertia close to singular: its solver stops early in"
+    " single steps. The half ball of Palpate's examples comes to rest as far off with steps of a"
+    " third.",
+    of_solid=write_mujoco,
+)
+
+
+def _number_text(values: Shaped[np.ndarray, "..."]) -> str:
+    """Numbers separated by spaces, floating-point ones with nine digits.
+
+    Parameters
+    ----------
+    values : array
+
+    Returns
+    -------
+    str
+    """
+    flat = values.ravel()
+    if np.issubdtype(flat.dtype, np.integer):
+        return " ".join(map(str, flat.tolist()))
+    return " ".join(f"{value:.9g}" for value in flat.tolist())
+
+
+def _numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> Iterable[str]:
+    """Rows, each after its number from 1, separated by commas; nodes are numbered from 1, too.
+
+    Parameters
+    ----------
+    rows : (n, k) array             floating-point values; or integers, indices of nodes from 0
+    per_line : int                  entries after which a line is broken
+
+    Yields
+    ------
+    str
+    """
+    whole = np.issubdtype(rows.dtype, np.integer)
+    for number, row in enumerate(rows.tolist(), start=1):
+        cells = [str(number), *(str(v + 1) if whole else f"{v:.9g}" for v in row)]
+        lines = [", ".join(cells[k : k + per_line]) for k in range(0, len(cells), per_line)]
+        yield ",\n".join(lines)
+
+
+def write_replay(folder: Path, model: SolidModel, load: Float[np.ndarray, "n 3"]) -> None:
+    """Write replay.json: the push, if any, as nodal forces, with the displacement in the model.
+
+    Parameters
+    ----------
+    folder : Path
+    model : SolidModel
+    load : (n, 3) float [N]         nodal forces
+
+    Raises
+    ------
+    RecordError                     the file cannot be written
+    """
+    push = model.body.push
+    if push is None:
+        return
+    loaded = np.flatnonzero(load.any(axis=1))
+    content = {
+        "probing": push.name,
+        "force": push.force.tolist(),
+        "displacement": push.displacement.tolist(),
+        "loaded_nodes": loaded.tolist(),
+        "nodal_forces": load[loaded].tolist(),
+        "point_nodes": model.node.tolist(),
+        "point_shares": model.share.tolist(),
+    }
+    write_text(folder / "replay.json", json_text(content))
