@@ -79,6 +79,7 @@ from palpate.pipeline.poke import (
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
 )
+from palpate.pipeline.reciprocity import reciprocity as reciprocity
 from palpate.pipeline.rejections import (
     Rejections as Rejections,
     rejection_note as rejection_note,
