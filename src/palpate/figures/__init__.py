@@ -19,6 +19,7 @@ from palpate.figures.checks import (
     budget_figure as budget_figure,
     errors_figure as errors_figure,
     predictions_figure as predictions_figure,
+    reciprocity_figure as reciprocity_figure,
 )
 from palpate.figures.displacement import (
     HELD as HELD,

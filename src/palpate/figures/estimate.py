@@ -15,7 +15,12 @@ from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap
-from palpate.figures.checks import budget_figure, errors_figure, predictions_figure
+from palpate.figures.checks import (
+    budget_figure,
+    errors_figure,
+    predictions_figure,
+    reciprocity_figure,
+)
 from palpate.figures.displacement import displacement_figure
 from palpate.figures.style import (
     BLUE,
@@ -47,6 +52,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     `likelihood.png` shows the regions of Poisson's ratio and shear modulus, `probings.png` the
     constants of each probing alone, `predictions.png` the predictions of each probing from the
     others, `errors.png` the estimated systematic errors, `budget.png` the uncertainty budget,
+    `reciprocity.png` how well pushes agree whatever the material,
     `displacement/NAME.png` the measured and predicted displacement of each probing on the object's
     surface.
 
@@ -67,10 +73,12 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     written = save_drawing(likelihood_figure(result), folder / "likelihood.png")
     if result.estimate.probes:
         written += save_drawing(probings_figure(result.estimate), folder / "probings.png")
+    tested = result.estimate.reciprocity
     for name, drawn in (
         ("predictions", predictions_figure(session, result)),
         ("errors", errors_figure(result.estimate)),
         ("budget", budget_figure(result.estimate)),
+        ("reciprocity", None if tested is None else reciprocity_figure(tested)),
     ):
         if drawn is not None:
             written += save_drawing(drawn, folder / f"{name}.png")

@@ -19,6 +19,7 @@ from palpate.pipeline.notes import session_notes
 from palpate.pipeline.observations.consistent_contacts import with_consistent_contacts
 from palpate.pipeline.observations.converged_observations import converged_observations
 from palpate.pipeline.observations.mesh_errors import ungraded_observations, with_mesh_steps
+from palpate.pipeline.reciprocity import reciprocity
 from palpate.progress import Progress, part_of, silent
 from palpate.records import ProbeEstimate, Session, SupportEstimate, require_probings
 
@@ -89,12 +90,16 @@ def fit_session(
     stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    notes = session_notes(session, refined, graded, result, probes, finite_strain=finite_strain)
+    tested = reciprocity(session) if len(session.probings) > 1 else None
+    notes = session_notes(
+        session, refined, graded, result, probes, tested, finite_strain=finite_strain
+    )
     estimate = replace(
         result.estimate,
         probes=probes,
         notes=notes[:_MOST_NOTES],
         details=notes[_MOST_NOTES:],
+        reciprocity=tested,
         seconds=stages | {"total": time.perf_counter() - start},
         settings={
             **result.estimate.settings,

@@ -16,7 +16,7 @@ from palpate.shapes import PointIndices, Points, Vector3
 _PLANE = 1e6
 # Logarithms of the length of correlation over the farthest point's distance, and of the variance of
 # the process over that of the noise: start and limits.
-_START, _LIMITS = (0.0, 4.0), ((-1.5, 3.0), (-9.0, 25.0))
+_START, _LIMITS = (0.0, 4.0), ((-0.7, 3.0), (-9.0, 25.0))
 # Chance that a sound place has a point left out, as of the checks of a fit; passes that leave out.
 _FALSE_ALARM, _ROUNDS = 1 / 400, 4
 # Fewest points: a plane has four coefficients.
@@ -117,7 +117,12 @@ def _prior_covariance(
 
 
 def local_field(
-    rows: PointIndices, points: Points, moved: Points, noise: Float[np.ndarray, "3 n n"]
+    rows: PointIndices,
+    points: Points,
+    moved: Points,
+    noise: Float[np.ndarray, "3 n n"],
+    *,
+    claimed: bool,
 ) -> LocalField | None:
     """The displacement around a place; points that are far off are left out.
 
@@ -128,6 +133,8 @@ def local_field(
     moved : (n, 3) float [m]
     noise : (3, n, n) float         covariance of each component's noise, up to one factor, which is
                                     found
+    claimed : bool                  whether it is in m^2, and the factor at least 1: what looks like
+                                    less noise may be noise that neighbours share
 
     Returns
     -------
@@ -139,7 +146,7 @@ def local_field(
     for _ in range(_ROUNDS):
         if len(rows) < _FEWEST:
             return None
-        found = _most_likely(rows, points, moved, noise, claim)
+        found = _most_likely(rows, points, moved, noise, claim, claimed)
         # What each point is off from the prediction by all others, over its standard deviation.
         sharp = np.einsum("ann->na", found.inverse)
         scaled = np.einsum("anm,ma->na", found.inverse, found.moved)
@@ -158,13 +165,14 @@ def _most_likely(
     moved: Points,
     noise: Float[np.ndarray, "3 n n"],
     claim: float,
+    claimed: bool,
 ) -> LocalField:
     origin = points.mean(axis=0)
     size = float(np.linalg.norm(points - origin, axis=1).max())
     middle, place = moved.mean(axis=0), (points - origin) / size
     around = moved - middle
 
-    apart = cdist(place, place)
+    apart, least = cdist(place, place), claim**2 if claimed else np.finfo(float).tiny
     if (noise == noise[0]).all():
         noise = noise[:1]
 
@@ -183,7 +191,9 @@ def _most_likely(
         except np.linalg.LinAlgError:
             return np.inf
         volume = 2.0 * float(np.log(np.einsum("ann->an", found)).sum()) * 3.0 / len(found)
-        return moved.size * float(np.log(max(variance(found), np.finfo(float).tiny))) + volume
+        square = variance(found)
+        level = max(square, least)
+        return moved.size * (float(np.log(level)) + square / level) + volume
 
     best = minimize(
         surprise, _START, method="Nelder-Mead", bounds=_LIMITS,
@@ -194,7 +204,7 @@ def _most_likely(
     sides = np.linalg.inv(found)
     inverse = np.broadcast_to(sides.mT @ sides, (3, *apart.shape))
     length, power = np.exp(best).tolist()
-    level = float(np.sqrt(variance(found)))
+    level = float(np.sqrt(max(variance(found), least)))
     return LocalField(
         rows, origin, size, place, middle, around, apart, (length, power), level, claim, inverse
     )

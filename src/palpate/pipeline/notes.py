@@ -9,7 +9,15 @@ from palpate.estimation import FitResult, ProbeFit
 from palpate.pipeline.model.contacts.outward import OUTWARD_ERROR
 from palpate.pipeline.model.contacts.perturbations import RADIUS_ERROR
 from palpate.pipeline.rejections import rejection_note, rejections
-from palpate.records import BIASED, SLIDES, STICKS, ProbeEstimate, Session, Status
+from palpate.records import (
+    BIASED,
+    SLIDES,
+    STICKS,
+    ProbeEstimate,
+    Reciprocity,
+    Session,
+    Status,
+)
 
 # A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
 _LARGE_ROTATION = 5e-3
@@ -26,6 +34,7 @@ def session_notes(
     graded: Session,
     result: FitResult,
     probes: Sequence[ProbeEstimate],
+    tested: Reciprocity | None,
     *,
     finite_strain: bool,
 ) -> tuple[str, ...]:
@@ -38,6 +47,7 @@ def session_notes(
     graded : Session                with the mesh that was fitted
     result : FitResult              with the notes of the estimate
     probes : sequence of ProbeEstimate    with the motions of their supports
+    tested : Reciprocity or None    the test of the pushes against each other
     finite_strain : bool            whether it was corrected for
 
     Returns
@@ -54,7 +64,19 @@ def session_notes(
     others = [note for note in session.notes if BIASED not in note]
     found = _contact_notes(refined, probes) + _rejection_notes(session)
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
-    return (*first, *biased, *_rotation_notes(probes), *fitted[1:], *found, *others)
+    # Pushes that contradict each other leave the model nothing to explain; else it is a detail.
+    broken = [tested.text] if tested is not None and not tested.holds else []
+    sound = [tested.text] if tested is not None and tested.holds and tested.is_tested else []
+    return (
+        *broken,
+        *first,
+        *biased,
+        *_rotation_notes(probes),
+        *fitted[1:],
+        *found,
+        *others,
+        *sound,
+    )
 
 
 def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

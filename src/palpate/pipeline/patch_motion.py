@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -20,7 +20,7 @@ from palpate.geometry import (
 )
 from palpate.pipeline.local_field import LocalField, local_field
 from palpate.records import Contact, DisplacementField, observed_rows
-from palpate.shapes import Indices, Points, Vector3
+from palpate.shapes import Points, Vector3
 
 # Longest side of the triangles of a patch over its reach, and cosine of the largest angle between
 # them and its centre's: beyond it lies another side of the body.
@@ -30,8 +30,9 @@ _NEAREST, _MOST, _REACHES = 60, 150, 1.5
 # Of a regular pattern at least three points lie within a spacing of any place, and each has six
 # neighbours a spacing away.
 _SURROUNDING, _NEIGHBOURS = 3, 6
-# Steps of the derivatives: of the radius, and along the surface over the reach or a triangle's side.
+# Steps of the derivatives: of the radius, and along the surface over the reach or triangles' sides.
 _GROWN, _STEP = 0.2, 0.5
+_Rows = Int[np.ndarray, " _"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +179,8 @@ def patch_motion(
     parts, smooth = [], np.zeros((len(patches), 3, len(field.points)))
     for group in _groups(patches, [len(rows) > 0 for rows in around]):
         rows = np.unique(np.concatenate([around[p] for p in group]))
-        found = local_field(rows, field.points[rows], field.displacement[rows], _noise(field, rows))
+        points, moved = field.points[rows], field.displacement[rows]
+        found = local_field(rows, points, moved, _noise(field, rows), claimed=field.std is not None)
         if found is not None:
             parts.append((group, found))
             chosen = [patches[p] for p in group]
@@ -190,7 +192,7 @@ def patch_motion(
 def _moved(
     field: DisplacementField,
     patches: Sequence[Patch],
-    parts: Sequence[tuple[Indices, LocalField]],
+    parts: Sequence[tuple[_Rows, LocalField]],
     smooth: Float[np.ndarray, "p 3 n"],
 ) -> PatchMotion:
     """The motion of groups of patches by their local fields, whose weights are `smooth`."""
@@ -226,11 +228,11 @@ def _spacing(points: Points) -> float:
 def _around(
     mesh: TriangleMesh,
     field: DisplacementField,
-    measured: Indices,
+    measured: _Rows,
     patch: Patch,
     own: Sequence[Patch],
     spacing: float,
-) -> Indices:
+) -> _Rows:
     """Measured points that tell how a patch moves, nearest first; none where they do not surround
     it."""
     points = field.points[measured]
@@ -250,7 +252,7 @@ def _around(
     return measured[chosen[:: -(-len(chosen) // _MOST)]]
 
 
-def _groups(patches: Sequence[Patch], seen: Sequence[bool]) -> list[Indices]:
+def _groups(patches: Sequence[Patch], seen: Sequence[bool]) -> list[_Rows]:
     """Numbers of the seen patches, those that overlap together."""
     rows = np.flatnonzero(seen)
     centre = np.array([patches[p].centre for p in rows]).reshape(-1, 3)
@@ -269,7 +271,7 @@ def _shares(patches: Sequence[Patch]) -> Float[np.ndarray, "p q"]:
     return block_diag(*(patch.share[:1] for patch in patches))
 
 
-def _noise(field: DisplacementField, rows: Indices) -> Float[np.ndarray, "3 k k"]:
+def _noise(field: DisplacementField, rows: _Rows) -> Float[np.ndarray, "3 k k"]:
     """Covariance of each component's noise at some points [m^2], or one where it is not given."""
     std = np.ones((len(rows), 3)) if field.std is None else field.std[rows]
     shared = field.correlation.subset(rows, len(field.points))
@@ -285,7 +287,7 @@ def _noise(field: DisplacementField, rows: Indices) -> Float[np.ndarray, "3 k k"
 
 
 def _spread(
-    field: DisplacementField, used: Indices, smooth: Float[np.ndarray, "p 3 n"]
+    field: DisplacementField, used: _Rows, smooth: Float[np.ndarray, "p 3 n"]
 ) -> Float[np.ndarray, "p 3 p 3"]:
     """Covariance of smoothed displacements from the noise as it is claimed."""
     weights = smooth[:, :, used]

@@ -46,8 +46,9 @@ _DOUBT = 0.05
 _ANY_RADIUS = 0.5
 # Of a work: no work is known better.
 _FINEST = 1e-5
-# Forces that differ by less say nothing of how motion grows with force.
-_ALIKE = 0.05
+# Of the largest force: where forces differ by less, one told too large would look like motion that
+# does not grow in proportion.
+_ALIKE = 0.25
 _Pairs = tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]
 
 
@@ -369,8 +370,11 @@ def _excesses(
         if square == 0.0:
             return None
         value, found = float(along @ white) / square, 1.0 / square
-        own = np.sqrt(max(found - known**2, 0.0))
-        return ForceExcess(name, value, float(own), value * float(np.sqrt(square)))
+        own = float(np.sqrt(max(found - known**2, 0.0)))
+        sigmas = value * float(np.sqrt(square))
+        # Of the mean of both works, half of which is without the excess.
+        shrunk = 1.0 - 0.5 * min(value, 1.0)
+        return ForceExcess(name, value / shrunk, own / shrunk**2, sigmas)
 
     found = []
     for k in np.unique(pairs):

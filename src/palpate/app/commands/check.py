@@ -15,6 +15,7 @@ from palpate.pipeline import (
     ProbingSurvey,
     ViewSurvey,
     moving_supports,
+    reciprocity,
     require_given_motions,
     session_outlook,
     size_notes,
@@ -52,6 +53,8 @@ def check(session: Path, /) -> int:
         print_tables(_view_table(view, cameras))
     for note in (*given.notes, *size_notes(given), *remarks, *doubts):
         print_text(f"Note: {note}")
+    if sum(probing.displacement is not None for probing in given.probings) > 1:
+        print_text(reciprocity(given).text)
     print_text(session_outlook(given, surveys))
     return 0
 

@@ -18,6 +18,7 @@ from palpate.records.estimate import (
     Status,
     SupportEstimate,
 )
+from palpate.records.reciprocity import ForceExcess, Reciprocity, WorkPair
 from palpate.records.text.json_file import json_text, read_json
 from palpate.records.text.text_file import write_text
 from palpate.records.text.toml_table import TomlTable
@@ -85,6 +86,7 @@ def read_estimate(path: Path | str) -> Estimate:
             details=tuple(root.optional("details", root.texts) or ()),
             errors=_read_errors(root),
             budget=_read_budget(root),
+            reciprocity=_read_reciprocity(root),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
         # The best fit of a model that does not fit has no interval.
@@ -204,6 +206,37 @@ def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:
     return tuple(
         BudgetEntry(entry.text("source"), *(_known(entry, name) for name in CONSTANT_NAMES))
         for entry in table.optional("budget", table.tables) or ()
+    )
+
+
+def _read_reciprocity(root: TomlTable) -> Reciprocity | None:
+    if root.get("reciprocity") is None:
+        return None
+    table = root.table("reciprocity")
+    names = ("odd", "passive", "untested")
+    return Reciprocity(
+        pairs=tuple(
+            WorkPair(
+                entry.text("first"),
+                entry.text("second"),
+                *(_number(entry, key) for key in ("work", "other", "std")),
+            )
+            for entry in table.optional("pairs", table.tables) or ()
+        ),
+        pushes=tuple(map(_read_excess, table.optional("pushes", table.tables) or ())),
+        growth=None if table.get("growth") is None else _read_excess(table.table("growth")),
+        degrees=table.count("degrees"),
+        grows=table.boolean("grows"),
+        holds=table.boolean("holds"),
+        **{name: _number(table, name) for name in ("chi_square", "chance")},
+        **{name: _known(table, name) for name in ("own_work", "own_work_std")},
+        **{name: tuple(table.optional(name, table.texts) or ()) for name in names},
+    )
+
+
+def _read_excess(table: TomlTable) -> ForceExcess:
+    return ForceExcess(
+        str(table.get("name")), *(_number(table, key) for key in ("excess", "std", "sigmas"))
     )
 
 
