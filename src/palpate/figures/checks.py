@@ -197,7 +197,9 @@ def reciprocity_figure(found: Reciprocity) -> Figure | None:
     grid = np.full((len(names), len(names)), np.nan)
     for pair in found.pairs:
         one, other = names.index(pair.first), names.index(pair.second)
-        grid[other, one], grid[one, other] = pair.sigmas, -pair.sigmas
+        # Of sizes: a force may do negative work in the motion under another.
+        larger = float(np.sign(pair.work + pair.other)) * pair.sigmas
+        grid[other, one], grid[one, other] = larger, -larger
     figure = Figure(figsize=(7.0, 3.6))
     left = figure.add_axes((0.09, 0.28, 0.36, 0.64))
     bar = figure.add_axes((0.11, 0.14, 0.32, 0.025))

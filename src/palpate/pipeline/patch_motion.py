@@ -185,7 +185,7 @@ def patch_motion(
             parts.append((group, found))
             chosen = [patches[p] for p in group]
             weights = _shares(chosen) @ found.weights(_points(chosen))
-            smooth[np.ix_(group, range(3), found.rows)] = weights.transpose(1, 0, 2)
+            smooth[np.ix_(group, np.arange(3), found.rows)] = weights.transpose(1, 0, 2)
     return _moved(field, patches, parts, smooth)
 
 
@@ -213,7 +213,7 @@ def _moved(
         chosen = [patches[p] for p in group]
         rest = found.rest(_points(chosen), _shares(chosen))
         for a in range(3):
-            own = np.ix_(group, [a], group, [a])
+            own = np.ix_(group, np.array([a]), group, np.array([a]))
             covariance[own] += rest[a][:, None, :, None]
     return PatchMotion(seen, mean, gradient, growth, covariance)
 
@@ -255,8 +255,8 @@ def _around(
 def _groups(patches: Sequence[Patch], seen: Sequence[bool]) -> list[_Rows]:
     """Numbers of the seen patches, those that overlap together."""
     rows = np.flatnonzero(seen)
-    centre = np.array([patches[p].centre for p in rows]).reshape(-1, 3)
-    reach = np.array([patches[p].reach for p in rows])
+    centre = np.array([patches[p].centre for p in rows.tolist()]).reshape(-1, 3)
+    reach = np.array([patches[p].reach for p in rows.tolist()])
     distance = np.linalg.norm(centre[:, None] - centre[None], axis=2)
     count, label = connected_components(distance <= reach[:, None] + reach, directed=False)
     return [rows[label == k] for k in range(count)]

@@ -318,7 +318,8 @@ def _judged(
     far = [abs(each.sigmas) for each in (*pushes, growth) if each is not None]
     limit = -float(ndtri(0.5 * _FALSE_ALARM / max(len(far), 1)))
     holds = chance > _FALSE_ALARM and max(far, default=0.0) < limit
-    odd, grows = (), False
+    odd: tuple[str, ...] = ()
+    grows = False
     if not holds and max(far, default=0.0) > limit:
         odd, grows = _suspects(pushes, growth, chi_square, degrees)
     least, std, passive = _own_work(session, works, errors)
@@ -430,7 +431,7 @@ def _own_work(
     mixture = np.zeros(count)
     mixture[rows] = scale * axes[:, 0]
     variance = sum(float(mixture @ each @ mixture) ** 2 for each in errors)
-    for k in rows:
+    for k in rows.tolist():
         noise = _own_noise(works, k)
         if tip[k] > 0.0:
             noise[k], noise[:, k] = 0.0, 0.0

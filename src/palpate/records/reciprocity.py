@@ -124,8 +124,8 @@ class Reciprocity:
             push = found[self.odd[0]]
             side = "more" if push.excess > 0.0 else "less"
             return (
-                f"It is {push.name}: {100.0 * abs(push.excess):.2g} %"
-                f" (+- {100.0 * push.std:.1g}) {side} force is stated than its effect on the"
+                f"It is {push.name}: {100.0 * abs(push.excess):.3g} %"
+                f" (+- {100.0 * push.std:.2g}) {side} force is stated than its effect on the"
                 " others says; look for a gain of its gauge, a tool that slipped, or creep between"
                 " reading and picture."
             )

@@ -213,7 +213,6 @@ def _read_reciprocity(root: TomlTable) -> Reciprocity | None:
     if root.get("reciprocity") is None:
         return None
     table = root.table("reciprocity")
-    names = ("odd", "passive", "untested")
     return Reciprocity(
         pairs=tuple(
             WorkPair(
@@ -224,13 +223,17 @@ def _read_reciprocity(root: TomlTable) -> Reciprocity | None:
             for entry in table.optional("pairs", table.tables) or ()
         ),
         pushes=tuple(map(_read_excess, table.optional("pushes", table.tables) or ())),
-        growth=None if table.get("growth") is None else _read_excess(table.table("growth")),
+        chi_square=_number(table, "chi_square"),
         degrees=table.count("degrees"),
+        chance=_number(table, "chance"),
+        growth=None if table.get("growth") is None else _read_excess(table.table("growth")),
+        odd=tuple(table.optional("odd", table.texts) or ()),
         grows=table.boolean("grows"),
         holds=table.boolean("holds"),
-        **{name: _number(table, name) for name in ("chi_square", "chance")},
-        **{name: _known(table, name) for name in ("own_work", "own_work_std")},
-        **{name: tuple(table.optional(name, table.texts) or ()) for name in names},
+        own_work=_known(table, "own_work"),
+        own_work_std=_known(table, "own_work_std"),
+        passive=tuple(table.optional("passive", table.texts) or ()),
+        untested=tuple(table.optional("untested", table.texts) or ()),
     )
 
 
