@@ -44,8 +44,8 @@ class Patch:
     centre : (3,) float [m]
     points : (q, 3) float [m]       of the surface there
     share : (7, q) float [-]        of each point in the force; in that of the patch displaced along
-                                    either tangent, to and fro; in that of a larger and a smaller
-                                    one; rows sum to 1
+                                    either tangent, forward and back; in that of a larger and a
+                                    smaller one; rows sum to 1
     step : float [m]                by which it is displaced
     normal : (3,) float [-]         outward
     reach : float [m]               farthest distance from the centre; 0 for a single point
@@ -127,7 +127,7 @@ def _longest_side(corner: Float[np.ndarray, "m 3 3"]) -> float:
 
 
 def _displacements(normal: Vector3, step: float) -> list[Vector3]:
-    """None, then one along each tangent to and fro."""
+    """None, then one along each tangent forward and back."""
     along = [sign * step * tangent for tangent in tangents_of(normal) for sign in (1.0, -1.0)]
     return [np.zeros(3), *along]
 
