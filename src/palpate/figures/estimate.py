@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -37,6 +38,7 @@ from palpate.records import (
     Constant,
     Estimate,
     Probing,
+    Reciprocity,
     Session,
     file_stems,
     modulus_unit,
@@ -69,6 +71,8 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     `likelihood.png` shows the regions of Poisson's ratio and shear modulus, `probings.png` the
     constants of each probing alone, `predictions.png` the predictions of each probing from the
     others, `errors.png` the estimated systematic errors, `budget.png` the uncertainty budget,
+    `reciprocity.png` how well pushes agree whatever the material,
+    `reciprocity.png` how well pushes agree whatever the material,
     `displacement/NAME.png` the measured and predicted displacement of each probing on the object's
     surface.
 
@@ -89,10 +93,12 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     written = save_drawing(likelihood_figure(result), folder / "likelihood.png")
     if result.estimate.probes:
         written += save_drawing(probings_figure(result.estimate), folder / "probings.png")
+    tested = result.estimate.reciprocity
     for name, drawn in (
         ("predictions", predictions_figure(session, result)),
         ("errors", errors_figure(result.estimate)),
         ("budget", budget_figure(result.estimate)),
+        ("reciprocity", None if tested is None else reciprocity_figure(tested)),
     ):
         if drawn is not None:
             written += save_drawing(drawn, folder / f"{name}.png")
@@ -476,3 +482,61 @@ def budget_figure(estimate: Estimate) -> Figure | None:
 
 def _short(name: str) -> str:
     return name if len(name) <= 54 else f"{name[:53]}\N{HORIZONTAL ELLIPSIS}"
+
+
+# Most names along a side of the pairs.
+_MOST_NAMES = 24
+
+
+@styled
+def reciprocity_figure(found: Reciprocity) -> Figure | None:
+    """Works of every two pushes in each other's motions: how far they differ, in standard
+    deviations, and how much larger each force is than the others say.
+
+    Parameters
+    ----------
+    found : Reciprocity
+
+    Returns
+    -------
+    Figure or None                  None where nothing could be tested
+    """
+    if not found.is_tested:
+        return None
+    names = [push.name for push in found.pushes]
+    grid = np.full((len(names), len(names)), np.nan)
+    for pair in found.pairs:
+        one, other = names.index(pair.first), names.index(pair.second)
+        # Of sizes: a force may do negative work in the motion under another.
+        larger = float(np.sign(pair.work + pair.other)) * pair.sigmas
+        grid[other, one], grid[one, other] = larger, -larger
+    figure = Figure(figsize=(7.0, 3.6))
+    left = figure.add_axes((0.09, 0.28, 0.36, 0.64))
+    bar = figure.add_axes((0.11, 0.14, 0.32, 0.025))
+    right = figure.add_axes((0.56, 0.28, 0.41, 0.64))
+    colours = LinearSegmentedColormap.from_list("signs", [BLUE, "#ffffff", ORANGE])
+    colours.set_bad("#e6e8eb")
+    shown = left.imshow(grid, cmap=colours, vmin=-IMPOSSIBLE, vmax=IMPOSSIBLE)
+    scale = figure.colorbar(shown, cax=bar, orientation="horizontal")
+    scale.set_label("work of the row's force above the column's (sigma)")
+    scale.outline.set_linewidth(0.6)
+    step = max(1, -(-len(names) // _MOST_NAMES))
+    ticks = np.arange(0, len(names), step)
+    left.set_xticks(ticks, names[::step], rotation=90, parse_math=False)
+    left.set_yticks(ticks, names[::step], parse_math=False)
+    left.tick_params(length=0)
+    rows = np.arange(len(names))
+    value = 100.0 * np.array([push.excess for push in found.pushes])
+    std = 100.0 * np.array([push.std for push in found.pushes])
+    right.axvline(0.0, color=INK, linewidth=0.8)
+    odd = np.array([name in found.odd for name in names])
+    for chosen, colour in ((~odd, BLUE), (odd, ORANGE)):
+        right.errorbar(value[chosen], rows[chosen], xerr=std[chosen], fmt="o", color=colour,
+                       markersize=3.5, elinewidth=0.9)  # fmt: skip
+    right.set(ylim=(len(names) - 0.5, -0.5), xlabel="force above what the others say (%)")
+    right.set_yticks(ticks, names[::step], parse_math=False)
+    right.tick_params(axis="y", length=0)
+    right.spines[["top", "right", "left"]].set_visible(False)
+    left.set_title("pairs of pushes (grey: not seen)")
+    right.set_title("each push, with 1 sigma")
+    return figure

@@ -31,12 +31,14 @@ from palpate.pipeline.observations import (
     ungraded_observations,
     with_mesh_steps,
 )
+from palpate.pipeline.reciprocity import reciprocity
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BIASED,
     SLIDES,
     STICKS,
     ProbeEstimate,
+    Reciprocity,
     Session,
     Status,
     SupportEstimate,
@@ -117,12 +119,16 @@ def fit_session(
     stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    notes = _session_notes(session, refined, graded, result, probes, finite_strain=finite_strain)
+    tested = reciprocity(session) if len(session.probings) > 1 else None
+    notes = _session_notes(
+        session, refined, graded, result, probes, tested, finite_strain=finite_strain
+    )
     estimate = replace(
         result.estimate,
         probes=probes,
         notes=notes[:_MOST_NOTES],
         details=notes[_MOST_NOTES:],
+        reciprocity=tested,
         seconds=stages | {"total": time.perf_counter() - start},
         settings={
             **result.estimate.settings,
@@ -249,6 +255,7 @@ def _session_notes(
     graded: Session,
     result: FitResult,
     probes: Sequence[ProbeEstimate],
+    tested: Reciprocity | None,
     *,
     finite_strain: bool,
 ) -> tuple[str, ...]:
@@ -261,6 +268,7 @@ def _session_notes(
     graded : Session                with the mesh that was fitted
     result : FitResult              with the notes of the estimate
     probes : sequence of ProbeEstimate    with the motions of their supports
+    tested : Reciprocity or None    the test of the pushes against each other
     finite_strain : bool            whether it was corrected for
 
     Returns
@@ -277,7 +285,11 @@ def _session_notes(
     others = [note for note in session.notes if BIASED not in note]
     found = _contact_notes(refined, probes) + _rejection_notes(session)
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
-    return (*first, *biased, *_rotation_notes(probes), *fitted[1:], *found, *others)
+    # Pushes that contradict each other leave the model nothing to explain; else it is a detail.
+    broken = [tested.text] if tested is not None and not tested.holds else []
+    sound = [tested.text] if tested is not None and tested.holds and tested.is_tested else []
+    rotated = _rotation_notes(probes)
+    return (*broken, *first, *biased, *rotated, *fitted[1:], *found, *others, *sound)
 
 
 def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

@@ -128,6 +128,11 @@ from palpate.records.quantities import (
     value_text as value_text,
     verdict_text as verdict_text,
 )
+from palpate.records.reciprocity import (
+    ForceExcess as ForceExcess,
+    Reciprocity as Reciprocity,
+    WorkPair as WorkPair,
+)
 from palpate.records.rig import (
     DISTORTION_TERMS as DISTORTION_TERMS,
     Camera as Camera,

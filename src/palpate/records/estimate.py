@@ -8,6 +8,7 @@ from enum import StrEnum, auto
 from typing import Any
 
 from palpate.errors import InputError
+from palpate.records.reciprocity import Reciprocity
 
 # Relative rounding error of a product in double precision, with a margin.
 _RELATIVE_ROUNDING = 1e-12
@@ -316,6 +317,7 @@ class Estimate:
     budget : tuple of BudgetEntry   uncertainty budget, whose squares sum to the variances; largest
                                     contribution to Young's modulus first
     details : tuple of str          further sentences, for those who want to know all
+    reciprocity : Reciprocity or None    test of the pushes against each other; None: not made
 
     Raises
     ------
@@ -336,6 +338,7 @@ class Estimate:
     errors: tuple[ErrorEstimate, ...] = ()
     budget: tuple[BudgetEntry, ...] = ()
     details: tuple[str, ...] = ()
+    reciprocity: Reciprocity | None = None
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

@@ -49,6 +49,7 @@ _DRAWINGS = {
     "likelihood": "Pairs of Poisson's ratio and shear modulus that the data allow",
     "probings": "The constants as each probing alone gives them",
     "predictions": "Displacements predicted by the other probings against measured ones",
+    "reciprocity": "Work of every two pushes in each other's motion: equal, whatever the material",
     "errors": "What the data say about the assumed errors",
     "budget": "What each source adds to the standard deviations of the constants",
 }
@@ -117,6 +118,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "errors": _error_rows(estimate),
         "budget": _budget_rows(estimate),
         "rejected": _rejection_rows(estimate),
+        "reciprocity": "" if estimate.reciprocity is None else estimate.reciprocity.text,
         "notes": (*estimate.notes, *estimate.details),
         "seconds": _second_rows(estimate),
         "settings": _setting_rows(estimate),

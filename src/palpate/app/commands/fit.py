@@ -31,6 +31,7 @@ from palpate.pipeline import (
     kept_motion,
     measure_pictures,
     moving_supports,
+    reciprocity,
     require_given_motions,
     session_outlook,
     size_notes,
@@ -197,6 +198,8 @@ def check(session: Path, /) -> int:
         print_tables(_view_table(view, cameras))
     for note in (*given.notes, *size_notes(given), *remarks, *doubts):
         print_text(f"Note: {note}")
+    if sum(probing.displacement is not None for probing in given.probings) > 1:
+        print_text(reciprocity(given).text)
     print_text(session_outlook(given, surveys))
     return 0
 

@@ -18,6 +18,7 @@ from palpate.records.estimate import (
     Status,
     SupportEstimate,
 )
+from palpate.records.reciprocity import ForceExcess, Reciprocity, WorkPair
 from palpate.records.text.text_file import write_text
 from palpate.records.text.toml_table import TomlTable, json_text, read_json
 
@@ -84,6 +85,7 @@ def read_estimate(path: Path | str) -> Estimate:
             details=tuple(root.optional("details", root.texts) or ()),
             errors=_read_errors(root),
             budget=_read_budget(root),
+            reciprocity=_read_reciprocity(root),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
         # The best fit of a model that does not fit has no interval.
@@ -203,6 +205,40 @@ def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:
     return tuple(
         BudgetEntry(entry.text("source"), *(_known(entry, name) for name in CONSTANT_NAMES))
         for entry in table.optional("budget", table.tables) or ()
+    )
+
+
+def _read_reciprocity(root: TomlTable) -> Reciprocity | None:
+    if root.get("reciprocity") is None:
+        return None
+    table = root.table("reciprocity")
+    return Reciprocity(
+        pairs=tuple(
+            WorkPair(
+                entry.text("first"),
+                entry.text("second"),
+                *(_number(entry, key) for key in ("work", "other", "std")),
+            )
+            for entry in table.optional("pairs", table.tables) or ()
+        ),
+        pushes=tuple(map(_read_excess, table.optional("pushes", table.tables) or ())),
+        chi_square=_number(table, "chi_square"),
+        degrees=table.count("degrees"),
+        chance=_number(table, "chance"),
+        growth=None if table.get("growth") is None else _read_excess(table.table("growth")),
+        odd=tuple(table.optional("odd", table.texts) or ()),
+        grows=table.boolean("grows"),
+        holds=table.boolean("holds"),
+        own_work=_known(table, "own_work"),
+        own_work_std=_known(table, "own_work_std"),
+        passive=tuple(table.optional("passive", table.texts) or ()),
+        untested=tuple(table.optional("untested", table.texts) or ()),
+    )
+
+
+def _read_excess(table: TomlTable) -> ForceExcess:
+    return ForceExcess(
+        str(table.get("name")), *(_number(table, key) for key in ("excess", "std", "sigmas"))
     )
 
 

@@ -1,0 +1,510 @@
+"""How the patches under other tools move in a probing: averages of the measured displacements,
+weighted by the pressure there, with their covariance.
+
+The displacement around a place is that of a plane and a Gaussian process (kriging) through the
+noisy measured points, whose size, smoothness and noise make the measurement most likely.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.linalg import block_diag
+from scipy.linalg.lapack import dtrtrs
+from scipy.optimize import minimize
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+from scipy.special import ndtri
+
+from palpate.arrays import tangents_of
+from palpate.geometry import (
+    TriangleMesh,
+    closest_points,
+    triangle_areas,
+    triangle_distances,
+    unit_normals,
+)
+from palpate.records import Contact, DisplacementField, observed_rows
+from palpate.shapes import PointIndices, Points, Vector3
+
+# Prior variance of the plane over that of the noise.
+_PLANE = 1e6
+# Logarithms of the length of correlation over the farthest point's distance, and of the variance of
+# the process over that of the noise: start and limits.
+_START, _LIMITS = (0.0, 4.0), ((-0.7, 3.0), (-9.0, 25.0))
+# Chance that a sound place has a point left out, as of the checks of a fit; passes that leave out.
+_FALSE_ALARM, _ROUNDS = 1 / 400, 4
+# Fewest points: a plane has four coefficients.
+_FEWEST = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalField:
+    """The displacement around a place.
+
+    Attributes
+    ----------
+    rows : (n,) int                 of the measured points that it follows
+    origin : (3,) float [m]
+    size : float [m]                farthest distance of a point from the origin
+    place : (n, 3) float [-]        of the points, from the origin, over the size
+    middle : (3,) float [m]         mean displacement
+    moved : (n, 3) float [m]        less the mean
+    apart : (n, n) float [-]        distances of the places
+    shape : (float, float)          length of correlation over the size; variance of the process
+                                    over that of the noise
+    level : float [m]               standard deviation of the noise, of all components together
+    claim : float                   the same as it was given
+    inverse : (3, n, n) float       of the points' covariance over level^2, for each component
+    """
+
+    rows: PointIndices
+    origin: Vector3
+    size: float
+    place: Points
+    middle: Vector3
+    moved: Points
+    apart: Float[np.ndarray, "n n"]
+    shape: tuple[float, float]
+    level: float
+    claim: float
+    inverse: Float[np.ndarray, "3 n n"]
+
+    def weights(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, "3 q n"]:
+        """Weights of the measured points in the displacement of others, for each component.
+
+        Parameters
+        ----------
+        points : (q, 3) float [m]
+        """
+        return np.asarray(self._prior(points) @ self.inverse)
+
+    def at(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, "q 3"]:
+        """Most likely displacement of points [m].
+
+        Parameters
+        ----------
+        points : (q, 3) float [m]
+        """
+        off = np.einsum("anm,ma->na", self.inverse, self.moved)
+        return np.asarray(self.middle + self._prior(points) @ off)
+
+    def rest(
+        self, points: Float[np.ndarray, "q 3"], share: Float[np.ndarray, "p q"]
+    ) -> Float[np.ndarray, "3 p p"]:
+        """Covariance [m^2] of averages over points beyond that of the noise in them: what the
+        measured points leave open between them.
+
+        Parameters
+        ----------
+        points : (q, 3) float [m]
+        share : (p, q) float [-]        of the points in the averages
+        """
+        used = share.any(axis=0)
+        points, share = points[used], share[:, used]
+        here = (points - self.origin) / self.size
+        across = share @ self._prior(points)
+        prior = share @ _prior_covariance(cdist(here, here), here, here, self.shape) @ share.T
+        among = _prior_covariance(self.apart, self.place, self.place, self.shape)
+        # Of the process and the plane, seen through weights that the noise has no part in.
+        weights = across @ self.inverse
+        mixed = weights @ across.T
+        left = prior - mixed - mixed.mT + weights @ among @ weights.mT
+        return np.asarray(self.level**2 * left)
+
+    def _prior(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, "q n"]:
+        here = (points - self.origin) / self.size
+        return _prior_covariance(cdist(here, self.place), here, self.place, self.shape)
+
+
+def _prior_covariance(
+    distance: Float[np.ndarray, "n k"],
+    here: Points,
+    there: Float[np.ndarray, "k 3"],
+    shape: tuple[float, float],
+) -> Float[np.ndarray, "n k"]:
+    """Covariance of plane and process between points, over the noise's variance: Matern's, of
+    smoothness 5/2."""
+    length, power = shape
+    scaled = np.sqrt(5.0) / length * distance
+    process = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+    return np.asarray(power * process + _PLANE * (1.0 + here @ there.T))
+
+
+def local_field(
+    rows: PointIndices,
+    points: Points,
+    moved: Points,
+    noise: Float[np.ndarray, "3 n n"],
+    *,
+    claimed: bool,
+) -> LocalField | None:
+    """The displacement around a place; points that are far off are left out.
+
+    Parameters
+    ----------
+    rows : (n,) int                 numbers of the points
+    points : (n, 3) float [m]
+    moved : (n, 3) float [m]
+    noise : (3, n, n) float         covariance of each component's noise, up to one factor, which is
+                                    found
+    claimed : bool                  whether it is in m^2, and the factor at least 1: what looks like
+                                    less noise may be noise that neighbours share
+
+    Returns
+    -------
+    LocalField or None              None where there are too few points
+    """
+    # In a unit that makes the noise about 1.
+    claim = float(np.sqrt(np.einsum("ann->an", noise).mean()))
+    noise = noise / claim**2
+    for _ in range(_ROUNDS):
+        if len(rows) < _FEWEST:
+            return None
+        found = _most_likely(rows, points, moved, noise, claim, claimed)
+        # What each point is off from the prediction by all others, over its standard deviation.
+        sharp = np.einsum("ann->na", found.inverse)
+        scaled = np.einsum("anm,ma->na", found.inverse, found.moved)
+        off = np.abs(scaled) / (np.sqrt(sharp) * found.level)
+        kept = off.max(axis=1) < -float(ndtri(0.5 * _FALSE_ALARM / off.size))
+        if kept.all():
+            break
+        rows, points, moved = rows[kept], points[kept], moved[kept]
+        noise = noise[:, kept][:, :, kept]
+    return found
+
+
+def _most_likely(
+    rows: PointIndices,
+    points: Points,
+    moved: Points,
+    noise: Float[np.ndarray, "3 n n"],
+    claim: float,
+    claimed: bool,
+) -> LocalField:
+    origin = points.mean(axis=0)
+    size = float(np.linalg.norm(points - origin, axis=1).max())
+    middle, place = moved.mean(axis=0), (points - origin) / size
+    around = moved - middle
+
+    apart, least = cdist(place, place), claim**2 if claimed else np.finfo(float).tiny
+    if (noise == noise[0]).all():
+        noise = noise[:1]
+
+    def factors(at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "c n n"]:
+        length, power = np.exp(at).tolist()
+        return np.linalg.cholesky(_prior_covariance(apart, place, place, (length, power)) + noise)
+
+    def variance(found: Float[np.ndarray, "c n n"]) -> float:
+        parts = around.T[:, :, None] if len(found) == 3 else around[None]
+        white = [dtrtrs(each, part, lower=1)[0] for each, part in zip(found, parts, strict=True)]
+        return sum(float((each**2).sum()) for each in white) / moved.size
+
+    def surprise(at: Float[np.ndarray, "2"]) -> float:
+        try:
+            found = factors(at)
+        except np.linalg.LinAlgError:
+            return np.inf
+        volume = 2.0 * float(np.log(np.einsum("ann->an", found)).sum()) * 3.0 / len(found)
+        square = variance(found)
+        level = max(square, least)
+        return moved.size * (float(np.log(level)) + square / level) + volume
+
+    best = minimize(
+        surprise, _START, method="Nelder-Mead", bounds=_LIMITS,
+        options={"xatol": 0.05, "fatol": 0.05, "maxfev": 80, "initial_simplex":
+                 [_START, (1.5, 4.0), (0.0, 9.0)]},
+    ).x  # fmt: skip
+    found = factors(best)
+    sides = np.linalg.inv(found)
+    inverse = np.broadcast_to(sides.mT @ sides, (3, *apart.shape))
+    length, power = np.exp(best).tolist()
+    level = float(np.sqrt(max(variance(found), least)))
+    return LocalField(
+        rows, origin, size, place, middle, around, apart, (length, power), level, claim, inverse
+    )
+
+
+# Longest side of the triangles of a patch over its reach, and cosine of the largest angle between
+# them and its centre's: beyond it lies another side of the body.
+_FINE, _TURNED = 0.4, -0.5
+# Points around a patch that are used: so many, or those within so many reaches, evenly thinned.
+_NEAREST, _MOST, _REACHES = 60, 150, 1.5
+# Of a regular pattern at least three points lie within a spacing of any place, and each has six
+# neighbours a spacing away.
+_SURROUNDING, _NEIGHBOURS = 3, 6
+# Steps of the derivatives: of the radius, and along the surface over the reach or triangles' sides.
+_GROWN, _STEP = 0.2, 0.5
+_Rows = Int[np.ndarray, " _"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """Where a load acts.
+
+    Attributes
+    ----------
+    centre : (3,) float [m]
+    points : (q, 3) float [m]       of the surface there
+    share : (7, q) float [-]        of each point in the force; in that of the patch displaced along
+                                    either tangent, forward and back; in that of a larger and a
+                                    smaller one; rows sum to 1
+    step : float [m]                by which it is displaced
+    normal : (3,) float [-]         outward
+    reach : float [m]               farthest distance from the centre; 0 for a single point
+    """
+
+    centre: Vector3
+    points: Float[np.ndarray, "q 3"]
+    share: Float[np.ndarray, "7 q"]
+    step: float
+    normal: Vector3
+    reach: float
+
+
+def make_patch(mesh: TriangleMesh, contact: Contact) -> Patch:
+    """The patch of a contact.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    contact : Contact
+
+    Returns
+    -------
+    Patch
+    """
+    if contact.triangles is not None or contact.radius is None:
+        return _fixed_patch(mesh, contact)
+    distance = triangle_distances(mesh, contact.point)
+    normals = unit_normals(mesh)
+    normal = normals[distance.argmin()]
+    step = _STEP * contact.reach
+    near = distance < (1.0 + _GROWN) * contact.reach + step
+    near &= normals @ normal > _TURNED
+    corner = mesh.vertices[mesh.triangles[near]]
+    while _longest_side(corner) > _FINE * contact.reach:
+        middle = 0.5 * (corner + np.roll(corner, -1, axis=1))
+        ends = [np.stack([corner[:, k], middle[:, k], middle[:, k - 1]], axis=1) for k in range(3)]
+        corner = np.concatenate([middle, *ends])
+    points = corner.mean(axis=1)
+    area = np.linalg.norm(
+        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+    )
+    offsets = _displacements(normal, step)
+    places = [(points - contact.point - offset) / contact.radius for offset in offsets]
+    places += [places[0] / grown for grown in (1.0 + _GROWN, 1.0 - _GROWN)]
+    share = np.stack([area * contact.pressure_at(place) for place in places])
+    used = share.any(axis=0)
+    share = share[:, used] / share.sum(axis=1, keepdims=True)
+    return Patch(contact.point, points[used], share, step, normal, contact.reach)
+
+
+def _fixed_patch(mesh: TriangleMesh, contact: Contact) -> Patch:
+    """The patch of a load over triangles, or of one at a point."""
+    normals, triangles = unit_normals(mesh), contact.triangles
+    side, points, area = (
+        _longest_side(mesh.vertices[mesh.triangles]),
+        contact.point[None],
+        np.ones(1),
+    )
+    if triangles is None:
+        triangles = closest_points(mesh, points).triangle
+    else:
+        points = mesh.vertices[mesh.triangles[triangles]].mean(axis=1)
+        area = triangle_areas(mesh)[triangles]
+    area = area / area.sum()
+    centre, normal = area @ points, normals[triangles].sum(axis=0)
+    normal = normal / max(float(np.linalg.norm(normal)), 0.1)
+    reach = float(np.linalg.norm(points - centre, axis=1).max())
+    step = _STEP * max(side, reach)
+    places = np.concatenate([points + offset for offset in _displacements(normal, step)])
+    share = np.kron(np.eye(5), area)
+    share = np.concatenate([share, share[:1], share[:1]])
+    return Patch(centre, closest_points(mesh, places).position, share, step, normal, reach)
+
+
+def _longest_side(corner: Float[np.ndarray, "m 3 3"]) -> float:
+    """Longest side of some triangles [m]."""
+    return float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
+
+
+def _displacements(normal: Vector3, step: float) -> list[Vector3]:
+    """None, then one along each tangent forward and back."""
+    along = [sign * step * tangent for tangent in tangents_of(normal) for sign in (1.0, -1.0)]
+    return [np.zeros(3), *along]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchMotion:
+    """How patches move in one probing.
+
+    Attributes
+    ----------
+    seen : (p,) bool                whether measured points surround the patch; all else is 0 where
+                                    they do not
+    mean : (p, 3) float [m]         displacement, averaged with the shares of the force
+    gradient : (p, 3, 3) float [-]  [p, a, b]: its component a per displacement of the patch along
+                                    b, on the surface
+    growth : (p, 3) float [m]       its change per relative change of the patch's radius
+    covariance : (p, 3, p, 3) float [m^2]    of the mean
+    """
+
+    seen: Bool[np.ndarray, " p"]
+    mean: Float[np.ndarray, "p 3"]
+    gradient: Float[np.ndarray, "p 3 3"]
+    growth: Float[np.ndarray, "p 3"]
+    covariance: Float[np.ndarray, "p 3 p 3"]
+
+
+def patch_motion(
+    mesh: TriangleMesh, field: DisplacementField, patches: Sequence[Patch], own: Sequence[Patch]
+) -> PatchMotion:
+    """How patches move in a probing.
+
+    Displacements that are averages over the surface count as those of their points.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    field : DisplacementField       of the probing
+    patches : sequence of p Patch
+    own : sequence of Patch         where the probing itself presses; another patch is judged by the
+                                    points that are nearer to it than to these
+
+    Returns
+    -------
+    PatchMotion
+    """
+    measured = np.flatnonzero(observed_rows(field))
+    spacing = _spacing(field.points[measured])
+    around = [_around(mesh, field, measured, patch, own, spacing) for patch in patches]
+    parts, smooth = [], np.zeros((len(patches), 3, len(field.points)))
+    for group in _groups(patches, [len(rows) > 0 for rows in around]):
+        rows = np.unique(np.concatenate([around[p] for p in group]))
+        points, moved = field.points[rows], field.displacement[rows]
+        found = local_field(rows, points, moved, _noise(field, rows), claimed=field.std is not None)
+        if found is not None:
+            parts.append((group, found))
+            chosen = [patches[p] for p in group]
+            weights = _shares(chosen) @ found.weights(_points(chosen))
+            smooth[np.ix_(group, np.arange(3), found.rows)] = weights.transpose(1, 0, 2)
+    return _moved(field, patches, parts, smooth)
+
+
+def _moved(
+    field: DisplacementField,
+    patches: Sequence[Patch],
+    parts: Sequence[tuple[_Rows, LocalField]],
+    smooth: Float[np.ndarray, "p 3 n"],
+) -> PatchMotion:
+    """The motion of groups of patches by their local fields, whose weights are `smooth`."""
+    count = len(patches)
+    seen, mean, growth = np.zeros(count, dtype=bool), np.zeros((count, 3)), np.zeros((count, 3))
+    gradient, factor = np.zeros((count, 3, 3)), np.zeros(count)
+    for group, found in parts:
+        seen[group], factor[group] = True, found.level / found.claim
+        for p in group:
+            patch = patches[p]
+            values = patch.share @ found.at(patch.points)
+            mean[p], growth[p] = values[0], (values[5] - values[6]) / (2.0 * _GROWN)
+            slopes = (values[[1, 3]] - values[[2, 4]]) / (2.0 * patch.step)
+            gradient[p] = slopes.T @ tangents_of(patch.normal)
+    used = np.flatnonzero(smooth.any(axis=(0, 1)))
+    covariance = factor[:, None, None, None] * factor[:, None] * _spread(field, used, smooth)
+    for group, found in parts:
+        chosen = [patches[p] for p in group]
+        rest = found.rest(_points(chosen), _shares(chosen))
+        for a in range(3):
+            own = np.ix_(group, np.array([a]), group, np.array([a]))
+            covariance[own] += rest[a][:, None, :, None]
+    return PatchMotion(seen, mean, gradient, growth, covariance)
+
+
+def _spacing(points: Points) -> float:
+    """Typical distance of neighbouring points [m]."""
+    if len(points) <= _NEIGHBOURS:
+        return 0.0
+    return float(np.median(cKDTree(points).query(points, _NEIGHBOURS + 1)[0][:, -1]))
+
+
+def _around(
+    mesh: TriangleMesh,
+    field: DisplacementField,
+    measured: _Rows,
+    patch: Patch,
+    own: Sequence[Patch],
+    spacing: float,
+) -> _Rows:
+    """Measured points that tell how a patch moves, nearest first; none where they do not surround
+    it."""
+    points = field.points[measured]
+    distance = np.linalg.norm(points - patch.centre, axis=1)
+    facing = unit_normals(mesh)[field.surface.triangle[measured]] @ patch.normal > 0.0
+    apart = [float(np.linalg.norm(each.centre - patch.centre)) - each.reach for each in own]
+    pressed = min(apart, default=np.inf) < patch.reach
+    reach = patch.reach if pressed else max(patch.reach, spacing)
+    if (facing & (distance <= reach)).sum() < _SURROUNDING:
+        return measured[:0]
+    nearer = np.ones(len(points), dtype=bool)
+    for each in own if not pressed else ():
+        nearer &= distance < np.linalg.norm(points - each.centre, axis=1)
+    order = np.flatnonzero(nearer)[np.argsort(distance[nearer], kind="stable")]
+    count = max(_NEAREST, int((distance[order] < _REACHES * patch.reach).sum()))
+    chosen = order[:count]
+    return measured[chosen[:: -(-len(chosen) // _MOST)]]
+
+
+def _groups(patches: Sequence[Patch], seen: Sequence[bool]) -> list[_Rows]:
+    """Numbers of the seen patches, those that overlap together."""
+    rows = np.flatnonzero(seen)
+    centre = np.array([patches[p].centre for p in rows.tolist()]).reshape(-1, 3)
+    reach = np.array([patches[p].reach for p in rows.tolist()])
+    distance = np.linalg.norm(centre[:, None] - centre[None], axis=2)
+    count, label = connected_components(distance <= reach[:, None] + reach, directed=False)
+    return [rows[label == k] for k in range(count)]
+
+
+def _points(patches: Sequence[Patch]) -> Points:
+    return np.concatenate([patch.points for patch in patches])
+
+
+def _shares(patches: Sequence[Patch]) -> Float[np.ndarray, "p q"]:
+    """Shares of all points of several patches in the average over each."""
+    return block_diag(*(patch.share[:1] for patch in patches))
+
+
+def _noise(field: DisplacementField, rows: _Rows) -> Float[np.ndarray, "3 k k"]:
+    """Covariance of each component's noise at some points [m^2], or one where it is not given."""
+    std = np.ones((len(rows), 3)) if field.std is None else field.std[rows]
+    shared = field.correlation.subset(rows, len(field.points))
+    noise = np.stack([np.diag(each) for each in std.T**2])
+    (one, other), value = shared.pair.T, shared.value
+    noise[:, one, other] = (value[:, None] * std[one] * std[other]).T
+    noise[:, other, one] = noise[:, one, other]
+    if not len(value):
+        return noise
+    # Correlations that are known pair by pair need not fit together.
+    size, axes = np.linalg.eigh(noise)
+    return np.asarray((axes * np.clip(size, 1e-6 * size[:, -1:], None)[:, None]) @ axes.mT)
+
+
+def _spread(
+    field: DisplacementField, used: _Rows, smooth: Float[np.ndarray, "p 3 n"]
+) -> Float[np.ndarray, "p 3 p 3"]:
+    """Covariance of smoothed displacements from the noise as it is claimed."""
+    weights = smooth[:, :, used]
+    std = np.ones((len(used), 3)) if field.std is None else field.std[used]
+    block = std[:, :, None] * np.eye(3) * std[:, None]
+    if field.covariance is not None:
+        block = field.covariance[used]
+    spread = np.einsum("pan,nab,qbn->paqb", weights, block, weights, optimize=True)
+    shared = field.correlation.subset(used, len(field.points))
+    scaled = weights * std.T
+    one, other = scaled[:, :, shared.pair[:, 0]] * shared.value, scaled[:, :, shared.pair[:, 1]]
+    across = np.einsum("pam,qam->apq", one, other)
+    for a in range(3):
+        spread[:, a, :, a] += across[a] + across[a].T
+    return np.asarray(spread)

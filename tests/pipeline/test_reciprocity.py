@@ -1,0 +1,270 @@
+"""Reciprocity holds for any linear elastic body, and for nothing else."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from benchmarks.bodies import box_mesh
+from palpate.geometry import SurfacePoints, TriangleMesh
+from palpate.pipeline import reciprocity
+from palpate.records import (
+    EXACT,
+    FREE,
+    Contact,
+    DisplacementField,
+    Probing,
+    Session,
+    Support,
+)
+from palpate.records.contact import smooth_pressure
+from palpate.solids.finite_elements import (
+    free_part,
+    hooke_moduli,
+    pressure_load,
+    quadratic_basis,
+    stiffness_matrix,
+    surface_values,
+)
+from palpate.solids.sparse_cholesky import factorise
+from palpate.solids.tetrahedra import make_solid
+
+RADIUS = 6e-3
+# Places [mm] and directions of the pushes on a block of 60 x 45 x 45 mm that stands on z = 0.
+PLACES = ((0, 0, 45), (18, 10, 45), (-16, -10, 45), (30, 5, 30), (-30, -4, 28), (4, 22.5, 30),
+          (-8, -22.5, 26), (-15, 11, 45))  # fmt: skip
+PUSHES = ((0.3, 0, -1), (0, 0.4, -1), (0.2, -0.2, -1), (-1, 0.3, 0), (1, 0, -0.3), (0.4, -1, 0),
+          (-0.2, 1, 0.2), (-0.5, -0.2, -1))  # fmt: skip
+BESIDE = 2e-3
+
+
+@pytest.fixture(scope="module")
+def block():
+    """Mesh, and motions of its vertices per newton of each push, the last one of the first push a
+    little beside its place: stiff fibres along one diagonal, the right half four times stiffer."""
+    mesh = box_mesh(60, 45, 45)(4.5e-3)
+    solid = make_solid(mesh, edge=6e-3, fine=[(1e-3 * np.array(p), RADIUS, 3e-3) for p in PLACES])
+    basis = quadratic_basis(solid)
+    x = basis.global_coordinates()
+    along = np.array([1.0, 1.0, 0.5]) / 1.5
+    fibres = np.einsum("i,j,k,l->ijkl", along, along, along, along)
+    law = hooke_moduli(2e4, 0.3) + 1.5e5 * fibres
+    stiffer = np.where(np.asarray(x)[0] > 0.0, 4.0, 1.0)
+    stiffness = stiffness_matrix(basis, law[..., None, None] * stiffer)
+    held = solid.nodes[:, 2] < 1e-9
+    factor = factorise(free_part(stiffness, held), solid.nodes[~held])
+    at_vertices = surface_values(solid, mesh.vertices)
+
+    def motion(place, push):
+        load = pressure_load(solid, place, RADIUS, smooth_pressure)[:, None] * unit(push)
+        moved = np.zeros((len(solid.nodes), 3))
+        moved[~held] = factor.solve(load[~held].reshape(-1, 1)).reshape(-1, 3)
+        return at_vertices @ moved
+
+    motions = [motion(1e-3 * np.array(p), f) for p, f in zip(PLACES, PUSHES, strict=True)]
+    beside = 1e-3 * np.array(PLACES[0]) + [BESIDE, 0.0, 0.0]
+    return mesh, np.stack([*motions, motion(beside, PUSHES[0])])
+
+
+def unit(vector) -> np.ndarray:
+    return np.array(vector) / np.linalg.norm(vector)
+
+
+def make_session(
+    mesh: TriangleMesh, motions, rng, *, noise=0.01, errors=EXACT, force_std=0.005, sizes=None
+) -> Session:
+    """Pushes of about a newton, each force wrong by its standard deviation, noise as a share of the
+    motion."""
+    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1))
+    on_support = np.unique(mesh.triangles[held])
+    probings = []
+    for k, moved in enumerate(motions[: len(PLACES)]):
+        place, size = 1e-3 * np.array(PLACES[k]), 1.0 if sizes is None else sizes[k]
+        sigma = noise * size * float(np.sqrt((moved**2).mean()))
+        seen = size * moved + sigma * rng.normal(size=moved.shape)
+        seen[np.linalg.norm(mesh.vertices - place, axis=1) < RADIUS] = np.nan
+        seen[on_support] = np.nan
+        force = size * (unit(PUSHES[k]) + force_std * rng.normal(size=3))
+        probings.append(
+            Probing(
+                f"n{k}", Contact(place, RADIUS, "smooth"), force, np.full(3, size * force_std),
+                None, None, field_of(mesh, seen, np.full_like(seen, sigma)), None,
+            )
+        )  # fmt: skip
+    return Session(
+        "block", Path(), mesh, held, tuple(probings), None, None, None, (), errors=errors
+    )
+
+
+def field_of(mesh, displacement, std) -> DisplacementField:
+    corner = np.zeros(len(mesh.vertices), dtype=np.int64)
+    corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
+    triangle, place = np.divmod(corner, 3)
+    surface = SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
+    return DisplacementField(mesh.vertices, displacement, std, None, surface, "truth")
+
+
+def with_gain(session: Session, index: int, gain: float) -> Session:
+    probings = list(session.probings)
+    probings[index] = replace(probings[index], force=gain * probings[index].force)
+    return replace(session, probings=tuple(probings))
+
+
+def test_an_uneven_fibrous_body_passes(block):
+    found = reciprocity(make_session(*block, np.random.default_rng(1)))
+    assert found.holds
+    assert found.is_tested
+    assert found.odd == ()
+    # Every two of the eight pushes that do not overlap see each other.
+    assert len(found.pairs) == 28
+    assert found.degrees == 28
+    assert "agree by reciprocity" in found.text
+
+
+def test_works_agree_within_the_elements(block):
+    # Without noise, what is left is the error of the elements and of averages over coarse vertices.
+    found = reciprocity(make_session(*block, np.random.default_rng(0), noise=1e-6, force_std=0.0))
+    works = np.array([[pair.work, pair.other] for pair in found.pairs])
+    off = works[:, 0] - works[:, 1]
+    assert np.sqrt((off**2).mean()) < 0.01 * np.sqrt((works**2).mean())
+
+
+def test_a_force_told_too_large_is_named(block):
+    session = with_gain(make_session(*block, np.random.default_rng(2)), 3, 1.05)
+    found = reciprocity(session)
+    assert not found.holds
+    assert found.odd == ("n3",)
+    assert not found.grows
+    push = next(each for each in found.pushes if each.name == "n3")
+    assert abs(push.excess - 0.05) < 3.0 * np.hypot(push.std, 0.005)
+    assert "It is n3" in found.text
+    assert "more force is stated" in found.text
+
+
+def test_a_tool_that_pressed_beside_its_place_does_not_pass(block):
+    mesh, motions = block
+    session = make_session(mesh, [motions[-1], *motions[1:]], np.random.default_rng(3), noise=0.003)
+    found = reciprocity(session)
+    assert not found.holds
+    farthest = max(found.pairs, key=lambda pair: abs(pair.sigmas))
+    assert "n0" in (farthest.first, farthest.second)
+
+
+def test_a_place_as_uncertain_as_that_is_excused(block):
+    mesh, motions = block
+    errors = replace(EXACT, contact_points={"n0": BESIDE})
+    rng = np.random.default_rng(3)
+    session = make_session(mesh, [motions[-1], *motions[1:]], rng, noise=0.003, errors=errors)
+    assert reciprocity(session).holds
+
+
+def test_a_material_that_stiffens_does_not_pass(block):
+    # A power law: motion grows as the force to 0.8.
+    mesh, motions = block
+    sizes = np.array([1.0, 3.0, 2.0, 1.5, 1.0, 2.5, 3.0, 2.0])
+    session = make_session(
+        mesh, sizes[:, None, None] ** -0.2 * motions[:8], np.random.default_rng(4), sizes=sizes
+    )
+    found = reciprocity(session)
+    assert not found.holds
+    assert found.grows
+    assert found.odd == ()
+    assert found.growth.excess > 0.0
+    assert "stiffens" in found.text
+
+
+def test_one_gain_of_all_forces_is_not_seen(block):
+    session = make_session(*block, np.random.default_rng(1))
+    for k in range(len(PLACES)):
+        session = with_gain(session, k, 1.3)
+    assert reciprocity(session).holds
+
+
+def test_pushes_that_do_not_see_each_other_cannot_be_tested(block):
+    session = make_session(*block, np.random.default_rng(1))
+    near = []
+    for probing in session.probings[:3]:
+        away = np.linalg.norm(probing.displacement.points - probing.contact.point, axis=1)
+        seen = np.where((away < 0.012)[:, None], probing.displacement.displacement, np.nan)
+        field = field_of(session.mesh, seen, probing.displacement.std)
+        near.append(replace(probing, displacement=field))
+    found = reciprocity(replace(session, probings=tuple(near)))
+    assert not found.is_tested
+    assert found.holds
+    assert "cannot be tested" in found.text
+    assert "see each other's contacts" in found.text
+
+
+def test_one_push_cannot_be_tested(block):
+    session = make_session(*block, np.random.default_rng(1))
+    found = reciprocity(replace(session, probings=session.probings[:1]))
+    assert not found.is_tested
+    assert "two pushes" in found.text
+
+
+def moved_along(session: Session, rng) -> Session:
+    """The same, measured in frames that move from push to push."""
+    probings = []
+    for probing in session.probings:
+        field = probing.displacement
+        shift, turn = 1e-4 * rng.normal(size=3), 2e-3 * rng.normal(size=3)
+        rigid = shift + np.cross(turn, field.points)
+        moved = field_of(session.mesh, field.displacement + rigid, field.std)
+        probings.append(replace(probing, displacement=moved))
+    return replace(session, probings=tuple(probings))
+
+
+def test_a_support_that_moves_freely_costs_degrees_of_freedom(block):
+    rng = np.random.default_rng(5)
+    session = moved_along(make_session(*block, rng), rng)
+    assert not reciprocity(session).holds
+    free = replace(session, supports=(Support(session.held_triangles, FREE),))
+    found = reciprocity(free)
+    # Antisymmetric in what eight wrenches of six components leave: two dimensions.
+    assert found.is_tested
+    assert found.degrees == 1
+    assert found.holds
+
+
+def test_weight_that_only_loads_pull_up_costs_a_degree_for_every_push_but_one(block):
+    session = make_session(*block, np.random.default_rng(1))
+    heavy = replace(session, density=1000.0, gravity=np.array([0.0, 0.0, -9.81]))
+    found = reciprocity(heavy)
+    assert found.degrees == 28 - 7
+    assert found.holds
+
+
+def test_tips_show_that_pushes_put_work_in(block):
+    mesh, motions = block
+    session = make_session(mesh, motions, np.random.default_rng(6))
+    touched = [
+        replace(
+            probing,
+            tip_displacement=moved[
+                np.linalg.norm(mesh.vertices - probing.contact.point, axis=1).argmin()
+            ],
+            tip_displacement_std=np.full(3, 1e-6),
+        )
+        for probing, moved in zip(session.probings, motions, strict=False)
+    ]
+    found = reciprocity(replace(session, probings=tuple(touched)))
+    assert len(found.passive) == 8
+    assert 0.0 < found.own_work < 1.0
+    assert found.own_work > 5.0 * found.own_work_std
+    backward = [replace(each, tip_displacement=-each.tip_displacement) for each in touched]
+    assert reciprocity(replace(session, probings=tuple(backward))).own_work < 0.0
+
+
+@pytest.mark.slow
+def test_chances_are_even(block):
+    # Of 60 uniform numbers the test of Kolmogorov and Smirnov condemns one set in a thousand.
+    mesh, motions = block
+    few = [0, 1, 3, 5]
+    chances = []
+    for seed in range(60):
+        session = make_session(mesh, motions, np.random.default_rng(seed))
+        few_of = tuple(session.probings[k] for k in few)
+        chances.append(reciprocity(replace(session, probings=few_of)).chance)
+    assert kstest(chances, "uniform").pvalue > 1e-3
