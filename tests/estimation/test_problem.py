@@ -18,7 +18,7 @@ from palpate.estimation import (
 )
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
-from palpate.estimation.problem import UnknownRows, correlated_patterns, unknown_rows
+from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
 from palpate.pipeline.model.shared_errors import (
     contact_error,
     force_direction,

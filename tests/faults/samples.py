@@ -271,10 +271,10 @@ def write_scans(folder: Path) -> list[tuple[Path, Reader]]:
     np.save(folder / "scan.npy", points)
     np.savetxt(folder / "scan.xyz", points, fmt="%.5f")
     (folder / "scan_points.ply").write_bytes(trimesh.PointCloud(points).export(file_type="ply"))
-    write_pcd = import_module("scanning.test_point_files").pcd
+    write_pcd = import_module("scanning.test_scan_file").pcd
     for kind in ("ascii", "binary"):
         write_pcd(folder / f"{kind}.pcd", kind)
-    import_module("scanning.test_point_files").write(folder / "scan.e57", "e57")
+    import_module("scanning.test_scan_file").write(folder / "scan.e57", "e57")
     names = ("scan.npy", "scan.xyz", "scan_points.ply", "ascii.pcd", "binary.pcd", "scan.e57")
     found: list[tuple[Path, Reader]] = [(folder / name, read_points) for name in names]
     cv2.imwrite(str(folder / "depth.png"), np.full((12, 16), 800, dtype=np.uint16))
@@ -319,7 +319,7 @@ def write_recorded(folder: Path) -> list[tuple[Path, Reader]]:
     (folder / "poses.csv").write_text("time,x,y,z\n0.1,0,0,0.04\n0.2,0,0,0.03\n")
     (folder / "times.csv").write_text("time\n0.1\n0.2\n0.35\n")
     gauge = read_recording(folder).gauge
-    bags = import_module("recording.test_bags")
+    bags = import_module("recording.test_force_log")
     logs = []
     for kind in ("bag", "mcap", "db3"):
         (folder / f"as_{kind}").mkdir()

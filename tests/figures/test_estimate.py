@@ -19,9 +19,19 @@ from palpate.figures import (
 )
 from palpate.figures.displacement import best_direction, make_view, projected
 from palpate.figures.estimate import _panel_limits as panel_limits, refined_likelihood, write_plots
+from palpate.figures.modulus import modulus_figure
 from palpate.figures.style import STYLE
 from palpate.geometry import TriangleMesh
-from palpate.records import CONSTANT_NAMES, BudgetEntry, ErrorEstimate, Status, read_session
+from palpate.records import (
+    CONSTANT_NAMES,
+    BudgetEntry,
+    ErrorEstimate,
+    FieldEstimate,
+    ModulusMap,
+    Status,
+    read_session,
+)
+from palpate.solids import make_solid
 
 
 @pytest.fixture
@@ -54,6 +64,33 @@ def test_all_pictures_are_written(tmp_path, session, result):
         # Wide enough to read, small enough for a page.
         assert 500 <= width <= 1600
         assert 200 <= height <= 1200
+
+
+def test_a_field_of_moduli_is_drawn_in_sections(tmp_path, session, result):
+    solid = make_solid(session.mesh, edge=0.012)
+    centre = solid.nodes[solid.elements[:, :4]].mean(axis=1)
+    above = centre[:, 2] > 0.02
+    shown = ModulusMap(
+        solid.nodes, solid.elements[:, :4], np.where(above, 0.5, -0.5),
+        np.full(len(above), 0.1), centre[:, 0] > 0.01,
+    )  # fmt: skip
+    figure = modulus_figure(shown, FieldEstimate(0.4, 0.01, 50.0, 0.7))
+    front = figure.axes[1]
+    assert [axes.get_title() for axes in figure.axes[:3]] == [
+        "z = 20 mm", "y = 20 mm", "x = 20 mm"
+    ]  # fmt: skip
+    ratio = front.images[1].get_array()
+    rows, columns = ratio.shape
+    # Above the middle exp(0.5), below its inverse.
+    assert ratio[-rows // 4, -columns // 4] == pytest.approx(np.exp(0.5))
+    assert ratio[rows // 8, -columns // 4] == pytest.approx(np.exp(-0.5))
+    # Elements whose centres lie at the left are not known.
+    assert 0.15 < ratio.mask.mean() < 0.35
+    estimate = replace(
+        result.estimate, status=Status.HETEROGENEOUS, field=FieldEstimate(0.4, 0.01, 50.0, 0.7)
+    )
+    written = write_plots(tmp_path, session, replace(result, estimate=estimate, map=shown))
+    assert tmp_path / "modulus.png" in written
 
 
 def test_a_constant_that_is_not_identifiable_can_be_drawn(tmp_path, session, result):

@@ -9,6 +9,7 @@ import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions
 from rich.markup import escape
@@ -16,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from palpate.errors import visible
+from palpate.estimation import Prediction
 from palpate.pipeline import MotionFigures
 from palpate.records import (
     BudgetEntry,
@@ -36,6 +38,8 @@ _LABELS = {
     "poisson_ratio": "Poisson's ratio nu",
     "young_modulus": "Young's modulus E",
 }
+# Half of a 95 % interval in standard deviations.
+_INSIDE = 1.96
 _SHORT_CAUSES = {"reprojection": "reproj.", "neighbours": "neighb."}
 # Headings go on in the next line where there is no room, but are not squeezed to less than this.
 _HEADING_WIDTH = 7
@@ -110,6 +114,27 @@ def constants_table(estimate: Estimate) -> Table:
     columns = ("constant", "value ± 1 sigma", "95 % interval", "unit")
     caption = " ".join(_captions(estimate))
     return terminal_table("Elastic constants", columns, rows, caption=caption)
+
+
+def held_out_table(predictions: Sequence[Prediction]) -> Table:
+    """Predictions of probings that were not fitted, against what was measured.
+
+    Parameters
+    ----------
+    predictions : sequence of Prediction
+    """
+    rows = []
+    for each in predictions:
+        known = np.isfinite(each.measured)
+        off, moved = (values[known] for values in (each.predicted - each.measured, each.measured))
+        size = float(np.sqrt(np.square(moved).sum()))
+        error = float(np.sqrt(np.square(off).sum())) / size if size else math.nan
+        inside = np.abs(off) < _INSIDE * each.std[known]
+        share = float(inside.mean()) if inside.size else math.nan
+        rows.append((each.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f")))
+    columns = ("probing", "error, rms (%)", "within 95 % (%)")
+    caption = "Within: of the measured displacements, by the prediction's interval without noise."
+    return terminal_table("Probings held out", columns, rows, caption=caption)
 
 
 def budget_sentences(budget: Sequence[BudgetEntry]) -> list[str]:

@@ -13,12 +13,15 @@ from palpate.estimation.fit import (
     FitSettings as FitSettings,
     best_constants_of as best_constants_of,
     fit as fit,
+    joint_minimum as joint_minimum,
 )
+from palpate.estimation.gauss_newton import gauss_newton as gauss_newton
 from palpate.estimation.information import (
     Information as Information,
     cramer_rao_bound as cramer_rao_bound,
     fisher_information as fisher_information,
 )
+from palpate.estimation.normal_equations import Evaluation as Evaluation
 from palpate.estimation.observations import (
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
@@ -29,6 +32,10 @@ from palpate.estimation.observations import (
     fixed_displacement as fixed_displacement,
     padded as padded,
 )
+from palpate.estimation.observed_rows import (
+    ObservedRows as ObservedRows,
+    observed_rows_of as observed_rows_of,
+)
 from palpate.estimation.posterior import (
     IntervalSet as IntervalSet,
     LikelihoodMap as LikelihoodMap,
@@ -37,6 +44,8 @@ from palpate.estimation.predictions import (
     FittedModel as FittedModel,
     ModelState as ModelState,
     PredictedProbing as PredictedProbing,
+    Prediction as Prediction,
     ProbeFit as ProbeFit,
     predicted_surface as predicted_surface,
+    predictions_of as predictions_of,
 )

@@ -220,12 +220,13 @@ def _chance(errors: Sequence[tuple[float, float]]) -> float:
 def _errors(minimum: Evaluation) -> Iterator[tuple[str, float, float]]:
     """Source, value and standard deviation of every named error, in standard deviations of its
     prior; then the deviations of the forces."""
-    layout, sources = minimum.problem.layout, minimum.problem.sources
-    std = minimum.normal.std
-    for named in (layout.errors, *(block.errors for block in layout.blocks)):
-        yield from zip(
-            sources[named], minimum.theta[named].tolist(), std[named].tolist(), strict=True
-        )
+    problem, theta, std = minimum.problem, minimum.theta, minimum.normal.std
+    named = [(problem.shared, problem.layout.errors)]
+    named += [(problem.own(k), block.errors) for k, block in enumerate(problem.layout.blocks)]
+    for parameters, where in named:
+        for parameter, value, own in zip(parameters, theta[where], std[where], strict=True):
+            if not parameter.is_material:
+                yield parameter.source, float(value), float(own)
     yield from ((FORCES, float(each), 0.0) for each in force_deviations(minimum) if each != 0.0)
 
 

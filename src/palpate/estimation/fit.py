@@ -4,7 +4,7 @@ The notes for the reader of an estimate are full sentences, the most important f
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 
@@ -42,6 +42,7 @@ from palpate.estimation.posterior import (
 )
 from palpate.estimation.predictions import (
     FittedModel,
+    Prediction,
     ProbeFit,
     error_estimates,
     probe_estimate,
@@ -53,6 +54,8 @@ from palpate.records import (
     Constant,
     ErrorEstimate,
     Estimate,
+    ModulusMap,
+    Session,
     Status,
     error_texts,
     length_unit,
@@ -122,6 +125,10 @@ class FitSettings:
             )
 
 
+def _no_prediction(_: Session) -> tuple[Prediction, ...]:
+    raise InputError("this result has no model to predict with: fit the session again")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
     """An estimate with the data needed to plot and check it.
@@ -134,6 +141,9 @@ class FitResult:
     intervals : IntervalSet or None     of the joint constants from the data alone: without prior
                                         ranges for constants that are not determined
     model : FittedModel or None         can be evaluated at other constants
+    map : ModulusMap or None            None: one modulus everywhere
+    predict : callable                  Session of the same object on the same supports -> tuple of
+                                        Prediction, from the forces of its probings
     """
 
     estimate: Estimate
@@ -141,6 +151,20 @@ class FitResult:
     probes: tuple[ProbeFit, ...]
     intervals: IntervalSet | None = None
     model: FittedModel | None = None
+    map: ModulusMap | None = None
+    predict: Callable[[Session], tuple[Prediction, ...]] = _no_prediction
+
+    @property
+    def minimum(self) -> Evaluation:
+        """The objective at the estimate.
+
+        Raises
+        ------
+        InputError                      the result was read from files
+        """
+        if self.model is None:
+            raise InputError("this result has no model: fit the session again")
+        return self.model.minimum
 
     def __repr__(self) -> str:
         return f"FitResult of {len(self.probes)} probings: {self.estimate!r}"
@@ -173,7 +197,7 @@ def fit(
     start = time.perf_counter()
     progress("minimisation", 0.0)
     minimum, freed = with_outlying_forces_freed(
-        _joint_minimum(_checked_rows(probes), settings), settings.poisson_range
+        joint_minimum(probes, settings), settings.poisson_range
     )
     progress("intervals", 0.5)
     posterior = _posterior(minimum, settings)
@@ -238,8 +262,27 @@ def best_constants_of(
     ------
     InputError                              as `fit`
     """
-    minimum = _joint_minimum(_checked_rows(probes), settings)
+    minimum = joint_minimum(probes, settings)
     return minimum.poisson_ratio, minimum.shear_modulus
+
+
+def joint_minimum(probes: Sequence[ProbeObservations], settings: FitSettings) -> Evaluation:
+    """The objective at its minimum over all probings together.
+
+    Parameters
+    ----------
+    probes : sequence of ProbeObservations  at least one
+    settings : FitSettings
+
+    Returns
+    -------
+    Evaluation
+
+    Raises
+    ------
+    InputError                              as `fit`
+    """
+    return _minimum(_checked_rows(probes), settings)
 
 
 def _without_intervals(intervals: IntervalSet, identifiable: dict[str, bool]) -> IntervalSet:
@@ -262,7 +305,7 @@ def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ..
     return tuple(observed_rows_of(probe) for probe in probes)
 
 
-def _joint_minimum(rows: tuple[ObservedRows, ...], settings: FitSettings) -> Evaluation:
+def _minimum(rows: tuple[ObservedRows, ...], settings: FitSettings) -> Evaluation:
     minimum = fitted(rows, NOISE_MODELS[settings.noise], settings.poisson_range)
     if settings.method == FitMethod.NELDER_MEAD:
         return _simplex_minimum(minimum, settings.poisson_range)

@@ -61,6 +61,7 @@ class NuisanceParameter:
                                     "pose of the object"; empty: it is a source of its own
     is_model_error : bool           an error of the model, whose shape is known only roughly: what
                                     it moves shows how large the model's own error is there
+    is_material : bool              a parameter of the material, not an error
     """
 
     name: str
@@ -68,6 +69,7 @@ class NuisanceParameter:
     unit: str = ""
     of: str = ""
     is_model_error: bool = False
+    is_material: bool = False
 
     @property
     def source(self) -> str:

@@ -11,6 +11,7 @@ from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.noise import relative_weight
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import NuisanceParameter, ProbeObservations
+from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.posterior import IntervalSet
 from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices
@@ -130,6 +131,61 @@ class FittedModel:
         return ModelState(max(held.value - self.minimum.value, 0.0), tuple(probings))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Displacement of a probing that was not fitted, predicted from its force.
+
+    Attributes
+    ----------
+    name : str
+    position, measured : (n, 3) float [m]   its points; NaN where not measured
+    predicted : (n, 3) float [m]
+    std : (n, 3) float [m]                  of the prediction: constants, forces, all other errors
+                                            and the model's own; without the measurement's noise
+    """
+
+    name: str
+    position: Points
+    measured: Points
+    predicted: Points
+    std: Points
+
+
+def predictions_of(
+    minimum: Evaluation, probes: Sequence[ProbeObservations]
+) -> tuple[Prediction, ...]:
+    """Displacements of probings that were not fitted, under the forces that were measured.
+
+    Parameters
+    ----------
+    minimum : Evaluation            of the probings that were fitted
+    probes : sequence of ProbeObservations      others
+
+    Returns
+    -------
+    tuple of Prediction
+    """
+    rows = tuple(observed_rows_of(probe).everywhere() for probe in probes)
+    theta, common = minimum.theta, minimum.problem.layout.common
+    problem = minimum.problem.of(rows, minimum.problem.shared, theta)
+    whole = np.zeros(problem.layout.size)
+    whole[:common] = theta[:common]
+    residuals, derivatives = problem.linearised(whole)
+    predictions = []
+    for probe, unknown, residual, table in zip(
+        probes, problem.unknown, residuals, derivatives, strict=True
+    ):
+        variance = np.square(table[common:]).sum(axis=0)
+        variance += np.einsum(
+            "sr,st,tr->r", table[:common], minimum.normal.covariance, table[:common]
+        )
+        variance += problem.scale**2 * unknown.total_variance()
+        count = 3 * len(probe.position)
+        moved, std = (each[:count].reshape(-1, 3) for each in (-residual, np.sqrt(variance)))
+        predictions.append(Prediction(probe.name, probe.position, probe.displacement, moved, std))
+    return tuple(predictions)
+
+
 def predicted_surface(
     probe: ProbeObservations, poisson_ratio: float, load: Float[np.ndarray, " c"]
 ) -> Vertices | None:
@@ -225,7 +281,7 @@ def error_estimates(
 
     Returns
     -------
-    tuple of p ErrorEstimate
+    tuple of ErrorEstimate          without parameters of the material
     """
     return tuple(
         ErrorEstimate(
@@ -238,6 +294,7 @@ def error_estimates(
         for parameter, x, sigma in zip(
             parameters, minimum.theta[where], minimum.normal.std[where], strict=True
         )
+        if not parameter.is_material
     )
 
 

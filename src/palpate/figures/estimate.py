@@ -20,6 +20,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap, ProbeFit
 from palpate.figures.displacement import OUTLIER_WEIGHT, displacement_figure
+from palpate.figures.modulus import modulus_figure
 from palpate.figures.style import (
     BLUE,
     GREY,
@@ -99,6 +100,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
         ("errors", errors_figure(result.estimate)),
         ("budget", budget_figure(result.estimate)),
         ("reciprocity", None if tested is None else reciprocity_figure(tested)),
+        ("modulus", _modulus_figure(result)),
     ):
         if drawn is not None:
             written += save_drawing(drawn, folder / f"{name}.png")
@@ -113,6 +115,12 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
             file.parent.mkdir(exist_ok=True)
             written.append(save_figure(figure, file))
     return written
+
+
+def _modulus_figure(result: FitResult) -> Figure | None:
+    if result.map is None or result.estimate.field is None:
+        return None
+    return modulus_figure(result.map, result.estimate.field)
 
 
 @styled

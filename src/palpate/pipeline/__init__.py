@@ -4,11 +4,13 @@ Purpose    : measure the motion of a session's object from its pictures, estimat
              poke it; warm up: compile the kernels of all that.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model that links them, and the files that hold them.
-Depends on : `lab`, `vision`, `probe`, `bem`, `solids`, `estimation`, `records`, `geometry`.
+Depends on : `field`, `lab`, `vision`, `probe`, `bem`, `solids`, `estimation`, `records`,
+             `geometry`.
 Read first : `fit_session.py`, then `result_files.py`.
 """
 
 from palpate.pipeline.fit_session import fit_session as fit_session, prepare_body as prepare_body
+from palpate.pipeline.heterogeneous import Material as Material
 from palpate.pipeline.model.contact_loads import (
     outward_pushes as outward_pushes,
     surface_load as surface_load,
@@ -83,6 +85,8 @@ from palpate.pipeline.result_files import (
     write_fitted_surface as write_fitted_surface,
     write_flow_npz as write_flow_npz,
     write_flow_vtp as write_flow_vtp,
+    write_held_out as write_held_out,
+    write_modulus as write_modulus,
     write_motion as write_motion,
     write_residuals as write_residuals,
     write_vertices as write_vertices,

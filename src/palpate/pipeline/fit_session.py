@@ -16,6 +16,12 @@ import numpy as np
 from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
+from palpate.pipeline.heterogeneous import (
+    Material,
+    Predictor,
+    fit_with_field,
+    wants_field,
+)
 from palpate.pipeline.model.contact_loads import OUTWARD_ERROR, RADIUS_ERROR
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.large_strain import fit_at_finite_strain
@@ -67,6 +73,7 @@ def fit_session(
     settings: FitSettings = FitSettings(),
     cache: Path | None = None,
     finite_strain: bool = False,
+    material: Material = Material.HOMOGENEOUS,
     progress: Progress = silent,
 ) -> FitResult:
     """Estimate the elastic constants of a session's object.
@@ -77,6 +84,7 @@ def fit_session(
     settings : FitSettings            method, noise model and range of Poisson's ratio
     cache : Path or None              folder in which what is computed of the body is kept for reuse
     finite_strain : bool              True: correct for finite strain
+    material : Material               not homogeneous: look for a field of moduli as well
     progress : callable               called with the current step (text) and the fraction done
 
     Returns
@@ -85,7 +93,8 @@ def fit_session(
 
     Raises
     ------
-    InputError                        a probing without displacements, a bad contact
+    InputError                        a probing without displacements, a bad contact; a field of
+                                      moduli that is asked for and not computed for such a session
     SingularSystemError               the support does not hold the object
     NotConvergedError                 contact radii, compliant supports or finite-strain corrections
                                       did not converge
@@ -93,6 +102,8 @@ def fit_session(
     start = time.perf_counter()
     require_probings(session)
     strains = calibration_strains(session)
+    chosen = {"finite_strain": finite_strain, "material": material}
+    chosen |= {"lengths": length_error(session, strains)}
     progress("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
@@ -112,11 +123,13 @@ def fit_session(
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
     last = part_of(progress, _FIT_STARTS, 1.0)
-    result = fit(observations, settings=settings, progress=last)
+    result, field = fit(observations, settings=settings, progress=last), None
     if finite_strain:
         result = fit_at_finite_strain(refined, observations, result, settings, last)
+    elif wants_field(material, graded, observations, result):
+        result, field = fit_with_field(graded, observations, result, settings, last)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
-    stages |= {"factorisation": factorised - assembled, **result.estimate.seconds}
+    stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
     tested = reciprocity(session) if len(session.probings) > 1 else None
@@ -127,18 +140,15 @@ def fit_session(
         result.estimate,
         probes=probes,
         notes=notes[:_MOST_NOTES],
-        details=notes[_MOST_NOTES:],
+        details=(*notes[_MOST_NOTES:], *_agreement(tested)),
         reciprocity=tested,
         seconds=stages | {"total": time.perf_counter() - start},
-        settings={
-            **result.estimate.settings,
-            "surface": "smooth" if session.smooth else "flat",
-            "finite_strain": finite_strain,
-            "lengths": length_error(session, strains),
-            **_described(session, refined, graded),
-        },
+        settings=result.estimate.settings | chosen | _described(session, refined, graded),
     )
-    return replace(result, estimate=estimate, probes=_on_given_mesh(result.probes, session))
+    return replace(
+        result, estimate=estimate, probes=_on_given_mesh(result.probes, session),
+        predict=Predictor(result.minimum, field, settings),
+    )  # fmt: skip
 
 
 def prepare_body(
@@ -178,6 +188,7 @@ def prepare_body(
 def _described(session: Session, refined: Session, graded: Session) -> dict[str, Any]:
     """Prior errors and assumed forces of a session, and the sizes of its meshes."""
     return {
+        "surface": "smooth" if session.smooth else "flat",
         "errors": asdict(session.errors),
         "vertices": [len(each.mesh.vertices) for each in (session, refined, graded)],
         "assumed_forces": [
@@ -285,11 +296,15 @@ def _session_notes(
     others = [note for note in session.notes if BIASED not in note]
     found = _contact_notes(refined, probes) + _rejection_notes(session)
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
-    # Pushes that contradict each other leave the model nothing to explain; else it is a detail.
+    # Pushes that contradict each other leave the model nothing to explain.
     broken = [tested.text] if tested is not None and not tested.holds else []
-    sound = [tested.text] if tested is not None and tested.holds and tested.is_tested else []
     rotated = _rotation_notes(probes)
-    return (*broken, *first, *biased, *rotated, *fitted[1:], *found, *others, *sound)
+    return (*broken, *first, *biased, *rotated, *fitted[1:], *found, *others)
+
+
+def _agreement(tested: Reciprocity | None) -> list[str]:
+    """That pushes agree, for those who want to know all."""
+    return [tested.text] if tested is not None and tested.holds and tested.is_tested else []
 
 
 def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

@@ -14,13 +14,21 @@ from jaxtyping import Float, Int
 
 from palpate.disk import write_bytes
 from palpate.errors import RecordError
-from palpate.estimation import FitResult, LikelihoodMap
+from palpate.estimation import FitResult, LikelihoodMap, Prediction
 from palpate.files import stored_arrays
 from palpate.geometry import TriangleMesh
 from palpate.pipeline.motion.displacement import vertex_field
 from palpate.pipeline.motion.figures import MotionFigures, motion_figures
 from palpate.pipeline.motion.measure_motion import MeasuredMotion
-from palpate.records import Camera, Rig, Session, file_stems, write_displacement, write_text
+from palpate.records import (
+    Camera,
+    ModulusMap,
+    Rig,
+    Session,
+    file_stems,
+    write_displacement,
+    write_text,
+)
 from palpate.shapes import Flags, Indices, Points, Vector3
 from palpate.vision import (
     Outcome,
@@ -35,6 +43,8 @@ from palpate.vision import (
 )
 
 RANGE_FLOW_FORMAT = "palpate-range-flow/1"
+MODULUS_FORMAT = "palpate-modulus/1"
+_HELD_OUT = "x,y,z,ux,uy,uz,px,py,pz,sx,sy,sz"
 _RESIDUALS = "x,y,z,ux,uy,uz,predicted_ux,predicted_uy,predicted_uz,weight_x,weight_y,weight_z"
 SURFACE_FILE = "surface.npz"
 SURFACE_FORMAT = "palpate-fitted-surface/1"
@@ -44,6 +54,47 @@ _EARLIER_FORMAT = "palpate-surface/1"
 _MOST_BYTES = 2**30
 # Arrays of a probing with one row for each point; their names follow `NUMBER/`.
 _POINTS = ("points", "displacement", "predicted", "left_out", "sigma", "weight")
+
+
+def write_held_out(folder: Path, predictions: Sequence[Prediction]) -> None:
+    """Write held_out/NAME.csv for every probing that was predicted, in metres: its measured points,
+    their measured and predicted displacement, and the standard deviation of the prediction.
+
+    Parameters
+    ----------
+    folder : Path                   of the result; `held_out` is made in it where there is one
+    predictions : sequence of Prediction
+
+    Raises
+    ------
+    OSError                         a file cannot be written
+    """
+    if not predictions:
+        return
+    below = folder / "held_out"
+    below.mkdir()
+    stems = file_stems([each.name for each in predictions], kind="probing")
+    for stem, each in zip(stems, predictions, strict=True):
+        rows = np.hstack([each.position, each.measured, each.predicted, each.std])
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        file = below / f"{stem}.csv"
+        np.savetxt(file, rows, fmt="%.9g", delimiter=",", header=_HELD_OUT, comments="")
+
+
+def write_modulus(path: Path, modulus: ModulusMap) -> None:
+    """Write a map of the modulus as NPZ: the attributes of `ModulusMap`, lengths in metres.
+
+    Parameters
+    ----------
+    path : Path                     ending .npz
+    modulus : ModulusMap
+
+    Raises
+    ------
+    OSError                         the file cannot be written
+    """
+    content = {each.name: getattr(modulus, each.name) for each in fields(modulus)}
+    np.savez_compressed(path, format=np.array(MODULUS_FORMAT), **content)
 
 
 def write_residuals(folder: Path, session: Session, result: FitResult) -> None:

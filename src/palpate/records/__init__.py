@@ -82,6 +82,11 @@ from palpate.records.measured_points import (
     on_surface as on_surface,
     read_import_pose as read_import_pose,
 )
+from palpate.records.modulus_field import (
+    FieldEstimate as FieldEstimate,
+    ModulusMap as ModulusMap,
+    StiffPart as StiffPart,
+)
 from palpate.records.probing import (
     INDEPENDENT as INDEPENDENT,
     DisplacementField as DisplacementField,

@@ -8,6 +8,7 @@ from enum import StrEnum, auto
 from typing import Any
 
 from palpate.errors import InputError
+from palpate.records.modulus_field import FieldEstimate
 from palpate.records.reciprocity import Reciprocity
 
 # Relative rounding error of a product in double precision, with a margin.
@@ -63,6 +64,10 @@ _STATUS_TEXTS = {
             " in all directions"
         ),
     ),
+    "heterogeneous": (
+        "the material is not the same everywhere, and the constants are means over the body",
+        "see the map of the modulus in the report; predictions take the field along",
+    ),
     "not_converged": (
         "the search for the constants stopped early, so the numbers are no estimate",
         (
@@ -85,6 +90,7 @@ class Status(StrEnum):
     POISSON_RATIO_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
     SHEAR_MODULUS_AND_YOUNG_MODULUS_NOT_IDENTIFIABLE = auto()
     NOTHING_IDENTIFIABLE = auto()
+    HETEROGENEOUS = auto()
     MODEL_CONTRADICTED = auto()
     NOT_CONVERGED = auto()
 
@@ -318,6 +324,7 @@ class Estimate:
                                     contribution to Young's modulus first
     details : tuple of str          further sentences, for those who want to know all
     reciprocity : Reciprocity or None    test of the pushes against each other; None: not made
+    field : FieldEstimate or None   None: one modulus everywhere
 
     Raises
     ------
@@ -339,6 +346,7 @@ class Estimate:
     budget: tuple[BudgetEntry, ...] = ()
     details: tuple[str, ...] = ()
     reciprocity: Reciprocity | None = None
+    field: FieldEstimate | None = None
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

@@ -22,6 +22,7 @@ from palpate.pipeline import (
     FittedSurface,
     read_fitted_surface,
     write_fitted_surface,
+    write_modulus,
     write_residuals,
 )
 from palpate.records import (
@@ -50,6 +51,7 @@ _DRAWINGS = {
     "probings": "The constants as each probing alone gives them",
     "predictions": "Displacements predicted by the other probings against measured ones",
     "reciprocity": "Work of every two pushes in each other's motion: equal, whatever the material",
+    "modulus": "Modulus over its mean, in three sections through the body",
     "errors": "What the data say about the assumed errors",
     "budget": "What each source adds to the standard deviations of the constants",
 }
@@ -62,6 +64,7 @@ _LABELS = {
 }
 _WORDS = {
     Status.OK: "Determined",
+    Status.HETEROGENEOUS: "Not the same everywhere",
     Status.MODEL_CONTRADICTED: "Not to be trusted",
     Status.NOT_CONVERGED: "No estimate",
     Status.NOTHING_IDENTIFIABLE: "Not determined",
@@ -119,6 +122,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "budget": _budget_rows(estimate),
         "rejected": _rejection_rows(estimate),
         "reciprocity": "" if estimate.reciprocity is None else estimate.reciprocity.text,
+        "field": estimate.field,
         "notes": (*estimate.notes, *estimate.details),
         "seconds": _second_rows(estimate),
         "settings": _setting_rows(estimate),
@@ -193,6 +197,8 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     write_residuals(folder, session, result)
     write_fitted_surface(folder, session, result)
     write_plots(folder, session, result)
+    if result.map is not None:
+        write_modulus(folder / "modulus.npz", result.map)
     seconds = dict(result.estimate.seconds)
     drawing = time.perf_counter() - start
     total = seconds.pop("total", 0.0) + drawing

@@ -30,6 +30,12 @@ from palpate.solids.finite_strain import (
     SplitNeoHookean as SplitNeoHookean,
     solve_finite as solve_finite,
 )
+from palpate.solids.graded_body import (
+    GradedBody as GradedBody,
+    GradedStiffness as GradedStiffness,
+    make_graded_body as make_graded_body,
+    with_moduli as with_moduli,
+)
 from palpate.solids.tetrahedra import (
     Solid as Solid,
     boundary_surface as boundary_surface,

@@ -16,7 +16,7 @@ from pipeline.picture_session import measured_motion, with_pictures
 from palpate.app import process
 from palpate.app.commands import fit as fit_command
 from palpate.errors import NotConvergedError, SingularSystemError
-from palpate.estimation import FitResult, LikelihoodMap, ProbeFit
+from palpate.estimation import FitResult, LikelihoodMap, Prediction, ProbeFit
 from palpate.records import Constant, Estimate, ProbeEstimate, Status, read_estimate, write_rig
 from palpate.report import report
 
@@ -62,8 +62,8 @@ def calls(monkeypatch):
     """The estimation and the plots replaced; what they were asked for is collected."""
     asked = []
 
-    def fit_session(session, *, settings, cache, finite_strain, progress):
-        asked.append((session, settings))
+    def fit_session(session, *, settings, cache, finite_strain, material, progress):
+        asked.append((session, settings, material))
         if progress is not None:
             progress("fit", 1.0)
         return _result(session)
@@ -107,10 +107,67 @@ def test_options_reach_the_estimation(palpate, calls, cube_session, tmp_path):
     options = ("--out", tmp_path / "mine", "--method", "nelder-mead", "--probe", "n01")
     more = ("--poisson-range", "-0.5", "0.4", "--surface", "flat")
     assert palpate("fit", cube_session, *options, *more)[0] == 0
-    session, settings = calls[0]
+    session, settings, material = calls[0]
     assert ([p.name for p in session.probings], settings.method) == (["n01"], "nelder-mead")
-    assert (settings.poisson_range, session.smooth) == ((-0.5, 0.4), False)
+    assert (settings.poisson_range, session.smooth, material) == ((-0.5, 0.4), False, "auto")
     assert json.loads((tmp_path / "mine" / "estimate.json").read_text())["status"] == "ok"
+
+
+@pytest.fixture
+def two_probings(cube_session):
+    """The cube with a second probing, of twice the displacements."""
+    file = cube_session / "session.toml"
+    text = file.read_text()
+    file.write_text(text + text[text.index("[[probe]]") :].replace("n01", "n02"))
+    rows = np.loadtxt(cube_session / "n01.csv", delimiter=",", skiprows=1)
+    rows[:, 3:6] *= 2.0
+    head = "x,y,z,ux,uy,uz,sigma"
+    np.savetxt(cube_session / "n02.csv", rows, delimiter=",", header=head, comments="")
+    return cube_session
+
+
+def test_probings_held_out_are_predicted_not_fitted(
+    palpate, calls, two_probings, tmp_path, monkeypatch
+):
+    def predict(session):
+        (probing,) = session.probings
+        moved = probing.displacement.displacement
+        std = np.full_like(moved, 1e-4)
+        return (Prediction(probing.name, probing.displacement.points, moved, 0.9 * moved, std),)
+
+    made = fit_command.fit_session
+    monkeypatch.setattr(
+        fit_command,
+        "fit_session",
+        lambda session, **given: dataclasses.replace(made(session, **given), predict=predict),
+    )
+    code, out, _ = palpate("fit", two_probings, "--hold-out", "n02", "--out", tmp_path / "mine")
+    assert code == 0
+    assert [probing.name for probing in calls[0][0].probings] == ["n01"]
+    # A tenth too little everywhere, 0.03 and 0.04 mm with a sigma of 0.1 mm.
+    assert "n02" in out
+    assert "10.00" in out
+    assert "100" in out
+    rows = np.genfromtxt(tmp_path / "mine" / "held_out" / "n02.csv", delimiter=",", names=True)
+    head = "x y z ux uy uz px py pz sx sy sz"
+    assert " ".join(rows.dtype.names) == head
+    # The row that was not measured is not there.
+    assert len(rows) == len(np.loadtxt(two_probings / "n01.csv", delimiter=",", skiprows=1)) - 1
+    np.testing.assert_allclose(rows["pz"], 0.9 * rows["uz"], rtol=1e-8)
+    repeated = json.loads((tmp_path / "mine" / "estimate.json").read_text())
+    assert "--hold-out n02" in repeated["settings"]["command"]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [(["n03"], "names 'n03', but the session's probings are n01, n02"),
+     (["n01", "n02"], "names every probing")],
+)  # fmt: skip
+def test_what_cannot_be_held_out_is_refused(palpate, calls, two_probings, names, message):
+    code, _, err = palpate("fit", two_probings, "--hold-out", *names)
+    assert code == 2
+    assert message in err
+    assert not calls
 
 
 def test_a_ratio_out_of_range_is_said(palpate, calls, cube_session):

@@ -13,8 +13,10 @@ from palpate.records import (
     BudgetEntry,
     Constant,
     Estimate,
+    FieldEstimate,
     ProbeEstimate,
     Status,
+    StiffPart,
     SupportEstimate,
     interval_text,
     read_estimate,
@@ -52,6 +54,30 @@ def test_round_trip_is_exact(tmp_path):
     estimate = _estimate()
     write_estimate(tmp_path / "estimate.json", estimate)
     assert read_estimate(tmp_path / "estimate.json") == estimate
+
+
+def test_a_field_of_moduli_comes_back(tmp_path):
+    part = StiffPart((0.01, -0.004, 0.044), 0.016, 5.0, 3.1, 6.4)
+    field = FieldEstimate(0.4, 0.011, 174.2, 0.8, (part,))
+    estimate = _estimate(status=Status.HETEROGENEOUS, field=field)
+    write_estimate(tmp_path / "estimate.json", estimate)
+    assert read_estimate(tmp_path / "estimate.json") == estimate
+    assert field.sentences[1] == (
+        "a part about 16 mm across near (10, -4, 44) mm is 3.1 to 6.4 times as stiff as the rest"
+    )
+
+
+@pytest.mark.parametrize(
+    "change", [{"std": 0.0}, {"length": -1.0}, {"known": 1.2}, {"parts": [{"size": 0.01}]}]
+)
+def test_an_impossible_field_is_refused(tmp_path, change):
+    field = FieldEstimate(0.4, 0.011, 174.2, 0.8)
+    write_estimate(tmp_path / "estimate.json", _estimate(field=field))
+    content = json.loads((tmp_path / "estimate.json").read_text())
+    content["field"] |= change
+    (tmp_path / "estimate.json").write_text(json.dumps(content))
+    with pytest.raises(RecordError, match="field"):
+        read_estimate(tmp_path / "estimate.json")
 
 
 def test_a_budget_knows_what_is_not_determined(tmp_path):

@@ -3,6 +3,7 @@ kernels ready, `report` writes a result's report again."""
 
 import shlex
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -14,15 +15,22 @@ from numba.core import event
 from rich.table import Table
 
 from palpate.app.process import NOT_OK, check_cache, check_kernel_cache, versions
-from palpate.app.tables import constants_table, number_text, probes_table, terminal_table
+from palpate.app.tables import (
+    constants_table,
+    held_out_table,
+    number_text,
+    probes_table,
+    terminal_table,
+)
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
-from palpate.errors import print_message
-from palpate.estimation import FitResult, FitSettings
+from palpate.errors import InputError, print_message
+from palpate.estimation import FitResult, FitSettings, Prediction
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (
     NEAR_RADII,
     CameraSurvey,
+    Material,
     PoseChoice,
     ProbingSurvey,
     ViewSurvey,
@@ -42,11 +50,13 @@ from palpate.pipeline import (
     unread_probings,
     warm_up,
     with_motions,
+    write_held_out,
 )
 from palpate.progress import Progress, part_of
 from palpate.records import (
     REPORT_FILE,
     Estimate,
+    Probing,
     Session,
     Status,
     check_fit_result,
@@ -82,6 +92,8 @@ def fit(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
+    material: Literal["auto", "homogeneous", "field"] = "auto",
+    hold_out: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
     pose: PoseChoice = "auto",
     cache: Path | None = None,
     force: bool = False,
@@ -111,6 +123,12 @@ def fit(
     strain
         Small: displacements are linear in the force. Finite: the nonlinear part for an object that
         was pressed far is computed with finite elements and corrected for.
+    material
+        Homogeneous: one modulus everywhere. Field: a modulus that differs from place to place,
+        where the data are decisively likelier with one. Auto: the latter only where the data
+        contradict one modulus.
+    hold_out
+        Do not fit these probings, but predict their displacement from their force.
     pose
         Where the object is in pictures: as the camera file says (given), as the pictures at rest
         show (register), or registered only where they contradict the file (auto).
@@ -134,7 +152,7 @@ def fit(
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
     with result_folder(target, kind="fit", force=force) as folder:
-        given = read_session(session, probes=probe, allow=check_memory)
+        given = _read(session, probe, hold_out or [])
         given = replace(given, smooth=surface == "smooth")
         record_inputs(folder, session_files(session))
         require_probings(given)
@@ -149,28 +167,59 @@ def fit(
             )
             print_notes(measured.notes[len(given.notes) :])
             before = {"loading": loading, "reading_and_motion": log.seconds - loading}
+            measured, held = _split(measured, hold_out or [])
             result = fit_session(
                 measured,
                 settings=settings,
                 cache=cache,
                 finite_strain=strain == "finite",
+                material=Material(material),
                 progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
             )
             progress("tables and pictures", _DRAWING_BEGINS)
-            result = _with_provenance(
-                result, before, log, _command(session, probe, settings, surface, strain, pose)
-            )
+            choices = (surface, strain, pose, material)
+            command = _command(session, probe, hold_out, settings, choices)
+            result = _with_provenance(result, before, log, command)
+            predictions = () if held is None else result.predict(held)
+            write_held_out(folder, predictions)
             estimate = _write(folder, measured, result, log)
-    _print(estimate, measured)
+    _print(estimate, measured, predictions)
     if reused:
         print_text(f"Note: {_REUSED.format(reused, count, target)}.")
     print_text(
         f"Result in {target}, report in {target / REPORT_FILE} ({estimate.seconds['total']:.1f} s)"
     )
-    if estimate.status is not Status.OK:
+    if estimate.status not in (Status.OK, Status.HETEROGENEOUS):
         print_message(estimate.status.advice)
         return NOT_OK
     return 0
+
+
+def _read(session: Path, probe: list[str] | None, names: list[str]) -> Session:
+    """The session with the probings that are fitted or held out; refuses to hold out those that are
+    not there, or all of them."""
+    given = read_session(
+        session, probes=None if probe is None else [*probe, *names], allow=check_memory
+    )
+    known = [probing.name for probing in given.probings]
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(
+            f"--hold-out names {unknown[0]!r}, but the session's probings are {', '.join(known)}"
+        )
+    if names and set(names) == set(known):
+        raise InputError("--hold-out names every probing; leave some to be fitted")
+    return given
+
+
+def _split(session: Session, names: Sequence[str]) -> tuple[Session, Session | None]:
+    """The session with the probings that are fitted, and with those that are held out."""
+    if not names:
+        return session, None
+    parts: tuple[list[Probing], list[Probing]] = ([], [])
+    for probing in session.probings:
+        parts[probing.name in names].append(probing)
+    fitted, held = (replace(session, probings=tuple(part)) for part in parts)
+    return fitted, held
 
 
 def check(session: Path, /) -> int:
@@ -291,16 +340,17 @@ def _with_provenance(
 def _command(
     session: Path,
     probe: list[str] | None,
+    hold_out: list[str] | None,
     settings: FitSettings,
-    surface: str,
-    strain: str,
-    pose: str,
+    choices: tuple[str, str, str, str],
 ) -> str:
     """The line that repeats a fit, without what has no part in its numbers."""
     words = ["palpate", "fit", str(session)]
     words += ["--probe", *probe] if probe else []
-    words += ["--method", settings.method, "--surface", surface, "--strain", strain]
-    words += ["--pose", pose]
+    words += ["--hold-out", *hold_out] if hold_out else []
+    words += ["--method", settings.method]
+    for name, choice in zip(("surface", "strain", "pose", "material"), choices, strict=True):
+        words += [f"--{name}", choice]
     return shlex.join([*words, "--poisson-range", *(f"{end:g}" for end in settings.poisson_range)])
 
 
@@ -314,7 +364,7 @@ def _write(folder: Path, measured: Session, result: FitResult, log: StageLog) ->
     return estimate
 
 
-def _print(estimate: Estimate, session: Session) -> None:
+def _print(estimate: Estimate, session: Session, predictions: Sequence[Prediction]) -> None:
     """The tables, and what a reader must know besides."""
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
@@ -322,6 +372,8 @@ def _print(estimate: Estimate, session: Session) -> None:
     for note in estimate.notes:
         if note not in session.notes:
             print_text(f"Note: {note}")
+    if predictions:
+        print_tables(held_out_table(predictions))
 
 
 def _mesh_table(session: Session) -> Table:

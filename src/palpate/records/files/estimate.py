@@ -18,6 +18,7 @@ from palpate.records.estimate import (
     Status,
     SupportEstimate,
 )
+from palpate.records.modulus_field import FieldEstimate, StiffPart
 from palpate.records.reciprocity import ForceExcess, Reciprocity, WorkPair
 from palpate.records.text.text_file import write_text
 from palpate.records.text.toml_table import TomlTable, json_text, read_json
@@ -86,6 +87,7 @@ def read_estimate(path: Path | str) -> Estimate:
             errors=_read_errors(root),
             budget=_read_budget(root),
             reciprocity=_read_reciprocity(root),
+            field=None if root.values.get("field") is None else _read_field(root.table("field")),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
         # The best fit of a model that does not fit has no interval.
@@ -201,6 +203,21 @@ def _read_errors(table: TomlTable) -> tuple[ErrorEstimate, ...]:
     )
 
 
+def _read_field(table: TomlTable) -> FieldEstimate:
+    parts = []
+    for part in table.optional("parts", table.tables) or ():
+        place = _parts(part, "centre", "xyz", "three")
+        centre = (_number(place, "x"), _number(place, "y"), _number(place, "z"))
+        numbers = (_number(part, key) for key in ("size", "ratio", "low", "high"))
+        with part.error_context():
+            parts.append(StiffPart(centre, *numbers))
+    std, length, evidence, known = (
+        _number(table, key) for key in ("std", "length", "log_evidence", "known")
+    )
+    with table.error_context():
+        return FieldEstimate(std, length, evidence, known, tuple(parts))
+
+
 def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:
     return tuple(
         BudgetEntry(entry.text("source"), *(_known(entry, name) for name in CONSTANT_NAMES))
@@ -209,7 +226,7 @@ def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:
 
 
 def _read_reciprocity(root: TomlTable) -> Reciprocity | None:
-    if root.get("reciprocity") is None:
+    if root.values.get("reciprocity") is None:
         return None
     table = root.table("reciprocity")
     return Reciprocity(

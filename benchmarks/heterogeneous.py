@@ -1,0 +1,229 @@
+"""Bodies that are not the same everywhere: what a field of moduli predicts of pushes nobody fitted.
+
+    python -m benchmarks.heterogeneous FOLDER [KIND ...] [--body NAME]
+
+The truth comes from quadratic tetrahedra much finer than the estimate's, by another assembly, with
+the modulus of every quadrature point. Ten pushes are fitted, six others predicted, with the field
+and without. FOLDER keeps the true displacements, which take a minute a body.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks.bodies import BODIES, Shape
+from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, held_triangles
+from palpate.estimation import Prediction
+from palpate.geometry import TriangleMesh, closest_points, unit_normals
+from palpate.pipeline import Material, fit_session
+from palpate.records import Contact, DisplacementField, ErrorPriors, Probing, Session
+from palpate.records.contact import smooth_pressure
+from palpate.shapes import Points
+from palpate.solids.finite_elements import (
+    free_part,
+    held_nodes,
+    hooke_moduli,
+    pressure_load,
+    quadratic_basis,
+    solve_free,
+    stiffness_matrix,
+    surface_values,
+)
+from palpate.solids.sparse_cholesky import factorise
+from palpate.solids.tetrahedra import make_solid
+
+FITTED, PREDICTED = 10, 6
+# Noise of pictures across and along the view, and relative error of a force.
+NOISE, FORCE = (3e-6, 3e-6, 10e-6), 0.005
+# The farthest that anything moves.
+FARTHEST = 2e-3
+# Edge of the truth's elements over that of the body's surface, and under a tool over its radius.
+_EDGE, _FINE = 0.8, 0.3
+
+
+def _ball(x: np.ndarray, centre: np.ndarray, radius: float, ratio: float) -> np.ndarray:
+    return np.where(np.linalg.norm(x - centre, axis=-1) < radius, np.log(ratio), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """Bounding box of a body, and its surface."""
+
+    low: Float[np.ndarray, "3"]
+    size: Float[np.ndarray, "3"]
+    mesh: TriangleMesh
+
+    def at(self, *share: float) -> np.ndarray:
+        """A place by its share of each side."""
+        return self.low + np.array(share) * self.size
+
+    def depth(self, x: np.ndarray) -> np.ndarray:
+        """Distance from the surface that is not the base."""
+        high = self.mesh.vertices[self.mesh.triangles][:, :, 2].max(axis=1) > 1e-6
+        free = TriangleMesh(self.mesh.vertices, self.mesh.triangles[high])
+        return closest_points(free, x.reshape(-1, 3)).distance.reshape(x.shape[:-1])
+
+
+Field = Callable[[np.ndarray, Box], np.ndarray]
+# Logarithm of the modulus over that of the rest.
+KINDS: dict[str, Field] = {
+    "homogeneous": lambda x, box: np.zeros(x.shape[:-1]),
+    "ball x5": lambda x, box: _ball(x, box.at(0.65, 0.45, 0.65), 8e-3, 5.0),
+    "ball x0.2": lambda x, box: _ball(x, box.at(0.65, 0.45, 0.65), 8e-3, 0.2),
+    "skin x4": lambda x, box: np.where(box.depth(x) < 3e-3, np.log(4.0), 0.0),
+    "half x3": lambda x, box: np.where(x[..., 0] > box.at(0.5, 0, 0)[0], np.log(3.0), 0.0),
+    "two balls": lambda x, box: (
+        _ball(x, box.at(0.7, 0.4, 0.7), 8e-3, 5.0) + _ball(x, box.at(0.25, 0.6, 0.6), 8e-3, 0.2)
+    ),
+    "smooth": lambda x, box: 0.6 * np.sin(x[..., 0] / 12e-3) * np.cos(x[..., 1] / 15e-3),
+}
+
+
+def pushes(mesh: TriangleMesh, shape: Shape, count: int, seed: int) -> list[tuple[Points, Points]]:
+    """Places spread over the free surface, away from its edges, and oblique unit forces there."""
+    rng, normals = np.random.default_rng(seed), unit_normals(mesh)
+    held = held_triangles(mesh, shape)
+    angle = np.zeros(len(mesh.vertices))
+    for column in mesh.triangles.T:
+        mean = np.zeros((len(mesh.vertices), 3))
+        for other in mesh.triangles.T:
+            np.add.at(mean, other, normals)
+        mean /= np.linalg.norm(mean, axis=1)[:, None]
+        np.maximum.at(angle, column, np.arccos(np.clip((mean[column] * normals).sum(1), -1, 1)))
+    edges = np.concatenate([np.flatnonzero(angle > 0.35), np.unique(mesh.triangles[held])])
+    gap = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[edges], axis=2).min(axis=1)
+    free = np.flatnonzero(gap > 1.35 * RADIUS)
+    chosen = [int(rng.choice(free))]
+    away = np.full(len(mesh.vertices), np.inf)
+    while len(chosen) < count:
+        away = np.minimum(away, np.linalg.norm(mesh.vertices - mesh.vertices[chosen[-1]], axis=1))
+        chosen.append(int(free[away[free].argmax()]))
+    order, found = rng.permutation(chosen), []
+    for vertex in order:
+        inward = -normals[(mesh.triangles == vertex).any(axis=1)].mean(axis=0)
+        force = inward / np.linalg.norm(inward) + 0.4 * rng.normal(size=3)
+        found.append((mesh.vertices[vertex], force / np.linalg.norm(force)))
+    return found
+
+
+def true_motion(
+    name: str, kind: str, folder: Path, at: list[tuple[Points, Points]]
+) -> Float[np.ndarray, "c v 3"]:
+    """Displacement of the vertices under one newton of each push, computed once."""
+    file = folder / f"{name}_{kind.replace(' ', '_')}.npy"
+    if not file.exists():
+        shape = BODIES[name]
+        mesh, fine = shape.make(shape.edge), shape.make(0.5 * shape.edge)
+        box = Box(mesh.vertices.min(0), np.ptp(mesh.vertices, axis=0), mesh)
+        places = [(point, 1.2 * RADIUS, _FINE * RADIUS) for point, _ in at]
+        solid = make_solid(fine, edge=_EDGE * shape.edge, fine=places)
+        held = held_nodes(solid, np.flatnonzero(held_triangles(fine, shape)))
+        basis = quadratic_basis(solid)
+        x = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+        moduli = hooke_moduli(SHEAR_MODULUS, shape.poisson_ratio)
+        stiffness = stiffness_matrix(basis, moduli[..., None, None] * np.exp(KINDS[kind](x, box)))
+        factor = factorise(free_part(stiffness, held), solid.nodes[~held])
+        loads = [
+            np.outer(pressure_load(solid, point, RADIUS, smooth_pressure), force).ravel()
+            for point, force in at
+        ]
+        moved = surface_values(solid, mesh.vertices) @ solve_free(
+            held, factor, np.stack(loads, axis=1)
+        ).reshape(len(solid.nodes), -1)
+        folder.mkdir(parents=True, exist_ok=True)
+        np.save(file, moved.reshape(len(mesh.vertices), 3, -1).transpose(2, 0, 1))
+    return np.load(file)
+
+
+def session(name: str, kind: str, folder: Path, seed: int) -> Session:
+    """Ten pushes as cameras from one side see them, six known exactly and everywhere."""
+    shape = BODIES[name]
+    mesh = shape.make(shape.edge)
+    at = pushes(mesh, shape, FITTED + PREDICTED, seed)
+    rng = np.random.default_rng(seed + 1)
+    held = np.flatnonzero(held_triangles(mesh, shape))
+    free = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
+    normal = np.zeros_like(mesh.vertices)
+    for column in mesh.triangles.T:
+        np.add.at(normal, column, unit_normals(mesh))
+    seen = free[normal[free] @ np.array([0.5, -0.6, 0.6]) > -0.2]
+    probings = []
+    for k, ((point, force), moved) in enumerate(
+        zip(at, true_motion(name, kind, folder, at), strict=True)
+    ):
+        size = FARTHEST / float(np.linalg.norm(moved, axis=1).max())
+        fitted = k < FITTED
+        here = seen if fitted else free
+        if fitted:
+            here = here[np.linalg.norm(mesh.vertices[here] - point, axis=1) > 1.3 * RADIUS]
+        field = size * moved[here] + fitted * np.array(NOISE) * rng.normal(size=(len(here), 3))
+        points = mesh.vertices[here]
+        told = closest_points(mesh, points)
+        std = np.tile(NOISE, (len(here), 1))
+        measured = size * force * (1.0 + fitted * FORCE * rng.normal())
+        probings.append(
+            Probing(
+                f"n{k + 1:02d}", Contact(point, RADIUS, "smooth"), measured,
+                np.full(3, FORCE * size / np.sqrt(3)), None, None,
+                DisplacementField(points, field, std, None, told, "truth"), None,
+            )
+        )  # fmt: skip
+    return Session(
+        name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=ErrorPriors()
+    )
+
+
+def errors(session: Session, predictions: tuple[Prediction, ...]) -> np.ndarray:
+    """Relative error away from the tool and under it, and the share within 95 %, of each push."""
+    rows = []
+    of = {probing.name: probing for probing in session.probings}
+    for each in predictions:
+        contact = of[each.name].contact
+        distance = np.linalg.norm(each.position - contact.point, axis=1)
+        off = each.predicted - each.measured
+        row = []
+        for chosen in (distance > 1.3 * RADIUS, distance <= RADIUS):
+            size = np.square(each.measured[chosen]).sum()
+            row.append(np.sqrt(np.square(off[chosen]).sum() / size) if size else np.nan)
+        rows.append([*row, float((np.abs(off) < 1.96 * each.std).mean())])
+    return np.array(rows)
+
+
+def main() -> None:
+    """Print a line a body."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.heterogeneous", description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("kind", nargs="*")
+    parser.add_argument("--body", default="block")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    for kind in given.kind or KINDS:
+        measured = session(given.body, kind, given.folder, given.seed)
+        fitted, held = (
+            replace(measured, probings=part)
+            for part in (measured.probings[:FITTED], measured.probings[FITTED:])
+        )
+        for material in (Material.HOMOGENEOUS, Material.AUTO):
+            start = time.perf_counter()
+            result = fit_session(fitted, material=material)
+            rows, estimate = errors(held, result.predict(held)), result.estimate
+            away, under, within = np.nanmedian(rows, axis=0)
+            print(
+                f"{kind:12s} {material:12s} away {100 * away:5.2f} % (most"
+                f" {100 * rows[:, 0].max():5.1f}) under {100 * under:5.2f} % within 95 %:"
+                f" {100 * within:.0f} % E {estimate.young_modulus.value:.0f}"
+                f" nu {estimate.poisson_ratio.value:.4f} {estimate.status}"
+                f" {time.perf_counter() - start:.0f} s",
+                flush=True,
+            )
+            for part in () if estimate.field is None else estimate.field.parts:
+                print(f"    {part.sentence}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,19 @@
+"""Bodies whose shear modulus differs from place to place: a field of moduli with its evidence.
+
+Purpose    : responses of a body of any field of moduli, a Gaussian prior of such fields, and how
+             much likelier the data are with one than without.
+Takes      : a `Session`, its `ProbeObservations` with the homogeneous model.
+Gives      : `ModulusField`; observations with the field's response and its coefficients as errors
+             that all probings share.
+Depends on : `solids`, `estimation`, `probe`, `geometry`, `records`.
+Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`.
+"""
+
+from palpate.field.field_fit import (
+    DECISIVE as DECISIVE,
+    FieldFit as FieldFit,
+    field_evidence as field_evidence,
+    fit_field as fit_field,
+)
+from palpate.field.field_map import FieldPosterior as FieldPosterior
+from palpate.field.field_responses import no_field_reason as no_field_reason

@@ -1,0 +1,263 @@
+"""The field of moduli that explains a session's displacements, and its evidence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from palpate.errors import NotConvergedError
+from palpate.estimation import (
+    Evaluation,
+    FitSettings,
+    ObservedRows,
+    ProbeObservations,
+    gauss_newton,
+    joint_minimum,
+    observed_rows_of,
+)
+from palpate.field.field_map import FieldPosterior
+from palpate.field.field_prior import FieldPrior
+from palpate.field.field_responses import MODE, FieldExpansion, make_field_model
+from palpate.progress import Progress, silent
+from palpate.records import FieldEstimate, Session
+
+_MOST_ROUNDS = 10
+# Change of log G anywhere that ends the rounds: of second order in what it leaves.
+_TOLERANCE = 0.03
+# Change of Poisson's ratio for which the finite elements are solved anew: what a field changes
+# hardly depends on it.
+_SAME_RATIO = 0.02
+# Number of elements with which to ask whether there is a field at all.
+_FEW = 1000
+# Longest step of log G: derivatives are those of the body as it is.
+_LONGEST = 1.5
+# Evidence over that of a body that is the same everywhere from which it is not: exp(10).
+DECISIVE = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldFit:
+    """A field of moduli with what the data say about it.
+
+    Attributes
+    ----------
+    expansion : FieldExpansion      about the field that fits best
+    prior : FieldPrior              of most evidence
+    log_evidence : float            over that of a body that is the same everywhere
+    observations : list of ProbeObservations    with the field's response, its coefficients as
+                                    errors that all probings share
+    """
+
+    expansion: FieldExpansion
+    prior: FieldPrior
+    log_evidence: float
+    observations: list[ProbeObservations]
+
+    def with_field(
+        self, session: Session, observations: Sequence[ProbeObservations]
+    ) -> list[ProbeObservations]:
+        """Observations of other pushes of the same body, with the field's response.
+
+        Parameters
+        ----------
+        session : Session                           k probings
+        observations : sequence of k ProbeObservations      with the homogeneous body's response
+        """
+        known, modes = self.expansion, self.expansion.model.modes
+        model = known.model.loaded(session)
+        homogeneous = model.moved(0.0 * known.coefficients, known.poisson_ratio)
+        expansion = model.expanded(known.coefficients, known.poisson_ratio, homogeneous)
+        mixing = modes.mixing_of(self.prior)
+        return expansion.with_slope().observations(session, observations, mixing)
+
+    def posterior(self, minimum: Evaluation) -> FieldPosterior:
+        """What a fit of `observations` says of the field.
+
+        Parameters
+        ----------
+        minimum : Evaluation
+        """
+        where, model = _modes_in(minimum), self.expansion.model
+        return FieldPosterior(
+            model.body.solid,
+            model.modes.volume,
+            model.modes.modes @ model.modes.mixing_of(self.prior),
+            minimum.theta[where],
+            minimum.normal.covariance[np.ix_(where, where)],
+        )
+
+    def estimate(self, posterior: FieldPosterior) -> FieldEstimate:
+        """The field as it is reported.
+
+        Parameters
+        ----------
+        posterior : FieldPosterior
+        """
+        prior, known = self.prior, posterior.known_share
+        return FieldEstimate(prior.std, prior.length, self.log_evidence, known, posterior.parts())
+
+
+def field_evidence(
+    session: Session, observations: Sequence[ProbeObservations], minimum: Evaluation
+) -> float:
+    """Logarithm of the evidence of a field over none, to first order and with coarse elements: a
+    question that takes seconds.
+
+    Parameters
+    ----------
+    session : Session                           k probings
+    observations : sequence of k ProbeObservations      with the homogeneous body's response
+    minimum : Evaluation                        of these
+
+    Returns
+    -------
+    float
+    """
+    model = make_field_model(session, elements=_FEW)
+    none = np.zeros(model.modes.modes.shape[1])
+    ratio = minimum.poisson_ratio
+    expansion = model.expanded(none, ratio, model.moved(none, ratio))
+    task = _Task(session, observations, expansion, FitSettings())
+    return model.modes.best_prior(*task.information(minimum, none)).log_evidence
+
+
+def fit_field(
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    *,
+    settings: FitSettings = FitSettings(),
+    progress: Progress = silent,
+) -> FieldFit:
+    """Expand about the field that fits best, under the prior of most evidence.
+
+    Parameters
+    ----------
+    session : Session                           k probings
+    observations : sequence of k ProbeObservations      with the homogeneous body's response
+    settings : FitSettings
+    progress : callable
+
+    Returns
+    -------
+    FieldFit
+
+    Raises
+    ------
+    InputError, MeshError           as `make_field_model`
+    NotConvergedError               the field does not settle
+    """
+    progress("finite elements", 0.0)
+    model = make_field_model(session)
+    plain = joint_minimum(observations, settings)
+    modes = model.modes
+    prior = FieldPrior(0.4, float(modes.lengths[1]))
+    coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
+    homogeneous = model.moved(coefficients, ratio)
+    for iteration in range(_MOST_ROUNDS):
+        progress("field of the modulus", 1.0 - 0.7**iteration)
+        expansion = model.expanded(coefficients, ratio, homogeneous)
+        task = _Task(session, observations, expansion, settings)
+        minimum = task.minimum(prior)
+        start = modes.mixing_of(prior) @ minimum.theta[_modes_in(minimum)]
+        best = modes.best_prior(*task.information(minimum, start))
+        if (best.std, best.length) != (prior.std, prior.length):
+            prior, minimum = best, task.minimum(best)
+        new = modes.mixing_of(prior) @ minimum.theta[_modes_in(minimum)]
+        change = float(np.abs(modes.modes @ (new - coefficients)).max())
+        if change < _TOLERANCE:
+            task = replace(task, expansion=expansion.with_slope())
+            evidence = _log_bayes_factor(minimum, plain, settings)
+            observed = task.observations(modes.mixing_of(prior))
+            return FieldFit(task.expansion, prior, evidence, observed)
+        coefficients = coefficients + min(1.0, _LONGEST / change) * (new - coefficients)
+        if abs(minimum.poisson_ratio - ratio) > _SAME_RATIO:
+            ratio = minimum.poisson_ratio
+            homogeneous = model.moved(np.zeros_like(coefficients), ratio)
+    raise NotConvergedError(
+        f"the field of the modulus still changes by {100.0 * change:.0f} % after {_MOST_ROUNDS}"
+        " rounds: the displacements contradict each other; check units, forces and contacts"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """Fits about one expansion."""
+
+    session: Session
+    homogeneous: Sequence[ProbeObservations]
+    expansion: FieldExpansion
+    settings: FitSettings
+
+    def observations(self, mixing: Float[np.ndarray, "b j"]) -> list[ProbeObservations]:
+        return self.expansion.observations(self.session, self.homogeneous, mixing)
+
+    def minimum(self, prior: FieldPrior) -> Evaluation:
+        """The best field under a prior, jointly with everything else."""
+        mixing = self.expansion.model.modes.mixing_of(prior)
+        return joint_minimum(self.observations(mixing), self.settings)
+
+    def information(
+        self, minimum: Evaluation, start: Float[np.ndarray, " b"]
+    ) -> tuple[Float[np.ndarray, "b b"], Float[np.ndarray, " b"]]:
+        """What the data say about the coefficients of all modes, everything else marginalised: H
+        and h of `field_prior`, from a minimum and the coefficients there."""
+        count = len(start)
+        rows = tuple(map(observed_rows_of, self.observations(np.eye(count))))
+        at = _with_modes(minimum, rows, start)
+        normal, where = at.normal, _modes_in(at)
+        rest = np.setdiff1d(np.arange(len(normal.gradient)), where)
+        common, gradient = normal.common, normal.gradient
+        back = np.linalg.solve(common[np.ix_(rest, rest)], common[np.ix_(rest, where)]).T
+        information = common[np.ix_(where, where)] - back @ common[np.ix_(rest, where)]
+        information -= np.eye(count)
+        score = gradient[where] + start - back @ gradient[rest]
+        return information, information @ start + score
+
+
+def _with_modes(
+    minimum: Evaluation, rows: tuple[ObservedRows, ...], coefficients: Float[np.ndarray, " b"]
+) -> Evaluation:
+    """The objective at the same point, with the coefficients of other modes."""
+    problem, theta, first = minimum.problem, minimum.theta, minimum.problem.layout.errors.start
+    common = {each.name: value for each, value in zip(problem.shared, theta[first:], strict=False)}
+    modes = tuple(each for each in rows[0].parameters if each.name.startswith(MODE))
+    others = tuple(each for each in problem.shared if not each.name.startswith(MODE))
+    own = theta[problem.layout.common :]
+    errors = [common[each.name] for each in others]
+    theta = np.concatenate([theta[:first], errors, coefficients, own])
+    return Evaluation(problem.of(rows, (*others, *modes), theta), theta)
+
+
+def _modes_in(minimum: Evaluation) -> Int[np.ndarray, " j"]:
+    """Where the coefficients of a field are in theta, in their order."""
+    names = [parameter.name for parameter in minimum.problem.shared]
+    first = minimum.problem.layout.errors.start
+    own = [k for k, name in enumerate(names) if name.startswith(MODE)]
+    return first + np.array(sorted(own, key=lambda k: int(names[k].split()[-1])), dtype=np.int64)
+
+
+def _log_bayes_factor(field: Evaluation, plain: Evaluation, settings: FitSettings) -> float:
+    """Logarithm of the evidence with a field over that without, at the noise that is left over with
+    it.
+
+    Source
+    ------
+    Laplace's approximation: MacKay, Bayesian interpolation, Neural Computation 4 (1992), eq. 4.1
+    """
+    problem = replace(
+        plain.problem,
+        level=field.problem.level,
+        scale=field.problem.scale,
+        information=field.problem.information,
+    )
+    same = gauss_newton(problem, plain.theta, poisson_range=settings.poisson_range)
+    return 0.5 * (same.value - field.value) + _log_volume(field) - _log_volume(same)
+
+
+def _log_volume(at: Evaluation) -> float:
+    """Logarithm of the posterior's volume over the prior's, up to the constants."""
+    information = (at.normal.common, *at.normal.own)
+    determinants = sum(float(np.linalg.slogdet(each)[1]) for each in information)
+    precision = at.problem.precision()
+    return 0.5 * (float(np.log(precision[precision > 0.0]).sum()) - determinants)

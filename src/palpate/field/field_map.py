@@ -1,0 +1,124 @@
+"""What is known of a field of moduli: its map, and the parts that are stiffer or softer."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from palpate.records import ModulusMap, StiffPart
+from palpate.shapes import Points
+from palpate.solids import Solid
+
+# The modulus is known where the data leave less than this share of the prior's standard deviation.
+_KNOWN = 0.5
+# An element belongs to a part that differs by so many standard deviations from the rest.
+_SIGNIFICANT = 2.0
+# A part has at least this share of the body's volume: fewer elements are noise of the mesh.
+_SMALLEST_PART = 0.002
+_MOST_PARTS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldPosterior:
+    """What data and prior say of a body's modulus, relative to its mean over the volume.
+
+    Attributes
+    ----------
+    solid : Solid
+    volume : (m,) float [m^3]       of every element
+    fields : (m, j) float [-]       logarithm of the modulus per unit of each coefficient
+    coefficients : (j,) float       standard normal before the data
+    covariance : (j, j) float       of the coefficients, after the data
+    """
+
+    solid: Solid
+    volume: Float[np.ndarray, " m"]
+    fields: Float[np.ndarray, "m j"]
+    coefficients: Float[np.ndarray, " j"]
+    covariance: Float[np.ndarray, "j j"]
+
+    @property
+    def log_modulus(self) -> Float[np.ndarray, " m"]:
+        """Logarithm of each element's modulus over the mean one."""
+        return self.fields @ self.coefficients
+
+    @property
+    def std(self) -> Float[np.ndarray, " m"]:
+        """Standard deviation of `log_modulus`."""
+        return np.sqrt(np.einsum("ej,jk,ek->e", self.fields, self.covariance, self.fields))
+
+    def map(self) -> ModulusMap:
+        """The modulus of every element."""
+        elements = self.solid.elements[:, :4]
+        used, corners = np.unique(elements, return_inverse=True)
+        return ModulusMap(
+            self.solid.nodes[used],
+            corners.reshape(elements.shape),
+            self.log_modulus,
+            self.std,
+            self.is_known,
+        )
+
+    @property
+    def known_share(self) -> float:
+        """Share of the volume in which the modulus is known."""
+        return float(self.volume[self.is_known].sum() / self.volume.sum())
+
+    @property
+    def is_known(self) -> Bool[np.ndarray, " m"]:
+        """Elements about which the data say more than the prior."""
+        return self.std < _KNOWN * np.sqrt(np.square(self.fields).sum(axis=1))
+
+    @property
+    def centre(self) -> Points:
+        """Centre of every element [m]."""
+        return self.solid.nodes[self.solid.elements[:, :4]].mean(axis=1)
+
+    def parts(self) -> tuple[StiffPart, ...]:
+        """Parts that differ from the rest, those of the largest effect first."""
+        log_modulus, known = self.log_modulus, self.is_known
+        if not known.any():
+            return ()
+        middle = _weighted_median(log_modulus[known], self.volume[known])
+        differs = known & (np.abs(log_modulus - middle) > _SIGNIFICANT * self.std)
+        rest = known & ~differs
+        found = []
+        for sign in (1.0, -1.0):
+            chosen = differs & (sign * (log_modulus - middle) > 0.0)
+            for part in self._connected(chosen):
+                if self.volume[part].sum() > _SMALLEST_PART * self.volume.sum() and rest.any():
+                    found.append(self._part(part, rest))
+        found.sort(key=lambda part: -abs(np.log(part.ratio)) * part.size**3)
+        return tuple(found[:_MOST_PARTS])
+
+    def _connected(self, chosen: Bool[np.ndarray, " m"]) -> Iterator[Int[np.ndarray, " p"]]:
+        """Groups of chosen elements that share corners."""
+        elements = np.flatnonzero(chosen)
+        corners = self.solid.elements[elements, :4]
+        entries = (np.ones(corners.size), (np.repeat(np.arange(len(elements)), 4), corners.ravel()))
+        incidence = coo_array(entries, shape=(len(elements), len(self.solid.nodes))).tocsr()
+        count, label = connected_components(incidence @ incidence.T, directed=False)
+        for k in range(count):
+            yield elements[label == k]
+
+    def _part(self, part: Int[np.ndarray, " p"], rest: Bool[np.ndarray, " m"]) -> StiffPart:
+        volume = self.volume[part]
+        inside = volume @ self.fields[part] / volume.sum()
+        outside = self.volume[rest] @ self.fields[rest] / self.volume[rest].sum()
+        difference = inside - outside
+        ratio = float(difference @ self.coefficients)
+        std = float(np.sqrt(difference @ self.covariance @ difference))
+        low, high = ratio - 1.96 * std, ratio + 1.96 * std
+        weight = volume * np.abs(self.log_modulus[part] - outside @ self.coefficients)
+        x, y, z = (float(each) for each in weight @ self.centre[part] / weight.sum())
+        size = float(6.0 * volume.sum() / np.pi) ** (1.0 / 3.0)
+        return StiffPart((x, y, z), size, *(float(np.exp(each)) for each in (ratio, low, high)))
+
+
+def _weighted_median(values: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(values[order][np.searchsorted(share, 0.5)])

@@ -1,0 +1,336 @@
+"""What a field of moduli changes in the responses of a session's probings.
+
+The homogeneous body's response stays that of the boundary elements; finite elements give the
+difference of a body with a field from one without, so that their own error cancels to first order:
+
+    u(b, nu) = u(0, nu) + d(b0, nu) + S(b0) (b - b0),
+
+d the difference at the coefficients b0 about which it is expanded, S its derivative there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array, kron
+
+from palpate.errors import InputError, MeshError
+from palpate.estimation import (
+    Nuisance,
+    NuisanceParameter,
+    ProbeObservations,
+    ResponseModel,
+    ResponseTerms,
+)
+from palpate.field.field_prior import FieldModes, make_field_modes
+from palpate.geometry import TriangleMesh, closest_points
+from palpate.probe import find_contact_patch
+from palpate.records import FIXED, RIGID, Probing, Session
+from palpate.shapes import Points
+from palpate.solids import (
+    GradedBody,
+    Solid,
+    held_nodes,
+    make_graded_body,
+    make_solid,
+    surface_values,
+    with_moduli,
+)
+
+# Number of elements, and how many times as many are tried until they fit into the body; the volume
+# of one over the cube of its edge.
+ELEMENTS, _FINER, _VOLUME = 4500, (1, 3, 9), 0.118
+# Change of Poisson's ratio for the derivative of d.
+_STEP = 0.005
+# Points along the side of a triangle where the pressure of a contact is taken.
+_SAMPLES = 12
+# Begins the names of a field's coefficients; what the budget calls them together.
+MODE, SOURCE = "mode of the modulus", "modulus that differs from place to place"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldModel:
+    """Finite elements of a session's object, with the loads of its probings.
+
+    Attributes
+    ----------
+    body : GradedBody
+    modes : FieldModes
+    corners : (c,) int              nodes on the free surface at which derivatives are computed
+    load : (3 n, k) float [N]       nodal forces of every probing
+    """
+
+    body: GradedBody
+    modes: FieldModes
+    corners: Int[np.ndarray, " c"]
+    load: Float[np.ndarray, "n3 k"]
+
+    def loaded(self, session: Session) -> "FieldModel":
+        """The same body under the loads of another session."""
+        return replace(self, load=_nodal_loads(session, self.body.solid))
+
+    def moved(
+        self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
+    ) -> Float[np.ndarray, "n3 k"]:
+        """Displacement of every node under the load of each probing, times the mean modulus [m Pa].
+
+        Parameters
+        ----------
+        coefficients : (b,) float       of the modes
+        poisson_ratio : float [-]
+        """
+        log_modulus = self.modes.modes @ coefficients
+        return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
+
+    def expanded(
+        self,
+        coefficients: Float[np.ndarray, " b"],
+        poisson_ratio: float,
+        homogeneous: Float[np.ndarray, "n3 k"],
+    ) -> "FieldExpansion":
+        """The responses' change by a field, about some coefficients and a Poisson's ratio.
+
+        Parameters
+        ----------
+        coefficients : (b,) float       of the modes
+        poisson_ratio : float [-]
+        homogeneous : (3 n, k) float [m Pa]     `moved` of the body without a field
+        """
+        log_modulus = self.modes.modes @ coefficients
+        stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
+        moved = stiffness.displacements(self.load)
+        unknowns = (3 * self.corners[:, None] + np.arange(3)).ravel()
+        observed = np.zeros((len(moved), len(unknowns)))
+        observed[unknowns, np.arange(len(unknowns))] = 1.0
+        seen = stiffness.displacements(observed)
+        derivative = stiffness.sensitivities(seen, moved, self.modes.modes)
+        change = moved - homogeneous
+        none = np.zeros_like(change)
+        return FieldExpansion(self, coefficients, poisson_ratio, change, none, derivative)
+
+    def at(self, points: Points) -> csr_array:
+        """Displacements at points of the surface from those of all nodes, (3 p, 3 n)."""
+        return csr_array(kron(surface_values(self.body.solid, points), np.eye(3)))
+
+    def from_corners(self, points: Points) -> csr_array:
+        """Displacements at points of the surface from those of `corners`, (3 p, 3 c)."""
+        triangles = self.body.solid.facets[:, :3]
+        near = closest_points(TriangleMesh(self.body.solid.nodes, triangles), points)
+        number = np.full(len(self.body.solid.nodes), -1)
+        number[self.corners] = np.arange(len(self.corners))
+        column = number[triangles[near.triangle]]
+        share = np.where(column >= 0, near.barycentric, 0.0)
+        row = np.repeat(np.arange(len(points)), 3)
+        entries = (share.ravel(), (row, np.maximum(column, 0).ravel()))
+        matrix = csr_array(entries, shape=(len(points), len(self.corners)))
+        return csr_array(kron(matrix, np.eye(3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldExpansion:
+    """Change of the responses by a field, to first order about some coefficients.
+
+    Attributes
+    ----------
+    model : FieldModel
+    coefficients : (b,) float                   b0
+    poisson_ratio : float [-]                   nu0
+    change : (3 n, k) float [m Pa]              d of every node under the load of each probing
+    slope : (3 n, k) float [m Pa]               its derivative with respect to Poisson's ratio; zero
+                                                until it is asked for
+    derivative : (k, 3 c, b) float [m Pa]       S, at the corners
+    """
+
+    model: FieldModel
+    coefficients: Float[np.ndarray, " b"]
+    poisson_ratio: float
+    change: Float[np.ndarray, "n3 k"]
+    slope: Float[np.ndarray, "n3 k"]
+    derivative: Float[np.ndarray, "k c3 b"]
+
+    def with_slope(self) -> "FieldExpansion":
+        """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
+        beside = self.poisson_ratio + _STEP
+        change = self.model.moved(self.coefficients, beside)
+        change -= self.model.moved(0.0 * self.coefficients, beside)
+        return replace(self, slope=(change - self.change) / _STEP)
+
+    def observations(
+        self,
+        session: Session,
+        observations: Sequence[ProbeObservations],
+        mixing: Float[np.ndarray, "b j"],
+    ) -> list[ProbeObservations]:
+        """Observations with the field's response, its coefficients L xi with xi as errors of unit
+        standard deviation that all probings share.
+
+        Parameters
+        ----------
+        session : Session
+        observations : sequence of k ProbeObservations      of the homogeneous body
+        mixing : (b, j) float           L
+        """
+        names = (f"{MODE} {j}" for j in range(mixing.shape[1]))
+        parameters = tuple(
+            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in names
+        )
+        return [
+            self._observed(k, session, probing, probe, mixing, parameters)
+            for k, (probing, probe) in enumerate(zip(session.probings, observations, strict=True))
+        ]
+
+    def _observed(
+        self,
+        index: int,
+        session: Session,
+        probing: Probing,
+        probe: ProbeObservations,
+        mixing: Float[np.ndarray, "b j"],
+        parameters: tuple[NuisanceParameter, ...],
+    ) -> ProbeObservations:
+        tip = np.zeros((0, 3))
+        if probe.tip_displacement is not None:
+            tip = probing.contact.point[None]
+        points = np.concatenate([probe.position, tip])
+        derivative = self.model.from_corners(points) @ self.derivative[index]
+        along = probe.force / (probe.force @ probe.force)
+        response = self._changed(
+            index, probe.response, along, points, -derivative @ self.coefficients
+        )
+        vertices = probe.vertices
+        if vertices is not None:
+            points = np.concatenate([session.mesh.vertices, tip])
+            vertices = self._changed(index, vertices, along, points, np.zeros(points.size))
+        mixed = derivative @ mixing
+
+        def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
+            moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[1]))
+            moved[:, 0, :3] = along[:, None] * mixed[at.rows, None]
+            return moved
+
+        nuisances = (*probe.nuisances, Nuisance(parameters, effects))
+        return replace(probe, response=response, vertices=vertices, nuisances=nuisances)
+
+    def _changed(
+        self,
+        index: int,
+        response: ResponseModel,
+        along: Float[np.ndarray, "3"],
+        points: Points,
+        offset: Float[np.ndarray, " n_rows"],
+    ) -> "_Changed":
+        every = self.model.at(points)
+        change, slope = every @ self.change[:, index] + offset, every @ self.slope[:, index]
+        return _Changed(response, along, self.poisson_ratio, change, slope)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Changed:
+    """A response with what a field changes in it, in proportion to the force along its direction
+    (`ResponseModel`)."""
+
+    response: ResponseModel
+    along: Float[np.ndarray, "3"]
+    poisson_ratio: float
+    change: Float[np.ndarray, " n_rows"]
+    slope: Float[np.ndarray, " n_rows"]
+
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
+        value = np.array(self.response.value(poisson_ratio))
+        change = self.change + (poisson_ratio - self.poisson_ratio) * self.slope
+        value[:, :3] += change[:, None] * self.along
+        return value
+
+
+def make_field_model(session: Session, *, elements: int = ELEMENTS) -> FieldModel:
+    """Finite elements for a session's object and the loads of its probings.
+
+    Parameters
+    ----------
+    session : Session               its contacts with radii
+    elements : int                  at least about so many; more where the body is thin
+
+    Returns
+    -------
+    FieldModel
+
+    Raises
+    ------
+    InputError                      supports or loads that a field is not computed for
+    MeshError                       the surface cannot be filled
+    """
+    if reason := no_field_reason(session):
+        raise InputError(f"{reason} Fit with --material homogeneous")
+    solid = _filled(session.mesh, elements)
+    held = held_nodes(solid, session.held_triangles)
+    body = make_graded_body(solid, held)
+    corners = np.unique(solid.facets[:, :3])
+    return FieldModel(
+        body,
+        make_field_modes(body.centre, body.volume),
+        corners[~held[corners]],
+        _nodal_loads(session, solid),
+    )
+
+
+def no_field_reason(session: Session) -> str:
+    """Why no field of moduli is computed for a session, as a full sentence; empty where one is.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    supports = session.supports
+    # One support that moves takes the whole body along, whatever its moduli.
+    still = len(supports) == 1 or all(support.motion == FIXED for support in supports)
+    rigid = all(each.stiffness is None and each.directions is None for each in supports)
+    pulled = any(probing.contact.profile == RIGID for probing in session.probings)
+    loaded = session.gravity is not None or any(each.loads for each in session.probings)
+    if still and rigid and not pulled and not loaded:
+        return ""
+    return (
+        "A field of moduli is computed for an object on a support that holds it still, pushed by"
+        " one tool at a time: springs, rollers, supports that move against each other, further"
+        " loads and weight are not among that."
+    )
+
+
+def _filled(mesh: TriangleMesh, fewest: int) -> Solid:
+    """The body in the fewest elements that fit into it."""
+    corner = mesh.vertices[mesh.triangles]
+    volume = np.einsum("ta,ta->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
+    for times in _FINER:
+        edge = float(volume / (_VOLUME * times * fewest)) ** (1.0 / 3.0)
+        try:
+            return make_solid(mesh, edge=edge)
+        except MeshError:
+            if times == _FINER[-1]:
+                raise
+    raise AssertionError
+
+
+def _nodal_loads(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k"]:
+    """Nodal forces of every probing, (3 n, k) [N]."""
+    loads = [_nodal_load(session, probing, solid) for probing in session.probings]
+    return np.stack(loads, axis=1)
+
+
+def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.ndarray, " n3"]:
+    """Nodal forces of the traction under a tool, (3 n,) [N]."""
+    patch = find_contact_patch(
+        session.mesh, probing.contact, session.held_triangles, name=probing.name
+    )
+    steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    a, b = np.where(a + b > 1.0, 1.0 - a, a), np.where(a + b > 1.0, 1.0 - b, b)
+    inside = np.stack([1.0 - a - b, a, b], axis=1)
+    triangle = np.repeat(patch.triangles, len(inside))
+    barycentric = np.tile(inside, (len(patch.triangles), 1))
+    corner = session.mesh.vertices[session.mesh.triangles[triangle]]
+    position = np.einsum("nv,nva->na", barycentric, corner)
+    side = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    weight = patch.density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
+    pressed = weight > 0.0
+    share = surface_values(solid, position[pressed]).T @ weight[pressed]
+    return np.outer(share / share.sum(), probing.force).ravel()

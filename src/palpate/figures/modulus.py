@@ -1,0 +1,99 @@
+"""Figure of a modulus that differs from place to place: three sections through the body."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
+
+from palpate.figures.style import GREY, INK, styled
+from palpate.records import FieldEstimate, ModulusMap
+from palpate.shapes import Points
+
+_MM = 1e3
+# Pixels along the longer side of a section, and elements that may hold one: the nearest ones.
+_PIXELS, _NEAREST = 240, 24
+# Horizontal and vertical axis of each section.
+_PLANES = ((0, 1), (0, 2), (1, 2))
+_NAMES = "xyz"
+# Least range of the colours, as a factor from the mean: less than that is no difference to show.
+_LEAST_RANGE = 1.5
+
+
+@styled
+def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
+    """Sections along the axes through the part that differs most, or the middle of the body.
+
+    Parameters
+    ----------
+    modulus : ModulusMap
+    field : FieldEstimate
+
+    Returns
+    -------
+    Figure                          7.6 by 3.1 inches; grey where the modulus is not known
+    """
+    corner = modulus.nodes[modulus.tetrahedra]
+    low, high = modulus.nodes.min(axis=0), modulus.nodes.max(axis=0)
+    through = np.array(field.parts[0].centre) if field.parts else 0.5 * (low + high)
+    inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
+    tree = cKDTree(corner.mean(axis=1))
+    size = high - low
+    widths = [size[i] for i, _ in _PLANES]
+    figure = Figure(figsize=(7.6, 3.1))
+    grid = figure.add_gridspec(
+        1, 3, width_ratios=widths, left=0.065, right=0.86, top=0.86, bottom=0.15, wspace=0.28
+    )
+    farthest = float(np.abs(modulus.log_modulus[modulus.is_known]).max(initial=0.0))
+    span = max(_LEAST_RANGE, float(np.exp(farthest)))
+    colours = LogNorm(1.0 / span, span)
+    for k, (i, j) in enumerate(_PLANES):
+        step = float(max(size[i], size[j])) / _PIXELS
+        across, up = (np.arange(low[a] + 0.5 * step, high[a], step) for a in (i, j))
+        points = np.tile(through, (len(up), len(across), 1))
+        points[..., i], points[..., j] = np.meshgrid(across, up)
+        element = _element_at(points.reshape(-1, 3), corner, inverse, tree)
+        inside = (element >= 0).reshape(points.shape[:2])
+        shown = inside & modulus.is_known[element].reshape(inside.shape)
+        ratio = np.exp(modulus.log_modulus[element]).reshape(inside.shape)
+        axes = figure.add_subplot(grid[k])
+        extent = tuple(_MM * x for x in (low[i], high[i], low[j], high[j]))
+        axes.imshow(
+            np.where(inside[..., None], [0.86, 0.87, 0.88, 1.0], 0.0), extent=extent, origin="lower"
+        )
+        image = axes.imshow(
+            np.ma.masked_where(~shown, ratio), extent=extent, origin="lower", norm=colours,
+            cmap="RdBu_r",
+        )  # fmt: skip
+        third = 3 - i - j
+        axes.set_title(f"{_NAMES[third]} = {_MM * through[third]:.0f} mm", color=INK)
+        axes.set_xlabel(f"{_NAMES[i]} (mm)")
+        axes.set_ylabel(f"{_NAMES[j]} (mm)")
+    bar = figure.colorbar(image, cax=figure.add_axes((0.89, 0.2, 0.015, 0.6)))
+    bar.set_label("modulus over its mean")
+    ticks = _ticks(span)
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+    bar.ax.minorticks_off()
+    figure.text(0.065, 0.965, "Grey: the data do not tell the modulus", color=GREY, va="top")
+    return figure
+
+
+def _ticks(span: float) -> list[float]:
+    """Ratios to label, symmetric about 1."""
+    steps = [step for step in (1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0) if step <= span][-2:]
+    return sorted([*(round(1.0 / step, 3) for step in steps), 1.0, *steps])
+
+
+def _element_at(
+    points: Points,
+    corner: Float[np.ndarray, "m 4 3"],
+    inverse: Float[np.ndarray, "m 3 3"],
+    tree: cKDTree,
+) -> Int[np.ndarray, " n"]:
+    """Element that holds each point; -1 outside the body."""
+    near = tree.query(points, min(_NEAREST, len(corner)))[1].reshape(len(points), -1)
+    share = np.einsum("nkab,nkb->nka", inverse[near], points[:, None] - corner[near, 0])
+    least = np.minimum(share.min(axis=2), 1.0 - share.sum(axis=2))
+    best = least.argmax(axis=1)
+    rows = np.arange(len(points))
+    return np.where(least[rows, best] > -0.02, near[rows, best], -1)

@@ -1,0 +1,148 @@
+"""Whether a body is the same everywhere, and predictions of pushes that were not fitted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from palpate.estimation import (
+    Evaluation,
+    FitResult,
+    FitSettings,
+    Prediction,
+    ProbeObservations,
+    fit,
+    predictions_of,
+)
+from palpate.field import DECISIVE, FieldFit, field_evidence, fit_field, no_field_reason
+from palpate.pipeline.contacts import has_tools, with_contact_radii
+from palpate.pipeline.model.grading import graded_session, refined_session
+from palpate.pipeline.model.object_model import make_object_model
+from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
+from palpate.pipeline.observations import converged_observations
+from palpate.progress import Progress, part_of
+from palpate.records import Session, Status
+
+# Fraction of the work that finding the field takes.
+_FOUND = 0.7
+
+
+class Material(StrEnum):
+    """What an object may be made of: one material; a field of moduli where the data are decisively
+    likelier with one; or the latter only where one material leaves something to be desired."""
+
+    HOMOGENEOUS = "homogeneous"
+    FIELD = "field"
+    AUTO = "auto"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predictor:
+    """Predicts displacements of probings of the fitted object from their forces.
+
+    Attributes
+    ----------
+    minimum : Evaluation
+    field : FieldFit or None        None: the object is the same everywhere
+    settings : FitSettings
+    """
+
+    minimum: Evaluation
+    field: FieldFit | None
+    settings: FitSettings
+
+    def __call__(self, session: Session) -> tuple[Prediction, ...]:
+        """Predictions at the measured points of every probing of a session.
+
+        Parameters
+        ----------
+        session : Session           of the same object on the same supports
+
+        Returns
+        -------
+        tuple of Prediction
+
+        Raises
+        ------
+        InputError                  a probing without points, a bad contact
+        """
+        ratio, modulus = self.minimum.poisson_ratio, self.minimum.shear_modulus
+        refined = refined_session(session)
+        if has_tools(refined):
+            refined = with_contact_radii(refined, shear_modulus=modulus, poisson_ratio=ratio)
+        graded = graded_session(refined)
+        observations = converged_observations(
+            graded, make_object_model(graded), settings=self.settings
+        )
+        observations = with_stretch(observations, calibration_strains(session))
+        if self.field is not None:
+            observations = self.field.with_field(graded, observations)
+        return predictions_of(self.minimum, observations)
+
+
+def wants_field(
+    material: Material,
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    result: FitResult,
+) -> bool:
+    """Whether to fit a field: where it is asked for, or where one may be computed and one modulus
+    is contradicted, or less likely to first order.
+
+    Parameters
+    ----------
+    material : Material
+    session : Session                           k probings
+    observations : sequence of k ProbeObservations      with the homogeneous body's response
+    result : FitResult                          of these
+    """
+    if material is not Material.AUTO or no_field_reason(session):
+        return material is Material.FIELD
+    if result.estimate.status is Status.MODEL_CONTRADICTED:
+        return True
+    return field_evidence(session, observations, result.minimum) > DECISIVE
+
+
+def fit_with_field(
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    plain: FitResult,
+    settings: FitSettings,
+    progress: Progress,
+) -> tuple[FitResult, FieldFit | None]:
+    """The fit with a field of moduli, where the data are decisively likelier with one.
+
+    Parameters
+    ----------
+    session : Session                           k probings
+    observations : sequence of k ProbeObservations      with the homogeneous body's response
+    plain : FitResult                           of these
+    settings : FitSettings
+    progress : callable
+
+    Returns
+    -------
+    FitResult                                   `plain` where one modulus will do
+    FieldFit or None                            None: one modulus will do
+
+    Raises
+    ------
+    InputError, MeshError, NotConvergedError    as `fit_field`
+    """
+    field = fit_field(
+        session, observations, settings=settings, progress=part_of(progress, 0.0, _FOUND)
+    )
+    if field.log_evidence < DECISIVE:
+        return plain, None
+    result = fit(field.observations, settings=settings, progress=part_of(progress, _FOUND, 1.0))
+    posterior = field.posterior(result.minimum)
+    described = field.estimate(posterior)
+    estimate = result.estimate
+    status = Status.HETEROGENEOUS if estimate.status is Status.OK else estimate.status
+    sentences = described.sentences
+    first = f"{sentences[0][0].upper()}{sentences[0][1:]}."
+    notes = [first]
+    if described.parts:
+        parts = "; ".join(part.sentence for part in described.parts)
+        notes.append(f"{parts[0].upper()}{parts[1:]}.")
+    estimate = replace(estimate, status=status, field=described, notes=(*notes, *estimate.notes))
+    return replace(result, estimate=estimate, map=posterior.map()), field

@@ -1,0 +1,124 @@
+"""A shear modulus that differs from place to place, as estimated."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from palpate.arrays import fix_fields
+from palpate.errors import InputError
+from palpate.shapes import Points
+
+
+@dataclass(frozen=True, slots=True)
+class StiffPart:
+    """A part of the body whose shear modulus differs from that of the rest.
+
+    Parameters
+    ----------
+    centre : (float, float, float) [m]
+    size : float [m]                diameter of a ball of its volume, > 0
+    ratio : float [-]               its modulus over that of the rest, means of logarithms, > 0
+    low, high : float [-]           95 % interval of the ratio
+
+    Raises
+    ------
+    InputError                      not positive, or a ratio out of its interval
+    """
+
+    centre: tuple[float, float, float]
+    size: float
+    ratio: float
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not (self.size > 0.0 and 0.0 < self.low <= self.ratio <= self.high):
+            raise InputError(
+                f"a part has size {self.size:g} m and ratio {self.ratio:g} in {self.low:g} to"
+                f" {self.high:g}; they must be positive, the ratio within its interval"
+            )
+
+    @property
+    def sentence(self) -> str:
+        """For a reader, without full stop."""
+        low, high, word = self.low, self.high, "stiff"
+        if self.ratio < 1.0:
+            low, high, word = 1.0 / high, 1.0 / low, "soft"
+        place = ", ".join(f"{1e3 * x:.0f}" for x in self.centre)
+        return (
+            f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm is {low:.2g} to"
+            f" {high:.2g} times as {word} as the rest"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FieldEstimate:
+    """What the data say about a modulus that differs from place to place.
+
+    Parameters
+    ----------
+    std : float [-]                 standard deviation of log G before the data, of most evidence
+    length : float [m]              over which it varies
+    log_evidence : float            how much likelier the data are than with one modulus (log)
+    known : float [-]               share of the volume in which the data tell the modulus, 0 to 1
+    parts : tuple of StiffPart      that differ from the rest, the largest effect first
+
+    Raises
+    ------
+    InputError                      a number out of range
+    """
+
+    std: float
+    length: float
+    log_evidence: float
+    known: float
+    parts: tuple[StiffPart, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (self.std > 0.0 and self.length > 0.0 and 0.0 <= self.known <= 1.0):
+            raise InputError(
+                f"a field of moduli has std {self.std:g}, length {self.length:g} m and is known in"
+                f" {self.known:g} of the body; the first two must be positive, the last 0 to 1"
+            )
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """For a reader, without full stops."""
+        verdict = (
+            "the modulus is not the same everywhere: the data are exp"
+            f"({self.log_evidence:.0f}) times as likely with a field of moduli as with one, and the"
+            " constants are means over the body"
+        )
+        return (verdict, *(part.sentence for part in self.parts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModulusMap:
+    """Shear modulus of every element of a body.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float [m]
+    tetrahedra : (m, 4) int
+    log_modulus : (m,) float        logarithm of the modulus over the mean one
+    std : (m,) float                standard deviation of it
+    is_known : (m,) bool            where the data tell it
+
+    Raises
+    ------
+    InputError                      arrays that do not belong together
+    """
+
+    nodes: Points
+    tetrahedra: Int[np.ndarray, "m 4"]
+    log_modulus: Float[np.ndarray, " m"]
+    std: Float[np.ndarray, " m"]
+    is_known: Bool[np.ndarray, " m"]
+
+    def __post_init__(self) -> None:
+        count = len(self.tetrahedra)
+        fix_fields(self, nodes=(None, 3), log_modulus=(count,), std=(count,))
+        fix_fields(self, integer=True, tetrahedra=(None, 4))
+        if self.is_known.shape != (count,):
+            raise InputError(f"is_known has shape {self.is_known.shape}; must be ({count},)")

@@ -1,0 +1,104 @@
+"""Responses with a field against bodies that are solved with it, and the loads' resultants."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from surfaces import box
+
+from palpate.errors import InputError
+from palpate.estimation import ProbeObservations, ResponseTerms
+from palpate.field.field_responses import make_field_model, no_field_reason
+from palpate.records import Contact, Probing, Session, Support
+
+RATIO, PUSHES = 0.3, (((0.02, 0.02, 0.04), (0.3, 0.1, -1.0)), ((0.01, 0.0, 0.025), (0.0, 2.0, 0.5)))
+
+
+@dataclass(frozen=True, eq=False)
+class Rigid:
+    """The response of a body that does not move."""
+
+    rows: int
+
+    def value(self, poisson_ratio):
+        return np.zeros((self.rows, 4))
+
+
+def session():
+    mesh = box(size=(0.04, 0.04, 0.04), cells=4)
+    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1))
+    probings = tuple(
+        Probing(f"n{k}", Contact(np.array(point), 6e-3, "smooth"), np.array(force), None, None,
+                None, None, None)
+        for k, (point, force) in enumerate(PUSHES)
+    )  # fmt: skip
+    return Session("cube", Path(), mesh, held, probings, None, None, None, ())
+
+
+@pytest.fixture(scope="module")
+def model():
+    return make_field_model(session(), elements=300)
+
+
+def observations(points):
+    zero = np.zeros(3)
+    return [
+        ProbeObservations(f"n{k}", points, np.zeros_like(points), None, np.array(force), zero, None,
+                          None, Rigid(points.size))
+        for k, (_, force) in enumerate(PUSHES)
+    ]  # fmt: skip
+
+
+def drawn(model, seed):
+    return 0.5 * np.random.default_rng(seed).normal(size=model.modes.modes.shape[1])
+
+
+def predicted(seen, ratio, coefficients):
+    """Displacement times the modulus, by the response and its errors."""
+    value = seen.response.value(ratio)
+    terms = ResponseTerms(np.arange(len(value)), value[:, None], ratio)
+    (field,) = seen.nuisances
+    value = value + (field.effects(terms) @ coefficients)[:, 0]
+    return value[:, :3] @ seen.force
+
+
+def test_forces_are_those_of_the_probings(model):
+    resultant = model.load.reshape(-1, 3, len(PUSHES)).sum(axis=0).T
+    assert np.allclose(resultant, [force for _, force in PUSHES], rtol=1e-12)
+
+
+def test_about_its_field_the_response_is_that_of_the_body_with_it(model):
+    points, about = np.array([[0.03, 0.03, 0.04], [0.0, 0.02, 0.03]]), drawn(model, 1)
+    none = model.moved(0.0 * about, RATIO)
+    expansion = model.expanded(about, RATIO, none).with_slope()
+    given, mixing = session(), np.eye(len(about))
+    for k, seen in enumerate(expansion.observations(given, observations(points), mixing)):
+        for ratio in (RATIO, RATIO + 0.01):
+            change = model.moved(about, ratio) - model.moved(0.0 * about, ratio)
+            expected = model.at(points) @ change[:, k]
+            # A step of 0.01 of nu changes the difference by 1 %; its derivative leaves a hundredth.
+            off = predicted(seen, ratio, about) - expected
+            assert np.abs(off).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_beside_its_field_the_error_of_the_response_is_of_second_order(model):
+    nodes = model.body.solid.nodes[model.corners[::9]]
+    about, step = drawn(model, 2), drawn(model, 3)
+    expansion = model.expanded(about, RATIO, model.moved(0.0 * about, RATIO))
+    seen = expansion.observations(session(), observations(nodes), np.eye(len(about)))[0]
+    errors = []
+    for size in (0.1, 0.05):
+        change = model.moved(about + size * step, RATIO) - model.moved(0.0 * about, RATIO)
+        off = predicted(seen, RATIO, about + size * step) - model.at(nodes) @ change[:, 0]
+        errors.append(np.linalg.norm(off))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)
+
+
+def test_what_has_no_field_says_why():
+    given = session()
+    assert no_field_reason(given) == ""
+    springs = replace(given, supports=(Support(given.held_triangles, stiffness=1e6),))
+    assert "springs" in no_field_reason(springs)
+    with pytest.raises(InputError, match="--material homogeneous"):
+        make_field_model(springs)
