@@ -1,6 +1,6 @@
 """A virtual measurement without pictures: press finite elements, read the sensors, fit.
 
-python examples/12_virtual_measurement.py      # needs palpate[fem]
+python examples/12_virtual_measurement.py
 """
 
 from pathlib import Path

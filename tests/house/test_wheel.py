@@ -60,7 +60,6 @@ def test_what_it_says_of_itself(wheel):
         "batch",
         "cad",
         "e57",
-        "fem",
         "hdf5",
         "lab",
         "mesh",

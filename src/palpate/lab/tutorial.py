@@ -115,7 +115,7 @@ def make_tutorial(
     Raises
     ------
     RecordError                     a file cannot be written
-    InputError                      Mitsuba or scikit-fem is not installed
+    InputError                      Mitsuba is not installed
     NotConvergedError               as in `solve_press`
     """
     config = _config(size)

@@ -305,8 +305,7 @@ def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> Sol
 
     Raises
     ------
-    InputError                      an edge that is not positive, or longer than the object;
-                                    scikit-fem is not installed
+    InputError                      an edge that is not positive, or longer than the object
     MeshError                       walls thinner than the tetrahedra
     """
     session, push = body.session, body.push

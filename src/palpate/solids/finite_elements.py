@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import skfem
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array, kron
 
 from palpate.errors import InputError, SingularSystemError
 from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
-from palpate.optional_imports import late_import
 from palpate.shapes import Points, Vector3
 from palpate.solids.sparse_cholesky import Cholesky, factorise
 from palpate.solids.tetrahedra import QUARTERS, Solid, boundary_surface
@@ -104,8 +104,7 @@ def make_body(
 
     Raises
     ------
-    InputError                      constants out of range, no or all nodes held; scikit-fem is not
-                                    installed
+    InputError                      constants out of range, no or all nodes held
     SingularSystemError             the held nodes are collinear: the body can turn about them
     """
     if not (np.isfinite(shear_modulus) and shear_modulus > 0.0):
@@ -141,7 +140,7 @@ def _bed(basis: Any, held: Bool[np.ndarray, " n"]) -> csr_array:
     ------
     Winkler's foundation: its energy is half the integral of k u.u over the faces.
     """
-    skfem, mesh = _skfem(), basis.mesh
+    mesh = basis.mesh
     below = mesh.boundary_facets()
     below = below[held[mesh.facets[:, below]].all(axis=0)]
     # Products of two shape functions of degree 2.
@@ -164,11 +163,7 @@ def quadratic_basis(solid: Solid) -> Any:
     -------
     skfem.Basis                     scalar: one unknown per node
 
-    Raises
-    ------
-    InputError                      scikit-fem is not installed
     """
-    skfem = _skfem()
     nodes, corners = (np.ascontiguousarray(a.T) for a in (solid.nodes, solid.elements[:, :4]))
     return skfem.Basis(skfem.MeshTet2(nodes, corners), skfem.ElementTetP2(), intorder=2)
 
@@ -228,7 +223,7 @@ def _form(moduli: Float[np.ndarray, "3 3 *quadrature"]) -> Any:
     def density(u: Any, v: Any, _: Any) -> np.ndarray:
         return sum(moduli[i, j] * v.grad[i] * u.grad[j] for i, j in terms)
 
-    return _skfem().BilinearForm(density)
+    return skfem.BilinearForm(density)
 
 
 def free_part(stiffness: csr_array, held: Bool[np.ndarray, " n"]) -> csr_array:
@@ -353,7 +348,3 @@ def surface_values(solid: Solid, points: Points) -> csr_array:
         (quadratic_shapes(barycentric).T.ravel(), (row, solid.facets[facet].ravel())),
         shape=(len(points), len(solid.nodes)),
     )
-
-
-def _skfem() -> Any:
-    return late_import("skfem", extra="fem", purpose="the finite elements of a specimen")

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+import skfem
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
 from palpate.errors import NotConvergedError, SingularSystemError
-from palpate.optional_imports import late_import
 from palpate.solids.finite_elements import (
     Body,
     free_part,
@@ -265,12 +265,8 @@ def internal_forces(
     -------
     (n, 3) float [N]                NaN where an element is inverted
 
-    Raises
-    ------
-    InputError                      scikit-fem is not installed
     """
     stress = law.stress(deformation_gradient(basis, displacement))
-    skfem = late_import("skfem", extra="fem", purpose="the finite elements of a specimen")
     forms = [skfem.LinearForm(lambda v, _, row=row: (row * v.grad).sum(axis=0)) for row in stress]
     return np.stack([form.assemble(basis) for form in forms], axis=1)
 

@@ -136,10 +136,6 @@ def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
     Returns
     -------
     GradedBody
-
-    Raises
-    ------
-    InputError                      scikit-fem is not installed
     """
     basis = quadratic_basis(solid)
     # (10 functions, 3 directions, m elements, q points)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import skfem
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay, cKDTree
 
@@ -28,7 +29,6 @@ from palpate.geometry import (
     split_sides,
     unit_normals,
 )
-from palpate.optional_imports import late_import
 from palpate.shapes import Points, PointScalars
 
 # Corners of the edges with midside nodes 4 to 9, in the order of skfem.ElementTetP2.
@@ -243,7 +243,6 @@ def _curved(
 
 def _least_determinant(corner: Float[np.ndarray, "m 10 3"]) -> Float[np.ndarray, " m"]:
     """Least Jacobian determinant of the map from the unit tetrahedron, over the nodes [m^3]."""
-    skfem = late_import("skfem", extra="fem", purpose="the finite elements of a specimen")
     element = skfem.ElementTetP2()
     slopes = np.stack([element.lbasis(element.doflocs.T, i)[1] for i in range(10)])
     return np.linalg.det(np.einsum("mva,vdp->mpad", corner, slopes)).min(axis=1)

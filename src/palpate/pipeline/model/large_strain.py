@@ -161,8 +161,7 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
 
     Raises
     ------
-    InputError                      a support that moves or slides, a load other than a round patch;
-                                    scikit-fem is not installed
+    InputError                      a support that moves or slides, a load other than a round patch
     MeshError                       the surface cannot be filled
     """
     _require_fixed(session)
