@@ -264,6 +264,12 @@ def _mesh(here):
     yield
 
 
+def _heterogeneous(here):
+    write_block(here / "examples" / "half_ball", ("p1", "p2", "p3", "p4"))
+    yield
+    yield
+
+
 def _next(here):
     write_block(here / "half_ball")
     yield
@@ -346,6 +352,7 @@ GUIDES = {
     "compression": _compression,
     "export": _export,
     "flow": _flow,
+    "heterogeneous": _heterogeneous,
     "import": _import,
     "init": _init,
     "lab": _lab,

@@ -98,6 +98,7 @@ def test_beside_its_field_the_error_of_the_response_is_of_second_order(model):
 def test_what_has_no_field_says_why():
     given = session()
     assert no_field_reason(given) == ""
+    assert "several" in no_field_reason(replace(given, probings=given.probings[:1]))
     springs = replace(given, supports=(Support(given.held_triangles, stiffness=1e6),))
     assert "springs" in no_field_reason(springs)
     with pytest.raises(InputError, match="--material homogeneous"):

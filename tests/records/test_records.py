@@ -199,7 +199,8 @@ def test_status_names_exactly_what_is_not_identifiable():
         seen.add(status)
         if 0 < bits < 7:
             assert [name in status.value for name in names] == [not known[name] for name in names]
-    assert seen == set(Status) - {Status.NOT_CONVERGED, Status.MODEL_CONTRADICTED}
+    others = {Status.HETEROGENEOUS, Status.NOT_CONVERGED, Status.MODEL_CONTRADICTED}
+    assert seen == set(Status) - others
     assert Status.from_identifiable(dict.fromkeys(names, True)) is Status.OK
     with pytest.raises(InputError, match="identifiable has the keys"):
         Status.from_identifiable({"nu": True})

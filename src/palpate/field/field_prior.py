@@ -74,6 +74,9 @@ class FieldModes:
         information : (k, k) float      H
         score : (k,) float              h
         """
+        # Rounding may leave a combination about which the data know nothing slightly negative.
+        value, vector = np.linalg.eigh(information)
+        information = (vector * np.maximum(value, 0.0)) @ vector.T
         priors = [
             FieldPrior(float(std), float(length), _log_evidence(std * mixing, information, score))
             for length, mixing in zip(self.lengths, self.mixing, strict=True)

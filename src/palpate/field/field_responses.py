@@ -281,6 +281,8 @@ def no_field_reason(session: Session) -> str:
     ----------
     session : Session
     """
+    if len(session.probings) < 2:
+        return "A field of moduli takes pushes at several places; this is a single one."
     supports = session.supports
     # One support that moves takes the whole body along, whatever its moduli.
     still = len(supports) == 1 or all(support.motion == FIXED for support in supports)

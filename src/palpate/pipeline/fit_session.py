@@ -127,7 +127,7 @@ def fit_session(
     if finite_strain:
         result = fit_at_finite_strain(refined, observations, result, settings, last)
     elif wants_field(material, graded, observations, result):
-        result, field = fit_with_field(graded, observations, result, settings, last)
+        result, field = fit_with_field(graded, observations, result, material, settings, last)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from palpate.bem import machine_memory
+from palpate.errors import InputError, MeshError, NotConvergedError, SingularSystemError
 from palpate.estimation import (
     Evaluation,
     FitResult,
@@ -24,6 +26,11 @@ from palpate.records import Session, Status
 
 # Fraction of the work that finding the field takes.
 _FOUND = 0.7
+# Memory for three components of a point and 300 modes, each held eleven times: in the response, its
+# four columns twice over, and in the derivatives.
+_BYTES_A_POINT = 8.0 * 3 * 300 * 11
+# Of the machine's memory: the rest of the fit needs some, too.
+_USABLE = 0.5
 
 
 class Material(StrEnum):
@@ -94,18 +101,43 @@ def wants_field(
     session : Session                           k probings
     observations : sequence of k ProbeObservations      with the homogeneous body's response
     result : FitResult                          of these
+
+    Raises
+    ------
+    InputError                      a field is asked for and not computed for such a session
     """
-    if material is not Material.AUTO or no_field_reason(session):
+    reason = _no_field_reason(session, observations)
+    if material is Material.FIELD and reason:
+        raise InputError(f"{reason} Fit with --material homogeneous")
+    if material is not Material.AUTO or reason:
         return material is Material.FIELD
     if result.estimate.status is Status.MODEL_CONTRADICTED:
         return True
-    return field_evidence(session, observations, result.minimum) > DECISIVE
+    try:
+        return field_evidence(session, observations, result.minimum) > DECISIVE
+    except (MeshError, SingularSystemError):
+        return False
+
+
+def _no_field_reason(session: Session, observations: Sequence[ProbeObservations]) -> str:
+    """Why no field is computed, as full sentences; empty where one is."""
+    if reason := no_field_reason(session):
+        return reason
+    points = sum(len(probe.position) for probe in observations)
+    needed, usable = _BYTES_A_POINT * points, _USABLE * machine_memory()
+    if needed <= usable:
+        return ""
+    return (
+        f"A field of moduli takes {needed / 1e9:.1f} GB of memory for {points} measured points;"
+        f" {usable / 1e9:.1f} GB can be used here. Measure fewer points, or fewer pushes (--probe)."
+    )
 
 
 def fit_with_field(
     session: Session,
     observations: Sequence[ProbeObservations],
     plain: FitResult,
+    material: Material,
     settings: FitSettings,
     progress: Progress,
 ) -> tuple[FitResult, FieldFit | None]:
@@ -116,6 +148,7 @@ def fit_with_field(
     session : Session                           k probings
     observations : sequence of k ProbeObservations      with the homogeneous body's response
     plain : FitResult                           of these
+    material : Material                         auto: `plain`, with a note, where none can be found
     settings : FitSettings
     progress : callable
 
@@ -128,9 +161,15 @@ def fit_with_field(
     ------
     InputError, MeshError, NotConvergedError    as `fit_field`
     """
-    field = fit_field(
-        session, observations, settings=settings, progress=part_of(progress, 0.0, _FOUND)
-    )
+    report = part_of(progress, 0.0, _FOUND)
+    try:
+        field = fit_field(session, observations, settings=settings, progress=report)
+    except (MeshError, NotConvergedError, SingularSystemError) as error:
+        if material is Material.FIELD:
+            raise
+        note = f"No field of moduli was found: {error}."
+        notes = (*plain.estimate.notes, note)
+        return replace(plain, estimate=replace(plain.estimate, notes=notes)), None
     if field.log_evidence < DECISIVE:
         return plain, None
     result = fit(field.observations, settings=settings, progress=part_of(progress, _FOUND, 1.0))
@@ -138,11 +177,8 @@ def fit_with_field(
     described = field.estimate(posterior)
     estimate = result.estimate
     status = Status.HETEROGENEOUS if estimate.status is Status.OK else estimate.status
-    sentences = described.sentences
-    first = f"{sentences[0][0].upper()}{sentences[0][1:]}."
-    notes = [first]
-    if described.parts:
-        parts = "; ".join(part.sentence for part in described.parts)
-        notes.append(f"{parts[0].upper()}{parts[1:]}.")
+    verdict, *parts = described.sentences
+    sentences = [verdict, *(["; ".join(parts)] if parts else [])]
+    notes = tuple(f"{each[0].upper()}{each[1:]}." for each in sentences)
     estimate = replace(estimate, status=status, field=described, notes=(*notes, *estimate.notes))
     return replace(result, estimate=estimate, map=posterior.map()), field

@@ -279,7 +279,7 @@ def check_memory(
         memory_needed, n_probings=n_probings, rollers=rollers, dense=dense, n_factors=n_factors
     )
     needed = needed_for(n_vertices)
-    usable = _USABLE_FRACTION * (_machine_memory() if available is None else available)
+    usable = _USABLE_FRACTION * (machine_memory() if available is None else available)
     if needed > usable:
         model = "model needs"
         if rollers or dense:
@@ -349,8 +349,8 @@ def _max_vertices(needed_for: Callable[[int], float], usable: float) -> int:
     return 0
 
 
-def _machine_memory() -> float:
-    """Memory that this process may use at most [bytes]."""
+def machine_memory() -> float:
+    """Memory that this process may use at most [bytes]; infinite where the system tells none."""
     limits = [float("inf")]
     with suppress(AttributeError, OSError, ValueError):
         limits.append(float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES")))
