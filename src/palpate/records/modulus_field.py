@@ -19,7 +19,7 @@ class StiffPart:
     centre : (float, float, float) [m]
     size : float [m]                diameter of a ball of its volume, > 0
     ratio : float [-]               its modulus over that of the rest, means of logarithms, > 0
-    low, high : float [-]           95 % interval of the ratio
+    low, high : float [-]           95 % interval of the ratio, of a smooth field
 
     Raises
     ------
@@ -41,14 +41,13 @@ class StiffPart:
 
     @property
     def sentence(self) -> str:
-        """For a reader, without full stop."""
-        low, high, word = self.low, self.high, "stiff"
-        if self.ratio < 1.0:
-            low, high, word = 1.0 / high, 1.0 / low, "soft"
+        """For a reader, without full stop: a smooth field rounds edges, so a small part differs by
+        more than its interval says."""
+        least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
         place = ", ".join(f"{1e3 * x:.0f}" for x in self.centre)
         return (
-            f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm is {low:.2g} to"
-            f" {high:.2g} times as {word} as the rest"
+            f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm is at least"
+            f" {least:.2g} times as {word} as the rest"
         )
 
 

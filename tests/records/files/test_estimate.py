@@ -63,7 +63,7 @@ def test_a_field_of_moduli_comes_back(tmp_path):
     write_estimate(tmp_path / "estimate.json", estimate)
     assert read_estimate(tmp_path / "estimate.json") == estimate
     assert field.sentences[1] == (
-        "a part about 16 mm across near (10, -4, 44) mm is 3.1 to 6.4 times as stiff as the rest"
+        "a part about 16 mm across near (10, -4, 44) mm is at least 3.1 times as stiff as the rest"
     )
 
 
