@@ -129,11 +129,15 @@ def held_out_table(predictions: Sequence[Prediction]) -> Table:
         off, moved = (values[known] for values in (each.predicted - each.measured, each.measured))
         size = float(np.sqrt(np.square(moved).sum()))
         error = float(np.sqrt(np.square(off).sum())) / size if size else math.nan
-        inside = np.abs(off) < _INSIDE * each.std[known]
+        sigma = np.hypot(each.std, each.noise)[known]
+        inside = np.abs(off) < _INSIDE * sigma
         share = float(inside.mean()) if inside.size else math.nan
         rows.append((each.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f")))
     columns = ("probing", "error, rms (%)", "within 95 % (%)")
-    caption = "Within: of the measured displacements, by the prediction's interval without noise."
+    caption = (
+        "Error: with the noise and the outliers of what was measured. Within: of the measured"
+        " displacements, by intervals of prediction and noise together."
+    )
     return terminal_table("Probings held out", columns, rows, caption=caption)
 
 

@@ -142,6 +142,7 @@ class Prediction:
     predicted : (n, 3) float [m]
     std : (n, 3) float [m]                  of the prediction: constants, forces, all other errors
                                             and the model's own; without the measurement's noise
+    noise : (n, 3) float [m]                standard deviation of that noise; NaN where not measured
     """
 
     name: str
@@ -149,6 +150,7 @@ class Prediction:
     measured: Points
     predicted: Points
     std: Points
+    noise: Points
 
 
 def predictions_of(
@@ -182,7 +184,11 @@ def predictions_of(
         variance += problem.scale**2 * unknown.total_variance()
         count = 3 * len(probe.position)
         moved, std = (each[:count].reshape(-1, 3) for each in (-residual, np.sqrt(variance)))
-        predictions.append(Prediction(probe.name, probe.position, probe.displacement, moved, std))
+        noise, seen = np.full(count + 3, np.nan), observed_rows_of(probe)
+        level = seen.sigma(minimum.problem.level) ** 2
+        noise[seen.rows] = np.sqrt(seen.component_variance(level))
+        here = (probe.position, probe.displacement, moved, std, noise[:count].reshape(-1, 3))
+        predictions.append(Prediction(probe.name, *here))
     return tuple(predictions)
 
 

@@ -133,7 +133,8 @@ def test_probings_held_out_are_predicted_not_fitted(
         (probing,) = session.probings
         moved = probing.displacement.displacement
         std = np.full_like(moved, 1e-4)
-        return (Prediction(probing.name, probing.displacement.points, moved, 0.9 * moved, std),)
+        points = probing.displacement.points
+        return (Prediction(probing.name, points, moved, 0.9 * moved, std, 0.0 * std),)
 
     made = fit_command.fit_session
     monkeypatch.setattr(
