@@ -113,8 +113,12 @@ def field_evidence(
     Returns
     -------
     float
+
+    Raises
+    ------
+    MeshError                       so few elements do not fit into the body
     """
-    model = make_field_model(session, elements=_FEW)
+    model = make_field_model(session, elements=_FEW, times=(1, 3))
     none = np.zeros(model.modes.modes.shape[1])
     ratio = minimum.poisson_ratio
     expansion = model.expanded(none, ratio, model.moved(none, ratio))

@@ -38,9 +38,8 @@ from palpate.solids import (
     with_moduli,
 )
 
-# Number of elements, and how many times as many are tried until they fit into the body; the volume
-# of one over the cube of its edge.
-ELEMENTS, _FINER, _VOLUME = 4500, (1, 3, 9), 0.118
+# Number of elements; the volume of one over the cube of its edge.
+ELEMENTS, _VOLUME = 4500, 0.118
 # Change of Poisson's ratio for the derivative of d.
 _STEP = 0.005
 # Points along the side of a triangle where the pressure of a contact is taken.
@@ -243,13 +242,16 @@ class _Changed:
         return value
 
 
-def make_field_model(session: Session, *, elements: int = ELEMENTS) -> FieldModel:
+def make_field_model(
+    session: Session, *, elements: int = ELEMENTS, times: Sequence[int] = (1, 3, 9)
+) -> FieldModel:
     """Finite elements for a session's object and the loads of its probings.
 
     Parameters
     ----------
     session : Session               its contacts with radii
-    elements : int                  at least about so many; more where the body is thin
+    elements : int                  about so many
+    times : sequence of int         how many times as many are tried until they fit into a thin body
 
     Returns
     -------
@@ -262,7 +264,7 @@ def make_field_model(session: Session, *, elements: int = ELEMENTS) -> FieldMode
     """
     if reason := no_field_reason(session):
         raise InputError(f"{reason} Fit with --material homogeneous")
-    solid = _filled(session.mesh, elements)
+    solid = _filled(session.mesh, [each * elements for each in times])
     held = held_nodes(solid, session.held_triangles)
     body = make_graded_body(solid, held)
     corners = np.unique(solid.facets[:, :3])
@@ -298,16 +300,16 @@ def no_field_reason(session: Session) -> str:
     )
 
 
-def _filled(mesh: TriangleMesh, fewest: int) -> Solid:
+def _filled(mesh: TriangleMesh, counts: Sequence[int]) -> Solid:
     """The body in the fewest elements that fit into it."""
     corner = mesh.vertices[mesh.triangles]
     volume = np.einsum("ta,ta->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
-    for times in _FINER:
-        edge = float(volume / (_VOLUME * times * fewest)) ** (1.0 / 3.0)
+    for count in counts:
+        edge = float(volume / (_VOLUME * count)) ** (1.0 / 3.0)
         try:
             return make_solid(mesh, edge=edge)
         except MeshError:
-            if times == _FINER[-1]:
+            if count == counts[-1]:
                 raise
     raise AssertionError
 
