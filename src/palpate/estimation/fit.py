@@ -282,7 +282,10 @@ def joint_minimum(probes: Sequence[ProbeObservations], settings: FitSettings) ->
     ------
     InputError                              as `fit`
     """
-    return _minimum(_checked_rows(probes), settings)
+    minimum = fitted(_checked_rows(probes), NOISE_MODELS[settings.noise], settings.poisson_range)
+    if settings.method == FitMethod.NELDER_MEAD:
+        return _simplex_minimum(minimum, settings.poisson_range)
+    return minimum
 
 
 def _without_intervals(intervals: IntervalSet, identifiable: dict[str, bool]) -> IntervalSet:
@@ -303,13 +306,6 @@ def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ..
     if duplicates:
         raise InputError(f"probings have the same name: {duplicates}; names must differ")
     return tuple(observed_rows_of(probe) for probe in probes)
-
-
-def _minimum(rows: tuple[ObservedRows, ...], settings: FitSettings) -> Evaluation:
-    minimum = fitted(rows, NOISE_MODELS[settings.noise], settings.poisson_range)
-    if settings.method == FitMethod.NELDER_MEAD:
-        return _simplex_minimum(minimum, settings.poisson_range)
-    return minimum
 
 
 def _simplex_minimum(minimum: Evaluation, poisson_range: tuple[float, float]) -> Evaluation:

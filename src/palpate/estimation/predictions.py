@@ -167,15 +167,16 @@ def predictions_of(
     -------
     tuple of Prediction
     """
-    rows = tuple(observed_rows_of(probe).everywhere() for probe in probes)
+    measured = [observed_rows_of(probe) for probe in probes]
+    rows = tuple(each.everywhere() for each in measured)
     theta, common = minimum.theta, minimum.problem.layout.common
     problem = minimum.problem.of(rows, minimum.problem.shared, theta)
     whole = np.zeros(problem.layout.size)
     whole[:common] = theta[:common]
     residuals, derivatives = problem.linearised(whole)
     predictions = []
-    for probe, unknown, residual, table in zip(
-        probes, problem.unknown, residuals, derivatives, strict=True
+    for probe, seen, unknown, residual, table in zip(
+        probes, measured, problem.unknown, residuals, derivatives, strict=True
     ):
         variance = np.square(table[common:]).sum(axis=0)
         variance += np.einsum(
@@ -184,7 +185,7 @@ def predictions_of(
         variance += problem.scale**2 * unknown.total_variance()
         count = 3 * len(probe.position)
         moved, std = (each[:count].reshape(-1, 3) for each in (-residual, np.sqrt(variance)))
-        noise, seen = np.full(count + 3, np.nan), observed_rows_of(probe)
+        noise = np.full(count + 3, np.nan)
         level = seen.sigma(minimum.problem.level) ** 2
         noise[seen.rows] = np.sqrt(seen.component_variance(level))
         here = (probe.position, probe.displacement, moved, std, noise[:count].reshape(-1, 3))

@@ -18,7 +18,7 @@ from palpate.estimation import (
 )
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
-from palpate.field.field_responses import MODE, FieldExpansion, make_field_model
+from palpate.field.field_responses import FieldExpansion, make_field_model
 from palpate.progress import Progress, silent
 from palpate.records import FieldEstimate, Session
 
@@ -225,8 +225,8 @@ def _with_modes(
     """The objective at the same point, with the coefficients of other modes."""
     problem, theta, first = minimum.problem, minimum.theta, minimum.problem.layout.errors.start
     common = {each.name: value for each, value in zip(problem.shared, theta[first:], strict=False)}
-    modes = tuple(each for each in rows[0].parameters if each.name.startswith(MODE))
-    others = tuple(each for each in problem.shared if not each.name.startswith(MODE))
+    modes = tuple(each for each in rows[0].parameters if each.is_material)
+    others = tuple(each for each in problem.shared if not each.is_material)
     own = theta[problem.layout.common :]
     errors = [common[each.name] for each in others]
     theta = np.concatenate([theta[:first], errors, coefficients, own])
@@ -235,10 +235,9 @@ def _with_modes(
 
 def _modes_in(minimum: Evaluation) -> Int[np.ndarray, " j"]:
     """Where the coefficients of a field are in theta, in their order."""
-    names = [parameter.name for parameter in minimum.problem.shared]
-    first = minimum.problem.layout.errors.start
-    own = [k for k, name in enumerate(names) if name.startswith(MODE)]
-    return first + np.array(sorted(own, key=lambda k: int(names[k].split()[-1])), dtype=np.int64)
+    shared, first = minimum.problem.shared, minimum.problem.layout.errors.start
+    own = [k for k, parameter in enumerate(shared) if parameter.is_material]
+    return first + np.array(own, dtype=np.int64)
 
 
 def _log_bayes_factor(field: Evaluation, plain: Evaluation, settings: FitSettings) -> float:

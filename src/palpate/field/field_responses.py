@@ -24,7 +24,7 @@ from palpate.estimation import (
     ResponseTerms,
 )
 from palpate.field.field_prior import FieldModes, make_field_modes
-from palpate.geometry import TriangleMesh, closest_points
+from palpate.geometry import TriangleMesh, closest_points, enclosed_volume
 from palpate.probe import find_contact_patch
 from palpate.records import FIXED, RIGID, Probing, Session
 from palpate.shapes import Points
@@ -32,6 +32,7 @@ from palpate.solids import (
     GradedBody,
     Solid,
     held_nodes,
+    inner_points,
     make_graded_body,
     make_solid,
     surface_values,
@@ -45,7 +46,7 @@ _STEP = 0.005
 # Points along the side of a triangle where the pressure of a contact is taken.
 _SAMPLES = 12
 # Begins the names of a field's coefficients; what the budget calls them together.
-MODE, SOURCE = "mode of the modulus", "modulus that differs from place to place"
+_MODE, _SOURCE = "mode of the modulus", "modulus that differs from place to place"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,9 +171,9 @@ class FieldExpansion:
         observations : sequence of k ProbeObservations      of the homogeneous body
         mixing : (b, j) float           L
         """
-        names = (f"{MODE} {j}" for j in range(mixing.shape[1]))
+        names = (f"{_MODE} {j}" for j in range(mixing.shape[1]))
         parameters = tuple(
-            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in names
+            NuisanceParameter(name, 1.0, of=_SOURCE, is_material=True) for name in names
         )
         return [
             self._observed(k, session, probing, probe, mixing, parameters)
@@ -302,10 +303,9 @@ def no_field_reason(session: Session) -> str:
 
 def _filled(mesh: TriangleMesh, counts: Sequence[int]) -> Solid:
     """The body in the fewest elements that fit into it."""
-    corner = mesh.vertices[mesh.triangles]
-    volume = np.einsum("ta,ta->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
+    volume = enclosed_volume(mesh)
     for count in counts:
-        edge = float(volume / (_VOLUME * count)) ** (1.0 / 3.0)
+        edge = (volume / (_VOLUME * count)) ** (1.0 / 3.0)
         try:
             return make_solid(mesh, edge=edge)
         except MeshError:
@@ -325,10 +325,7 @@ def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.nd
     patch = find_contact_patch(
         session.mesh, probing.contact, session.held_triangles, name=probing.name
     )
-    steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    a, b = np.where(a + b > 1.0, 1.0 - a, a), np.where(a + b > 1.0, 1.0 - b, b)
-    inside = np.stack([1.0 - a - b, a, b], axis=1)
+    inside = inner_points(_SAMPLES)
     triangle = np.repeat(patch.triangles, len(inside))
     barycentric = np.tile(inside, (len(patch.triangles), 1))
     corner = session.mesh.vertices[session.mesh.triangles[triangle]]

@@ -309,7 +309,7 @@ def pressure_load(
     gap = np.linalg.norm(nodes - point, axis=2).min(axis=1)
     # Exclude the far side of a thin body: it is close as well, but faces the other way.
     near = (gap < radius + size) & (side @ side[int(gap.argmin())] > 0.0)
-    shape = quadratic_shapes(_inner_points()).T
+    shape = quadratic_shapes(inner_points(_SAMPLES)).T
     distance = np.linalg.norm(np.einsum("sv,fva->fsa", shape, nodes[near]) - point, axis=2)
     area = np.linalg.norm(side[near], axis=1)[:, None]
     density = np.where(distance < radius, pressure(np.minimum(distance / radius, 1.0)), 0.0) * area
@@ -320,9 +320,14 @@ def pressure_load(
     return share / share.sum()
 
 
-def _inner_points() -> Float[np.ndarray, "s 3"]:
-    """Barycentric coordinates of evenly spaced points in a triangle."""
-    steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+def inner_points(count: int) -> Float[np.ndarray, "s 3"]:
+    """Barycentric coordinates of evenly spaced points in a triangle.
+
+    Parameters
+    ----------
+    count : int                     along a side
+    """
+    steps = (np.arange(count) + 0.5) / count
     a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
     a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
     return np.stack([1 - a - b, a, b], axis=1)
