@@ -17,3 +17,8 @@ from palpate.field.field_fit import (
 )
 from palpate.field.field_map import FieldPosterior as FieldPosterior
 from palpate.field.field_responses import no_field_reason as no_field_reason
+from palpate.field.regions import (
+    RegionFit as RegionFit,
+    check_regions as check_regions,
+    fit_regions as fit_regions,
+)

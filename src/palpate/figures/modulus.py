@@ -21,13 +21,14 @@ _LEAST_RANGE = 1.5
 
 
 @styled
-def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
+def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     """Sections along the axes through the part that differs most, or the middle of the body.
 
     Parameters
     ----------
     modulus : ModulusMap
-    field : FieldEstimate
+    field : FieldEstimate or None   None: of regions, through the middle of what differs from the
+                                    rest
 
     Returns
     -------
@@ -35,7 +36,11 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
     """
     corner = modulus.nodes[modulus.tetrahedra]
     low, high = modulus.nodes.min(axis=0), modulus.nodes.max(axis=0)
-    through = np.array(field.parts[0].centre) if field.parts else 0.5 * (low + high)
+    through = 0.5 * (low + high)
+    if field is None:
+        through = corner.mean(axis=1)[modulus.log_modulus != 0.0].mean(axis=0)
+    elif field.parts:
+        through = np.array(field.parts[0].centre)
     inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
     tree = cKDTree(corner.mean(axis=1))
     size = high - low
@@ -70,11 +75,12 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
         axes.set_xlabel(f"{_NAMES[i]} (mm)")
         axes.set_ylabel(f"{_NAMES[j]} (mm)")
     bar = figure.colorbar(image, cax=figure.add_axes((0.89, 0.2, 0.015, 0.6)))
-    bar.set_label("modulus over its mean")
+    bar.set_label("modulus over that of the rest" if field is None else "modulus over its mean")
     ticks = _ticks(span)
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.ax.minorticks_off()
-    figure.text(0.065, 0.965, "Grey: the data do not tell the modulus", color=GREY, va="top")
+    if not modulus.is_known.all():
+        figure.text(0.065, 0.965, "Grey: the data do not tell the modulus", color=GREY, va="top")
     return figure
 
 

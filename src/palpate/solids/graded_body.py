@@ -2,7 +2,7 @@
 
 Displacements are those of a mean modulus of 1 Pa: element e has the modulus exp(m[e]). With them
 come their derivatives with respect to every m[e], from one more solution for each observed
-component:
+component, or for each load and field:
 
     d u_a / d m_e = -exp(m_e) w_a' K_e u,      K(m) = sum_e exp(m_e) K_e,
 
@@ -123,6 +123,33 @@ class GradedStiffness:
             energy = np.swapaxes(stress, 1, 2) @ seen
             result -= np.tensordot(energy, basis[part], axes=(0, 0))
         return result
+
+    def changes(
+        self, moved: Float[np.ndarray, "k p"], basis: Float[np.ndarray, "m b"]
+    ) -> Float[np.ndarray, "p k b"]:
+        """Derivatives of all displacements with respect to the coefficients of a few fields: a
+        solution for every load and field.
+
+        Parameters
+        ----------
+        moved : (3 n, p) float [m Pa]   displacements under the loads
+        basis : (m, b) float            m per unit of each coefficient
+
+        Returns
+        -------
+        (p, 3 n, b) float [m Pa]
+        """
+        strain, unknowns = self.body.strain, self.body.unknowns
+        scale = self.body.weight * np.exp(self.log_modulus)[:, None]
+        own = np.einsum("eqik,ekp->eqip", strain, moved[unknowns], optimize=True)
+        stress = (
+            np.einsum("ij,eqjp->eqip", _hooke(self.poisson_ratio), own) * scale[..., None, None]
+        )
+        force = np.einsum("eqik,eqip->ekp", strain, stress, optimize=True)
+        place = (unknowns.ravel(), np.arange(unknowns.size))
+        gather = csr_array((np.ones(unknowns.size), place), shape=(len(moved), unknowns.size))
+        fields = [(each[:, None, None] * force).reshape(-1, moved.shape[1]) for each in basis.T]
+        return np.stack([-self.displacements(gather @ each).T for each in fields], axis=2)
 
 
 def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
