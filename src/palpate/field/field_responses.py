@@ -415,13 +415,38 @@ def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.nd
     patch = find_contact_patch(
         session.mesh, probing.contact, session.held_triangles, name=probing.name
     )
+    return nodal_load(session.mesh, patch.triangles, patch.density, probing.force, solid)
+
+
+def nodal_load(
+    mesh: TriangleMesh,
+    triangles: Int[np.ndarray, " k"],
+    density: Callable[..., Float[np.ndarray, " s"]],
+    force: Float[np.ndarray, "3"],
+    solid: Solid,
+) -> Float[np.ndarray, " n3"]:
+    """Nodal forces of a traction on a surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    triangles : (k,) int            that carry it
+    density : function              triangle, barycentric coordinates, position -> (s,) float: the
+                                    traction there, up to a factor
+    force : (3,) float [N]          its resultant
+    solid : Solid
+
+    Returns
+    -------
+    (3 n,) float [N]
+    """
     inside = inner_points(_SAMPLES)
-    triangle = np.repeat(patch.triangles, len(inside))
-    barycentric = np.tile(inside, (len(patch.triangles), 1))
-    corner = session.mesh.vertices[session.mesh.triangles[triangle]]
+    triangle = np.repeat(triangles, len(inside))
+    barycentric = np.tile(inside, (len(triangles), 1))
+    corner = mesh.vertices[mesh.triangles[triangle]]
     position = np.einsum("nv,nva->na", barycentric, corner)
     side = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    weight = patch.density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
+    weight = density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
     pressed = weight > 0.0
     share = surface_values(solid, position[pressed]).T @ weight[pressed]
-    return np.outer(share / share.sum(), probing.force).ravel()
+    return np.outer(share / share.sum(), force).ravel()

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
 from palpate.field.field_fit import SAME_RATIO, modes_in
+from palpate.field.field_map import leading_directions
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import (
     ELEMENTS,
@@ -131,7 +132,10 @@ class RegionFit:
         used, corners = np.unique(solid.elements[:, :4], return_inverse=True)
         seen = np.array([each.is_seen for each in self.estimates(minimum)])
         known = modes[:, ~seen].sum(axis=1) < 0.5
-        return ModulusMap(solid.nodes[used], corners.reshape(-1, 4), modes @ value, std, known)
+        return ModulusMap(
+            solid.nodes[used], corners.reshape(-1, 4), modes @ value, std, known,
+            leading_directions(modes, covariance),
+        )  # fmt: skip
 
 
 def _log_ratios(

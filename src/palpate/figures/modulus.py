@@ -1,18 +1,15 @@
 """Figure of a modulus that differs from place to place: three sections through the body."""
 
 import numpy as np
-from jaxtyping import Float, Int
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
 
 from palpate.figures.style import GREY, INK, styled
 from palpate.records import FieldEstimate, ModulusMap
-from palpate.shapes import Points
 
 _MM = 1e3
-# Pixels along the longer side of a section, and elements that may hold one: the nearest ones.
-_PIXELS, _NEAREST = 240, 24
+# Pixels along the longer side of a section.
+_PIXELS = 240
 # Horizontal and vertical axis of each section.
 _PLANES = ((0, 1), (0, 2), (1, 2))
 _NAMES = "xyz"
@@ -41,8 +38,6 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
         through = corner.mean(axis=1)[modulus.log_modulus != 0.0].mean(axis=0)
     elif field.parts:
         through = np.array(field.parts[0].centre)
-    inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
-    tree = cKDTree(corner.mean(axis=1))
     size = high - low
     widths = [size[i] for i, _ in _PLANES]
     figure = Figure(figsize=(7.6, 3.1))
@@ -57,7 +52,7 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
         across, up = (np.arange(low[a] + 0.5 * step, high[a], step) for a in (i, j))
         points = np.tile(through, (len(up), len(across), 1))
         points[..., i], points[..., j] = np.meshgrid(across, up)
-        element = _element_at(points.reshape(-1, 3), corner, inverse, tree)
+        element = modulus.element_at(points.reshape(-1, 3))
         inside = (element >= 0).reshape(points.shape[:2])
         shown = inside & modulus.is_known[element].reshape(inside.shape)
         ratio = np.exp(modulus.log_modulus[element]).reshape(inside.shape)
@@ -88,18 +83,3 @@ def _ticks(span: float) -> list[float]:
     """Ratios to label, symmetric about 1."""
     steps = [step for step in (1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0) if step <= span][-2:]
     return sorted([*(round(1.0 / step, 3) for step in steps), 1.0, *steps])
-
-
-def _element_at(
-    points: Points,
-    corner: Float[np.ndarray, "m 4 3"],
-    inverse: Float[np.ndarray, "m 3 3"],
-    tree: cKDTree,
-) -> Int[np.ndarray, " n"]:
-    """Element that holds each point; -1 outside the body."""
-    near = tree.query(points, min(_NEAREST, len(corner)))[1].reshape(len(points), -1)
-    share = np.einsum("nkab,nkb->nka", inverse[near], points[:, None] - corner[near, 0])
-    least = np.minimum(share.min(axis=2), 1.0 - share.sum(axis=2))
-    best = least.argmax(axis=1)
-    rows = np.arange(len(points))
-    return np.where(least[rows, best] > -0.02, near[rows, best], -1)

@@ -43,6 +43,7 @@ from palpate.solids.tetrahedra import (
     boundary_surface as boundary_surface,
     inside as inside,
     make_solid as make_solid,
+    quadratic_solid as quadratic_solid,
 )
 from palpate.solids.tips import (
     TIPS as TIPS,

@@ -112,6 +112,8 @@ class GradedStiffness:
         moduli = _hooke(self.poisson_ratio)
         unknowns = self.body.unknowns
         for part in _blocks(len(basis)):
+            if not basis[part].any():
+                continue
             strain = self.body.strain[part]
             size = len(strain)
             operator = strain.reshape(size, -1, 30)
