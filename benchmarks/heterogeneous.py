@@ -11,6 +11,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise, permutations
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,20 @@ from jaxtyping import Float
 
 from benchmarks.bodies import BODIES, Shape
 from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, held_triangles
+from palpate import records
 from palpate.estimation import Prediction
 from palpate.geometry import TriangleMesh, closest_points, unit_normals
 from palpate.pipeline import Material, fit_session
-from palpate.records import Contact, DisplacementField, ErrorPriors, Probing, Session
+from palpate.records import (
+    Contact,
+    DisplacementField,
+    ErrorPriors,
+    Layer,
+    Probing,
+    Region,
+    Session,
+    Skin,
+)
 from palpate.records.contact import smooth_pressure
 from palpate.shapes import Points
 from palpate.solids.finite_elements import (
@@ -35,7 +46,7 @@ from palpate.solids.finite_elements import (
     surface_values,
 )
 from palpate.solids.sparse_cholesky import factorise
-from palpate.solids.tetrahedra import make_solid
+from palpate.solids.tetrahedra import Solid, make_solid, quadratic_solid
 
 FITTED, PREDICTED = 10, 6
 # Noise of pictures across and along the view, and relative error of a force.
@@ -44,10 +55,17 @@ NOISE, FORCE = (3e-6, 3e-6, 10e-6), 0.005
 FARTHEST = 2e-3
 # Edge of the truth's elements over that of the body's surface, and under a tool over its radius.
 _EDGE, _FINE = 0.8, 0.3
+# Longest side of a cell between the planes of a block with regions.
+_CELL = 3.2e-3
 
 
 def _ball(x: np.ndarray, centre: np.ndarray, radius: float, ratio: float) -> np.ndarray:
     return np.where(np.linalg.norm(x - centre, axis=-1) < radius, np.log(ratio), 0.0)
+
+
+def _in_box(x: np.ndarray, box: "Box", ratio: float) -> np.ndarray:
+    low, high = (box.at(*corner) for corner in INSERT)
+    return np.where(((x > low) & (x < high)).all(axis=-1), np.log(ratio), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +94,65 @@ KINDS: dict[str, Field] = {
     "ball x5": lambda x, box: _ball(x, box.at(0.65, 0.45, 0.65), 8e-3, 5.0),
     "ball x0.2": lambda x, box: _ball(x, box.at(0.65, 0.45, 0.65), 8e-3, 0.2),
     "skin x4": lambda x, box: np.where(box.depth(x) < 3e-3, np.log(4.0), 0.0),
+    "insert x5": lambda x, box: _in_box(x, box, 5.0),
+    "insert x0.2": lambda x, box: _in_box(x, box, 0.2),
     "half x3": lambda x, box: np.where(x[..., 0] > box.at(0.5, 0, 0)[0], np.log(3.0), 0.0),
     "two balls": lambda x, box: (
         _ball(x, box.at(0.7, 0.4, 0.7), 8e-3, 5.0) + _ball(x, box.at(0.25, 0.6, 0.6), 8e-3, 0.2)
     ),
     "smooth": lambda x, box: 0.6 * np.sin(x[..., 0] / 12e-3) * np.cos(x[..., 1] / 15e-3),
 }
+
+
+# An insert along the axes, and the thickness of a skin.
+INSERT = np.array([[0.5, 0.3, 0.5], [0.8, 0.65, 0.85]])
+_SKIN = 3e-3
+
+
+def _insert(box: Box) -> tuple[Region, ...]:
+    return (Region("insert", records.Box(box.at(*INSERT[0]), box.at(*INSERT[1]))),)
+
+
+def _skin(box: Box) -> tuple[Region, ...]:
+    high = box.mesh.vertices[box.mesh.triangles][:, :, 2].max(axis=1) > 1e-6
+    return (Region("skin", Skin(TriangleMesh(box.mesh.vertices, box.mesh.triangles[high]), _SKIN)),)
+
+
+def _half(box: Box) -> tuple[Region, ...]:
+    return (Region("half", Layer(box.at(0.5, 0.0, 0.0), np.array([1.0, 0.0, 0.0]), np.inf)),)
+
+
+# The same parts as regions, and the logarithm of the modulus of each over that of the rest.
+REGIONS: dict[str, tuple[Callable[[Box], tuple[Region, ...]], float]] = {
+    "insert x5": (_insert, np.log(5.0)),
+    "insert x0.2": (_insert, np.log(0.2)),
+    "skin x4": (_skin, np.log(4.0)),
+    "half x3": (_half, np.log(3.0)),
+}
+
+
+def layered_solid(mesh: TriangleMesh) -> Solid:
+    """A block in tetrahedra between planes along the axes, through every face of its regions."""
+    box = Box(mesh.vertices.min(0), np.ptp(mesh.vertices, axis=0), mesh)
+    lines = []
+    for axis, size in enumerate(box.size):
+        faces = [0.0, _SKIN, 0.5 * size, size - _SKIN, size, *INSERT[:, axis] * size]
+        faces = sorted(faces) if axis < 2 else sorted(faces)[:1] + sorted(faces)[2:]
+        cuts = [
+            np.linspace(a, b, int(np.ceil((b - a) / _CELL)), endpoint=False)
+            for a, b in pairwise(faces)
+        ]
+        lines.append(box.low[axis] + np.append(np.concatenate(cuts), size))
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+    number = np.arange(grid.size // 3).reshape(grid.shape[:3])
+    tetrahedra = []
+    for order in permutations(range(3)):
+        # From the lowest corner of a cell to the highest, along one axis after the other.
+        steps = np.cumsum([np.zeros(3, int), *np.eye(3, dtype=int)[list(order)]], axis=0)
+        ends = np.array(number.shape) - 1 + steps
+        parts = [tuple(map(slice, step, end)) for step, end in zip(steps, ends, strict=True)]
+        tetrahedra.append(np.stack([number[part].ravel() for part in parts], axis=1))
+    return quadratic_solid(grid.reshape(-1, 3), np.concatenate(tetrahedra), mesh=mesh)
 
 
 def pushes(mesh: TriangleMesh, shape: Shape, count: int, seed: int) -> list[tuple[Points, Points]]:
@@ -120,8 +191,12 @@ def true_motion(
         shape = BODIES[name]
         mesh, fine = shape.make(shape.edge), shape.make(0.5 * shape.edge)
         box = Box(mesh.vertices.min(0), np.ptp(mesh.vertices, axis=0), mesh)
-        places = [(point, 1.2 * RADIUS, _FINE * RADIUS) for point, _ in at]
-        solid = make_solid(fine, edge=_EDGE * shape.edge, fine=places)
+        if kind in REGIONS:
+            solid = layered_solid(mesh)
+            fine = mesh
+        else:
+            places = [(point, 1.2 * RADIUS, _FINE * RADIUS) for point, _ in at]
+            solid = make_solid(fine, edge=_EDGE * shape.edge, fine=places)
         held = held_nodes(solid, np.flatnonzero(held_triangles(fine, shape)))
         basis = quadratic_basis(solid)
         x = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
@@ -173,9 +248,13 @@ def session(name: str, kind: str, folder: Path, seed: int) -> Session:
                 DisplacementField(points, field, std, None, told, "truth"), None,
             )
         )  # fmt: skip
+    regions: tuple[Region, ...] = ()
+    if kind in REGIONS:
+        regions = REGIONS[kind][0](Box(mesh.vertices.min(0), np.ptp(mesh.vertices, axis=0), mesh))
     return Session(
-        name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=ErrorPriors()
-    )
+        name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=ErrorPriors(),
+        regions=regions,
+    )  # fmt: skip
 
 
 def errors(session: Session, predictions: tuple[Prediction, ...]) -> np.ndarray:
@@ -208,7 +287,8 @@ def main() -> None:
             replace(measured, probings=part)
             for part in (measured.probings[:FITTED], measured.probings[FITTED:])
         )
-        for material in (Material.HOMOGENEOUS, Material.AUTO):
+        materials = [Material.HOMOGENEOUS, Material.FIELD]
+        for material in [*materials, *([Material.REGIONS] if kind in REGIONS else [])]:
             start = time.perf_counter()
             result = fit_session(fitted, material=material)
             rows, estimate = errors(held, result.predict(held)), result.estimate
@@ -221,6 +301,10 @@ def main() -> None:
                 f" {time.perf_counter() - start:.0f} s",
                 flush=True,
             )
+            for region in estimate.regions:
+                off = np.log(region.shear_modulus.value / SHEAR_MODULUS) - REGIONS[kind][1]
+                sigma = region.shear_modulus.std / region.shear_modulus.value
+                print(f"    {region.name}: log G off by {off:+.3f}, sigma {sigma:.3f}")
             for part in () if estimate.field is None else estimate.field.parts:
                 print(f"    {part.sentence}")
 

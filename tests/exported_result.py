@@ -4,6 +4,7 @@ import numpy as np
 from cube_session import cube_session
 from estimate_samples import sample_result
 
+from palpate.pipeline import write_modulus
 from palpate.records import (
     read_session,
     record_inputs,
@@ -17,8 +18,9 @@ RADIUS = 0.014
 SIDE = 0.04
 
 
-def written_result(place):
-    """A result folder of a fit of the cube with a second probing that was left out."""
+def written_result(place, map_of=None):
+    """A result folder of a fit of the cube with a second probing that was left out; with the map of
+    its modulus, if there is a function that makes one."""
     folder = cube_session.__wrapped__(place)
     text = (folder / "session.toml").read_text().replace("0.006", str(RADIUS))
     again = text[text.index("[[probe]]") :].replace("n01", "n02")
@@ -30,5 +32,7 @@ def written_result(place):
     session = read_session(folder)
     with result_folder(place / "result", kind="fit") as result:
         write_estimate(result / "estimate.json", sample_result(session).estimate)
+        if map_of is not None:
+            write_modulus(result / "modulus.npz", map_of(session.mesh))
         record_inputs(result, session_files(folder))
     return place / "result"

@@ -58,7 +58,12 @@ SESSION = (
         (RECORDS + "support.Support",),
     ),
     Table("plane of a support: one table, or a list", RECORDS + "support", "_plane_distance"),
-    Table("box of a support: one table, or a list", RECORDS + "support", "_inside_box"),
+    Table("box of a support: one table, or a list", RECORDS + "support", "read_box"),
+    Table(
+        "[[region]], a part with a modulus of its own", RECORDS + "region", "read_regions", 0,
+        (RECORDS + "region.Region",),
+    ),
+    Table("plane of a region", RECORDS + "region", "_shape"),
     Table("[gravity]", FILES + "session", "_single_key_table", 0, (), ("acceleration",)),
     Table("[rig]", FILES + "session", "_single_key_table", 0, (), ("cameras",)),
     Table(
@@ -102,7 +107,7 @@ RIG = (
 POSE = (Table("the file itself", RECORDS + "measured_points", "read_import_pose"),)
 # Calls that only repeat a check for one selector, or stand for several tables above; and keys that
 # are names which the session itself gives.
-REPEATED = {(RECORDS + "support", "read_support"), (RECORDS + "error_priors", "_force_gains")}
+REPEATED = {(RECORDS + "support", "selected_triangles"), (RECORDS + "error_priors", "_force_gains")}
 
 
 def checks(module: ModuleType) -> Iterator[tuple[str, ast.Call]]:

@@ -23,6 +23,26 @@ WORDS = {
     ("[support], or several [[support]]", "plane"): "triangles whose vertices all lie near a plane",
     ("[support], or several [[support]]", "box"): "triangles whose vertices all lie within a box",
     "triangles": "numbers of triangles, one a line, from 0; `#` starts a comment",
+    "region": "tables `[[region]]`: parts with a modulus of their own; `name` and one of `surface`,"
+    " `box`, `plane`, `skin`",
+    ("[[region]], a part with a modulus of its own", "name"): "of the region, in tables",
+    ("[[region]], a part with a modulus of its own", "surface"): "closed surface around it, in the"
+    " session's unit; what of it lies in the object",
+    ("[[region]], a part with a modulus of its own", "box"): "everything in a box, `min` and `max`",
+    ("[[region]], a part with a modulus of its own", "plane"): "everything on the side of a plane to"
+    " which its normal points",
+    ("[[region]], a part with a modulus of its own", "thickness"): "how far behind the plane it"
+    " reaches: a layer; by default to the end",
+    "skin": "everything closer to the surface than this; by default to all of it that is not held",
+    "faces": "the part of the surface that has the skin: `plane`, `box` or `triangles`, as for a"
+    " support",
+    "young_modulus": "Young's modulus, where it is known; give none of the three to have it estimated",
+    "young_modulus_std": "1 sigma; by default exact",
+    "shear_modulus": "shear modulus, where it is known",
+    "shear_modulus_std": "1 sigma; by default exact",
+    "ratio": "modulus over that of the rest, where it is known",
+    "ratio_std": "1 sigma; by default exact",
+    ("plane of a region", "point"): "any point of the plane",
     "traction": 'always `"uniform"`: the same over the face',
     ("plane of a support: one table, or a list", "point"): "any point of the plane",
     "normal": "of the plane, of any length",
@@ -86,6 +106,8 @@ READS = {
     "texts": "list of texts",
     "vector": "three numbers",
 }
+_LENGTH = "number, or text with its unit (`um`, `mm`, `cm`, `m`, `in`)"
+_MODULUS = "number, or text with its unit (`Pa`, `kPa`, `MPa`, `GPa`, `psi`, `N/mm^2`)"
 # Forms that are read by hand, not by one of the readers of `TomlTable`.
 FORMS = {
     ("[errors]", "force"): "share", ("[[step]], of a rigid-motion sequence", "images"): "file pattern",
@@ -99,6 +121,13 @@ FORMS = {
     "contact": "table", "errors": "table", "triangles": "text file", "probe": "tables", "step": "tables", "object": "table", "gravity": "table",
     "rig": "table", "camera": "tables", "format": "text", "name": "text",
     "length_unit": "text",
+    "region": "tables", "ratio": "number", "ratio_std": "number", "faces": "table",
+    ("[[region]], a part with a modulus of its own", "plane"): "table",
+    ("[[region]], a part with a modulus of its own", "box"): "table",
+    ("[[region]], a part with a modulus of its own", "thickness"): _LENGTH,
+    "skin": _LENGTH, **dict.fromkeys(
+        ("young_modulus", "young_modulus_std", "shear_modulus", "shear_modulus_std"), _MODULUS
+    ),
 }  # fmt: skip
 
 # Columns of a displacement file.

@@ -221,7 +221,7 @@ class Result:
             raise InputError(f"there is no simulator {to!r}; there are: {', '.join(FORMATS)}")
         with result_folder(folder, kind=f"export --to {to}", force=force) as new:
             record_inputs(new, session_files(self.session.path))
-            source = FitSource(self.session, self.estimate, ())
+            source = FitSource(self.session, self.estimate, (), modulus=self.fitted.map)
             export_fit(new, source, to, probe=probe, cache=self.cache)
         return Path(folder)
 

@@ -7,13 +7,16 @@ from scipy.stats import multivariate_normal
 from palpate.field.field_prior import FieldPrior, make_field_modes
 
 
+# A grid of 125 cells of unlike volume.
+LINE = np.arange(5) / 5.0
+POINTS = np.stack(np.meshgrid(LINE, LINE, LINE), axis=-1).reshape(-1, 3)
+VOLUME = np.random.default_rng(0).uniform(0.5, 1.5, len(POINTS)) / 125
+
+
 @pytest.fixture(scope="module")
 def modes():
-    """Modes on a grid of 125 cells of unlike volume, their depth below the top."""
-    line = np.arange(5) / 5.0
-    points = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
-    volume = np.random.default_rng(0).uniform(0.5, 1.5, len(points)) / 125
-    return make_field_modes(points, volume, 1.0 - points[:, 2])
+    """Modes on the grid, layers below its top."""
+    return make_field_modes(POINTS, VOLUME, 1.0 - POINTS[:, 2])
 
 
 def covariance(modes, prior):
@@ -23,11 +26,11 @@ def covariance(modes, prior):
         scaled = np.sqrt(3) * distance / length
         return (1 + scaled) * np.exp(-scaled)
 
-    distance = np.linalg.norm(modes.points[:, None] - modes.points, axis=2)
-    depth = np.abs(modes.points[:, None, 2] - modes.points[:, 2])
+    distance = np.linalg.norm(POINTS[:, None] - POINTS, axis=2)
+    depth = np.abs(POINTS[:, None, 2] - POINTS[:, 2])
     whole = prior.std**2 * matern(distance, prior.length)
     whole += prior.layer_std**2 * matern(depth, modes.lengths[0])
-    take = np.eye(len(whole)) - modes.volume / modes.volume.sum()
+    take = np.eye(len(whole)) - VOLUME / VOLUME.sum()
     return take @ whole @ take.T
 
 
@@ -42,14 +45,14 @@ def test_modes_have_the_covariance_of_the_prior(modes, number, layer_std):
 
 
 def test_fields_have_no_mean(modes):
-    assert np.abs(modes.volume @ modes.modes).max() < 1e-12
+    assert np.abs(VOLUME @ modes.modes).max() < 1e-12
 
 
 def measured(modes, prior, seed):
     """Linear observations of a field drawn from a prior, with noise of unit variance."""
     rng = np.random.default_rng(seed)
     fields = modes.modes @ modes.mixing_of(prior)
-    rows = rng.normal(size=(80, len(modes.points)))
+    rows = rng.normal(size=(80, len(POINTS)))
     return rows, rows @ fields @ rng.normal(size=fields.shape[1]) + rng.normal(size=80)
 
 
@@ -80,7 +83,7 @@ def test_the_prior_of_most_evidence_is_the_one_that_drew(modes, layer_std):
 
 def test_noise_alone_is_no_evidence(modes):
     rng = np.random.default_rng(5)
-    rows = rng.normal(size=(80, len(modes.points)))
+    rows = rng.normal(size=(80, len(POINTS)))
     effects = rows @ modes.modes
     most = [
         modes.best_prior(effects.T @ effects, effects.T @ rng.normal(size=80)).log_evidence

@@ -9,7 +9,7 @@ from surfaces import box
 
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, ResponseTerms
-from palpate.field.field_responses import make_field_model, no_field_reason
+from palpate.field.field_responses import make_field_model, no_field_reason, smooth_prior
 from palpate.records import Contact, Probing, Session, Support
 
 RATIO, PUSHES = 0.3, (((0.02, 0.02, 0.04), (0.3, 0.1, -1.0)), ((0.01, 0.0, 0.025), (0.0, 2.0, 0.5)))
@@ -72,8 +72,8 @@ def test_about_its_field_the_response_is_that_of_the_body_with_it(model):
     points, about = np.array([[0.03, 0.03, 0.04], [0.0, 0.02, 0.03]]), drawn(model, 1)
     none = model.moved(0.0 * about, RATIO)
     expansion = model.expanded(about, RATIO, none).with_slope()
-    given, mixing = session(), np.eye(len(about))
-    for k, seen in enumerate(expansion.observations(given, observations(points), mixing)):
+    given, prior = session(), smooth_prior(np.eye(len(about)))
+    for k, seen in enumerate(expansion.observations(given, observations(points), prior)):
         for ratio in (RATIO, RATIO + 0.01):
             change = model.moved(about, ratio) - model.moved(0.0 * about, ratio)
             expected = model.at(points) @ change[:, k]
@@ -86,7 +86,8 @@ def test_beside_its_field_the_error_of_the_response_is_of_second_order(model):
     nodes = model.body.solid.nodes[model.corners[::9]]
     about, step = drawn(model, 2), drawn(model, 3)
     expansion = model.expanded(about, RATIO, model.moved(0.0 * about, RATIO))
-    seen = expansion.observations(session(), observations(nodes), np.eye(len(about)))[0]
+    prior = smooth_prior(np.eye(len(about)))
+    seen = expansion.observations(session(), observations(nodes), prior)[0]
     errors = []
     for size in (0.1, 0.05):
         change = model.moved(about + size * step, RATIO) - model.moved(0.0 * about, RATIO)

@@ -72,7 +72,7 @@ def test_a_field_of_moduli_is_drawn_in_sections(tmp_path, session, result):
     above = centre[:, 2] > 0.02
     shown = ModulusMap(
         solid.nodes, solid.elements[:, :4], np.where(above, 0.5, -0.5),
-        np.full(len(above), 0.1), centre[:, 0] > 0.01,
+        np.full(len(above), 0.1), centre[:, 0] > 0.01, np.zeros((0, len(above))),
     )  # fmt: skip
     figure = modulus_figure(shown, FieldEstimate(0.4, 0.01, 50.0, 0.7))
     front = figure.axes[1]

@@ -1,6 +1,7 @@
 """Numbers as a person reads them."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from estimate_samples import constants
@@ -16,9 +17,11 @@ from palpate.records import (
     Constant,
     ErrorEstimate,
     Estimate,
+    RegionEstimate,
     Status,
     quantities,
     quantity,
+    region_row,
 )
 from palpate.records.quantities import (
     FILE_LENGTH_UNITS,
@@ -153,3 +156,15 @@ def test_a_vector_has_three_numbers():
     for bad in ("1 mm", (1, 2)):
         with pytest.raises(InputError, match=r"at is .*; must be three numbers"):
             quantities(bad, LENGTH_UNITS, "at")
+
+
+def test_a_region_has_a_row():
+    modulus = Constant(6e4, 1.5e3, (57e3, 63e3))
+    ratio = Constant(3.0, 0.1, (2.8, 3.2))
+    region = RegionEstimate("insert", ratio, modulus, modulus, "", True, True)
+    assert region_row(region) == (
+        "insert", "60.0 \u00b1 1.5 kPa", "60.0 \u00b1 1.5 kPa", "57.0 to 63.0 kPa", "2.80 to 3.20"
+    )  # fmt: skip
+    unknown = replace(region, identifiable=False)
+    assert region_row(unknown)[1:4] == ("not determined", "not determined", "(57.0 to 63.0 kPa)")
+    assert region_row(replace(unknown, is_seen=False))[1] == "not seen"

@@ -141,7 +141,10 @@ def written_nodes(name, folder):
         return mesh.points, len(mesh.cells_dict["tetra10"])
     if name == "calculix":
         lines = (folder / "model.inp").read_text().splitlines()
-        start, end = lines.index("*NODE, NSET=ALL"), lines.index("*ELEMENT, TYPE=C3D10, ELSET=BODY")
+        start, end = (
+            lines.index("*NODE, NSET=ALL"),
+            lines.index("*ELEMENT, TYPE=C3D10, ELSET=BODY1"),
+        )
         nodes = np.array([line.split(",")[1:] for line in lines[start + 1 : end]], dtype=float)
         return nodes, lines.index("*NSET, NSET=HELD") - end - 1
     if name == "febio":

@@ -71,6 +71,17 @@ def test_derivatives_are_those_of_the_displacements(body, forces):
         assert np.abs(derivative[:, :, k] - expected).max() < 1e-7 * np.abs(expected).max()
 
 
+def test_both_ways_to_the_derivatives_agree(body, forces):
+    rng = np.random.default_rng(5)
+    field, basis = rng.normal(size=body.weight.size), rng.normal(size=(body.weight.size, 2))
+    basis = csr_array(basis)
+    at = with_moduli(body, field, RATIO)
+    moved, seen = at.displacements(forces), np.eye(len(forces))[:, 60:90]
+    expected = at.sensitivities(at.displacements(seen), moved, basis)
+    found = at.changes(moved, basis)[:, 60:90]
+    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+
+
 def test_scaling_the_modulus_divides_the_displacement(body, forces):
     # Euler: the derivative along a constant field is minus the displacement.
     field = np.random.default_rng(3).normal(size=body.weight.size)

@@ -30,6 +30,7 @@ from palpate.records import (
     error_texts,
     length_unit,
     modulus_unit,
+    region_row,
     value_text,
 )
 
@@ -114,6 +115,19 @@ def constants_table(estimate: Estimate) -> Table:
     columns = ("constant", "value ± 1 sigma", "95 % interval", "unit")
     caption = " ".join(_captions(estimate))
     return terminal_table("Elastic constants", columns, rows, caption=caption)
+
+
+def regions_table(estimate: Estimate) -> Table:
+    """The regions with their moduli and intervals.
+
+    Parameters
+    ----------
+    estimate : Estimate             with regions
+    """
+    columns = ("region", "G ± 1 sigma", "E ± 1 sigma", "95 % interval of E", "ratio to the rest")
+    caption = "The constants above are those of the rest, Poisson's ratio that of all."
+    rows = map(region_row, estimate.regions)
+    return terminal_table("Regions", columns, rows, caption=caption)
 
 
 def held_out_table(predictions: Sequence[Prediction]) -> Table:

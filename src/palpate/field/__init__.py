@@ -16,4 +16,16 @@ from palpate.field.field_fit import (
     fit_field as fit_field,
 )
 from palpate.field.field_map import FieldPosterior as FieldPosterior
-from palpate.field.field_responses import no_field_reason as no_field_reason
+from palpate.field.field_responses import (
+    no_field_reason as no_field_reason,
+    nodal_load as nodal_load,
+)
+from palpate.field.map_response import (
+    MapResponse as MapResponse,
+    make_map_response as make_map_response,
+)
+from palpate.field.regions import (
+    RegionFit as RegionFit,
+    check_regions as check_regions,
+    fit_regions as fit_regions,
+)

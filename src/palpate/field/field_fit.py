@@ -19,7 +19,7 @@ from palpate.estimation import (
 )
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
-from palpate.field.field_responses import FieldExpansion, make_field_model
+from palpate.field.field_responses import FieldExpansion, make_field_model, smooth_prior
 from palpate.progress import Progress, silent
 from palpate.records import FieldEstimate, Session
 
@@ -28,7 +28,7 @@ _MOST_ROUNDS = 10
 _TOLERANCE = 0.03
 # Change of Poisson's ratio for which the finite elements are solved anew: what a field changes
 # hardly depends on it.
-_SAME_RATIO = 0.02
+SAME_RATIO = 0.02
 # Number of elements with which to ask whether there is a field at all.
 _FEW = 1000
 # Longest step of log G: derivatives are those of the body as it is.
@@ -65,12 +65,8 @@ class FieldFit:
         session : Session                           k probings
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
-        known, modes = self.expansion, self.expansion.model.modes
-        model = known.model.loaded(session)
-        homogeneous = model.moved(0.0 * known.coefficients, known.poisson_ratio)
-        expansion = model.expanded(known.coefficients, known.poisson_ratio, homogeneous)
-        mixing = modes.mixing_of(self.prior)
-        return expansion.with_slope().observations(session, observations, mixing)
+        prior = smooth_prior(self.expansion.model.modes.mixing_of(self.prior))
+        return self.expansion.of_pushes(session, observations, prior)
 
     def posterior(self, minimum: Evaluation) -> FieldPosterior:
         """What a fit of `observations` says of the field.
@@ -79,12 +75,12 @@ class FieldFit:
         ----------
         minimum : Evaluation
         """
-        where, model = _modes_in(minimum), self.expansion.model
+        where, model = modes_in(minimum), self.expansion.model
         fields = model.modes.modes @ model.modes.mixing_of(self.prior)
         return FieldPosterior(
             model.body.solid,
             model.body.volume,
-            model.body.means(model.body.linear @ fields),
+            model.body.means(model.values @ fields),
             minimum.theta[where],
             minimum.normal.covariance[np.ix_(where, where)],
         )
@@ -166,7 +162,7 @@ def fit_field(
         task = _Task(session, observations, expansion, settings)
         prior = modes.best_prior(*task.information(minimum, new))
         minimum = task.minimum(prior, minimum, new)
-        new = modes.mixing_of(prior) @ minimum.theta[_modes_in(minimum)]
+        new = modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)]
         change = float(np.abs(modes.modes @ (new - coefficients)).max())
         if change < _TOLERANCE:
             task = replace(task, expansion=expansion.with_slope())
@@ -174,7 +170,7 @@ def fit_field(
             observed = task.observations(modes.mixing_of(prior))
             return FieldFit(task.expansion, prior, evidence, observed)
         coefficients = coefficients + min(1.0, _LONGEST / change) * (new - coefficients)
-        if abs(minimum.poisson_ratio - ratio) > _SAME_RATIO:
+        if abs(minimum.poisson_ratio - ratio) > SAME_RATIO:
             ratio = minimum.poisson_ratio
             homogeneous = model.moved(np.zeros_like(coefficients), ratio)
     raise NotConvergedError(
@@ -193,7 +189,7 @@ class _Task:
     settings: FitSettings
 
     def observations(self, mixing: Float[np.ndarray, "b j"]) -> list[ProbeObservations]:
-        return self.expansion.observations(self.session, self.homogeneous, mixing)
+        return self.expansion.observations(self.session, self.homogeneous, smooth_prior(mixing))
 
     def minimum(
         self, prior: FieldPrior, start: Evaluation, coefficients: Float[np.ndarray, " b"]
@@ -213,7 +209,7 @@ class _Task:
         count = len(start)
         rows = tuple(map(observed_rows_of, self.observations(np.eye(count))))
         at = _with_modes(minimum, rows, start)
-        normal, where = at.normal, _modes_in(at)
+        normal, where = at.normal, modes_in(at)
         rest = np.setdiff1d(np.arange(len(normal.gradient)), where)
         common, gradient = normal.common, normal.gradient
         back = np.linalg.solve(common[np.ix_(rest, rest)], common[np.ix_(rest, where)]).T
@@ -237,8 +233,13 @@ def _with_modes(
     return Evaluation(problem.of(rows, (*others, *modes), theta), theta)
 
 
-def _modes_in(minimum: Evaluation) -> Int[np.ndarray, " j"]:
-    """Where the coefficients of a field are in theta, in their order."""
+def modes_in(minimum: Evaluation) -> Int[np.ndarray, " j"]:
+    """Where the coefficients of a field are in theta, in their order.
+
+    Parameters
+    ----------
+    minimum : Evaluation
+    """
     shared, first = minimum.problem.shared, minimum.problem.layout.errors.start
     own = [k for k, parameter in enumerate(shared) if parameter.is_material]
     return first + np.array(own, dtype=np.int64)

@@ -19,6 +19,8 @@ _SIGNIFICANT = 2.0
 # A part has at least this share of the body's volume: fewer elements are noise of the mesh.
 _SMALLEST_PART = 0.002
 _MOST_PARTS = 3
+# Directions of a field's uncertainty that predictions take along.
+_MOST_DIRECTIONS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +62,7 @@ class FieldPosterior:
             self.log_modulus,
             self.std,
             self.is_known,
+            leading_directions(self.fields, self.covariance),
         )
 
     @property
@@ -116,6 +119,22 @@ class FieldPosterior:
         x, y, z = (float(each) for each in weight @ self.centre[part] / weight.sum())
         size = float(6.0 * volume.sum() / np.pi) ** (1.0 / 3.0)
         return StiffPart((x, y, z), size, *(float(np.exp(each)) for each in (ratio, low, high)))
+
+
+def leading_directions(
+    fields: Float[np.ndarray, "m j"], covariance: Float[np.ndarray, "j j"]
+) -> Float[np.ndarray, "k m"]:
+    """Independent changes of a field, a standard deviation each, the largest first.
+
+    Parameters
+    ----------
+    fields : (m, j) float           per unit of each coefficient
+    covariance : (j, j) float       of the coefficients
+    """
+    value, vector = np.linalg.eigh(covariance)
+    every = fields @ (vector * np.sqrt(np.maximum(value, 0.0)))
+    order = np.argsort(-np.square(every).sum(axis=0), kind="stable")
+    return every[:, order[:_MOST_DIRECTIONS]].T
 
 
 def _weighted_median(values: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float:

@@ -52,8 +52,6 @@ class FieldModes:
 
     Attributes
     ----------
-    points : (m, 3) float [m]       at which a field is given
-    volume : (m,) float [m^3]       that belongs to each
     modes : (m, k + d) float [-]    Phi: of a prior of unit variance and the shortest length, then d
                                     of layers; without the mean over the volume, which is log G
                                     itself
@@ -61,8 +59,6 @@ class FieldModes:
     mixing : tuple of (k, j) float  L(1, l) of each length
     """
 
-    points: Points
-    volume: Float[np.ndarray, " m"]
     modes: Float[np.ndarray, "m kd"]
     lengths: Float[np.ndarray, " l"]
     mixing: tuple[Float[np.ndarray, "k _"], ...]
@@ -128,7 +124,7 @@ def make_field_modes(
         longer = root * _modes(points, volume, length)
         mixing.append(np.linalg.lstsq(root * modes, longer)[0])
     layers = _modes(depth[:, None], volume, lengths[0])
-    return FieldModes(points, volume, np.hstack([modes, layers]), lengths, tuple(mixing))
+    return FieldModes(np.hstack([modes, layers]), lengths, tuple(mixing))
 
 
 def _modes(

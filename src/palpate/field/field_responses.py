@@ -8,7 +8,7 @@ difference of a body with a field from one without, so that their own error canc
 d the difference at the coefficients b0 about which it is expanded, S its derivative there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from palpate.estimation import (
     ProbeObservations,
     ResponseModel,
     ResponseTerms,
+    Settlement,
 )
 from palpate.field.field_prior import FieldModes, make_field_modes
 from palpate.geometry import TriangleMesh, closest_points, enclosed_volume
@@ -40,7 +41,7 @@ from palpate.solids import (
 )
 
 # Number of elements; the volume of one over the cube of its edge.
-ELEMENTS, _VOLUME = 4500, 0.118
+ELEMENTS, VOLUME = 4500, 0.118
 # Change of Poisson's ratio for the derivative of d.
 _STEP = 0.005
 # Points along the side of a triangle where the pressure of a contact is taken.
@@ -50,18 +51,56 @@ _MODE, _SOURCE = "mode of the modulus", "modulus that differs from place to plac
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CoefficientPrior:
+    """Prior of a field's coefficients: b = mean + L xi, xi normal. The mean of a part whose own
+    modulus is known depends on the constants: it is that at a Poisson's ratio and a modulus.
+
+    Attributes
+    ----------
+    names : tuple of j str          of xi
+    mixing : (b, j) float           L
+    mean : (b,) float
+    by_ratio : (b,) float           derivative of the mean with respect to Poisson's ratio
+    by_log_modulus : (b,) float     the same with respect to log G
+    poisson_ratio, shear_modulus : float [-], [Pa]
+    """
+
+    names: tuple[str, ...]
+    mixing: Float[np.ndarray, "b j"]
+    mean: Float[np.ndarray, " b"]
+    by_ratio: Float[np.ndarray, " b"]
+    by_log_modulus: Float[np.ndarray, " b"]
+    poisson_ratio: float = 0.0
+    shear_modulus: float = 1.0
+
+
+def smooth_prior(mixing: Float[np.ndarray, "b j"]) -> CoefficientPrior:
+    """Prior of mean zero, b = L xi.
+
+    Parameters
+    ----------
+    mixing : (b, j) float           L
+    """
+    names = tuple(f"{_MODE} {j}" for j in range(mixing.shape[1]))
+    none = np.zeros(len(mixing))
+    return CoefficientPrior(names, mixing, none, none, none)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FieldModel:
     """Finite elements of a session's object, with the loads of its probings.
 
     Attributes
     ----------
     body : GradedBody
+    values : (m q, f) sparse        a field at the quadrature points, from what the modes are given as
     modes : FieldModes
     corners : (c,) int              nodes on the free surface at which derivatives are computed
     load : (3 n, k) float [N]       nodal forces of every probing
     """
 
     body: GradedBody
+    values: csr_array
     modes: FieldModes
     corners: Int[np.ndarray, " c"]
     load: Float[np.ndarray, "n3 k"]
@@ -80,7 +119,7 @@ class FieldModel:
         coefficients : (b,) float       of the modes
         poisson_ratio : float [-]
         """
-        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
+        log_modulus = self.values @ (self.modes.modes @ coefficients)
         return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
 
     def expanded(
@@ -97,14 +136,19 @@ class FieldModel:
         poisson_ratio : float [-]
         homogeneous : (3 n, k) float [m Pa]     `moved` of the body without a field
         """
-        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
+        log_modulus = self.values @ (self.modes.modes @ coefficients)
         stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
         moved = stiffness.displacements(self.load)
         unknowns = (3 * self.corners[:, None] + np.arange(3)).ravel()
-        observed = np.zeros((len(moved), len(unknowns)))
-        observed[unknowns, np.arange(len(unknowns))] = 1.0
-        seen = stiffness.displacements(observed)
-        derivative = stiffness.sensitivities(seen, moved, self.body.linear) @ self.modes.modes
+        basis = self.modes.modes
+        # Whichever takes fewer solutions.
+        if basis.shape[1] * moved.shape[1] < len(unknowns):
+            derivative = stiffness.changes(moved, self.values @ csr_array(basis))[:, unknowns]
+        else:
+            observed = np.zeros((len(moved), len(unknowns)))
+            observed[unknowns, np.arange(len(unknowns))] = 1.0
+            seen = stiffness.displacements(observed)
+            derivative = stiffness.sensitivities(seen, moved, self.values) @ basis
         change = moved - homogeneous
         none = np.zeros_like(change)
         return FieldExpansion(self, coefficients, poisson_ratio, change, none, derivative)
@@ -156,27 +200,42 @@ class FieldExpansion:
         change -= self.model.moved(0.0 * self.coefficients, beside)
         return replace(self, slope=(change - self.change) / _STEP)
 
+    def of_pushes(
+        self,
+        session: Session,
+        observations: Sequence[ProbeObservations],
+        prior: CoefficientPrior,
+    ) -> list[ProbeObservations]:
+        """The same field's observations of other pushes of the same body.
+
+        Parameters
+        ----------
+        session : Session           k probings
+        observations : sequence of k ProbeObservations      of the homogeneous body
+        prior : CoefficientPrior
+        """
+        model = self.model.loaded(session)
+        homogeneous = model.moved(0.0 * self.coefficients, self.poisson_ratio)
+        expansion = model.expanded(self.coefficients, self.poisson_ratio, homogeneous)
+        return expansion.with_slope().observations(session, observations, prior)
+
     def observations(
         self,
         session: Session,
         observations: Sequence[ProbeObservations],
-        mixing: Float[np.ndarray, "b j"],
+        prior: CoefficientPrior,
     ) -> list[ProbeObservations]:
-        """Observations with the field's response, its coefficients L xi with xi as errors of unit
-        standard deviation that all probings share.
+        """Observations with the field's response, its coefficients by xi as errors of unit standard
+        deviation that all probings share.
 
         Parameters
         ----------
         session : Session
         observations : sequence of k ProbeObservations      of the homogeneous body
-        mixing : (b, j) float           L
+        prior : CoefficientPrior
         """
-        names = (f"{_MODE} {j}" for j in range(mixing.shape[1]))
-        parameters = tuple(
-            NuisanceParameter(name, 1.0, of=_SOURCE, is_material=True) for name in names
-        )
         return [
-            self._observed(k, session, probing, probe, mixing, parameters)
+            self._observed(k, session, probing, probe, prior)
             for k, (probing, probe) in enumerate(zip(session.probings, observations, strict=True))
         ]
 
@@ -186,8 +245,7 @@ class FieldExpansion:
         session: Session,
         probing: Probing,
         probe: ProbeObservations,
-        mixing: Float[np.ndarray, "b j"],
-        parameters: tuple[NuisanceParameter, ...],
+        prior: CoefficientPrior,
     ) -> ProbeObservations:
         tip = np.zeros((0, 3))
         if probe.tip_displacement is not None:
@@ -195,22 +253,37 @@ class FieldExpansion:
         points = np.concatenate([probe.position, tip])
         derivative = self.model.from_corners(points) @ self.derivative[index]
         along = probe.force / (probe.force @ probe.force)
-        response = self._changed(
-            index, probe.response, along, points, -derivative @ self.coefficients
+        offset, drift = (
+            derivative @ each for each in (prior.mean - self.coefficients, prior.by_ratio)
         )
+        response = self._changed(index, probe.response, along, points, offset, drift)
         vertices = probe.vertices
         if vertices is not None:
             points = np.concatenate([session.mesh.vertices, tip])
-            vertices = self._changed(index, vertices, along, points, np.zeros(points.size))
-        mixed = derivative @ mixing
+            none = np.zeros(points.size)
+            vertices = self._changed(index, vertices, along, points, none, none)
+        mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
+
+        def settled(_: float) -> Float[np.ndarray, "n_rows c"]:
+            columns = np.zeros((len(rising), 4 + len(probe.motion)))
+            columns[:, :3] = rising[:, None] * along
+            return columns
 
         def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
             moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[1]))
             moved[:, 0, :3] = along[:, None] * mixed[at.rows, None]
             return moved
 
-        nuisances = (*probe.nuisances, Nuisance(parameters, effects))
-        return replace(probe, response=response, vertices=vertices, nuisances=nuisances)
+        parameters = tuple(
+            NuisanceParameter(name, 1.0, of=_SOURCE, is_material=True) for name in prior.names
+        )
+        settlement = (
+            Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
+        )
+        return replace(
+            probe, response=response, vertices=vertices, settlement=settlement,
+            nuisances=(*probe.nuisances, Nuisance(parameters, effects)),
+        )  # fmt: skip
 
     def _changed(
         self,
@@ -219,9 +292,10 @@ class FieldExpansion:
         along: Float[np.ndarray, "3"],
         points: Points,
         offset: Float[np.ndarray, " n_rows"],
+        drift: Float[np.ndarray, " n_rows"],
     ) -> "_Changed":
         every = self.model.at(points)
-        change, slope = every @ self.change[:, index] + offset, every @ self.slope[:, index]
+        change, slope = every @ self.change[:, index] + offset, every @ self.slope[:, index] + drift
         return _Changed(response, along, self.poisson_ratio, change, slope)
 
 
@@ -266,15 +340,34 @@ def make_field_model(
     if reason := no_field_reason(session):
         raise InputError(f"{reason} Fit with --material homogeneous")
     solid = _filled(session.mesh, [each * elements for each in times])
+
+    def modes_of(body: GradedBody) -> tuple[csr_array, FieldModes]:
+        depth = _depth(session, body.corners)
+        return body.linear, make_field_modes(body.corners, body.corner_volume, depth)
+
+    return field_model(session, solid, modes_of)
+
+
+def field_model(
+    session: Session,
+    solid: Solid,
+    modes_of: Callable[[GradedBody], tuple[csr_array, FieldModes]],
+) -> FieldModel:
+    """The finite elements of a solid with the loads of a session's probings.
+
+    Parameters
+    ----------
+    session : Session               its contacts with radii
+    solid : Solid
+    modes_of : callable             gives `values` and `modes`
+    """
     held = held_nodes(solid, session.held_triangles)
     body = make_graded_body(solid, held)
     corners = np.unique(solid.facets[:, :3])
     return FieldModel(
-        body,
-        make_field_modes(body.corners, body.corner_volume, _depth(session, body.corners)),
-        corners[~held[corners]],
+        body, *modes_of(body), corners[~held[corners]],
         _nodal_loads(session, solid),
-    )
+    )  # fmt: skip
 
 
 def _depth(session: Session, points: Points) -> Float[np.ndarray, " p"]:
@@ -284,14 +377,18 @@ def _depth(session: Session, points: Points) -> Float[np.ndarray, " p"]:
 
 
 def no_field_reason(session: Session) -> str:
-    """Why no field of moduli is computed for a session, as a full sentence; empty where one is.
+    """Why no modulus that differs from place to place is computed for a session, as a full
+    sentence; empty where one is.
 
     Parameters
     ----------
     session : Session
     """
     if len(session.probings) < 2:
-        return "A field of moduli takes pushes at several places; this is a single one."
+        return (
+            "A modulus that differs from place to place takes pushes at several places; this is a"
+            " single one."
+        )
     supports = session.supports
     # One support that moves takes the whole body along, whatever its moduli.
     still = len(supports) == 1 or all(support.motion == FIXED for support in supports)
@@ -301,9 +398,9 @@ def no_field_reason(session: Session) -> str:
     if still and rigid and not pulled and not loaded:
         return ""
     return (
-        "A field of moduli is computed for an object on a support that holds it still, pushed by"
-        " one tool at a time: springs, rollers, supports that move against each other, further"
-        " loads and weight are not among that."
+        "A modulus that differs from place to place is computed for an object on a support that"
+        " holds it still, pushed by one tool at a time: springs, rollers, supports that move"
+        " against each other, further loads and weight are not among that."
     )
 
 
@@ -311,7 +408,7 @@ def _filled(mesh: TriangleMesh, counts: Sequence[int]) -> Solid:
     """The body in the fewest elements that fit into it."""
     volume = enclosed_volume(mesh)
     for count in counts:
-        edge = (volume / (_VOLUME * count)) ** (1.0 / 3.0)
+        edge = (volume / (VOLUME * count)) ** (1.0 / 3.0)
         try:
             return make_solid(mesh, edge=edge)
         except MeshError:
@@ -331,13 +428,38 @@ def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.nd
     patch = find_contact_patch(
         session.mesh, probing.contact, session.held_triangles, name=probing.name
     )
+    return nodal_load(session.mesh, patch.triangles, patch.density, probing.force, solid)
+
+
+def nodal_load(
+    mesh: TriangleMesh,
+    triangles: Int[np.ndarray, " k"],
+    density: Callable[..., Float[np.ndarray, " s"]],
+    force: Float[np.ndarray, "3"],
+    solid: Solid,
+) -> Float[np.ndarray, " n3"]:
+    """Nodal forces of a traction on a surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    triangles : (k,) int            that carry it
+    density : function              triangle, barycentric coordinates, position -> (s,) float: the
+                                    traction there, up to a factor
+    force : (3,) float [N]          its resultant
+    solid : Solid
+
+    Returns
+    -------
+    (3 n,) float [N]
+    """
     inside = inner_points(_SAMPLES)
-    triangle = np.repeat(patch.triangles, len(inside))
-    barycentric = np.tile(inside, (len(patch.triangles), 1))
-    corner = session.mesh.vertices[session.mesh.triangles[triangle]]
+    triangle = np.repeat(triangles, len(inside))
+    barycentric = np.tile(inside, (len(triangles), 1))
+    corner = mesh.vertices[mesh.triangles[triangle]]
     position = np.einsum("nv,nva->na", barycentric, corner)
     side = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    weight = patch.density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
+    weight = density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
     pressed = weight > 0.0
     share = surface_values(solid, position[pressed]).T @ weight[pressed]
-    return np.outer(share / share.sum(), probing.force).ravel()
+    return np.outer(share / share.sum(), force).ravel()

@@ -72,8 +72,8 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     `likelihood.png` shows the regions of Poisson's ratio and shear modulus, `probings.png` the
     constants of each probing alone, `predictions.png` the predictions of each probing from the
     others, `errors.png` the estimated systematic errors, `budget.png` the uncertainty budget,
-    `reciprocity.png` how well pushes agree whatever the material,
-    `reciprocity.png` how well pushes agree whatever the material,
+    `reciprocity.png` how well pushes agree whatever the material, `modulus.png` where the modulus
+    differs,
     `displacement/NAME.png` the measured and predicted displacement of each probing on the object's
     surface.
 
@@ -118,9 +118,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
 
 
 def _modulus_figure(result: FitResult) -> Figure | None:
-    if result.map is None or result.estimate.field is None:
-        return None
-    return modulus_figure(result.map, result.estimate.field)
+    return None if result.map is None else modulus_figure(result.map, result.estimate.field)
 
 
 @styled

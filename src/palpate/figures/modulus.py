@@ -1,18 +1,15 @@
 """Figure of a modulus that differs from place to place: three sections through the body."""
 
 import numpy as np
-from jaxtyping import Float, Int
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
 
 from palpate.figures.style import GREY, INK, styled
 from palpate.records import FieldEstimate, ModulusMap
-from palpate.shapes import Points
 
 _MM = 1e3
-# Pixels along the longer side of a section, and elements that may hold one: the nearest ones.
-_PIXELS, _NEAREST = 240, 24
+# Pixels along the longer side of a section.
+_PIXELS = 240
 # Horizontal and vertical axis of each section.
 _PLANES = ((0, 1), (0, 2), (1, 2))
 _NAMES = "xyz"
@@ -21,13 +18,14 @@ _LEAST_RANGE = 1.5
 
 
 @styled
-def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
+def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     """Sections along the axes through the part that differs most, or the middle of the body.
 
     Parameters
     ----------
     modulus : ModulusMap
-    field : FieldEstimate
+    field : FieldEstimate or None   None: of regions, through the middle of what differs from the
+                                    rest
 
     Returns
     -------
@@ -35,9 +33,11 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
     """
     corner = modulus.nodes[modulus.tetrahedra]
     low, high = modulus.nodes.min(axis=0), modulus.nodes.max(axis=0)
-    through = np.array(field.parts[0].centre) if field.parts else 0.5 * (low + high)
-    inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
-    tree = cKDTree(corner.mean(axis=1))
+    through = 0.5 * (low + high)
+    if field is None:
+        through = corner.mean(axis=1)[modulus.log_modulus != 0.0].mean(axis=0)
+    elif field.parts:
+        through = np.array(field.parts[0].centre)
     size = high - low
     widths = [size[i] for i, _ in _PLANES]
     figure = Figure(figsize=(7.6, 3.1))
@@ -52,7 +52,7 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
         across, up = (np.arange(low[a] + 0.5 * step, high[a], step) for a in (i, j))
         points = np.tile(through, (len(up), len(across), 1))
         points[..., i], points[..., j] = np.meshgrid(across, up)
-        element = _element_at(points.reshape(-1, 3), corner, inverse, tree)
+        element = modulus.element_at(points.reshape(-1, 3))
         inside = (element >= 0).reshape(points.shape[:2])
         shown = inside & modulus.is_known[element].reshape(inside.shape)
         ratio = np.exp(modulus.log_modulus[element]).reshape(inside.shape)
@@ -70,11 +70,12 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate) -> Figure:
         axes.set_xlabel(f"{_NAMES[i]} (mm)")
         axes.set_ylabel(f"{_NAMES[j]} (mm)")
     bar = figure.colorbar(image, cax=figure.add_axes((0.89, 0.2, 0.015, 0.6)))
-    bar.set_label("modulus over its mean")
+    bar.set_label("modulus over that of the rest" if field is None else "modulus over its mean")
     ticks = _ticks(span)
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.ax.minorticks_off()
-    figure.text(0.065, 0.965, "Grey: the data do not tell the modulus", color=GREY, va="top")
+    if not modulus.is_known.all():
+        figure.text(0.065, 0.965, "Grey: the data do not tell the modulus", color=GREY, va="top")
     return figure
 
 
@@ -82,18 +83,3 @@ def _ticks(span: float) -> list[float]:
     """Ratios to label, symmetric about 1."""
     steps = [step for step in (1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0) if step <= span][-2:]
     return sorted([*(round(1.0 / step, 3) for step in steps), 1.0, *steps])
-
-
-def _element_at(
-    points: Points,
-    corner: Float[np.ndarray, "m 4 3"],
-    inverse: Float[np.ndarray, "m 3 3"],
-    tree: cKDTree,
-) -> Int[np.ndarray, " n"]:
-    """Element that holds each point; -1 outside the body."""
-    near = tree.query(points, min(_NEAREST, len(corner)))[1].reshape(len(points), -1)
-    share = np.einsum("nkab,nkb->nka", inverse[near], points[:, None] - corner[near, 0])
-    least = np.minimum(share.min(axis=2), 1.0 - share.sum(axis=2))
-    best = least.argmax(axis=1)
-    rows = np.arange(len(points))
-    return np.where(least[rows, best] > -0.02, near[rows, best], -1)

@@ -81,6 +81,7 @@ from palpate.pipeline.result_files import (
     FittedProbing as FittedProbing,
     FittedSurface as FittedSurface,
     read_fitted_surface as read_fitted_surface,
+    read_modulus as read_modulus,
     seen_vertices as seen_vertices,
     write_fitted_surface as write_fitted_surface,
     write_flow_npz as write_flow_npz,

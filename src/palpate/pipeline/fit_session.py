@@ -19,8 +19,7 @@ from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.heterogeneous import (
     Material,
     Predictor,
-    fit_with_field,
-    wants_field,
+    fit_material,
 )
 from palpate.pipeline.model.contact_loads import OUTWARD_ERROR, RADIUS_ERROR
 from palpate.pipeline.model.grading import graded_session, refined_session
@@ -123,11 +122,11 @@ def fit_session(
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
     last = part_of(progress, _FIT_STARTS, 1.0)
-    result, field = fit(observations, settings=settings, progress=last), None
     if finite_strain:
+        result, field = fit(observations, settings=settings, progress=last), None
         result = fit_at_finite_strain(refined, observations, result, settings, last)
-    elif wants_field(material, graded, observations, result):
-        result, field = fit_with_field(graded, observations, result, material, settings, last)
+    else:
+        result, field = fit_material(material, graded, observations, settings, last)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)

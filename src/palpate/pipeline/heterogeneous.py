@@ -15,7 +15,15 @@ from palpate.estimation import (
     fit,
     predictions_of,
 )
-from palpate.field import DECISIVE, FieldFit, field_evidence, fit_field, no_field_reason
+from palpate.field import (
+    DECISIVE,
+    FieldFit,
+    RegionFit,
+    field_evidence,
+    fit_field,
+    fit_regions,
+    no_field_reason,
+)
 from palpate.pipeline.contacts import has_tools, with_contact_radii
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.object_model import make_object_model
@@ -34,10 +42,12 @@ _USABLE = 0.5
 
 
 class Material(StrEnum):
-    """What an object may be made of: one material; a field of moduli where the data are decisively
-    likelier with one; or the latter only where one material leaves something to be desired."""
+    """What an object may be made of: one material; the regions that its session names; a field of
+    moduli where the data are decisively likelier with one; or regions where there are any, and a
+    field only where one material leaves something to be desired."""
 
     HOMOGENEOUS = "homogeneous"
+    REGIONS = "regions"
     FIELD = "field"
     AUTO = "auto"
 
@@ -49,12 +59,12 @@ class Predictor:
     Attributes
     ----------
     minimum : Evaluation
-    field : FieldFit or None        None: the object is the same everywhere
+    field : FieldFit, RegionFit or None     None: the object is the same everywhere
     settings : FitSettings
     """
 
     minimum: Evaluation
-    field: FieldFit | None
+    field: FieldFit | RegionFit | None
     settings: FitSettings
 
     def __call__(self, session: Session) -> tuple[Prediction, ...]:
@@ -84,6 +94,65 @@ class Predictor:
         if self.field is not None:
             observations = self.field.with_field(graded, observations)
         return predictions_of(self.minimum, observations)
+
+
+def fit_material(
+    material: Material,
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    settings: FitSettings,
+    progress: Progress,
+) -> tuple[FitResult, FieldFit | RegionFit | None]:
+    """The fit with what the object may be made of.
+
+    Parameters
+    ----------
+    material : Material
+    session : Session                           k probings
+    observations : sequence of k ProbeObservations      with the homogeneous body's response
+    settings : FitSettings
+    progress : callable
+
+    Returns
+    -------
+    FitResult
+    FieldFit, RegionFit or None                 None: one modulus everywhere
+
+    Raises
+    ------
+    InputError                      regions are asked for, and there are none; a field or regions
+                                    that are not computed for such a session
+    MeshError, NotConvergedError    as `fit_field`, `fit_regions`
+    """
+    if material is Material.REGIONS and not session.regions:
+        raise InputError(
+            f"{session.path}: has no [[region]] table, but --material regions asks for them: say"
+            " which parts have a modulus of their own"
+        )
+    if session.regions and material in (Material.REGIONS, Material.AUTO):
+        return _fit_with_regions(session, observations, settings, progress)
+    result = fit(observations, settings=settings, progress=progress)
+    if not wants_field(material, session, observations, result):
+        return result, None
+    return fit_with_field(session, observations, result, material, settings, progress)
+
+
+def _fit_with_regions(
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    settings: FitSettings,
+    progress: Progress,
+) -> tuple[FitResult, RegionFit]:
+    """The fit with a modulus for every region of the session."""
+    report = part_of(progress, 0.0, _FOUND)
+    regions = fit_regions(session, observations, settings=settings, progress=report)
+    result = fit(regions.observations, settings=settings, progress=part_of(progress, _FOUND, 1.0))
+    estimate, estimates = result.estimate, regions.estimates(result.minimum)
+    if estimate.status is Status.MODEL_CONTRADICTED:
+        estimates = tuple(each.without_interval for each in estimates)
+    notes = tuple(each.note for each in estimates if each.note)
+    estimate = replace(estimate, regions=estimates, notes=(*estimate.notes, *notes))
+    return replace(result, estimate=estimate, map=regions.map(result.minimum)), regions
 
 
 def wants_field(

@@ -16,6 +16,7 @@ from palpate.bem import (
     make_elastic_map,
 )
 from palpate.errors import InputError
+from palpate.field import make_map_response, nodal_load
 from palpate.geometry import bounding_diagonal, interpolation_matrix, unit_normals
 from palpate.pipeline.contacts import settled_contact
 from palpate.pipeline.model.contact_loads import outward_pushes, surface_load
@@ -30,7 +31,7 @@ from palpate.pipeline.model.supports import (
 )
 from palpate.probe import find_contact_patch
 from palpate.progress import Progress, silent
-from palpate.records import Contact, Session, require_probings
+from palpate.records import Contact, ModulusMap, Session, require_probings
 from palpate.shapes import Points, Vector3
 
 
@@ -69,6 +70,7 @@ def poke_session(
     *,
     shear_modulus: float,
     poisson_ratio: float,
+    modulus: ModulusMap | None = None,
     interior: Points | None = None,
     cache: Path | None = None,
     progress: Progress = silent,
@@ -83,6 +85,7 @@ def poke_session(
                                         force and the constants
     shear_modulus : float [Pa]          > 0
     poisson_ratio : float [-]           -1 < nu <= 0.5
+    modulus : ModulusMap or None        None: the same everywhere
     interior : (n, 3) float [m]         points inside the object, at least 5 % of a triangle's
                                         radius from its surface
     cache : Path or None                folder in which what is computed of the body is kept
@@ -94,12 +97,18 @@ def poke_session(
 
     Raises
     ------
-    InputError                          constants out of range, a contact off the surface or on the
+    InputError                          points inside a body that is not the same everywhere;
+                                        constants out of range, a contact off the surface or on the
                                         support, a tool that pulls or is buried, a point outside or
                                         too close to the surface
     SingularSystemError                 the support does not hold the object
     NotConvergedError                   the iteration for a large object does not converge
     """
+    if modulus is not None and interior is not None:
+        raise InputError(
+            "points inside are computed where the modulus is the same everywhere, but this object"
+            " has a map of it: leave --interior out"
+        )
     contact = settled_contact(
         session, contact, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
     )
@@ -125,6 +134,11 @@ def poke_session(
     loads, forces = zip(*pushes, strict=True)
     states = elastic_map.respond(loads, np.array(forces))
     displacement = np.sum([state.displacement for state in states], axis=0)
+    if modulus is not None:
+        changed = make_map_response(session, modulus, poisson_ratio)
+        load = nodal_load(session.mesh, patch.triangles, patch.density, force, changed.solid)
+        change = changed.at(session.mesh.vertices) @ changed.change(load[:, None])
+        displacement = displacement + change.reshape(-1, 3) / shear_modulus
     progress("interior points", 0.8)
     inside = None
     if interior is not None:

@@ -43,7 +43,7 @@ from palpate.vision import (
 )
 
 RANGE_FLOW_FORMAT = "palpate-range-flow/1"
-MODULUS_FORMAT = "palpate-modulus/1"
+MODULUS_FORMAT = "palpate-modulus/2"
 _HELD_OUT = "x,y,z,ux,uy,uz,px,py,pz,sx,sy,sz"
 _RESIDUALS = "x,y,z,ux,uy,uz,predicted_ux,predicted_uy,predicted_uz,weight_x,weight_y,weight_z"
 SURFACE_FILE = "surface.npz"
@@ -95,6 +95,30 @@ def write_modulus(path: Path, modulus: ModulusMap) -> None:
     """
     content = {each.name: getattr(modulus, each.name) for each in fields(modulus)}
     np.savez_compressed(path, format=np.array(MODULUS_FORMAT), **content)
+
+
+def read_modulus(path: Path) -> ModulusMap | None:
+    """Read a map of the modulus back.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ModulusMap or None              None: there is no such file, the modulus is one everywhere
+
+    Raises
+    ------
+    RecordError                     unreadable, of another version or inconsistent
+    """
+    if not path.is_file():
+        return None
+    cure = "fit the session again"
+    with stored_arrays(path, cure, what="is damaged or of another version") as kept:
+        if str(kept.pop("format")) != MODULUS_FORMAT:
+            raise ValueError(f"format is not '{MODULUS_FORMAT}'")
+        return ModulusMap(**kept)
 
 
 def write_residuals(folder: Path, session: Session, result: FitResult) -> None:

@@ -34,6 +34,7 @@ from palpate.records.estimate import (
     ErrorEstimate as ErrorEstimate,
     Estimate as Estimate,
     ProbeEstimate as ProbeEstimate,
+    RegionEstimate as RegionEstimate,
     Status as Status,
     SupportEstimate as SupportEstimate,
 )
@@ -130,6 +131,7 @@ from palpate.records.quantities import (
     modulus_unit as modulus_unit,
     quantities as quantities,
     quantity as quantity,
+    region_row as region_row,
     value_text as value_text,
     verdict_text as verdict_text,
 )
@@ -137,6 +139,16 @@ from palpate.records.reciprocity import (
     ForceExcess as ForceExcess,
     Reciprocity as Reciprocity,
     WorkPair as WorkPair,
+)
+from palpate.records.region import (
+    RATIO as RATIO,
+    SHEAR as SHEAR,
+    YOUNG as YOUNG,
+    Box as Box,
+    Insert as Insert,
+    Layer as Layer,
+    Region as Region,
+    Skin as Skin,
 )
 from palpate.records.rig import (
     DISTORTION_TERMS as DISTORTION_TERMS,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from enum import StrEnum, auto
 from typing import Any
@@ -305,6 +305,53 @@ class ProbeEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class RegionEstimate:
+    """The modulus of a region of the object; Poisson's ratio is that of the rest.
+
+    Parameters
+    ----------
+    name : str
+    ratio : Constant                shear modulus over that of the rest
+    shear_modulus, young_modulus : Constant
+    known : str                     what the session knew of it (`Region`); empty: nothing
+    identifiable : bool             whether data and session determine it
+    is_seen : bool                  False: the pushes say nothing about it
+    """
+
+    name: str
+    ratio: Constant
+    shear_modulus: Constant
+    young_modulus: Constant
+    known: str
+    identifiable: bool
+    is_seen: bool
+
+    @property
+    def note(self) -> str:
+        """A sentence for the reader where the modulus is not determined; empty where it is."""
+        if not self.is_seen:
+            return (
+                f"No push sees region {self.name!r}: the data say nothing about its modulus. Push"
+                " closer to it, or give its modulus."
+            )
+        if self.identifiable:
+            return ""
+        return (
+            f"The modulus of region {self.name!r} is not determined: pushes closer to it would tell"
+            " more."
+        )
+
+    @property
+    def without_interval(self) -> "RegionEstimate":
+        """The same of a model that does not fit, which has no intervals."""
+        ratio, shear, young = (
+            Constant(each.value, math.nan, (math.nan, math.nan))
+            for each in (self.ratio, self.shear_modulus, self.young_modulus)
+        )
+        return replace(self, ratio=ratio, shear_modulus=shear, young_modulus=young)
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """The elastic constants of the object, estimated from all its probings.
 
@@ -324,7 +371,9 @@ class Estimate:
                                     contribution to Young's modulus first
     details : tuple of str          further sentences, for those who want to know all
     reciprocity : Reciprocity or None    test of the pushes against each other; None: not made
-    field : FieldEstimate or None   None: one modulus everywhere
+    field : FieldEstimate or None   None: one modulus everywhere, or regions
+    regions : tuple of RegionEstimate   parts with moduli of their own; the constants are then those
+                                    of the rest
 
     Raises
     ------
@@ -347,6 +396,7 @@ class Estimate:
     details: tuple[str, ...] = ()
     reciprocity: Reciprocity | None = None
     field: FieldEstimate | None = None
+    regions: tuple[RegionEstimate, ...] = ()
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

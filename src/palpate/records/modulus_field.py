@@ -4,10 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
 from palpate.shapes import Points
+
+# Elements that may hold a point: the nearest ones; and how far outside one still counts, over its
+# size.
+_NEAREST, _OUTSIDE = 24, -0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +105,11 @@ class ModulusMap:
     ----------
     nodes : (n, 3) float [m]
     tetrahedra : (m, 4) int
-    log_modulus : (m,) float        logarithm of the modulus over the mean one
+    log_modulus : (m,) float        logarithm of the modulus over the mean one, or that of the rest
     std : (m,) float                standard deviation of it
     is_known : (m,) bool            where the data tell it
+    directions : (k, m) float       independent changes of `log_modulus`, a standard deviation each:
+                                    those that matter most
 
     Raises
     ------
@@ -114,10 +121,31 @@ class ModulusMap:
     log_modulus: Float[np.ndarray, " m"]
     std: Float[np.ndarray, " m"]
     is_known: Bool[np.ndarray, " m"]
+    directions: Float[np.ndarray, "k m"]
 
     def __post_init__(self) -> None:
         count = len(self.tetrahedra)
+        fix_fields(self, directions=(None, count))
         fix_fields(self, nodes=(None, 3), log_modulus=(count,), std=(count,))
         fix_fields(self, integer=True, tetrahedra=(None, 4))
+        if self.tetrahedra.min(initial=0) < 0 or self.tetrahedra.max(initial=0) >= len(self.nodes):
+            raise InputError(f"tetrahedra name nodes outside 0 to {len(self.nodes) - 1}")
         if self.is_known.shape != (count,):
             raise InputError(f"is_known has shape {self.is_known.shape}; must be ({count},)")
+
+    def element_at(self, points: Points) -> Int[np.ndarray, " n"]:
+        """Element that holds each point; -1 outside the body.
+
+        Parameters
+        ----------
+        points : (n, 3) float [m]
+        """
+        corner = self.nodes[self.tetrahedra]
+        inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
+        nearest = cKDTree(corner.mean(axis=1)).query(points, min(_NEAREST, len(corner)))[1]
+        near = nearest.reshape(len(points), -1)
+        share = np.einsum("nkab,nkb->nka", inverse[near], points[:, None] - corner[near, 0])
+        least = np.minimum(share.min(axis=2), 1.0 - share.sum(axis=2))
+        best = least.argmax(axis=1)
+        rows = np.arange(len(points))
+        return np.where(least[rows, best] > _OUTSIDE, near[rows, best], -1)

@@ -9,7 +9,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from palpate.errors import InputError
-from palpate.records.estimate import BIASED, BudgetEntry, Constant, ErrorEstimate, Estimate, Status
+from palpate.records.estimate import (
+    BIASED,
+    BudgetEntry,
+    Constant,
+    ErrorEstimate,
+    Estimate,
+    RegionEstimate,
+    Status,
+)
 from palpate.shapes import Vector3
 
 # SI unit of an error -> factor to the unit in which it is shown, and name of that unit.
@@ -162,6 +170,31 @@ def constant_row(estimate: Estimate, name: str) -> tuple[str, str, str]:
     if not estimate.identifiable[name]:
         return NOT_DETERMINED, f"({interval})", unit
     return constant_text(constant, factor=factor), interval, unit
+
+
+def region_row(region: RegionEstimate) -> tuple[str, str, str, str, str]:
+    """A region in a table.
+
+    Parameters
+    ----------
+    region : RegionEstimate
+
+    Returns
+    -------
+    five str                        name; shear and Young's modulus, with their unit, or
+                                    `not determined`; interval of the latter, in brackets where it
+                                    is not determined; ratio of moduli to the rest, its interval
+    """
+    factor, unit = modulus_unit(region.young_modulus.value)
+    interval = f"{interval_text(region.young_modulus, factor=factor)} {unit}"
+    if not region.identifiable:
+        what = NOT_DETERMINED if region.is_seen else "not seen"
+        return region.name, what, what, f"({interval})", f"({interval_text(region.ratio)})"
+    shear, young = (
+        f"{constant_text(each, factor=factor)} {unit}"
+        for each in (region.shear_modulus, region.young_modulus)
+    )
+    return region.name, shear, young, interval, interval_text(region.ratio)
 
 
 def verdict_text(estimate: Estimate) -> str:

@@ -16,6 +16,7 @@ from palpate.geometry import TriangleMesh
 from palpate.records.contact import RIGID
 from palpate.records.error_priors import ErrorPriors
 from palpate.records.probing import Probing
+from palpate.records.region import Region
 from palpate.records.support import FIXED, FREE, GIVEN, Support
 from palpate.records.text.text_file import check_file_names
 from palpate.shapes import Indices, Vector3
@@ -84,6 +85,7 @@ class Session:
     smooth : bool                   True: the mesh samples a smooth object, with edges where its
                                     triangles meet at more than 40 degrees; False: the object has
                                     exactly the flat facets of the mesh
+    regions : tuple of Region       parts with a modulus of their own; by default none
 
     Raises
     ------
@@ -108,6 +110,7 @@ class Session:
     supports: tuple[Support, ...] = ()
     errors: ErrorPriors = field(default_factory=ErrorPriors)
     smooth: bool = True
+    regions: tuple[Region, ...] = ()
 
     def __post_init__(self) -> None:
         fix_fields(self, integer=True, held_triangles=(None,))

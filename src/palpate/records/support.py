@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from palpate.arrays import fix_fields, fixed_array
 from palpate.errors import InputError, RecordError, quoted
@@ -212,27 +212,7 @@ def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: flo
     ------
     RecordError                     an invalid selector, an empty support, or the whole surface
     """
-    support.check_keys(_SELECTORS)
-    if not support.values:
-        support.fail("", f"is empty; give at least one of {', '.join(_SELECTORS)}")
-    held = np.zeros(len(mesh.triangles), dtype=bool)
-    nearest = ""
-    for key in ("plane", "box"):
-        if support.values.get(key) == []:
-            support.fail(key, "is an empty list; give a table, or leave the key out")
-    if "plane" in support.values:
-        for plane in support.tables("plane", f"{support.name} plane"):
-            off_plane, tolerance = _plane_distance(plane, mesh, metres_per_unit)
-            held |= off_plane <= tolerance
-            nearest = (
-                f" (the triangle nearest to the plane is {off_plane.min():.3g} m off,"
-                f" its tolerance is {tolerance:.3g} m)"
-            )
-    if "box" in support.values:
-        for box in support.tables("box", f"{support.name} box"):
-            held |= _inside_box(box, mesh, metres_per_unit)
-    if "triangles" in support.values:
-        held[listed_triangles(support, len(mesh.triangles))] = True
+    held, nearest = selected_triangles(support, mesh, metres_per_unit=metres_per_unit)
     if not held.any():
         support.fail(
             "",
@@ -250,6 +230,50 @@ def read_support(support: TomlTable, mesh: TriangleMesh, *, metres_per_unit: flo
     return np.flatnonzero(held)
 
 
+def selected_triangles(
+    table: TomlTable, mesh: TriangleMesh, *, metres_per_unit: float
+) -> tuple[Bool[np.ndarray, " m"], str]:
+    """Triangles selected by any of the selectors of a table.
+
+    Parameters
+    ----------
+    table : TomlTable               keys plane, box (a table each, or a list of them), triangles
+    mesh : TriangleMesh
+    metres_per_unit : float         unit of the coordinates and tolerances in the table
+
+    Returns
+    -------
+    (m,) bool
+    str                             how far off a plane is, for a message that nothing is selected
+
+    Raises
+    ------
+    RecordError                     no selector, or an invalid one
+    """
+    table.check_keys(_SELECTORS)
+    if not table.values:
+        table.fail("", f"is empty; give at least one of {', '.join(_SELECTORS)}")
+    held = np.zeros(len(mesh.triangles), dtype=bool)
+    nearest = ""
+    for key in ("plane", "box"):
+        if table.values.get(key) == []:
+            table.fail(key, "is an empty list; give a table, or leave the key out")
+    if "plane" in table.values:
+        for plane in table.tables("plane", f"{table.name} plane"):
+            off_plane, tolerance = _plane_distance(plane, mesh, metres_per_unit)
+            held |= off_plane <= tolerance
+            nearest = (
+                f" (the triangle nearest to the plane is {off_plane.min():.3g} m off,"
+                f" its tolerance is {tolerance:.3g} m)"
+            )
+    if "box" in table.values:
+        for box in table.tables("box", f"{table.name} box"):
+            held |= _inside_box(box, mesh, metres_per_unit)
+    if "triangles" in table.values:
+        held[listed_triangles(table, len(mesh.triangles))] = True
+    return held, nearest
+
+
 def _extent_text(mesh: TriangleMesh) -> str:
     """Size and place of the object, which tell a wrong unit."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
@@ -263,23 +287,63 @@ def _plane_distance(
 ) -> tuple[np.ndarray, float]:
     """Distance of every triangle's farthest vertex from the plane, and the tolerance [m]."""
     plane.check_keys(("point", "normal", "tolerance"))
+    normal = unit_normal(plane)
+    tolerance = plane.number("tolerance")
+    if tolerance < 0.0:
+        plane.fail("tolerance", f"is {tolerance}; must not be negative")
+    height = np.dot(mesh.vertices - metres_per_unit * plane.vector("point"), normal)
+    return np.abs(height)[mesh.triangles].max(axis=1), metres_per_unit * tolerance
+
+
+def unit_normal(plane: TomlTable) -> Vector3:
+    """Normal of a plane, its key `normal`, of length 1.
+
+    Parameters
+    ----------
+    plane : TomlTable
+
+    Returns
+    -------
+    (3,) float
+
+    Raises
+    ------
+    RecordError                     missing, no vector, or zero
+    """
     normal = plane.vector("normal")
     length = float(np.linalg.norm(normal))
     if length == 0.0:
         plane.fail("normal", "is the zero vector; must have a direction")
-    tolerance = plane.number("tolerance")
-    if tolerance < 0.0:
-        plane.fail("tolerance", f"is {tolerance}; must not be negative")
-    height = np.dot(mesh.vertices - metres_per_unit * plane.vector("point"), normal / length)
-    return np.abs(height)[mesh.triangles].max(axis=1), metres_per_unit * tolerance
+    return normal / length
 
 
-def _inside_box(box: TomlTable, mesh: TriangleMesh, metres_per_unit: float) -> np.ndarray:
-    """True for triangles with all three vertices inside or on the box."""
+def read_box(box: TomlTable, metres_per_unit: float) -> tuple[Vector3, Vector3]:
+    """Lowest and highest corner of a box along the axes, its keys `min` and `max`.
+
+    Parameters
+    ----------
+    box : TomlTable
+    metres_per_unit : float         unit of the coordinates
+
+    Returns
+    -------
+    (3,) float [m]
+    (3,) float [m]
+
+    Raises
+    ------
+    RecordError                     a corner is missing, or min exceeds max
+    """
     box.check_keys(("min", "max"))
     low, high = metres_per_unit * box.vector("min"), metres_per_unit * box.vector("max")
     if np.any(low > high):
         box.fail("min", "exceeds max in a component; swap them")
+    return low, high
+
+
+def _inside_box(box: TomlTable, mesh: TriangleMesh, metres_per_unit: float) -> np.ndarray:
+    """True for triangles with all three vertices inside or on the box."""
+    low, high = read_box(box, metres_per_unit)
     corner = mesh.vertices[mesh.triangles]
     return ((corner >= low) & (corner <= high)).all(axis=(1, 2))
 

@@ -38,6 +38,7 @@ from palpate.records import (
     modulus_unit,
     read_estimate,
     read_text,
+    region_row,
     verdict_text,
     write_estimate,
 )
@@ -51,7 +52,7 @@ _DRAWINGS = {
     "probings": "The constants as each probing alone gives them",
     "predictions": "Displacements predicted by the other probings against measured ones",
     "reciprocity": "Work of every two pushes in each other's motion: equal, whatever the material",
-    "modulus": "Modulus over its mean, in three sections through the body",
+    "modulus": "Modulus in three sections through the body",
     "errors": "What the data say about the assumed errors",
     "budget": "What each source adds to the standard deviations of the constants",
 }
@@ -123,6 +124,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "rejected": _rejection_rows(estimate),
         "reciprocity": "" if estimate.reciprocity is None else estimate.reciprocity.text,
         "field": estimate.field,
+        "regions": [region_row(each) for each in estimate.regions],
         "notes": (*estimate.notes, *estimate.details),
         "seconds": _second_rows(estimate),
         "settings": _setting_rows(estimate),

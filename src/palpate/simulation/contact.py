@@ -267,10 +267,11 @@ def touch(green: GreenFunctions, tools: Sequence[PlacedTool], before: ContactSta
 
 
 def force_covariance(green: GreenFunctions, state: ContactState) -> Float[np.ndarray, "t 3 3"]:
-    """Covariance of the force on each tool, from that of the elastic constants.
+    """Covariance of the force on each tool, from that of the elastic constants and of where the
+    modulus differs.
 
-    The poses are exact. Forces are proportional to the shear modulus. Their derivative with respect
-    to Poisson's ratio follows from the equations of the touching nodes, with the set of these nodes
+    The poses are exact. Forces are proportional to the shear modulus. Their derivatives with
+    respect to all else follow from the equations of the touching nodes, with the set of these nodes
     and the directions of their forces kept.
 
     Parameters
@@ -282,19 +283,25 @@ def force_covariance(green: GreenFunctions, state: ContactState) -> Float[np.nda
     -------
     (t, 3, 3) float [N^2]
     """
-    by_ratio = np.zeros_like(state.tool_force)
+    # Of the compliance, by Poisson's ratio and by where the modulus differs.
+    derivatives = [green.slope, *green.changes]
+    by_compliance = np.zeros((len(derivatives), *state.tool_force.shape))
     nodes = state.touching
     if nodes.size:
         rows, along = _directions(state)
-        block, slope = (
+        block, *parts = (
             part[nodes][:, :, nodes].reshape(3 * len(nodes), -1)
-            for part in (green.compliance, green.slope)
+            for part in (green.compliance, *derivatives)
         )
-        extra = rows.T @ slope @ state.force[nodes].ravel()
+        force = state.force[nodes].ravel()
+        extra = np.stack([rows.T @ part @ force for part in parts], axis=1)
         change = along @ np.linalg.solve(rows.T @ block @ along, -extra)
-        np.subtract.at(by_ratio, state.tool_of[nodes], change.reshape(-1, 3))
+        for forces, each in zip(by_compliance, change.T, strict=True):
+            np.subtract.at(forces, state.tool_of[nodes], each.reshape(-1, 3))
+    by_ratio, *by_map = by_compliance
     slopes = np.stack([state.tool_force / green.material.shear_modulus, by_ratio], axis=2)
-    return slopes @ green.material.covariance @ slopes.transpose(0, 2, 1)
+    covariance = slopes @ green.material.covariance @ slopes.transpose(0, 2, 1)
+    return covariance + sum(each[:, :, None] * each[:, None] for each in by_map)
 
 
 def _directions(

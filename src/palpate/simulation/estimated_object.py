@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
@@ -20,7 +21,7 @@ from palpate.geometry import (
 )
 from palpate.pipeline import outward_pushes, poke_session
 from palpate.probe import ContactPatch, find_contact_patch
-from palpate.records import RIGID, Estimate, Probing, Session
+from palpate.records import RIGID, Estimate, ModulusMap, Probing, Session
 from palpate.shapes import Points, Vector3
 from palpate.solids import Solid, boundary_surface, held_nodes, make_solid, surface_values
 
@@ -30,6 +31,8 @@ USUAL_DENSITY = 1000.0
 _ALONG_BODY, _ALONG_CONTACT = 9.0, 2.5
 # Radius of the fine elements, in radii of the contact.
 _FINE_REACH = 1.2
+# Elements whose moduli differ by no more than this factor are of one material.
+_MATERIAL_STEP = 0.02
 # Quarterings of the triangles under a contact for the integration of its pressure.
 _LEVELS = 4
 # Midside nodes of a ten-node tetrahedron: ends of each inner diagonal, then the ring around it; and
@@ -50,6 +53,7 @@ class Format:
     of_solid : callable or None     (folder, SolidModel): writes tetrahedra
     of_surface : callable or None   (folder, EstimatedObject): writes the surface, and may return a
                                     sentence about what is left out; exactly one of the two is given
+    by_element : bool               whether it is written what a map of moduli says
     """
 
     title: str
@@ -57,6 +61,7 @@ class Format:
     run: str
     of_solid: "Callable[[Path, SolidModel], None] | None" = None
     of_surface: "Callable[[Path, EstimatedObject], str | None] | None" = None
+    by_element: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +136,7 @@ class EstimatedObject:
     session : Session
     estimate : Estimate
     material : Material             constants as they are written
+    modulus : ModulusMap or None    None: the same everywhere
     density : float [kg/m^3]
     push : Push or None             None where nodal forces cannot reproduce the probing
     notes : tuple of str            assumptions and omissions, in sentences
@@ -139,6 +145,7 @@ class EstimatedObject:
     session: Session
     estimate: Estimate
     material: Material
+    modulus: ModulusMap | None
     density: float
     push: Push | None
     notes: tuple[str, ...]
@@ -177,6 +184,31 @@ class SolidModel:
         return self.solid.nodes
 
     @property
+    def log_modulus(self) -> Float[np.ndarray, " m"]:
+        """Logarithm of every quadratic element's modulus over that of the material: of what its
+        middle lies in."""
+        solid, modulus = self.solid, self.body.modulus
+        if modulus is None:
+            return np.zeros(len(solid.elements))
+        centre = solid.nodes[solid.elements[:, :4]].mean(axis=1)
+        element = modulus.element_at(centre)
+        middle = modulus.nodes[modulus.tetrahedra].mean(axis=1)
+        outside = element < 0
+        if outside.any():
+            element[outside] = cKDTree(middle).query(centre[outside])[1]
+        return modulus.log_modulus[element]
+
+    @property
+    def materials(self) -> list[tuple[float, Int[np.ndarray, " k"]]]:
+        """Young's moduli [Pa] with the quadratic elements that have them, to a per cent."""
+        step = np.round(self.log_modulus / _MATERIAL_STEP).astype(np.int64)
+        young = self.body.material.young_modulus
+        return [
+            (young * float(np.exp(_MATERIAL_STEP * level)), np.flatnonzero(step == level))
+            for level in np.unique(step)
+        ]
+
+    @property
     def boundary_surface(self) -> TriangleMesh:
         """Outer triangles of the linear tetrahedra, counter-clockwise seen from outside, with all
         nodes as vertices."""
@@ -188,6 +220,7 @@ def make_estimated_object(
     estimate: Estimate,
     material: Material,
     *,
+    modulus: ModulusMap | None = None,
     probe: str | None = None,
     cache: Path | None = None,
 ) -> EstimatedObject:
@@ -198,6 +231,7 @@ def make_estimated_object(
     session : Session
     estimate : Estimate
     material : Material             constants to be written
+    modulus : ModulusMap or None    None: the same everywhere
     probe : str or None             probing to repeat; None: the first that was held out from the
                                     estimate, else the first
     cache : Path or None            folder in which what is computed of the body is kept
@@ -229,14 +263,14 @@ def make_estimated_object(
             " written along; name another with --probe"
         )
     else:
-        push = _make_push(session, estimate, material, probing, cache)
+        push = _make_push(session, estimate, material, modulus, probing, cache)
         if probing.loads:
             notes.append(
                 f"probing '{probing.name}' has {len(probing.loads)} loads beside its tool: only"
                 " the tool's force was written"
             )
     density = USUAL_DENSITY if session.density is None else session.density
-    return EstimatedObject(session, estimate, material, density, push, tuple(notes))
+    return EstimatedObject(session, estimate, material, modulus, density, push, tuple(notes))
 
 
 def chosen_probing(session: Session, estimate: Estimate, name: str | None) -> Probing:
@@ -354,13 +388,14 @@ def _make_push(
     session: Session,
     estimate: Estimate,
     material: Material,
+    modulus: ModulusMap | None,
     probing: Probing,
     cache: Path | None,
 ) -> Push:
     """A probing with its displacement, computed by boundary elements."""
     poked = poke_session(
         session, probing.force, probing.contact, shear_modulus=material.shear_modulus,
-        poisson_ratio=material.poisson_ratio, cache=cache,
+        poisson_ratio=material.poisson_ratio, modulus=modulus, cache=cache,
     )  # fmt: skip
     contact = poked.contact
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name=probing.name)

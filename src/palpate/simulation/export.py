@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from palpate.errors import InputError, RecordError
+from palpate.pipeline import read_modulus
 from palpate.progress import Progress, silent
 from palpate.records import (
     CONSTANT_NAMES,
     INPUTS_FILE,
     Estimate,
+    ModulusMap,
     Session,
     Status,
     check_fit_result,
@@ -62,12 +64,14 @@ class FitSource:
     estimate : Estimate
     files : tuple of Path           files of the result that were read
     notes : tuple of str            changes of the session since the fit, in a sentence
+    modulus : ModulusMap or None    None: the same everywhere
     """
 
     session: Session
     estimate: Estimate
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
+    modulus: ModulusMap | None = None
 
 
 def read_fit(result: Path, session: Path | None = None) -> FitSource:
@@ -90,7 +94,12 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
     check_fit_result(result)
     file = result / "estimate.json"
     place = session or _session_of(result, list(sums_in(result / INPUTS_FILE)))
-    return FitSource(read_session(place), read_estimate(file), (file,), _changes(result, place))
+    moduli = result / "modulus.npz"
+    modulus = read_modulus(moduli)
+    files = (file,) if modulus is None else (file, moduli)
+    return FitSource(
+        read_session(place), read_estimate(file), files, _changes(result, place), modulus
+    )
 
 
 def _changes(result: Path, place: Path) -> tuple[str, ...]:
@@ -199,9 +208,15 @@ def export_fit(
     material, changed = written_material(form, estimated_material(source.estimate))
     progress("the push in the boundary element model", 0.1)
     body = make_estimated_object(
-        source.session, source.estimate, material, probe=probe, cache=cache
+        source.session, source.estimate, material, modulus=source.modulus, probe=probe, cache=cache
     )
-    notes = [note for note in (_status_advice(source.estimate), changed) if note]
+    uneven = ""
+    if source.modulus is not None and not form.by_element:
+        uneven = (
+            f"the object is not the same everywhere, but {form.title} takes one modulus: that of"
+            " the table was written, so its push ends elsewhere"
+        )
+    notes = [note for note in (_status_advice(source.estimate), changed, uneven) if note]
     body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
@@ -249,6 +264,7 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
             "poisson_ratio": body.material.poisson_ratio,
             "shear_modulus": body.material.shear_modulus,
             "density": body.density,
+            "materials": len(model.materials) if model and form.by_element else 1,
         },
         "push": push
         and {

@@ -5,7 +5,7 @@ functions of the vertices. Reciprocity makes the compliance between the vertices
 collocation satisfies this up to the discretisation error. Here the compliance is symmetrised, so
 that no closed path of a tool gains or loses energy; `asymmetry` is the relative change.
 
-Their file for haptic loops in any language, an NPZ in the format `palpate-greens/2`, has arrays,
+Their file for haptic loops in any language, an NPZ in the format `palpate-greens/3`, has arrays,
 little endian, C order, SI units, object frame; v vertices, m triangles, n nodes:
 
 format, name                       texts
@@ -15,6 +15,8 @@ nodes (n,)                         vertices that may be touched, ascending
 compliance (n, 3, n, 3)            [m/N] [i, a, j, b]: component a at node i per force along b on j
 surface (n, 3, v, 3)               [m/N] [j, b, i, a]: the same for every vertex i
 slope (n, 3, n, 3)                 [m/N] derivative of compliance in Poisson's ratio, [i, a, j, b]
+changes (k, n, 3, n, 3)            [m/N] independent changes of compliance, a standard deviation
+                                   each, where the modulus differs from place to place; k may be 0
 constants (2,), covariance (2, 2)  shear modulus [Pa], Poisson's ratio
 asymmetry ()                       relative asymmetry of compliance before symmetrisation
 left_out (l,)                      vertices that are no nodes: compliance would be indefinite
@@ -43,19 +45,31 @@ from palpate.arrays import fix_fields
 from palpate.bem import BoundarySystem, CentredSystem, SurfaceLoad, load_right_hand, solve
 from palpate.disk import write_bytes, write_errors
 from palpate.errors import InputError, PalpateError, RecordError
+from palpate.field import make_map_response, nodal_load
 from palpate.files import stored_arrays
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import held_object
 from palpate.progress import Progress, silent
-from palpate.records import Estimate, Session
+from palpate.records import Estimate, ModulusMap, Session
 from palpate.simulation.estimated_object import Material, estimated_material
 
 # Vertices whose columns, three each, are solved together.
 _VERTICES_AT_ONCE = 60
+# Difference of Poisson's ratios for the slope of what a map of moduli changes.
+_STEP = 0.005
 # A table above this is refused [bytes].
 _MAX_BYTES = 2e9
-GREENS_FORMAT = "palpate-greens/2"
-_ARRAYS = ("held_triangles", "nodes", "compliance", "surface", "slope", "left_out", "asymmetry")
+GREENS_FORMAT = "palpate-greens/3"
+_ARRAYS = (
+    "held_triangles",
+    "nodes",
+    "compliance",
+    "surface",
+    "slope",
+    "changes",
+    "left_out",
+    "asymmetry",
+)
 _KEYS = {
     "format", "name", "vertices", "triangles", "constants", "covariance", "sha256", *_ARRAYS,
 }  # fmt: skip
@@ -76,6 +90,8 @@ class GreenFunctions:
     surface : (n, 3, v, 3) float [m/N]  component a of vertex i under a force along b on node j, as
                                         [j, b, i, a]
     slope : (n, 3, n, 3) float [m/N]    derivative of `compliance` with respect to Poisson's ratio
+    changes : (k, n, 3, n, 3) float [m/N]   independent changes of `compliance` by what is not known
+                                        of where the modulus differs, a standard deviation each
     material : Material                 constants and their covariance
     asymmetry : float                   norm of the antisymmetric part of the compliance before
                                         symmetrisation, over that of the symmetric part
@@ -95,6 +111,7 @@ class GreenFunctions:
     compliance: Float[np.ndarray, "n 3 n 3"]
     surface: Float[np.ndarray, "n 3 v 3"]
     slope: Float[np.ndarray, "n 3 n 3"]
+    changes: Float[np.ndarray, "k n 3 n 3"]
     material: Material
     asymmetry: float
     left_out: Int[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -104,6 +121,7 @@ class GreenFunctions:
         between, onto = (count, 3, count, 3), (count, 3, vertices, 3)
         fix_fields(self, integer=True, nodes=(None,), held_triangles=(None,))
         fix_fields(self, compliance=between, surface=onto, slope=between)
+        fix_fields(self, changes=(None, *between))
         fix_fields(self, integer=True, left_out=(None,))
         check_nodes(self.mesh, self.held_triangles, self.nodes)
         square = self.compliance.reshape(3 * count, -1)
@@ -116,6 +134,24 @@ class GreenFunctions:
                 "compliance is not positive definite: some force would gain energy; nodes lie too"
                 " close to each other for the mesh, leave out those at narrow triangles"
             ) from None
+
+    def displacement_std(self, force: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Standard deviation of the nodes' displacement under forces on them, from that of the
+        constants and of where the modulus differs.
+
+        Parameters
+        ----------
+        force : (n, 3) float [N]
+
+        Returns
+        -------
+        (n, 3) float [m]
+        """
+        moved = np.tensordot(self.compliance, force, axes=2)
+        by_ratio = np.tensordot(self.slope, force, axes=2)
+        by_constants = np.stack([-moved / self.material.shear_modulus, by_ratio])
+        variance = np.einsum("pia,pq,qia->ia", by_constants, self.material.covariance, by_constants)
+        return np.sqrt(variance + np.square(np.tensordot(self.changes, force, axes=2)).sum(axis=0))
 
     @property
     def left_out_text(self) -> str:
@@ -133,6 +169,7 @@ def make_green_functions(
     session: Session,
     estimate: Estimate | Material,
     *,
+    modulus: ModulusMap | None = None,
     nodes: Int[np.ndarray, " n"] | None = None,
     most: int | None = None,
     cache: Path | None = None,
@@ -144,6 +181,7 @@ def make_green_functions(
     ----------
     session : Session
     estimate : Estimate or Material     constants; of an estimate with their covariance
+    modulus : ModulusMap or None        None: the same everywhere
     nodes : (n,) int                    vertices of the mesh that may be touched; None: all that
                                         belong to no held triangle, except those at narrow triangles
                                         that would make the compliance indefinite
@@ -185,14 +223,21 @@ def make_green_functions(
             " touched"
         )
     progress("integrals over the surface", 0.0)
-    _, system = held_object(session, cache=cache, dense=True)
+    graded, system = held_object(session, cache=cache, dense=True)
     everywhere, slope = _responses(system, material, chosen, len(session.mesh.vertices), progress)
+    changes = np.zeros((0, len(chosen), 3, len(chosen), 3))
+    if modulus is not None:
+        progress("where the modulus differs", 1.0)
+        count = len(session.mesh.vertices)
+        change, bend, changes = _map_responses(graded, modulus, material, chosen, count)
+        everywhere, slope = everywhere + change, slope + bend
     left_out = chosen[:0]
     if nodes is None:
         kept = _positive_definite_nodes(_square(everywhere[:, :, chosen]))
         if len(kept) < len(chosen):
             left_out, chosen = np.delete(chosen, kept), chosen[kept]
             everywhere, slope = everywhere[kept], slope[kept][:, :, kept]
+            changes = changes[:, kept][:, :, :, kept]
     square = _square(everywhere[:, :, chosen])
     compliance = 0.5 * (square + square.T)
     asymmetry = float(np.linalg.norm(square - square.T) / np.linalg.norm(square + square.T))
@@ -201,7 +246,8 @@ def make_green_functions(
     slope = _square(slope)
     return GreenFunctions(
         session.name, session.mesh, session.held_triangles, chosen, compliance.reshape(shape),
-        everywhere, (0.5 * (slope + slope.T)).reshape(shape), material, asymmetry, left_out,
+        everywhere, (0.5 * (slope + slope.T)).reshape(shape), changes, material, asymmetry,
+        left_out,
     )  # fmt: skip
 
 
@@ -354,6 +400,45 @@ def _responses(
             )
             out[:] = by_load.transpose(2, 3, 0, 1)
     return everywhere, slope
+
+
+def _map_responses(
+    session: Session,
+    modulus: ModulusMap,
+    material: Material,
+    nodes: Int[np.ndarray, " n"],
+    count: int,
+) -> tuple[
+    Float[np.ndarray, "n 3 v 3"], Float[np.ndarray, "n 3 n 3"], Float[np.ndarray, "k n 3 n 3"]
+]:
+    """What a map of moduli changes in the displacements per newton, [j, b, i, a], and in their
+    slopes; and how they change with the map."""
+    mesh, ratio = session.mesh, material.poisson_ratio
+    changed, beside = (make_map_response(session, modulus, r) for r in (ratio, ratio - _STEP))
+    axis = np.array([1.0, 0.0, 0.0])
+    hats = [hat_load(mesh, int(vertex)) for vertex in nodes]
+    shares = np.stack(
+        [nodal_load(mesh, hat.triangles, hat.density, axis, changed.solid)[::3] for hat in hats],
+        axis=1,
+    )
+    load = np.kron(shares, np.eye(3))
+    moved, at = changed.uneven.displacements(load), changed.at(mesh.vertices[:count])
+
+    def by_load(values: Float[np.ndarray, "v3 p"]) -> Float[np.ndarray, "n 3 v 3"]:
+        shape = (len(values) // 3, 3, len(nodes), 3)
+        return values.reshape(shape).transpose(2, 3, 0, 1) / material.shear_modulus
+
+    change = at @ (moved - changed.even.displacements(load))
+    bend = (change - at @ beside.change(load)).reshape(count, 3, -1)[nodes] / _STEP
+    rows = (3 * nodes[:, None] + np.arange(3)).ravel()
+    seen = changed.uneven.displacements(at[rows].toarray().T)
+    changes = np.zeros((len(rows), len(rows), len(changed.directions)))
+    for part in _parts(len(rows)):
+        changes[part] = changed.uneven.sensitivities(seen, moved[:, part], changed.directions)
+    changes = 0.5 * (changes + changes.transpose(1, 0, 2)).transpose(2, 0, 1)
+    changes = changes.reshape(-1, len(nodes), 3, len(nodes), 3)
+    bent = by_load(bend.reshape(3 * len(nodes), -1))
+    return by_load(change), bent, changes / material.shear_modulus
 
 
 def _parts(count: int) -> Iterator[slice]:

@@ -33,15 +33,16 @@ _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
     <solver type="solid"><symmetric_stiffness>symmetric</symmetric_stiffness></solver>
   </Control>
   <Material>
-    <material id="1" name="estimated" type="isotropic elastic">
-      <density>{density:.9g}</density>
-      <E>{young:.9g}</E>
-      <v>{poisson:.9g}</v>
-    </material>
+{materials}
   </Material>
   <Mesh>
     <Nodes name="nodes">
 """
+_MATERIAL = """    <material id="{number}" name="estimated{number}" type="isotropic elastic">
+      <density>{density:.9g}</density>
+      <E>{young:.9g}</E>
+      <v>{poisson:.9g}</v>
+    </material>"""
 _QUADRATIC_TETRAHEDRON = 24
 _PLUGINS = (
     "Constraint.Projective", "LinearSolver.Direct", "Mass", "MechanicalLoad", "ODESolver.Backward",
@@ -61,7 +62,7 @@ _SCENE = """<?xml version="1.0"?>
     <MeshTopology name="mesh" position="{position}" tetrahedra="{tetrahedra}"/>
     <MechanicalObject name="state" template="Vec3d" src="@mesh"/>
     <UniformMass totalMass="{mass:.9g}"/>
-    <TetrahedronFEMForceField template="Vec3d" method="large" youngModulus="{young:.9g}"
+    <TetrahedronFEMForceField template="Vec3d" method="large" youngModulus="{young}"
                               poissonRatio="{poisson:.9g}"/>
     <FixedProjectiveConstraint indices="{held}"/>
 {push}  </Node>
@@ -121,24 +122,29 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
     ------
     RecordError                     a file cannot be written
     """
-    material = model.body.material
+    ratio, materials = model.body.material.poisson_ratio, model.materials
+    elements = list(_numbered_lines(model.solid.elements))
     lines = [
         "** SI units; made by Palpate, see README.txt",
         "*NODE, NSET=ALL",
         *_numbered_lines(model.nodes),
-        "*ELEMENT, TYPE=C3D10, ELSET=BODY",
-        *_numbered_lines(model.solid.elements),
+    ]
+    for number, (_, chosen) in enumerate(materials, start=1):
+        lines += [f"*ELEMENT, TYPE=C3D10, ELSET=BODY{number}", *(elements[k] for k in chosen)]
+    lines += [
         "*NSET, NSET=HELD",
         *(f"{node + 1}," for node in np.flatnonzero(model.held)),
-        "*MATERIAL, NAME=ESTIMATED",
-        "*ELASTIC",
-        f"{material.young_modulus:.9g}, {material.poisson_ratio:.9g}",
-        "*DENSITY",
-        f"{model.body.density:.9g}",
-        "*SOLID SECTION, ELSET=BODY, MATERIAL=ESTIMATED",
-        "*BOUNDARY",
-        "HELD, 1, 3, 0.",
     ]
+    for number, (young, _) in enumerate(materials, start=1):
+        lines += [
+            f"*MATERIAL, NAME=ESTIMATED{number}",
+            "*ELASTIC",
+            f"{young:.9g}, {ratio:.9g}",
+            "*DENSITY",
+            f"{model.body.density:.9g}",
+            f"*SOLID SECTION, ELSET=BODY{number}, MATERIAL=ESTIMATED{number}",
+        ]
+    lines += ["*BOUNDARY", "HELD, 1, 3, 0."]
     if model.body.push is not None:
         lines += [
             "*NSET, NSET=POINT",
@@ -166,6 +172,7 @@ CALCULIX = Format(
     "ccx model (Abaqus: abaqus job=model): equilibrium under the push; model.dat has the"
     " displacement of the nodes around its point, replay.json their shares.",
     of_solid=write_calculix,
+    by_element=True,
 )
 
 
@@ -181,13 +188,23 @@ def write_febio(folder: Path, model: SolidModel) -> None:
     ------
     RecordError                     a file cannot be written
     """
-    material = model.body.material
-    head = _HEAD.format(
-        density=model.body.density, young=material.young_modulus, poisson=material.poisson_ratio
-    )
+    body, groups = model.body, list(enumerate(model.materials, start=1))
+    materials = [
+        _MATERIAL.format(
+            number=number, density=body.density, young=young, poisson=body.material.poisson_ratio
+        )
+        for number, (young, _) in groups
+    ]
+    head = _HEAD.format(materials="\n".join(materials))
     nodes = [_row("node", k, row, ".9g") for k, row in enumerate(model.nodes.tolist(), start=1)]
-    elements = [
-        _row("elem", k, row, "d") for k, row in enumerate((model.solid.elements + 1).tolist(), 1)
+    elements = []
+    for number, (_, chosen) in groups:
+        elements.append(f'    <Elements type="tet10" name="body{number}">')
+        rows = (model.solid.elements[chosen] + 1).tolist()
+        pairs = zip((chosen + 1).tolist(), rows, strict=True)
+        elements += [*(_row("elem", k, row, "d") for k, row in pairs), "    </Elements>"]
+    domains = [
+        f'    <SolidDomain name="body{number}" mat="estimated{number}"/>' for number, _ in groups
     ]
     loaded = np.flatnonzero(model.load.any(axis=1))
     sets = [_node_set("held", np.flatnonzero(model.held))]
@@ -197,12 +214,12 @@ def write_febio(folder: Path, model: SolidModel) -> None:
         [
             *nodes,
             "    </Nodes>",
-            '    <Elements type="tet10" name="body">',
             *elements,
-            "    </Elements>",
             *sets,
             "  </Mesh>",
-            '  <MeshDomains><SolidDomain name="body" mat="estimated"/></MeshDomains>',
+            "  <MeshDomains>",
+            *domains,
+            "  </MeshDomains>",
             *_data(model, loaded),
             "  <Boundary>",
             '    <bc name="support" node_set="held" type="zero displacement">',
@@ -268,6 +285,7 @@ FEBIO = Format(
     " every node. FEBio's isotropic elastic material (Saint Venant and Kirchhoff) gives way under"
     " large compression: scale the forces down where the push is deep. Not tried in FEBio itself.",
     of_solid=write_febio,
+    by_element=True,
 )
 
 
@@ -285,6 +303,7 @@ def write_vtu(folder: Path, model: SolidModel) -> None:
     """
     count, nodes = len(model.solid.elements), len(model.nodes)
     ends = 10 * np.arange(1, count + 1)
+    young = model.body.material.young_modulus * np.exp(model.log_modulus)
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian">',
@@ -294,6 +313,9 @@ def write_vtu(folder: Path, model: SolidModel) -> None:
         *_array("force", "Float64", model.load, 3),
         *_array("held", "UInt8", model.held.astype(np.uint8), 1),
         "</PointData>",
+        "<CellData>",
+        *_array("young_modulus", "Float64", young, 1),
+        "</CellData>",
         "<Points>",
         *_array("Points", "Float64", model.nodes, 3),
         "</Points>",
@@ -324,6 +346,7 @@ VTU = Format(
     (-0.999, 0.5),
     "ParaView or meshio open model.vtu; constants are in palpate.json.",
     of_solid=write_vtu,
+    by_element=True,
 )
 
 
@@ -351,7 +374,7 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
         position=_number_text(model.nodes),
         tetrahedra=_number_text(model.linear),
         mass=enclosed_volume(body.session.mesh) * body.density,
-        young=body.material.young_modulus,
+        young=_number_text(young_moduli(model)),
         poisson=body.material.poisson_ratio,
         held=_number_text(np.flatnonzero(model.held)),
         push=push,
@@ -360,12 +383,27 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
     write_replay(folder, model, model.linear_load)
 
 
+def young_moduli(model: SolidModel) -> Float[np.ndarray, " _"]:
+    """Young's moduli of the linear tetrahedra [Pa]; a single one if it is the same everywhere.
+
+    Parameters
+    ----------
+    model : SolidModel
+    """
+    young = model.body.material.young_modulus
+    if model.body.modulus is None:
+        return np.array([young])
+    # Eight linear ones for each quadratic one.
+    return np.repeat(young * np.exp(model.log_modulus), 8)
+
+
 SOFA = Format(
     "SOFA",
     (0.0, 0.495),
     "runSofa model.scn: the object comes to rest under the push; replay.json has the nodes around"
     " its point and their shares. Not tried in SOFA itself.",
     of_solid=write_sofa,
+    by_element=True,
 )
 
 

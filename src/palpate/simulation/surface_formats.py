@@ -23,7 +23,7 @@ from palpate.geometry import TriangleMesh, enclosed_volume, write_mesh
 from palpate.records import json_text, write_text
 from palpate.simulation.estimated_object import EstimatedObject, Format, SolidModel
 from palpate.simulation.green_functions import make_green_functions, write_green_functions
-from palpate.simulation.solid_formats import write_replay
+from palpate.simulation.solid_formats import write_replay, young_moduli
 
 _SCENE = '''"""The object in Genesis, on its support; made by Palpate, see README.txt."""
 
@@ -86,6 +86,9 @@ def Xform "Object" (
         uniform token orientation = "rightHanded"
         int[] primvars:held = [{held}] (
             interpolation = "vertex"
+        )
+        float[] primvars:youngsModulus = [{moduli}] (
+            interpolation = "{interpolation}"
         )
         rel material:binding:physics = </Object/Estimated>
     }}
@@ -236,7 +239,7 @@ def write_npz(folder: Path, body: EstimatedObject) -> str:
     ------
     RecordError                     the file cannot be written
     """
-    green = make_green_functions(body.session, body.material, most=_NODES)
+    green = make_green_functions(body.session, body.material, modulus=body.modulus, most=_NODES)
     write_green_functions(folder / "green.npz", green)
     return green.left_out_text
 
@@ -247,6 +250,7 @@ NPZ = Format(
     "palpate.simulation.read_green_functions('green.npz'), or any reader of NPZ: its arrays are"
     " explained in docs/howto/simulate.md.",
     of_surface=write_npz,
+    by_element=True,
 )
 
 
@@ -262,12 +266,14 @@ def write_openusd(folder: Path, model: SolidModel) -> None:
     ------
     RecordError                     a file cannot be written
     """
-    material = model.body.material
+    material, moduli = model.body.material, young_moduli(model)
     text = _STAGE.format(
         points=_tuples(model.nodes),
         tetrahedra=_tuples(model.linear),
         faces=_tuples(model.boundary_surface.triangles),
         held=", ".join(map(str, model.held.astype(int).tolist())),
+        moduli=", ".join(f"{young:.9g}" for young in moduli.tolist()),
+        interpolation="uniform" if len(moduli) > 1 else "constant",
         young=material.young_modulus,
         poisson=material.poisson_ratio,
         density=model.body.density,
@@ -292,6 +298,9 @@ OPENUSD = Format(
     " builder, and its VBD solver needs short steps: each begins where inertia alone would lead,"
     " which throws the light nodes under the contact. With steps of 0.1 ms, ten iterations and 2 %"
     " of the push, the half ball of Palpate's examples comes to rest 2.1 % from Palpate's model in"
-    " Newton 1.8. Its material (stable neo-Hookean) gives way under large compression.",
+    " Newton 1.8. Its material (stable neo-Hookean) gives way under large compression. The prim"
+    " variable `youngsModulus` has the modulus of every tetrahedron, which a simulator has to be"
+    " told, too, where it is not the same everywhere; the material has that of the table.",
     of_solid=write_openusd,
+    by_element=True,
 )

@@ -20,6 +20,7 @@ from palpate.solids.finite_elements import (
     Body as Body,
     held_nodes as held_nodes,
     inner_points as inner_points,
+    inner_tetrahedron_points as inner_tetrahedron_points,
     make_body as make_body,
     pressure_load as pressure_load,
     solve_load as solve_load,
@@ -42,6 +43,7 @@ from palpate.solids.tetrahedra import (
     boundary_surface as boundary_surface,
     inside as inside,
     make_solid as make_solid,
+    quadratic_solid as quadratic_solid,
 )
 from palpate.solids.tips import (
     TIPS as TIPS,

@@ -2,7 +2,7 @@
 
 Displacements are those of a mean modulus of 1 Pa: at quadrature point q the modulus is exp(m[q]).
 With them come their derivatives with respect to every m[q], from one more solution for each
-observed component:
+observed component, or for each load and field:
 
     d u_a / d m_q = -exp(m_q) w_a' K_q u,      K(m) = sum_q exp(m_q) K_q,
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, eye_array, kron
 
 from palpate.shapes import Points
 from palpate.solids.finite_elements import free_part, quadratic_basis, solve_free
@@ -61,6 +61,13 @@ class GradedBody:
     def volume(self) -> Float[np.ndarray, " m"]:
         """Volume of every element [m^3]."""
         return self.weight.sum(axis=1)
+
+    @property
+    def constant(self) -> csr_array:
+        """Values at the quadrature points of a function that is constant in every element, (m q, m)
+        sparse."""
+        elements, points = self.weight.shape
+        return csr_array(kron(eye_array(elements), np.ones((points, 1))))
 
     def means(self, values: Float[np.ndarray, "mq b"]) -> Float[np.ndarray, "m b"]:
         """Means over every element of what is known at the quadrature points."""
@@ -122,22 +129,51 @@ class GradedStiffness:
         -------
         (p, a, b) float [m Pa]
         """
-        body, unknowns = self.body, self.body.unknowns
-        count, (elements, points) = moved.shape[1], body.weight.shape
-        operator = body.strain.reshape(elements, -1, 30)
-        strain = (operator @ moved[unknowns]).reshape(elements * points, 6, count)
-        scale = body.weight.ravel() * np.exp(self.log_modulus)
-        stress = (_hooke(self.poisson_ratio) @ strain) * scale[:, None, None]
+        stress, unknowns, count = self._stress(moved), self.body.unknowns, moved.shape[1]
+        operator = self.body.strain.reshape(len(unknowns), -1, 30)
         result = np.zeros((count, observed.shape[1], basis.shape[1]))
         for first in range(0, observed.shape[1], _BLOCK):
             part = observed[:, first : first + _BLOCK]
-            seen = (operator @ part[unknowns]).reshape(elements * points, 6, -1)
+            seen = (operator @ part[unknowns]).reshape(len(stress), 6, -1)
             energy = np.swapaxes(stress, 1, 2) @ seen
             sums = basis.T @ energy.reshape(len(energy), -1)
             result[:, first : first + _BLOCK] -= np.moveaxis(
                 sums.reshape(-1, *energy.shape[1:]), 0, 2
             )
         return result
+
+    def changes(
+        self, moved: Float[np.ndarray, "k p"], basis: csr_array
+    ) -> Float[np.ndarray, "p k b"]:
+        """Derivatives of all displacements with respect to the coefficients of a few fields: a
+        solution for every load and field.
+
+        Parameters
+        ----------
+        moved : (3 n, p) float [m Pa]   displacements under the loads
+        basis : (m q, b) sparse         m per unit of each coefficient
+
+        Returns
+        -------
+        (p, 3 n, b) float [m Pa]
+        """
+        stress, unknowns = self._stress(moved), self.body.unknowns
+        strain = self.body.strain.reshape(len(unknowns), -1, 30)
+        place = (unknowns.ravel(), np.arange(unknowns.size))
+        gather = csr_array((np.ones(unknowns.size), place), shape=(len(moved), unknowns.size))
+        changes = []
+        for field in basis.toarray().T:
+            own = (stress * field[:, None, None]).reshape(*strain.shape[:2], -1)
+            force = np.swapaxes(strain, 1, 2) @ own
+            changes.append(-self.displacements(gather @ force.reshape(unknowns.size, -1)).T)
+        return np.stack(changes, axis=2)
+
+    def _stress(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
+        """Stress times weight of the quadrature at every point."""
+        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
+        strain = (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
+        scale = self.body.weight.ravel() * np.exp(self.log_modulus)
+        return (_hooke(self.poisson_ratio) @ strain) * scale[:, None, None]
 
 
 def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:

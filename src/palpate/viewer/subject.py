@@ -22,7 +22,15 @@ from palpate.pipeline import (
     read_fitted_surface,
     with_motions,
 )
-from palpate.records import Estimate, Probing, Rig, Session, read_rig, read_session
+from palpate.records import (
+    Estimate,
+    ModulusMap,
+    Probing,
+    Rig,
+    Session,
+    read_rig,
+    read_session,
+)
 from palpate.simulation import (
     GreenFunctions,
     Material,
@@ -48,12 +56,14 @@ class Subject:
     estimate : Estimate or None
     surface : FittedSurface or None
     rig : Rig or None               its cameras, if it has pictures
+    modulus : ModulusMap or None    None: the same everywhere
     """
 
     session: Session
     estimate: Estimate | None
     surface: FittedSurface | None
     rig: Rig | None
+    modulus: ModulusMap | None = None
 
 
 def read_subject(path: Path, session: Path | None = None) -> Subject:
@@ -84,7 +94,7 @@ def read_subject(path: Path, session: Path | None = None) -> Subject:
             f"{path}: was fitted to another mesh than {found.path} names now; fit the session again"
         )
     found = with_motions(found, kept_motion(found, path))
-    return Subject(found, source.estimate, surface, _rig(found))
+    return Subject(found, source.estimate, surface, _rig(found), source.modulus)
 
 
 def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
@@ -258,7 +268,11 @@ class BackgroundWork:
         self._changed()
         try:
             self.green = make_green_functions(
-                session, material, most=_touchable(session), cache=self.cache
+                session,
+                material,
+                modulus=self.subject.modulus,
+                most=_touchable(session),
+                cache=self.cache,
             )
             self.touch_text = self.green.left_out_text
         except PalpateError as error:

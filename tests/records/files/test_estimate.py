@@ -15,6 +15,7 @@ from palpate.records import (
     Estimate,
     FieldEstimate,
     ProbeEstimate,
+    RegionEstimate,
     Status,
     StiffPart,
     SupportEstimate,
@@ -65,6 +66,18 @@ def test_a_field_of_moduli_comes_back(tmp_path):
     assert field.sentences[1] == (
         "a part about 16 mm across near (10, -4, 44) mm is at least 3.1 times as stiff as the rest"
     )
+
+
+def test_regions_come_back(tmp_path):
+    known = Constant(6e4, 1.5e3, (57e3, 63e3))
+    seen = RegionEstimate("insert", Constant(3.0, 0.1, (2.8, 3.2)), known, known, "", True, True)
+    bare = replace(seen, identifiable=False, is_seen=False).without_interval
+    estimate = _estimate(regions=(seen, bare))
+    write_estimate(tmp_path / "estimate.json", estimate)
+    again = read_estimate(tmp_path / "estimate.json").regions
+    assert again[0] == seen
+    assert str(again[1]) == str(bare)
+    assert (seen.note, again[1].note[:28]) == ("", "No push sees region 'insert'")
 
 
 @pytest.mark.parametrize(

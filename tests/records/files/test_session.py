@@ -11,7 +11,7 @@ from surfaces import box, joined, sphere
 
 from palpate.errors import InputError, MeshError, RecordError
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas, write_mesh
-from palpate.records import observed_rows, read_session
+from palpate.records import RATIO, YOUNG, observed_rows, read_session
 from palpate.records.files.session import (
     displacement_line,
     import_plan,
@@ -52,6 +52,88 @@ def test_only_the_named_probings_are_read(session_folder):
     assert [p.name for p in read_session(session_folder, probes=["n02"]).probings] == ["n02"]
     with pytest.raises(RecordError, match="no probing 'n1'; did you mean 'n01'"):
         read_session(session_folder, probes=["n1"])
+
+
+REGIONS = """
+[[region]]
+name = "insert"
+surface = "insert.ply"
+young_modulus = "90 kPa"
+young_modulus_std = "5 kPa"
+[[region]]
+name = "skin"
+skin = "2 mm"
+[[region]]
+name = "patch"
+skin = 0.001
+faces = { plane = { point = [0, 0, 0.04], normal = [0, 0, 1], tolerance = 1e-6 } }
+ratio = 2.0
+[[region]]
+name = "layer"
+plane = { point = [0, 0, 0.01], normal = [0, 0, 2] }
+thickness = "4 mm"
+[[region]]
+name = "box"
+box = { min = [0, 0, 0], max = [0.01, 0.02, 0.01] }
+"""
+
+
+def with_regions(folder, text=REGIONS):
+    write_mesh(folder / "insert.ply", sphere(2, 0.005))
+    file = folder / "session.toml"
+    file.write_text(file.read_text() + text)
+    return read_session(folder)
+
+
+def test_regions_are_read_in_si_units(session_folder):
+    session = with_regions(session_folder)
+    insert, skin, patch, layer, part = session.regions
+    assert (insert.known, insert.value, insert.std) == (YOUNG, 9e4, 5e3)
+    assert (skin.known, patch.known, patch.value, patch.std) == ("", RATIO, 2.0, 0.0)
+    # All that is not held, and the top alone.
+    free = len(session.mesh.triangles) - len(session.held_triangles)
+    assert len(skin.shape.faces.triangles) == free
+    assert skin.shape.thickness == 0.002
+    top = triangle_areas(patch.shape.faces).sum()
+    assert top == pytest.approx(0.04**2)
+    heights = np.array([[0.0, 0.0, z] for z in (0.009, 0.011, 0.013, 0.015)])
+    assert layer.shape.contains(heights).tolist() == [False, True, True, False]
+    # Of a slab, half the volume over the area is its thickness.
+    assert part.shape.thickness == pytest.approx(0.004)
+    radius = 0.005
+    assert insert.shape.thickness == pytest.approx(2.0 * radius / 3.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('skin = "2 mm"', "", "says where it is by none"),
+        ('skin = "2 mm"', 'skin = "2 mm"\nbox = {}', "by box and skin; give one of surface"),
+        ('skin = "2 mm"', 'skin = "0 mm"', "skin.*must be positive"),
+        ('skin = "2 mm"', 'skin = "2 mm"\nthickness = 1', "thickness.*belongs to plane"),
+        ('name = "skin"', 'name = "insert"', "'insert' is that of another region"),
+        ("ratio = 2.0", "ratio = 2.0\nshear_modulus = 1e4", "ratio.*is given beside shear_modulus"),
+        ("ratio = 2.0", "ratio_std = 2.0", "ratio_std.*is given without ratio"),
+        ("ratio = 2.0", "ratio = -2.0", "ratio is -2; must be"),
+        ('"90 kPa"', '"90 m"', "young_modulus.*must be a number with its unit"),
+        ("max = [0.01, 0.02, 0.01]", "max = [0.01, 0.02, 0]", "box.*has no volume"),
+        ("normal = [0, 0, 2]", "normal = [0, 0, 0]", "normal.*is the zero vector"),
+        ("point = [0, 0, 0.04], n", "point = [0, 0, 0.09], n", "faces.*has no triangle"),
+        ('"insert.ply"', '"inlay.ply"', "inlay.ply"),
+    ],
+)
+def test_a_region_that_cannot_be_says_why(session_folder, old, new, message):
+    assert old in REGIONS
+    with pytest.raises(RecordError, match=message):
+        with_regions(session_folder, REGIONS.replace(old, new, 1))
+
+
+def test_an_open_insert_is_refused(session_folder):
+    with_regions(session_folder)
+    ball = sphere(2, 0.005)
+    write_mesh(session_folder / "insert.ply", TriangleMesh(ball.vertices, ball.triangles[1:]))
+    with pytest.raises(RecordError, match=r"insert\.ply: the surface is open"):
+        read_session(session_folder)
 
 
 def test_every_length_is_converted(edited):

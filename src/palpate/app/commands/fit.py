@@ -20,6 +20,7 @@ from palpate.app.tables import (
     held_out_table,
     number_text,
     probes_table,
+    regions_table,
     terminal_table,
 )
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
@@ -92,7 +93,7 @@ def fit(
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
-    material: Literal["auto", "homogeneous", "field"] = "auto",
+    material: Literal["auto", "homogeneous", "regions", "field"] = "auto",
     hold_out: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
     pose: PoseChoice = "auto",
     cache: Path | None = None,
@@ -124,9 +125,10 @@ def fit(
         Small: displacements are linear in the force. Finite: the nonlinear part for an object that
         was pressed far is computed with finite elements and corrected for.
     material
-        Homogeneous: one modulus everywhere. Field: a modulus that differs from place to place,
-        where the data are decisively likelier with one. Auto: the latter only where the data
-        contradict one modulus.
+        Homogeneous: one modulus everywhere. Regions: one for every [[region]] of the session.
+        Field: a modulus that differs from place to place, where the data are decisively likelier
+        with one. Auto: regions if there are any, else a field only where the data contradict one
+        modulus.
     hold_out
         Do not fit these probings, but predict their displacement from their force.
     pose
@@ -369,6 +371,8 @@ def _print(estimate: Estimate, session: Session, predictions: Sequence[Predictio
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
     print_tables(constants_table(estimate))
+    if estimate.regions:
+        print_tables(regions_table(estimate))
     for note in estimate.notes:
         if note not in session.notes:
             print_text(f"Note: {note}")

@@ -28,9 +28,16 @@ from palpate.app.terminal import (
 from palpate.bem import InteriorState, check_memory
 from palpate.errors import InputError
 from palpate.geometry import bounding_diagonal
-from palpate.pipeline import PokedState, poke_session, tool_contact, von_mises_stress
+from palpate.pipeline import (
+    PokedState,
+    poke_session,
+    read_modulus,
+    tool_contact,
+    von_mises_stress,
+)
 from palpate.records import (
     MODULUS_RANGE,
+    ModulusMap,
     Status,
     check_free,
     default_folder,
@@ -114,6 +121,7 @@ def poke(
     if fit is not None and (young_modulus, shear_modulus, poisson_ratio) == (None, None, None):
         result = result or session
     shear, ratio = _material(result, young_modulus, shear_modulus, poisson_ratio)
+    modulus = None if result is None else _modulus(result)
     if not any(force):
         raise InputError("--force is zero; give the force of the tool in newtons: --force 0 0 -1")
     check_cache(cache)
@@ -133,7 +141,7 @@ def poke(
     with progress_bar() as progress:
         state = poke_session(
             given, np.array(force), contact, shear_modulus=shear, poisson_ratio=ratio,
-            interior=points, cache=cache, progress=progress,
+            modulus=modulus, interior=points, cache=cache, progress=progress,
         )  # fmt: skip
     moved = float(np.linalg.norm(state.largest)) / bounding_diagonal(given.mesh)
     if moved > _SMALL_DEFORMATION:
@@ -313,6 +321,11 @@ def _estimated_constants(result: Path) -> tuple[float, float]:
             " --shear-modulus and --poisson-ratio"
         )
     return shear, ratio
+
+
+def _modulus(result: Path) -> ModulusMap | None:
+    """The map of the modulus beside an estimate, where there is one."""
+    return read_modulus((result if result.is_dir() else result.parent) / "modulus.npz")
 
 
 def _displacement_table(found: PokedState, points: Points | None) -> Table:

@@ -15,6 +15,7 @@ from palpate.records.estimate import (
     ErrorEstimate,
     Estimate,
     ProbeEstimate,
+    RegionEstimate,
     Status,
     SupportEstimate,
 )
@@ -88,6 +89,7 @@ def read_estimate(path: Path | str) -> Estimate:
             budget=_read_budget(root),
             reciprocity=_read_reciprocity(root),
             field=None if root.values.get("field") is None else _read_field(root.table("field")),
+            regions=tuple(map(_read_region, root.optional("regions", root.tables) or ())),
             **{name: _read_constant(root.table(name)) for name in CONSTANT_NAMES},
         )
         # The best fit of a model that does not fit has no interval.
@@ -216,6 +218,17 @@ def _read_field(table: TomlTable) -> FieldEstimate:
     )
     with table.error_context():
         return FieldEstimate(std, length, evidence, known, tuple(parts))
+
+
+def _read_region(table: TomlTable) -> RegionEstimate:
+    ratio, shear, young = (
+        _read_constant(table.table(key, f"{table.name} [{key}]"))
+        for key in ("ratio", "shear_modulus", "young_modulus")
+    )
+    return RegionEstimate(
+        table.text("name"), ratio, shear, young, str(table.get("known")),
+        table.boolean("identifiable"), table.boolean("is_seen"),
+    )  # fmt: skip
 
 
 def _read_budget(table: TomlTable) -> tuple[BudgetEntry, ...]:

@@ -28,6 +28,7 @@ from palpate.records.load_checks import (
 from palpate.records.plausibility import check_error_lengths, plausibility_notes
 from palpate.records.probing import DisplacementField, Images, Probing
 from palpate.records.quantities import FILE_LENGTH_UNITS, LENGTH_UNITS
+from palpate.records.region import read_regions
 from palpate.records.rig import covariance_file
 from palpate.records.session import Session, Step
 from palpate.records.support import HeldObject, Support, read_supports
@@ -49,7 +50,8 @@ _SESSION_SUFFIXES = (".toml", ".txt", "", ".partial")
 # File in a folder of videos and a force log, in place of a session file.
 _RECORDING_FILE = "recording.toml"
 _ROOT_KEYS = (
-    "format", "name", "object", "support", "gravity", "rig", "errors", "probe", "step",
+    "format", "name", "object", "support", "region", "gravity", "rig", "errors", "probe",
+    "step",
 )  # fmt: skip
 # The keys of these tables are the fields of their records.
 _STEP_KEYS = [field.name for field in fields(Step)]
@@ -131,6 +133,7 @@ def read_session(
             steps=_steps(root),
             metres_per_unit=metres,
             supports=supports,
+            regions=read_regions(root, held_object),
             errors=read_error_priors(
                 root, metres_per_unit=metres, calibrated=bool(cameras and covariance_file(cameras))
             ),

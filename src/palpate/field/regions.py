@@ -1,0 +1,378 @@
+"""Parts of a body with moduli of their own: their elements, and the moduli that fit best.
+
+A region is a field that is 1 in it and 0 outside: in each element, the share of its volume. The
+coefficient is the logarithm of the region's modulus over that of the rest, which is G.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import csr_array
+
+from palpate.errors import InputError, NotConvergedError
+from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
+from palpate.field.field_fit import SAME_RATIO, modes_in
+from palpate.field.field_map import leading_directions
+from palpate.field.field_prior import FieldModes
+from palpate.field.field_responses import (
+    ELEMENTS,
+    VOLUME,
+    CoefficientPrior,
+    FieldExpansion,
+    FieldModel,
+    field_model,
+    no_field_reason,
+)
+from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
+from palpate.progress import Progress, silent
+from palpate.records import (
+    RATIO,
+    YOUNG,
+    Box,
+    Constant,
+    Insert,
+    Layer,
+    ModulusMap,
+    Region,
+    RegionEstimate,
+    Session,
+    Skin,
+)
+from palpate.shapes import Points
+from palpate.solids import GradedBody, Solid, inner_tetrahedron_points, inside, make_solid
+
+_MOST_ROUNDS = 20
+# Change of the logarithm of a modulus that ends the rounds: of second order in what it leaves.
+_TOLERANCE = 0.01
+_LONGEST = 1.5
+# Standard deviation of the logarithm of a ratio of which nothing is known: within a factor of 100.
+_UNKNOWN = float(np.log(10.0))
+# Points along the longest side of a body at which its regions are looked at.
+_LATTICE = 32
+# Elements that a fit has time for, and points along the edge of one where its share is taken.
+_MOST_ELEMENTS, _SAMPLES = 25_000, 3
+# A region is not seen where its standard deviation is more than this of the prior's; and is
+# determined where the ends of its interval differ by less than this factor, as for all moduli.
+_UNSEEN, _MAX_FACTOR = 0.9, 2.0
+# Share of the object that regions may fill: more leaves nothing to be the rest.
+_MOST_OF_ALL = 0.99
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionFit:
+    """Regions with what the data say about their moduli.
+
+    Attributes
+    ----------
+    regions : tuple of k Region
+    expansion : FieldExpansion      about the moduli that fit best
+    prior : CoefficientPrior
+    observations : list of ProbeObservations    with the regions' response, their coefficients as
+                                    errors that all probings share
+    """
+
+    regions: tuple[Region, ...]
+    expansion: FieldExpansion
+    prior: CoefficientPrior
+    observations: list[ProbeObservations]
+
+    def with_field(
+        self, session: Session, observations: Sequence[ProbeObservations]
+    ) -> list[ProbeObservations]:
+        """Observations of other pushes of the same body, with the regions' response.
+
+        Parameters
+        ----------
+        session : Session                           k probings
+        observations : sequence of k ProbeObservations      with the homogeneous body's response
+        """
+        return self.expansion.of_pushes(session, observations, self.prior)
+
+    def estimates(self, minimum: Evaluation) -> tuple[RegionEstimate, ...]:
+        """What a fit of `observations` says of every region.
+
+        Parameters
+        ----------
+        minimum : Evaluation
+        """
+        ratio, covariance = minimum.poisson_ratio, minimum.normal.covariance
+        value, direction = _log_ratios(minimum, self.prior)
+        # To log G of a region, and to its log E, from the logarithm of its ratio to the rest.
+        young = np.log(2.0 * (1.0 + ratio))
+        shift = np.array([0.0, minimum.theta[1], minimum.theta[1] + young])
+        above = np.zeros((3, len(covariance)))
+        above[1:, 1], above[2, 0] = 1.0, 1.0 / (1.0 + ratio)
+        found = []
+        for k, (region, own) in enumerate(zip(self.regions, modes_in(minimum), strict=True)):
+            rows = direction[k] + above
+            stds = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows))
+            of_rest, shear, its_young = map(_constant, value[k] + shift, stds)
+            is_seen = bool(region.known or covariance[own, own] < _UNSEEN**2)
+            low, high = shear.ci95
+            determined = high < _MAX_FACTOR * low
+            found.append(
+                RegionEstimate(
+                    region.name, of_rest, shear, its_young, region.known, determined, is_seen
+                )
+            )
+        return tuple(found)
+
+    def map(self, minimum: Evaluation) -> ModulusMap:
+        """The modulus of every element over that of the rest.
+
+        Parameters
+        ----------
+        minimum : Evaluation
+        """
+        value, direction = _log_ratios(minimum, self.prior)
+        model = self.expansion.model
+        modes, solid = model.body.means(model.values.toarray()), model.body.solid
+        covariance = direction @ minimum.normal.covariance @ direction.T
+        std = np.sqrt(np.einsum("ej,jk,ek->e", modes, covariance, modes))
+        used, corners = np.unique(solid.elements[:, :4], return_inverse=True)
+        seen = np.array([each.is_seen for each in self.estimates(minimum)])
+        known = modes[:, ~seen].sum(axis=1) < 0.5
+        return ModulusMap(
+            solid.nodes[used], corners.reshape(-1, 4), modes @ value, std, known,
+            leading_directions(modes, covariance),
+        )  # fmt: skip
+
+
+def _log_ratios(
+    minimum: Evaluation, prior: CoefficientPrior
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k d"]]:
+    """Logarithm of every region's modulus over G, and its derivative with respect to the common
+    parameters."""
+    where = modes_in(minimum)
+    direction = np.zeros((len(prior.mean), minimum.problem.layout.common))
+    direction[:, where] = prior.mixing
+    direction[:, 0], direction[:, 1] = prior.by_ratio, prior.by_log_modulus
+    moved = np.log(minimum.shear_modulus / prior.shear_modulus)
+    value = prior.mean + prior.mixing @ minimum.theta[where] + prior.by_log_modulus * moved
+    value += prior.by_ratio * (minimum.poisson_ratio - prior.poisson_ratio)
+    return value, direction
+
+
+def _constant(log_value: float, std: float) -> Constant:
+    value, factor = float(np.exp(log_value)), float(np.exp(1.96 * std))
+    return Constant(value, value * float(std), (value / factor, value * factor))
+
+
+def fit_regions(
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    *,
+    settings: FitSettings = FitSettings(),
+    progress: Progress = silent,
+) -> RegionFit:
+    """Expand about the moduli of a session's regions that fit best.
+
+    Parameters
+    ----------
+    session : Session                           k probings, with regions
+    observations : sequence of k ProbeObservations      with the homogeneous body's response
+    settings : FitSettings
+    progress : callable
+
+    Returns
+    -------
+    RegionFit
+
+    Raises
+    ------
+    InputError, MeshError           as `make_region_model`
+    NotConvergedError               the moduli do not settle
+    """
+    progress("finite elements", 0.0)
+    model = make_region_model(session)
+    minimum = joint_minimum(observations, settings)
+    ratio, modulus = minimum.poisson_ratio, minimum.shear_modulus
+    coefficients = _prior(session.regions, ratio, modulus).mean
+    homogeneous = model.moved(0.0 * coefficients, ratio)
+    for iteration in range(_MOST_ROUNDS):
+        progress("moduli of the regions", 1.0 - 0.7**iteration)
+        expansion = model.expanded(coefficients, ratio, homogeneous)
+        prior = _prior(session.regions, ratio, modulus)
+        minimum = joint_minimum(expansion.observations(session, observations, prior), settings)
+        new, _ = _log_ratios(minimum, prior)
+        change = float(np.abs(new - coefficients).max())
+        if change < _TOLERANCE:
+            expansion = expansion.with_slope()
+            observed = expansion.observations(session, observations, prior)
+            return RegionFit(session.regions, expansion, prior, observed)
+        step = min(1.0, _LONGEST / change)
+        coefficients = coefficients + step * (new - coefficients)
+        modulus = minimum.shear_modulus
+        if abs(minimum.poisson_ratio - ratio) > SAME_RATIO:
+            ratio = minimum.poisson_ratio
+            homogeneous = model.moved(0.0 * coefficients, ratio)
+    raise NotConvergedError(
+        f"the moduli of the regions still change by {100.0 * change:.0f} % after {_MOST_ROUNDS}"
+        " rounds: the displacements contradict each other; check units, forces and contacts"
+    )
+
+
+def _prior(regions: Sequence[Region], ratio: float, modulus: float) -> CoefficientPrior:
+    """What is known of the logarithms of the ratios before the data, at a Poisson's ratio and a
+    shear modulus of the rest."""
+    mean, by_ratio, by_log_modulus = np.zeros((3, len(regions)))
+    std = np.full(len(regions), _UNKNOWN)
+    for k, region in enumerate(regions):
+        if not region.known:
+            continue
+        std[k] = region.std / region.value
+        mean[k] = np.log(region.value)
+        if region.known != RATIO:
+            mean[k] -= np.log(modulus)
+            by_log_modulus[k] = -1.0
+        if region.known == YOUNG:
+            mean[k] -= np.log(2.0 * (1.0 + ratio))
+            by_ratio[k] = -1.0 / (1.0 + ratio)
+    names = tuple(f"modulus of region {each.name!r}" for each in regions)
+    return CoefficientPrior(names, np.diag(std), mean, by_ratio, by_log_modulus, ratio, modulus)
+
+
+def make_region_model(session: Session) -> FieldModel:
+    """Finite elements for a session's object, fine enough for its regions, and the loads of its
+    probings.
+
+    Parameters
+    ----------
+    session : Session               its contacts with radii
+
+    Returns
+    -------
+    FieldModel                      its modes the shares of the regions
+
+    Raises
+    ------
+    InputError                      supports or loads that regions are not computed for; as
+                                    `check_regions`
+    MeshError                       the surface cannot be filled
+    """
+    if reason := no_field_reason(session):
+        raise InputError(f"{reason} Fit with --material homogeneous")
+    solid = _filled(session)
+
+    def modes_of(body: GradedBody) -> tuple[csr_array, FieldModes]:
+        shares = csr_array(_shares(session.regions, solid))
+        return body.constant @ shares, FieldModes(np.eye(shares.shape[1]), np.zeros(0), ())
+
+    return field_model(session, solid, modes_of)
+
+
+def check_regions(session: Session) -> list[Points]:
+    """Refuse regions that are no parts of the object, or too thin for any elements.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    list of (n, 3) float [m]        evenly spaced points in each region
+
+    Raises
+    ------
+    InputError                      a region outside the object, or thinner than elements can be;
+                                    two that overlap; or no rest
+    """
+    mesh, regions = session.mesh, session.regions
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    found = [_points_in(region, mesh) for region in regions]
+    for k, (region, points) in enumerate(zip(regions, found, strict=True)):
+        if not len(points):
+            ends = (", ".join(f"{x:.3g}" for x in corner + 0.0) for corner in (low, high))
+            raise InputError(
+                f"region {region.name!r} is outside the object, which is from ({next(ends)}) to"
+                f" ({next(ends)}) m: check its place and length_unit"
+            )
+        for other in regions[:k]:
+            if share := float(_within(other, points).mean()):
+                raise InputError(
+                    f"{100.0 * share:.3g} % of region {region.name!r} lie in region {other.name!r},"
+                    " too; a point belongs to one of them: make one smaller"
+                )
+    volume = sum(
+        len(points) * _step(region, mesh) ** 3
+        for region, points in zip(regions, found, strict=True)
+    )
+    if volume > _MOST_OF_ALL * enclosed_volume(mesh):
+        raise InputError(
+            "the regions fill the whole object; leave one of them out: G is the modulus of the rest"
+        )
+    return found
+
+
+def _points_in(region: Region, mesh: TriangleMesh) -> Points:
+    """Evenly spaced points in the part of a region that lies in the object."""
+    shape, step = region.shape, _step(region, mesh)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    if isinstance(shape, Skin | Layer):
+        area = enclosed_volume(mesh) ** (2.0 / 3.0)
+        if isinstance(shape, Skin):
+            area = float(triangle_areas(shape.faces).sum())
+        _check_count(region, area / (VOLUME * shape.thickness**2))
+    else:
+        corners = np.stack(shape.bounds)
+        low, high = np.maximum(low, corners[0]), np.minimum(high, corners[1])
+    axes = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = points[_within(region, points)]
+    return points[inside(mesh, points)] if len(points) else points
+
+
+def _step(region: Region, mesh: TriangleMesh) -> float:
+    """Distance of the points at which a region is looked at."""
+    longest = float(np.ptp(mesh.vertices, axis=0).max())
+    return min(longest / _LATTICE, region.shape.thickness)
+
+
+def _check_count(region: Region, count: float) -> None:
+    """Refuse a region that takes too many elements."""
+    if count > _MOST_ELEMENTS:
+        raise InputError(
+            f"region {region.name!r} is {1e3 * region.shape.thickness:.2g} mm thick, which takes"
+            f" {count:.0f} elements; a fit has time for {_MOST_ELEMENTS}: make it part of the rest,"
+            " or thicker"
+        )
+
+
+def _within(region: Region, points: Points) -> Bool[np.ndarray, " n"]:
+    """Which points of the object lie in a region."""
+    if not isinstance(region.shape, Insert):
+        return region.shape.contains(points)
+    # The cheap test first.
+    near = Box(*region.shape.bounds).contains(points)
+    near[near] = inside(region.shape.surface, points[near])
+    return near
+
+
+def _filled(session: Session) -> Solid:
+    """The object in elements no larger than its regions are thick."""
+    mesh, volume = session.mesh, enclosed_volume(session.mesh)
+    edge, fine = (volume / (VOLUME * ELEMENTS)) ** (1.0 / 3.0), []
+    for region, points in zip(session.regions, check_regions(session), strict=True):
+        step, small = _step(region, mesh), region.shape.thickness
+        if small < edge:
+            _check_count(region, len(points) * step**3 / (VOLUME * small**3))
+            fine += [(point, step, small) for point in points]
+    return make_solid(mesh, edge=edge, fine=fine)
+
+
+def _shares(regions: Sequence[Region], solid: Solid) -> Float[np.ndarray, "m k"]:
+    """Share of every element's volume in every region; only elements with nodes on both sides are
+    looked into."""
+    barycentric = inner_tetrahedron_points(_SAMPLES)
+    shares = np.zeros((len(solid.elements), len(regions)))
+    for k, region in enumerate(regions):
+        at_node = _within(region, solid.nodes)[solid.elements]
+        shares[:, k] = at_node[:, 0]
+        cut = np.flatnonzero(at_node.any(axis=1) & ~at_node.all(axis=1))
+        corner = solid.nodes[solid.elements[cut, :4]]
+        points = np.einsum("sv,mva->msa", barycentric, corner)
+        within = _within(region, points.reshape(-1, 3)).reshape(points.shape[:2])
+        shares[cut, k] = within.mean(axis=1)
+    return shares
