@@ -6,7 +6,6 @@ from scipy.stats import multivariate_normal
 
 from palpate.field.field_prior import FieldPrior, make_field_modes
 
-
 # A grid of 125 cells of unlike volume.
 LINE = np.arange(5) / 5.0
 POINTS = np.stack(np.meshgrid(LINE, LINE, LINE), axis=-1).reshape(-1, 3)

@@ -93,7 +93,7 @@ class FieldModel:
     Attributes
     ----------
     body : GradedBody
-    values : (m q, f) sparse        a field at the quadrature points, from what the modes are given as
+    values : (m q, f) sparse        a field at the quadrature points, from where modes give it
     modes : FieldModes
     corners : (c,) int              nodes on the free surface at which derivatives are computed
     load : (3 n, k) float [N]       nodal forces of every probing
