@@ -24,9 +24,7 @@ _EVENTS = {
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 
-def in_child(
-    work: Callable[[], object], folder: Path, *, step: int, dies: bool, fault: str = "disk is full"
-) -> str:
+def in_child(work: Callable[[], object], folder: Path, *, step: int, fault: str = "dies") -> str:
     """Run something in a fork that fails at one of its steps.
 
     Parameters
@@ -34,8 +32,8 @@ def in_child(
     work : callable
     folder : Path                   what is done in it counts
     step : int                      from 1
-    dies : bool                     the process ends without any cleaning up, else there is a fault
-    fault : str                     "disk is full", or "SIGTERM": the process is asked to end
+    fault : str                     "dies": the process ends without cleaning up; "SIGTERM": it is
+                                    asked to; or the error of the step, such as "ENOSPC"
 
     Returns
     -------
@@ -49,12 +47,15 @@ def in_child(
     def happens(*_: object) -> None:
         nonlocal count
         count += 1
-        if count == step and dies:
+        if count != step:
+            return
+        if fault == "dies":
             os._exit(OUTCOMES.index("died"))
-        if count == step and fault == "SIGTERM":
+        if fault == "SIGTERM":
             signal.raise_signal(signal.SIGTERM)
-        elif count == step:
-            raise OSError(errno.ENOSPC, "No space left on device")
+        else:
+            number = getattr(errno, fault)
+            raise OSError(number, os.strerror(number))
 
     _have_told(happens, folder)
     sys.stdout = sys.stderr = io.StringIO()

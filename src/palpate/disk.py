@@ -157,11 +157,12 @@ def write_errors(final: Path) -> Iterator[None]:
 
 
 def roll_back_interrupted(target: Path) -> None:
-    """Roll back an interrupted change of several files, if there is one; reported on stderr.
+    """Undo an interrupted change of several files or of a folder, if there is one, and say so.
 
     Parameters
     ----------
-    target : Path                   the last of these files, as given to `atomic_replacement`
+    target : Path                   the folder, or the last of these files, as given to
+                                    `atomic_replacement`
 
     Raises
     ------
@@ -173,6 +174,8 @@ def roll_back_interrupted(target: Path) -> None:
     # An unreadable location is reported by whoever reads the file itself.
     with suppress(OSError):
         interrupted, _ = _read_journal(_hidden_path(final, "journal"))
+        # Where two names cannot be exchanged, a folder is gone for a moment.
+        interrupted |= _hidden_path(final, "older").is_dir() and not final.exists()
     if interrupted:
         with _hold_lock(final), write_errors(final):
             _clean_up([final])

@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import re
-import shutil
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -21,6 +20,7 @@ import palpate
 from palpate.disk import atomic_replacement, created_folder
 from palpate.errors import InUseError, RecordError
 from palpate.files import open_own_file, read_errors, unpacked_arrays
+from palpate.machine import free_disk
 
 T = TypeVar("T")
 # Name of a part's file: a digest.
@@ -253,17 +253,9 @@ def _trim(cache: Path) -> None:
                 with suppress(OSError):
                     found.append((file.stat(), file))
     total, held = 0, sum(each.st_size for each, _ in found)
-    most = min(_MOST_BYTES, _MOST_FRACTION * (_free_bytes(cache) + held))
+    most = min(_MOST_BYTES, _MOST_FRACTION * (free_disk(cache) + held))
     for each, file in sorted(found, key=lambda pair: pair[0].st_mtime, reverse=True):
         total += each.st_size
         if total > most:
             with suppress(OSError):
                 file.unlink()
-
-
-def _free_bytes(folder: Path) -> int:
-    """What is free on the disk of a folder, 0 if that cannot be found out."""
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return 0

@@ -122,7 +122,10 @@ def test_a_body_that_memory_cannot_hold_is_refused_before_any_work(packed_cube, 
     outcome = do_work(work, folder=tmp_path, memory=4e8)
     with pytest.raises(InputError) as expected:
         check_memory(98, 1, available=4e8)
-    assert "needs 0.4 GB of memory for one probing; 0.4 GB can be used here" in outcome.failure
+    assert (
+        "model for one probing would take 0.4 GB of memory; 0.4 GB can be used here"
+        in outcome.failure
+    )
     assert outcome.failure == f"{packed_cube.root}/cube/mesh.ply: {expected.value}"
 
 

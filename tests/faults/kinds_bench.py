@@ -160,6 +160,7 @@ KINDS = [
         _option(None, *_EDGE, value, says=f"--edge is '{value}'; must be a finite number, with one of")
         for value in ("1_0e-5", "nan", "1e400", "3N")
     ),
+    _option(None, *_EDGE, "1um", says="edge of 0.001 mm have some 8e+14 nodes, which would take"),
     *(
         _option(None, *command, says=says)
         for *command, says in (

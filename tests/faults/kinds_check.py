@@ -82,6 +82,13 @@ KINDS = [
         for words in _NO_NUMBERS
     ),
     Kind(
+        "a window larger than the pictures",
+        lambda _: None,
+        ("flow", ".", "--subset", "121", "--out", "made"),
+        ("subset is 121 px", "the smallest pictures are 120 px"),
+        "pictured",
+    ),
+    Kind(
         "a preload that pulls",
         lambda folder: (folder / "c.csv").write_text(
             "\n".join(f"{0.1 * k},{0.2 * k}" for k in range(60))

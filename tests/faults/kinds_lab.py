@@ -29,6 +29,7 @@ _BALL = {
     # Against the sizes that the configuration itself states.
     ("radius = 0.04\nedge = 0.008\nelement = 0.01", "radius = 40\nedge = 8"):
         "[specimen]: the object is 120 m across; must be 0.0001 to 50 m",
+    ("element = 0.01", "element = 1e-5"): "[specimen]: element is 1e-05 m: the factor of a stiffness matrix of some",
     ("element = 0.01", "element = 1"): "[specimen] element: is 1 m; must be 0.12 m at most, the object's",
     ("distance = 0.5", "distance = 0.01"): "[head]: distance is 0.01 m, less than the object's size of 0.12 m",
     ("noise = 5e-5", "noise = 5"): "[position_sensor] noise: is 5 m; must be 0.12 m at most",

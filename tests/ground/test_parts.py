@@ -155,7 +155,7 @@ def test_a_cache_takes_a_quarter_of_what_is_free_without_it(tmp_path, monkeypatc
     files = _parts_of_ten_bytes(tmp_path, 5)
     usage = shutil.disk_usage(tmp_path)
     # With the 50 bytes of the cache 120 would be free, of which a quarter are three parts.
-    monkeypatch.setattr(parts.shutil, "disk_usage", lambda _: usage._replace(free=70))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=70))
     parts._trim(tmp_path)
     assert sorted(tmp_path.iterdir()) == files[:3]
 

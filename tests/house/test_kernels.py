@@ -7,7 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ROOT / "src" / "palpate"
 # Files of the ground floor that hold functions and types alone.
-_FUNCTIONS = {"arrays", "errors", "optional_imports", "progress", "shapes", "threads"}
+_FUNCTIONS = {"arrays", "errors", "machine", "optional_imports", "progress", "shapes", "threads"}
 
 
 def _imports(path: Path) -> set[str]:

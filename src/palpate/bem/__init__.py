@@ -16,7 +16,6 @@ from palpate.bem.compressed.system import (
     check_memory as check_memory,
     compressed_system as compressed_system,
     held_system as held_system,
-    machine_memory as machine_memory,
     memory_needed as memory_needed,
 )
 from palpate.bem.elastic_map import (

@@ -13,13 +13,13 @@ from palpate.errors import quoted
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
-    enclosed_volume,
     triangle_areas,
 )
 from palpate.lab.config import LabConfig, Probe, Specimen
 from palpate.lab.head import make_head
 from palpate.lab.render_mesh import dot_count
 from palpate.lab.specimens import SHAPES
+from palpate.machine import check_memory_for
 from palpate.records import (
     STIFFNESS_UNITS,
     TomlTable,
@@ -28,7 +28,7 @@ from palpate.records import (
     read_toml,
 )
 from palpate.shapes import Indices
-from palpate.solids import TIPS
+from palpate.solids import TIPS, body_memory, node_count
 
 LAB_FORMAT = "palpate-lab/1"
 # Keys that are not fields of `LabConfig`, or are converted before they become fields.
@@ -36,8 +36,8 @@ _APART = ("format", "specimen", "support", "probe")
 # The body's surface is this many times finer than the session's mesh. The error of a faceted
 # surface grows with the square of its edge, so the body has a ninth of the mesh's.
 _BODY_REFINEMENT = 3.0
-# Largest numbers of surface triangles and of tetrahedra: minutes of work and some gigabytes.
-_MOST_SQUARES, _MOST_TETRAHEDRA = 30_000, 300_000
+# Largest number of the surface's triangles.
+_MOST_SQUARES = 30_000
 # Smallest and largest permitted size of a specimen [m].
 _SMALLEST, _LARGEST = 1e-4, 50.0
 # Lengths that may not exceed the size of the specimen.
@@ -129,13 +129,12 @@ def _specimen(root: TomlTable) -> Specimen:
     element = table.number("element") if "element" in table.values else edge
     if not element > 0.0:
         table.fail("element", f"is {element:g} m; must be positive")
-    # 6 sqrt 2 regular tetrahedra have the volume of a cube of their edge.
-    least = (6.0 * np.sqrt(2.0) * abs(enclosed_volume(mesh)) / _MOST_TETRAHEDRA) ** (1.0 / 3.0)
-    if element < least:
-        table.fail(
-            "element",
-            f"is {element:g} m, which makes more than {_MOST_TETRAHEDRA} tetrahedra of the object;"
-            f" must be {least:.2g} m or more (missing: the edge)",
+    nodes = node_count(body, element)
+    with table.error_context():
+        check_memory_for(
+            f"element is {element:g} m: the factor of a stiffness matrix of some {nodes:.2g} nodes",
+            body_memory(nodes),
+            "use larger elements (missing: the edge)",
         )
     held, support, stiffness = _support(root, body)
     return Specimen(mesh, body, held, support, element, stiffness)

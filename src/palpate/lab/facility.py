@@ -24,6 +24,7 @@ from palpate.lab.head import make_head, miscalibrated
 from palpate.lab.ideal_view import truth_map, write_truth_map
 from palpate.lab.scene import Variant
 from palpate.lab.studio import Studio, exposure, make_studio, photograph
+from palpate.machine import check_disk_for
 from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -51,6 +52,8 @@ Table = dict[str, Any]
 _Measured = tuple[_Files, tuple[Table, Table]]
 # Share of the object's vertices that every camera must see in its picture.
 _MIN_SEEN = 0.9
+# Of a truth map per pixel of the reference camera: 30 bytes where the object is, a quarter of it.
+_TRUTH_BYTES = 8.0
 # Cost of the studio in units of one probing, for the progress display.
 _STUDIO = 0.6
 # Name of the pictures before any push.
@@ -78,11 +81,26 @@ class _Bench:
         ]
         check_picture_names(instants, self.rig)
         _check_view(self.rig, mesh)
+        self._check_disk(len(instants))
         self.tips = [
             aim(probe, config.arm, mesh, rng=self.rng(_ARM, k))
             for k, probe in enumerate(config.probes)
         ]
         self.measured: list[tuple[Table, Table]] = []
+
+    def _check_disk(self, instants: int) -> None:
+        """Refuse pictures and truth maps that the disk cannot hold."""
+        config, cameras = self.config, self.rig.cameras
+        later = instants if config.stage is None else config.stage.steps
+        maps = len(config.probes) if config.stage is None else later
+        pixels = np.prod([camera.size or (0, 0) for camera in cameras], axis=1, dtype=float)
+        # Noise fills the bits and does not compress.
+        needed = (1 + later) * pixels.sum() * config.pictures.bits / 8
+        needed += _TRUTH_BYTES * maps * pixels[self.rig.reference]
+        check_disk_for(
+            f"{1 + later} pictures by each of {len(cameras)} cameras", needed,
+            "ask for fewer or smaller ones, or choose another disk", self.folder,
+        )  # fmt: skip
 
     def rng(self, stream: int, number: int = 0) -> np.random.Generator:
         """Generator of one stream of random numbers."""

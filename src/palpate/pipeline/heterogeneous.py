@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from palpate.bem import machine_memory
 from palpate.errors import InputError, MeshError, NotConvergedError, SingularSystemError
 from palpate.estimation import (
     Evaluation,
@@ -24,6 +23,7 @@ from palpate.field import (
     fit_regions,
     no_field_reason,
 )
+from palpate.machine import machine_memory
 from palpate.pipeline.contacts import has_tools, with_contact_radii
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.object_model import make_object_model

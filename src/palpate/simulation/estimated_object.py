@@ -23,7 +23,14 @@ from palpate.pipeline import outward_pushes, poke_session
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.records import RIGID, Estimate, ModulusMap, Probing, Session
 from palpate.shapes import Points, Vector3
-from palpate.solids import Solid, boundary_surface, held_nodes, make_solid, surface_values
+from palpate.solids import (
+    Solid,
+    boundary_surface,
+    check_solid_size,
+    held_nodes,
+    make_solid,
+    surface_values,
+)
 
 # Density of a body whose session gives none: that of water [kg/m^3].
 USUAL_DENSITY = 1000.0
@@ -311,7 +318,8 @@ def check_edge(mesh: TriangleMesh, edge: float | None) -> None:
 
     Raises
     ------
-    InputError                      not positive, or longer than the object
+    InputError                      not positive, longer than the object, or so short that the
+                                    memory does not hold the tetrahedra
     """
     if edge is None:
         return
@@ -322,6 +330,7 @@ def check_edge(mesh: TriangleMesh, edge: float | None) -> None:
         raise InputError(
             f"edge is {edge:g} m; the object is {size:.3g} m across: choose a part of it"
         )
+    check_solid_size(mesh, edge)
 
 
 def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> SolidModel:

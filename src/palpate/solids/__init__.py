@@ -38,6 +38,12 @@ from palpate.solids.graded_body import (
     make_graded_body as make_graded_body,
     with_moduli as with_moduli,
 )
+from palpate.solids.sizes import (
+    body_memory as body_memory,
+    check_solid_size as check_solid_size,
+    node_count as node_count,
+    solid_memory as solid_memory,
+)
 from palpate.solids.tetrahedra import (
     Solid as Solid,
     boundary_surface as boundary_surface,

@@ -15,7 +15,9 @@ from scipy.sparse import csr_array, kron
 
 from palpate.errors import InputError, SingularSystemError
 from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
+from palpate.machine import check_memory_for
 from palpate.shapes import Points, Vector3
+from palpate.solids.sizes import body_memory
 from palpate.solids.sparse_cholesky import Cholesky, factorise
 from palpate.solids.tetrahedra import QUARTERS, Solid, boundary_surface
 
@@ -104,7 +106,8 @@ def make_body(
 
     Raises
     ------
-    InputError                      constants out of range, no or all nodes held
+    InputError                      constants out of range, no or all nodes held, a factor that
+                                    memory cannot hold
     SingularSystemError             the held nodes are collinear: the body can turn about them
     """
     if not (np.isfinite(shear_modulus) and shear_modulus > 0.0):
@@ -124,6 +127,8 @@ def make_body(
             f"the {int(held.sum())} held nodes lie in a line: the body is free to turn about it;"
             " hold more of its surface"
         )
+    what = f"the factor of a stiffness matrix of {len(held)} nodes"
+    check_memory_for(what, body_memory(float(len(held))), "use larger elements")
     moduli, basis = hooke_moduli(shear_modulus, poisson_ratio), quadratic_basis(solid)
     stiffness = stiffness_matrix(basis, moduli)
     if support_stiffness is not None:

@@ -30,6 +30,7 @@ from palpate.geometry import (
     unit_normals,
 )
 from palpate.shapes import Points, PointScalars
+from palpate.solids.sizes import check_solid_size
 
 # Corners of the edges with midside nodes 4 to 9, in the order of skfem.ElementTetP2.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -131,7 +132,7 @@ def make_solid(
     Raises
     ------
     InputError                        an edge or radius that is not positive, or an edge too small
-                                      for the size of the body
+                                      for the size of the body or for the memory
     MeshError                         the surface is open, intersects itself, bounds several
                                       solids, or has details finer than `edge`
     """
@@ -150,6 +151,7 @@ def make_solid(
         if not (np.isfinite(radius) and radius >= 0.0):
             raise InputError(f"radius of a fine place is {radius}; must not be negative")
     mesh, _ = checked_mesh(mesh)
+    check_solid_size(mesh, edge)
     spacing = _make_spacing(edge, fine)
     shell = _surface_points(mesh, spacing, closest_points(mesh, marked).position)
     inner = _volume_points(mesh, spacing, shell)

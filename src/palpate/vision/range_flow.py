@@ -119,6 +119,11 @@ class FlowMethod(Protocol):
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
+    @property
+    def subset(self) -> int:
+        """Side of the window that is matched [px]."""
+        ...
+
     def start(
         self, rig: Rig, pictures: Sequence[Float[np.ndarray, "_ _"]], surface: TriangleMesh
     ) -> Any:

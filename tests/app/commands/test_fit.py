@@ -373,7 +373,7 @@ def test_a_model_that_memory_cannot_hold_is_refused_at_once(
     palpate, cube_session, monkeypatch, command
 ):
     # 218 vertices need 9 MB beside the program's 0.3 GB.
-    monkeypatch.setattr("palpate.bem.compressed.system.machine_memory", lambda: 0.34e9)
+    monkeypatch.setattr("palpate.machine.machine_memory", lambda: 0.34e9)
     code, _, err = palpate(command, cube_session)
     assert code == 2
     assert "mesh.ply: the mesh has 218 vertices" in err

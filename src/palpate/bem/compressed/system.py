@@ -3,9 +3,7 @@
 The memory that the model of an object needs, dense or compressed, is checked before it is built.
 """
 
-import os
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,12 +22,9 @@ from palpate.bem.system.system import (
     place_collocation,
 )
 from palpate.errors import InputError
+from palpate.machine import check_memory_for, usable_memory
 from palpate.progress import Progress, silent
 
-try:
-    import resource
-except ModuleNotFoundError:  # Windows has no such limits
-    resource = None  # type: ignore[assignment]
 # Coefficient of the slack in every integral equation (`system_matrix`).
 SLACK = 8 * np.pi
 # The program and its libraries [bytes].
@@ -50,14 +45,8 @@ LARGEST_DENSE = 5000
 # iteration and the reduced basis keep.
 _BYTES_PER_VERTEX = 170e3
 _COMPRESSED_VECTORS_PER_COLUMN = 110
-_USABLE_FRACTION = 0.9
 # A surface of fewer vertices does not represent an object: other cures are offered then.
 _MIN_VERTICES = 100
-# Files in which Linux states the memory limit of a container.
-_CONTAINER_LIMITS = (
-    Path("/sys/fs/cgroup/memory.max"),
-    Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,24 +267,19 @@ def check_memory(
     needed_for = partial(
         memory_needed, n_probings=n_probings, rollers=rollers, dense=dense, n_factors=n_factors
     )
-    needed = needed_for(n_vertices)
-    usable = _USABLE_FRACTION * (machine_memory() if available is None else available)
-    if needed > usable:
-        model = "model needs"
-        if rollers or dense:
-            model = "dense matrices (as supports that roll or give take them) need"
-        max_vertices = _max_vertices(needed_for, usable)
-        cure = (
-            f"simplify the surface to at most {max_vertices} vertices in a mesh program (decimate,"
-            " remesh; 1000 to 3000 serve most objects)"
-        )
-        if max_vertices < _MIN_VERTICES:
-            fewer = "choose fewer probings (--probe), or " if n_probings > 1 else ""
-            cure = f"{fewer}decimate the surface, or use a machine with more memory"
-        raise InputError(
-            f"the mesh has {n_vertices} vertices, whose {model} {needed / 1e9:.1f} GB of"
-            f" memory {_for(n_probings)}; {usable / 1e9:.1f} GB can be used here: {cure}"
-        )
+    model = "model"
+    if rollers or dense:
+        model = "dense matrices, as supports that roll or give take them,"
+    max_vertices = _max_vertices(needed_for, usable_memory(available))
+    cure = (
+        f"simplify the surface to at most {max_vertices} vertices in a mesh program (decimate,"
+        " remesh; 1000 to 3000 serve most objects)"
+    )
+    if max_vertices < _MIN_VERTICES:
+        fewer = "choose fewer probings (--probe), or " if n_probings > 1 else ""
+        cure = f"{fewer}decimate the surface, or use a machine with more memory"
+    what = f"the mesh has {n_vertices} vertices, whose {model} {_for(n_probings)}"
+    check_memory_for(what, needed_for(n_vertices), cure, available=available)
 
 
 def memory_needed(
@@ -347,17 +331,3 @@ def _max_vertices(needed_for: Callable[[int], float], usable: float) -> int:
         if low > first:
             return low // 100 * 100
     return 0
-
-
-def machine_memory() -> float:
-    """Memory that this process may use at most [bytes]; infinite where the system tells none."""
-    limits = [float("inf")]
-    with suppress(AttributeError, OSError, ValueError):
-        limits.append(float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES")))
-    for path in _CONTAINER_LIMITS:
-        # The file reads "max" where there is no limit.
-        with suppress(OSError, ValueError):
-            limits.append(float(path.read_text(encoding="ascii")))
-    if resource is not None:
-        limits += [float(n) for n in resource.getrlimit(resource.RLIMIT_AS)[:1] if n > 0]
-    return min(limits)

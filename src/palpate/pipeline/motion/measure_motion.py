@@ -152,12 +152,18 @@ def measured_motions(
 
     Raises
     ------
-    InputError                      no images, no rig
+    InputError                      no images, no rig, a window larger than the pictures
     RecordError, CalibrationError   the first pictures or the rig cannot be used
     """
     sequences = picture_sequences(session)
     progress("cameras", 0.0)
     rig = session_rig(session)
+    shortest = min((side for one in rig.cameras for side in one.size or ()), default=method.subset)
+    if method.subset > shortest:
+        raise InputError(
+            f"subset is {method.subset} px; the smallest pictures are {shortest} px high or wide,"
+            " and a window must lie within: choose one as wide as a few dots of the texture"
+        )
     keys = {} if parts is None else motion_keys(session, method, pose)
     done, total = 0, sum(len(sequence.later) for sequence in sequences)
     notes = SessionNotes()

@@ -17,7 +17,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from palpate.disk import atomic_replacement
+from palpate.disk import atomic_replacement, roll_back_interrupted
 from palpate.errors import InputError, RecordError, print_message
 from palpate.files import checked_file
 from palpate.records.files.session import session_file
@@ -285,7 +285,9 @@ def check_fit_result(folder: Path) -> None:
     Raises
     ------
     RecordError                     it is something else, was changed, or was copied incompletely
+    InUseError                      another process is writing it
     """
+    roll_back_interrupted(folder)
     kind, changed, _ = folder_changes(folder)
     if kind != "fit":
         what = f"a result of `palpate {kind}`" if kind else "no result of this version of Palpate"

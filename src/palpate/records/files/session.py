@@ -158,9 +158,10 @@ def session_file(path: Path) -> Path:
     RecordError                     there is no session file
     InUseError                      another process is changing it
     """
+    roll_back_interrupted(path)
     folder = os.path.isdir(path)
-    roll_back_interrupted(path / "session.toml" if folder else path)
     if folder:
+        roll_back_interrupted(path / "session.toml")
         file = path / "session.toml"
         if not os.access(path, os.R_OK | os.X_OK):
             raise RecordError(f"{path}: the folder cannot be read (Permission denied)")
