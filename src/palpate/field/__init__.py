@@ -6,7 +6,8 @@ Takes      : a `Session`, its `ProbeObservations` with the homogeneous model.
 Gives      : `ModulusField`; observations with the field's response and its coefficients as errors
              that all probings share.
 Depends on : `solids`, `estimation`, `probe`, `geometry`, `records`.
-Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`.
+Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`; of pokes without pictures
+             `poke_responses.py`.
 """
 
 from palpate.field.field_fit import (
@@ -17,3 +18,9 @@ from palpate.field.field_fit import (
 )
 from palpate.field.field_map import FieldPosterior as FieldPosterior
 from palpate.field.field_responses import no_field_reason as no_field_reason
+from palpate.field.poke_responses import (
+    PokeModel as PokeModel,
+    PokeResponse as PokeResponse,
+    make_poke_model as make_poke_model,
+    tool_dent as tool_dent,
+)

@@ -18,9 +18,10 @@ from palpate.estimation import (
 )
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
-from palpate.field.field_responses import FieldExpansion, make_field_model
+from palpate.field.field_responses import FieldExpansion, FieldModel, make_field_model
+from palpate.field.poke_responses import PokeExpansion, PokeModel, make_poke_model
 from palpate.progress import Progress, silent
-from palpate.records import FieldEstimate, Session
+from palpate.records import FieldEstimate, Session, without_pictures
 
 _MOST_ROUNDS = 10
 # Change of log G anywhere that ends the rounds: of second order in what it leaves.
@@ -42,14 +43,14 @@ class FieldFit:
 
     Attributes
     ----------
-    expansion : FieldExpansion      about the field that fits best
+    expansion : FieldExpansion or PokeExpansion     about the field that fits best
     prior : FieldPrior              of most evidence
     log_evidence : float            over that of a body that is the same everywhere
     observations : list of ProbeObservations    with the field's response, its coefficients as
                                     errors that all probings share
     """
 
-    expansion: FieldExpansion
+    expansion: FieldExpansion | PokeExpansion
     prior: FieldPrior
     log_evidence: float
     observations: list[ProbeObservations]
@@ -118,7 +119,8 @@ def field_evidence(
     ------
     MeshError                       so few elements do not fit into the body
     """
-    model = make_field_model(session, elements=_FEW, times=(1, 3))
+    make = make_poke_model if without_pictures(session) else make_field_model
+    model: FieldModel | PokeModel = make(session, elements=_FEW, times=(1, 3))
     none = np.zeros(model.modes.modes.shape[1])
     ratio = minimum.poisson_ratio
     expansion = model.expanded(none, ratio, model.moved(none, ratio))
@@ -152,7 +154,8 @@ def fit_field(
     NotConvergedError               the field does not settle
     """
     progress("finite elements", 0.0)
-    model = make_field_model(session)
+    make = make_poke_model if without_pictures(session) else make_field_model
+    model: FieldModel | PokeModel = make(session)
     plain = joint_minimum(observations, settings)
     modes = model.modes
     prior = FieldPrior(0.4, float(modes.lengths[1]))
@@ -190,7 +193,7 @@ class _Task:
 
     session: Session
     homogeneous: Sequence[ProbeObservations]
-    expansion: FieldExpansion
+    expansion: FieldExpansion | PokeExpansion
     settings: FitSettings
 
     def observations(self, mixing: Float[np.ndarray, "b j"]) -> list[ProbeObservations]:

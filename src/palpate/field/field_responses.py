@@ -46,7 +46,7 @@ _STEP = 0.005
 # Points along the side of a triangle where the pressure of a contact is taken.
 _SAMPLES = 12
 # Begins the names of a field's coefficients; what the budget calls them together.
-_MODE, _SOURCE = "mode of the modulus", "modulus that differs from place to place"
+MODE, SOURCE = "mode of the modulus", "modulus that differs from place to place"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,9 +171,9 @@ class FieldExpansion:
         observations : sequence of k ProbeObservations      of the homogeneous body
         mixing : (b, j) float           L
         """
-        names = (f"{_MODE} {j}" for j in range(mixing.shape[1]))
+        names = (f"{MODE} {j}" for j in range(mixing.shape[1]))
         parameters = tuple(
-            NuisanceParameter(name, 1.0, of=_SOURCE, is_material=True) for name in names
+            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in names
         )
         return [
             self._observed(k, session, probing, probe, mixing, parameters)
@@ -265,7 +265,7 @@ def make_field_model(
     """
     if reason := no_field_reason(session):
         raise InputError(f"{reason} Fit with --material homogeneous")
-    solid = _filled(session.mesh, [each * elements for each in times])
+    solid, _ = filled(session.mesh, [each * elements for each in times])
     held = held_nodes(solid, session.held_triangles)
     body = make_graded_body(solid, held)
     corners = np.unique(solid.facets[:, :3])
@@ -301,13 +301,23 @@ def no_field_reason(session: Session) -> str:
     )
 
 
-def _filled(mesh: TriangleMesh, counts: Sequence[int]) -> Solid:
-    """The body in the fewest elements that fit into it."""
+def filled(mesh: TriangleMesh, counts: Sequence[int]) -> tuple[Solid, float]:
+    """The body in the fewest elements that fit into it, and their edge [m].
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    counts : sequence of int        of elements, about, ascending
+
+    Raises
+    ------
+    MeshError                       not even the most of them fit
+    """
     volume = enclosed_volume(mesh)
     for count in counts:
         edge = (volume / (_VOLUME * count)) ** (1.0 / 3.0)
         try:
-            return make_solid(mesh, edge=edge)
+            return make_solid(mesh, edge=edge), edge
         except MeshError:
             if count == counts[-1]:
                 raise

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
+from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.heterogeneous import (
@@ -28,6 +29,7 @@ from palpate.pipeline.model.large_strain import fit_at_finite_strain
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, length_error, with_stretch
 from palpate.pipeline.motion.figures import rejection_note, rejections
+from palpate.pipeline.pokes import fit_pokes
 from palpate.pipeline.observations import (
     UNGRADED_RESIDUAL,
     compared_meshes,
@@ -49,6 +51,7 @@ from palpate.records import (
     Status,
     SupportEstimate,
     require_probings,
+    without_pictures,
 )
 
 # Fractions of the work that are done when the graded mesh's model, its factorisation and the
@@ -101,6 +104,10 @@ def fit_session(
     """
     start = time.perf_counter()
     require_probings(session)
+    if without_pictures(session):
+        if finite_strain:
+            raise InputError("pokes without pictures are fitted with --strain small: press less far")
+        return fit_pokes(session, settings=settings, material=material, progress=progress)
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}
     chosen |= {"lengths": length_error(session, strains)}

@@ -124,6 +124,29 @@ class GradedStiffness:
             result -= np.tensordot(energy, basis[part], axes=(0, 0))
         return result
 
+    def energies(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "m p"]:
+        """Twice the energy of every element under each load: minus the derivative of the work of
+        the load by the logarithm of the element's modulus.
+
+        Parameters
+        ----------
+        moved : (3 n, p) float [m Pa]   displacements under the loads
+
+        Returns
+        -------
+        (m, p) float
+        """
+        moduli, unknowns = _hooke(self.poisson_ratio), self.body.unknowns
+        energy = np.zeros((len(unknowns), moved.shape[1]))
+        for part in _blocks(len(unknowns)):
+            strain = self.body.strain[part]
+            own = strain.reshape(len(strain), -1, 30) @ moved[unknowns[part]]
+            own = own.reshape(*strain.shape[:3], moved.shape[1])
+            scale = self.body.weight[part] * np.exp(self.log_modulus[part])[:, None]
+            stress = np.einsum("ij,eqjp->eqip", moduli, own)
+            energy[part] = np.einsum("eqip,eqip,eq->ep", own, stress, scale)
+        return energy
+
 
 def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
     """The elements of a supported solid.

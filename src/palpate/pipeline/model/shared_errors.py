@@ -75,6 +75,9 @@ def shared_errors(
         )
     nuisances += _contact_errors(model, index, response)
     nuisances += _tool_slip(model, index, response)
+    if priors.tool_compliance > 0.0 and probing.tip_displacement is not None:
+        count = response.rows.surface.shape[0] // 3
+        nuisances.append(tool_compliance(priors.tool_compliance, probing.force, count))
     if model.springs is not None:
         nuisances += filter(None, [compliance_error(model, response)])
     return tuple(nuisances)
@@ -320,6 +323,29 @@ def tool_slip(
         return fixed_displacement(columns * [each.std for each in parameters], at)
 
     return Nuisance(parameters, effects)
+
+
+def tool_compliance(std: float, force: Float[np.ndarray, "3"], count: int) -> Nuisance:
+    """What the arm, the tool and the base give under the force, which the tool's displacement holds
+    as well: one parameter for all probings.
+
+    Parameters
+    ----------
+    std : float [m/N]               > 0
+    force : (3,) float [N]          of the tool on the object
+    count : int                     as `contact_error`
+
+    Returns
+    -------
+    Nuisance
+    """
+
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r 2 c 1"]:
+        component = at.rows - 3 * count
+        columns = np.where(component >= 0, std * force[component], 0.0)
+        return fixed_displacement(columns[:, None], at)
+
+    return Nuisance((NuisanceParameter("compliance of arm, tool and base", std, "m/N"),), effects)
 
 
 def calibration_strains(session: Session) -> Float[np.ndarray, "m 3 3"] | None:

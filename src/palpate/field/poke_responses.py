@@ -1,0 +1,285 @@
+"""How deep a tool goes in, on a body with a field of moduli: pokes without pictures.
+
+A tool is smaller than the elements, and hundreds of places cannot all have small ones. Elements
+resolve a load that is spread over a patch of 1.5 edges. What they miss under the tool is that of a
+half space of the local modulus, in closed form:
+
+    u(m) G / F = C(m) - L_s exp(-m_l) + L exp(-(1 - q) m_l),
+
+C the elements' compliance under the spread load, L_s that of a half space under the same load, L
+the tool's dent (`probe.indentation`), m_l the mean of m over the elements under the patch. A load
+and its observation are the same, so dC / dm_e = -exp(m_e) u' K_e u takes no further solution.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import coo_array, csr_array
+
+from palpate.estimation import Nuisance, NuisanceParameter, ProbeObservations, ResponseTerms
+from palpate.field.field_prior import FieldModes, make_field_modes
+from palpate.field.field_responses import ELEMENTS, MODE, SOURCE, filled
+from palpate.probe import GROWTH, dent
+from palpate.records import Probing, Session
+from palpate.shapes import Vector3
+from palpate.solids import GradedBody, held_nodes, make_graded_body, pressure_load, with_moduli
+
+# Radius of the patch over which a load is spread, over the edge of the elements: with 1.5 the tip's
+# displacement is right to 0.3 % of its whole (0.8 % with 1, 0.5 % with 2).
+_SPREAD = 1.5
+# Compliance of a half space under pressure 1 - s^2 for the mean displacement with the same weight,
+# times 2 pi (patch radius) G / (1 - nu): the integral of (8 J_2(k) / k^2)^2 over k.
+_SPREAD_COMPLIANCE = 2.0695
+# Change of Poisson's ratio for the derivative of what a field changes.
+_STEP = 0.005
+
+
+class Dent(NamedTuple):
+    """The dent of a half space under a tool: its depth times G over the force [1/m], and its growth
+    q with the compliance."""
+
+    compliance: float
+    growth: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PokeResponse:
+    """Response of a tool that goes in along its force (`ResponseModel`).
+
+    Attributes
+    ----------
+    direction : (3,) float [-]      of the force
+    compliance : function           Poisson's ratio -> float: displacement along the force times
+                                    shear modulus, over the force [1/m]
+    """
+
+    direction: Vector3
+    compliance: Callable[[float], float]
+
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "3 4"]:
+        """See `ResponseModel`."""
+        value = np.zeros((3, 4))
+        value[:, :3] = np.outer(self.direction, self.direction) * self.compliance(poisson_ratio)
+        return value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PokeModel:
+    """Finite elements of a poked object.
+
+    Attributes
+    ----------
+    body : GradedBody
+    modes : FieldModes
+    edge : float [m]                of the elements, about
+    load : (3 n, k) float [-]       nodal forces of one newton along each push, spread
+    spread : (k,) float [1/m]       compliance of a half space under them, times G / (1 - nu)
+    near : (k, m) sparse [-]        weights of the elements under them; rows add up to 1
+    """
+
+    body: GradedBody
+    modes: FieldModes
+    edge: float
+    load: Float[np.ndarray, "n3 k"]
+    spread: Float[np.ndarray, " k"]
+    near: csr_array
+
+    def loaded(self, session: Session) -> "PokeModel":
+        """The same body under the pokes of another session."""
+        return _with_pokes(self, session)
+
+    def moved(
+        self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
+    ) -> Float[np.ndarray, "n3 k"]:
+        """As `FieldModel.moved`, for one newton."""
+        log_modulus = self.modes.modes @ coefficients
+        return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
+
+    def regular(self, poisson_ratio: float) -> Float[np.ndarray, " k"]:
+        """Compliance of the homogeneous body at each poke beyond that of a half space, times G.
+
+        Parameters
+        ----------
+        poisson_ratio : float [-]
+
+        Returns
+        -------
+        (k,) float [1/m]
+        """
+        none = np.zeros(self.modes.modes.shape[1])
+        seen = (self.load * self.moved(none, poisson_ratio)).sum(axis=0)
+        return np.asarray(seen - (1.0 - poisson_ratio) * self.spread)
+
+    def expanded(
+        self,
+        coefficients: Float[np.ndarray, " b"],
+        poisson_ratio: float,
+        homogeneous: Float[np.ndarray, "n3 k"],
+    ) -> "PokeExpansion":
+        """As `FieldModel.expanded`."""
+        log_modulus = self.modes.modes @ coefficients
+        stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
+        moved = stiffness.displacements(self.load)
+        change = (self.load * (moved - homogeneous)).sum(axis=0)
+        derivative = -stiffness.energies(moved).T @ self.modes.modes
+        return PokeExpansion(
+            self, coefficients, poisson_ratio, change, np.zeros_like(change), derivative
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PokeExpansion:
+    """Change of the elements' compliance by a field, to first order about some coefficients.
+
+    Attributes
+    ----------
+    model : PokeModel
+    coefficients : (b,) float       b0
+    poisson_ratio : float [-]       nu0
+    change : (k,) float [1/m]       C(b0) - C(0)
+    slope : (k,) float [1/m]        its derivative with respect to Poisson's ratio; zero until it is
+                                    asked for
+    derivative : (k, b) float [1/m]
+    """
+
+    model: PokeModel
+    coefficients: Float[np.ndarray, " b"]
+    poisson_ratio: float
+    change: Float[np.ndarray, " k"]
+    slope: Float[np.ndarray, " k"]
+    derivative: Float[np.ndarray, "k b"]
+
+    def with_slope(self) -> "PokeExpansion":
+        """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
+        model, beside = self.model, self.poisson_ratio + _STEP
+        moved = model.moved(self.coefficients, beside)
+        moved -= model.moved(0.0 * self.coefficients, beside)
+        change = (model.load * moved).sum(axis=0)
+        return replace(self, slope=(change - self.change) / _STEP)
+
+    def observations(
+        self,
+        session: Session,
+        observations: Sequence[ProbeObservations],
+        mixing: Float[np.ndarray, "b j"],
+    ) -> list[ProbeObservations]:
+        """As `FieldExpansion.observations`."""
+        names = (f"{MODE} {j}" for j in range(mixing.shape[1]))
+        parameters = tuple(
+            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in names
+        )
+        return [
+            self._observed(k, probing, probe, mixing, parameters)
+            for k, (probing, probe) in enumerate(zip(session.probings, observations, strict=True))
+        ]
+
+    def _observed(
+        self,
+        index: int,
+        probing: Probing,
+        probe: ProbeObservations,
+        mixing: Float[np.ndarray, "b j"],
+        parameters: tuple[NuisanceParameter, ...],
+    ) -> ProbeObservations:
+        response, model = probe.response, self.model
+        assert isinstance(response, PokeResponse) and probe.settlement is not None  # noqa: S101
+        modulus, spread = probe.settlement.shear_modulus, model.spread[index]
+        near = model.near[[index]]
+        local = (near @ model.modes.modes)[0]
+        m = float(local @ self.coefficients)
+
+        def parts(poisson_ratio: float) -> tuple[float, float]:
+            """What the field changes, and its derivative by the local logarithm of the modulus."""
+            own = tool_dent(probing, modulus, poisson_ratio)
+            softer, dented = np.exp(-m), own.compliance * np.exp(-(1.0 - own.growth) * m)
+            missed = (1.0 - poisson_ratio) * spread
+            changed = missed * (1.0 - softer) + dented - own.compliance
+            return changed, missed * softer - (1.0 - own.growth) * dented
+
+        derivative = self.derivative[index] + parts(self.poisson_ratio)[1] * local
+        offset = -float(derivative @ self.coefficients)
+
+        def compliance(poisson_ratio: float) -> float:
+            elements = self.change[index] + (poisson_ratio - self.poisson_ratio) * self.slope[index]
+            return response.compliance(poisson_ratio) + elements + parts(poisson_ratio)[0] + offset
+
+        mixed = np.outer(np.outer(response.direction, response.direction), derivative @ mixing)
+        mixed = mixed.reshape(3, 3, -1)
+
+        def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
+            moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[2]))
+            moved[:, 0, :3] = mixed[at.rows]
+            return moved
+
+        return replace(
+            probe,
+            response=PokeResponse(response.direction, compliance),
+            nuisances=(*probe.nuisances, Nuisance(parameters, effects)),
+        )
+
+
+def tool_dent(probing: Probing, shear_modulus: float, poisson_ratio: float) -> Dent:
+    """The dent of a half space under the tool of a poke.
+
+    Parameters
+    ----------
+    probing : Probing               with a tool of a shape in `GROWTH`
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]
+    """
+    tool, force = probing.contact.tool, float(np.linalg.norm(probing.force))
+    assert tool is not None  # noqa: S101
+    depth = dent(tool, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+    return Dent(depth * shear_modulus / force, GROWTH[tool.shape])
+
+
+def make_poke_model(
+    session: Session, *, elements: int = ELEMENTS, times: Sequence[int] = (1, 3, 9)
+) -> PokeModel:
+    """Finite elements for a poked object.
+
+    Parameters
+    ----------
+    session : Session               `without_pictures`
+    elements, times                 as `make_field_model`
+
+    Returns
+    -------
+    PokeModel
+
+    Raises
+    ------
+    InputError                      a tool that touches no part of the surface
+    MeshError                       the surface cannot be filled
+    """
+    solid, edge = filled(session.mesh, [each * elements for each in times])
+    body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
+    none = csr_array((0, len(solid.elements)))
+    modes = make_field_modes(body.centre, body.volume)
+    empty = PokeModel(body, modes, edge, np.zeros((solid.nodes.size, 0)), np.zeros(0), none)
+    return _with_pokes(empty, session)
+
+
+def _with_pokes(model: PokeModel, session: Session) -> PokeModel:
+    """A model under the pokes of a session."""
+    solid, radius = model.body.solid, _SPREAD * model.edge
+    share, load = [], []
+    for probing in session.probings:
+        share.append(pressure_load(solid, probing.contact.point, radius, _smooth))
+        push = probing.force / np.linalg.norm(probing.force)
+        load.append(np.outer(share[-1], push).ravel())
+    count = len(solid.elements)
+    row = np.repeat(np.arange(count), solid.elements.shape[1])
+    entries = (np.ones(row.size), (row, solid.elements.ravel()))
+    incidence = csr_array(coo_array(entries, shape=(count, len(solid.nodes))))
+    shared = np.stack(share) / incidence.sum(axis=0)
+    near = csr_array(shared @ incidence.T)
+    spread = np.full(len(load), _SPREAD_COMPLIANCE / (2.0 * np.pi * radius))
+    return replace(model, load=np.stack(load, axis=1), spread=spread, near=near)
+
+
+def _smooth(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    return np.clip(1.0 - s**2, 0.0, None)
