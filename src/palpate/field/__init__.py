@@ -21,6 +21,8 @@ from palpate.field.field_responses import no_field_reason as no_field_reason
 from palpate.field.poke_responses import (
     PokeModel as PokeModel,
     PokeResponse as PokeResponse,
+    dents as dents,
+    growths as growths,
     make_poke_model as make_poke_model,
-    tool_dent as tool_dent,
+    tools as tools,
 )

@@ -13,18 +13,23 @@ and its observation are the same, so dC / dm_e = -exp(m_e) u' K_e u takes no fur
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array, csr_array
 
-from palpate.estimation import Nuisance, NuisanceParameter, ProbeObservations, ResponseTerms
+from palpate.estimation import (
+    Nuisance,
+    NuisanceParameter,
+    ProbeObservations,
+    ResponseModel,
+    ResponseTerms,
+)
 from palpate.field.field_prior import FieldModes, make_field_modes
 from palpate.field.field_responses import ELEMENTS, MODE, SOURCE, filled
 from palpate.probe import GROWTH, dent
-from palpate.records import Probing, Session
-from palpate.shapes import Vector3
+from palpate.records import Session, Tool
+from palpate.shapes import Points
 from palpate.solids import GradedBody, held_nodes, make_graded_body, pressure_load, with_moduli
 
 # Radius of the patch over which a load is spread, over the edge of the elements: with 1.5 the tip's
@@ -37,33 +42,28 @@ _SPREAD_COMPLIANCE = 2.0695
 _STEP = 0.005
 
 
-class Dent(NamedTuple):
-    """The dent of a half space under a tool: its depth times G over the force [1/m], and its growth
-    q with the compliance."""
-
-    compliance: float
-    growth: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PokeResponse:
-    """Response of a tool that goes in along its force (`ResponseModel`).
+    """Response of tools that go in along their forces, for k pokes that count as known loads of one
+    probing (`ResponseModel`).
 
     Attributes
     ----------
-    direction : (3,) float [-]      of the force
-    compliance : function           Poisson's ratio -> float: displacement along the force times
-                                    shear modulus, over the force [1/m]
+    force : (k, 3) float [N]
+    compliance : function           Poisson's ratio -> (k,) float [1/m]: displacement along the
+                                    force times shear modulus, over the force
+    more : ResponseModel or None    to which this is added
     """
 
-    direction: Vector3
-    compliance: Callable[[float], float]
+    force: Points
+    compliance: Callable[[float], Float[np.ndarray, " k"]]
+    more: ResponseModel | None = None
 
-    def value(self, poisson_ratio: float) -> Float[np.ndarray, "3 4"]:
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "k3 4"]:
         """See `ResponseModel`."""
-        value = np.zeros((3, 4))
-        value[:, :3] = np.outer(self.direction, self.direction) * self.compliance(poisson_ratio)
-        return value
+        value = np.zeros((self.force.size, 4))
+        value[:, 3] = (self.force * self.compliance(poisson_ratio)[:, None]).ravel()
+        return value if self.more is None else value + self.more.value(poisson_ratio)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,74 +166,81 @@ class PokeExpansion:
         observations: Sequence[ProbeObservations],
         mixing: Float[np.ndarray, "b j"],
     ) -> list[ProbeObservations]:
-        """As `FieldExpansion.observations`."""
-        names = (f"{MODE} {j}" for j in range(mixing.shape[1]))
-        parameters = tuple(
-            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in names
-        )
-        return [
-            self._observed(k, probing, probe, mixing, parameters)
-            for k, (probing, probe) in enumerate(zip(session.probings, observations, strict=True))
-        ]
+        """As `FieldExpansion.observations`, of the one that all pokes make up."""
+        (probe,), model = observations, self.model
+        force = np.stack([each.force for each in session.probings])
+        # The modulus at which the homogeneous response was taken.
+        modulus = 1.0 if probe.settlement is None else probe.settlement.shear_modulus
+        local = model.near @ model.modes.modes
+        m, growth = local @ self.coefficients, growths(session)
 
-    def _observed(
-        self,
-        index: int,
-        probing: Probing,
-        probe: ProbeObservations,
-        mixing: Float[np.ndarray, "b j"],
-        parameters: tuple[NuisanceParameter, ...],
-    ) -> ProbeObservations:
-        response, model = probe.response, self.model
-        assert isinstance(response, PokeResponse) and probe.settlement is not None  # noqa: S101
-        modulus, spread = probe.settlement.shear_modulus, model.spread[index]
-        near = model.near[[index]]
-        local = (near @ model.modes.modes)[0]
-        m = float(local @ self.coefficients)
+        def parts(
+            poisson_ratio: float,
+        ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+            """What a field changes of what elements miss, and the derivative by m."""
+            dented = dents(session, modulus, poisson_ratio)
+            missed, shared = (1.0 - poisson_ratio) * model.spread * np.exp(-m), 1.0 - growth
+            softer = dented * np.exp(-shared * m)
+            change = (1.0 - poisson_ratio) * model.spread - missed + softer - dented
+            return change, missed - shared * softer
 
-        def parts(poisson_ratio: float) -> tuple[float, float]:
-            """What the field changes, and its derivative by the local logarithm of the modulus."""
-            own = tool_dent(probing, modulus, poisson_ratio)
-            softer, dented = np.exp(-m), own.compliance * np.exp(-(1.0 - own.growth) * m)
-            missed = (1.0 - poisson_ratio) * spread
-            changed = missed * (1.0 - softer) + dented - own.compliance
-            return changed, missed * softer - (1.0 - own.growth) * dented
+        derivative = self.derivative + parts(self.poisson_ratio)[1][:, None] * local
+        offset = self.change - derivative @ self.coefficients
 
-        derivative = self.derivative[index] + parts(self.poisson_ratio)[1] * local
-        offset = -float(derivative @ self.coefficients)
+        def change(poisson_ratio: float) -> Float[np.ndarray, " k"]:
+            further = (poisson_ratio - self.poisson_ratio) * self.slope
+            return np.asarray(offset + further + parts(poisson_ratio)[0])
 
-        def compliance(poisson_ratio: float) -> float:
-            elements = self.change[index] + (poisson_ratio - self.poisson_ratio) * self.slope[index]
-            return response.compliance(poisson_ratio) + elements + parts(poisson_ratio)[0] + offset
-
-        mixed = np.outer(np.outer(response.direction, response.direction), derivative @ mixing)
-        mixed = mixed.reshape(3, 3, -1)
+        mixed = (force[:, :, None] * (derivative @ mixing)[:, None]).reshape(force.size, -1)
 
         def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
-            moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[2]))
-            moved[:, 0, :3] = mixed[at.rows]
+            moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[1]))
+            moved[:, 0, 3] = mixed[at.rows]
             return moved
 
-        return replace(
-            probe,
-            response=PokeResponse(response.direction, compliance),
-            nuisances=(*probe.nuisances, Nuisance(parameters, effects)),
+        parameters = tuple(
+            NuisanceParameter(f"{MODE} {j}", 1.0, of=SOURCE, is_material=True)
+            for j in range(mixing.shape[1])
         )
+        nuisances = (*probe.nuisances, Nuisance(parameters, effects))
+        changed = PokeResponse(force, change, probe.response)
+        return [replace(probe, response=changed, nuisances=nuisances)]
 
 
-def tool_dent(probing: Probing, shear_modulus: float, poisson_ratio: float) -> Dent:
-    """The dent of a half space under the tool of a poke.
+def dents(session: Session, shear_modulus: float, poisson_ratio: float) -> Float[np.ndarray, " k"]:
+    """Dent of a half space under the tool of each poke, times G, over the force.
 
     Parameters
     ----------
-    probing : Probing               with a tool of a shape in `GROWTH`
+    session : Session               `without_pictures`, k probings
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]
+
+    Returns
+    -------
+    (k,) float [1/m]
     """
-    tool, force = probing.contact.tool, float(np.linalg.norm(probing.force))
-    assert tool is not None  # noqa: S101
-    depth = dent(tool, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
-    return Dent(depth * shear_modulus / force, GROWTH[tool.shape])
+    constants = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
+    found = []
+    for tool, probing in zip(tools(session), session.probings, strict=True):
+        force = float(np.linalg.norm(probing.force))
+        found.append(dent(tool, force, **constants) * shear_modulus / force)
+    return np.array(found)
+
+
+def growths(session: Session) -> Float[np.ndarray, " k"]:
+    """q of the tool of each poke, (k,) [-]."""
+    return np.array([GROWTH[tool.shape] for tool in tools(session)])
+
+
+def tools(session: Session) -> list[Tool]:
+    """The tool of each poke.
+
+    Parameters
+    ----------
+    session : Session               `without_pictures`
+    """
+    return [each.contact.tool for each in session.probings if each.contact.tool is not None]
 
 
 def make_poke_model(

@@ -29,7 +29,6 @@ from palpate.pipeline.model.large_strain import fit_at_finite_strain
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, length_error, with_stretch
 from palpate.pipeline.motion.figures import rejection_note, rejections
-from palpate.pipeline.pokes import fit_pokes
 from palpate.pipeline.observations import (
     UNGRADED_RESIDUAL,
     compared_meshes,
@@ -39,6 +38,7 @@ from palpate.pipeline.observations import (
     ungraded_observations,
     with_mesh_steps,
 )
+from palpate.pipeline.pokes import fit_pokes
 from palpate.pipeline.reciprocity import reciprocity
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -106,7 +106,7 @@ def fit_session(
     require_probings(session)
     if without_pictures(session):
         if finite_strain:
-            raise InputError("pokes without pictures are fitted with --strain small: press less far")
+            raise InputError("pokes without pictures take --strain small: press less far")
         return fit_pokes(session, settings=settings, material=material, progress=progress)
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}

@@ -22,12 +22,14 @@ from palpate.estimation import (
     fit,
     predictions_of,
 )
-from palpate.field import PokeModel, PokeResponse, make_poke_model, tool_dent
+from palpate.field import PokeModel, PokeResponse, dents, growths, make_poke_model, tools
+from palpate.geometry import closest_points
 from palpate.pipeline.heterogeneous import Material, fit_with_field, wants_field
 from palpate.pipeline.model.shared_errors import force_gain, tool_compliance
 from palpate.probe import local_surface, on_flat
 from palpate.progress import Progress, part_of, silent
-from palpate.records import Probing, Session
+from palpate.records import DisplacementField, Session
+from palpate.shapes import Points
 
 # Poisson's ratios at which the body's compliance is computed, less one: that of a layer on a rigid
 # base is right to 1e-3 in between.
@@ -37,8 +39,11 @@ _DEGREE = 5
 _MOST_ROUNDS, _TOLERANCE = 8, 0.02
 # Poisson's ratios about that of a fit at which a prediction takes the body's compliance.
 _NEAR = 1e-3
+_TINY = 1e-9
 # Fractions of the work that the elements, and the fit of one modulus, are done at.
 _MODELLED, _FITTED = 0.2, 0.4
+# Name of the probing that all pokes make up.
+POKES = "pokes"
 
 # Poisson's ratio -> compliance of the body at each poke.
 _Regular = Callable[[float], Float[np.ndarray, " k"]]
@@ -104,11 +109,45 @@ def fit_pokes(
     return replace(result, estimate=estimate, predict=predict)
 
 
+def pooled(session: Session) -> Session:
+    """A session of pokes with one probing in place of all, as their fit takes them: a point for
+    each poke, displaced as the tool; contact and force are those of the first.
+
+    Parameters
+    ----------
+    session : Session               `without_pictures`
+
+    Returns
+    -------
+    Session
+    """
+    one = replace(
+        session.probings[0], name=POKES, displacement=_field(session), tip_displacement=None,
+        tip_displacement_std=None,
+    )  # fmt: skip
+    return replace(session, probings=(one,))
+
+
+def _field(session: Session) -> DisplacementField:
+    """How far the tool went in along its force, at each poke."""
+    points = np.stack([each.contact.point for each in session.probings])
+    force, tip = _forces(session), _tips(session)
+    push = force / np.linalg.norm(force, axis=1, keepdims=True)
+    return DisplacementField(
+        points,
+        push * (tip * push).sum(axis=1, keepdims=True),
+        _std(session, push),
+        None,
+        closest_points(session.mesh, points),
+        str(session.path),
+    )
+
+
 def poke_observations(
     session: Session, regular: _Regular, shear_modulus: float
 ) -> list[ProbeObservations]:
-    """Observations of pokes of a homogeneous body: of each the component of the tool's displacement
-    along which it moved most.
+    """Observations of pokes of a homogeneous body, as one probing with a point for each: of each
+    the component of the tool's displacement along which it moved most.
 
     Parameters
     ----------
@@ -118,75 +157,87 @@ def poke_observations(
 
     Returns
     -------
-    list of k ProbeObservations
+    list of one ProbeObservations
     """
+    priors, growth, force = session.errors, growths(session), _forces(session)
+    field = _field(session)
+    size = np.abs(field.displacement)
+    main = size == size.max(axis=1, keepdims=True)
+
+    def whole(poisson_ratio: float) -> Float[np.ndarray, " k"]:
+        return regular(poisson_ratio) + dents(session, shear_modulus, poisson_ratio)
+
+    def growing(poisson_ratio: float) -> Float[np.ndarray, " k"]:
+        return growth * dents(session, shear_modulus, poisson_ratio)
+
+    nuisances = []
+    if priors.force_gain > 0.0:
+        nuisances.append(_gain(priors.force_gain))
+    if priors.tool_compliance > 0.0:
+        nuisances.append(tool_compliance(priors.tool_compliance, force))
     return [
-        _observations(session, probing, lambda nu, k=k: float(regular(nu)[k]), shear_modulus)
-        for k, probing in enumerate(session.probings)
+        ProbeObservations(
+            name=POKES,
+            position=field.points,
+            displacement=np.where(main, field.displacement, np.nan),
+            std=field.std,
+            force=np.zeros(3),
+            force_std=np.zeros(3),
+            tip_displacement=None,
+            tip_displacement_std=None,
+            response=PokeResponse(force, whole),
+            settlement=Settlement(shear_modulus, PokeResponse(force, growing).value),
+            nuisances=tuple(nuisances),
+        )
     ]
 
 
-def _observations(
-    session: Session, probing: Probing, regular: Callable[[float], float], modulus: float
-) -> ProbeObservations:
-    force, priors = probing.force, session.errors
-    size = float(np.linalg.norm(force))
-    direction = force / size
-
-    def whole(poisson_ratio: float) -> float:
-        return regular(poisson_ratio) + tool_dent(probing, modulus, poisson_ratio).compliance
-
-    def growing(poisson_ratio: float) -> float:
-        own = tool_dent(probing, modulus, poisson_ratio)
-        return own.growth * own.compliance
-
-    along = int(np.abs(direction).argmax())
-    measured = np.full(3, np.nan)
-    tip, std = probing.tip_displacement, probing.tip_displacement_std
-    assert tip is not None  # noqa: S101
-    measured[along] = float(tip @ direction) * direction[along]
-    nuisances = []
-    if (gain := priors.gain_std(probing.force_sensor)) > 0.0:
-        nuisances.append(_gain(gain, probing.force_sensor))
-    if priors.tool_compliance > 0.0:
-        nuisances.append(tool_compliance(priors.tool_compliance, force, 0))
-    return ProbeObservations(
-        name=probing.name,
-        position=probing.contact.point[None],
-        displacement=measured[None],
-        std=None if std is None else np.abs(std * direction[along])[None],
-        force=force,
-        force_std=np.full(3, priors.force * size) if probing.force_std is None
-        else probing.force_std,
-        tip_displacement=None,
-        tip_displacement_std=None,
-        response=PokeResponse(direction, whole),
-        settlement=Settlement(modulus, PokeResponse(direction, growing).value),
-        landmarks={"the contact": probing.contact.point[None]},
-        nuisances=tuple(nuisances),
-    )  # fmt: skip
+def _forces(session: Session) -> Points:
+    return np.stack([each.force for each in session.probings])
 
 
-def _gain(std: float, sensor: str) -> Nuisance:
+def _tips(session: Session) -> Points:
+    tips = [each.tip_displacement for each in session.probings]
+    return np.stack([tip for tip in tips if tip is not None])
+
+
+def _std(session: Session, push: Points) -> Points | None:
+    """Standard deviations of what is observed, those of the forces included, which count as if all
+    of a depth went with them; None: one is not known."""
+    stds = [each.tip_displacement_std for each in session.probings]
+    known = [std for std in stds if std is not None]
+    if len(known) < len(stds):
+        return None
+    relative = [
+        session.errors.force
+        if each.force_std is None
+        else float(np.linalg.norm(each.force_std) / np.linalg.norm(each.force))
+        for each in session.probings
+    ]
+    depth = np.linalg.norm(_tips(session), axis=1)
+    along = np.hypot(np.linalg.norm(np.stack(known) * push, axis=1), relative * depth)
+    # A component that did not move is not observed.
+    return along[:, None] * np.maximum(np.abs(push), _TINY)
+
+
+def _gain(std: float) -> Nuisance:
     """Gain of the force sensor: the dent grows with the force as with the compliance, which is the
     first of the response's two terms."""
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c 1"]:
         moved = np.zeros((len(at.rows), 1, at.value.shape[2], 1))
-        moved[:, 0, :3, 0] = std * at.value[:, 0, :3]
+        moved[:, 0, 3, 0] = std * at.value[:, 0, 3]
         return moved
 
-    return replace(force_gain(std, sensor), effects=effects)
+    return replace(force_gain(std), effects=effects)
 
 
 def _flattened(session: Session) -> Session:
     """The session with the tools that dent a flat surface as its own dent the object's."""
     probings = []
-    for probing in session.probings:
-        contact, tool = probing.contact, probing.contact.tool
-        assert tool is not None  # noqa: S101
-        curvature = local_surface(session.mesh, contact.point, tool.radius).curvature
-        contact = replace(contact, tool=on_flat(tool, curvature))
+    for probing, tool in zip(session.probings, tools(session), strict=True):
+        curvature = local_surface(session.mesh, probing.contact.point, tool.radius).curvature
+        contact = replace(probing.contact, tool=on_flat(tool, curvature))
         probings.append(replace(probing, contact=contact))
     return replace(session, probings=tuple(probings))
 
@@ -210,7 +261,10 @@ def _settled_observations(
     session: Session, regular: _Regular, settings: FitSettings
 ) -> list[ProbeObservations]:
     """Observations about the modulus that fits best."""
-    modulus = float(np.median([_apparent(probing) for probing in session.probings]))
+    # As of an incompressible half space, whose dent goes with the modulus to the power q - 1.
+    depth, force = (np.linalg.norm(each, axis=1) for each in (_tips(session), _forces(session)))
+    softest = dents(session, 1.0, 0.5) * force
+    modulus = float(np.median((softest / depth) ** (1.0 / (1.0 - growths(session)))))
     for _ in range(_MOST_ROUNDS):
         observations = poke_observations(session, regular, modulus)
         _, best = best_constants_of(observations, settings=settings)
@@ -221,14 +275,3 @@ def _settled_observations(
         f"the shear modulus did not settle (last {modulus:.3g} Pa): forces and depths of the pokes"
         " do not belong together; check the tool's radius and the units"
     )
-
-
-def _apparent(probing: Probing) -> float:
-    """Shear modulus of an incompressible half space that one poke would mean."""
-    tip = probing.tip_displacement
-    assert tip is not None  # noqa: S101
-    force = float(np.linalg.norm(probing.force))
-    depth = float(tip @ probing.force) / force
-    own = tool_dent(probing, 1.0, 0.5)
-    # The dent of a modulus G is that of 1 Pa times G^(q - 1).
-    return float((max(depth, 1e-9) / (own.compliance * force)) ** (-1.0 / (1.0 - own.growth)))

@@ -20,6 +20,7 @@ import tomlkit
 from jaxtyping import Float, Int
 from scipy.interpolate import RBFInterpolator
 from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, unit_normals, write_mesh
@@ -126,7 +127,7 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
     curves = [
         _curve(number, table, rows, sign, power) for number, rows in enumerate(parts, start=1)
     ]
-    noise = _noise(curves)
+    noise = _noise(curves, power)
     clear = [each for each in curves if _has_contact(each, noise)]
     if len(clear) < _FEWEST:
         raise InputError(
@@ -134,14 +135,16 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
             f" within {_CLEAR:g} times its noise of {noise:.2g} N, or does not rise with the depth;"
             " check which column is the force, its unit, and how deep the tool went"
         )
-    readings = np.array([_reading(each, noise, power) for each in clear])
+    force, depth, std = np.array([_reading(each, noise, power) for each in clear]).T
     kept = {each.number for each in clear}
     used = sum(len(each.depth) for each in curves)
     return Pokes(
         np.array([each.number for each in clear]),
         np.stack([each.origin - each.start * each.normal for each in clear]),
         np.stack([each.normal for each in clear]),
-        *readings.T,
+        force,
+        depth,
+        std,
         sum(len(each.depth) for each in clear),
         len(table.position) - used,
         tuple(each.number for each in curves if each.number not in kept),
@@ -206,12 +209,16 @@ def _curve(
 
     def fitted(start: float) -> Float[np.ndarray, " n"]:
         shape = np.clip(depth - start, 0.0, None) ** power
-        return np.asarray(shape * max(float(shape @ force), 0.0) / max(float(shape @ shape), 1e-300))
+        return np.asarray(
+            shape * max(float(shape @ force), 0.0) / max(float(shape @ shape), 1e-300)
+        )
 
     if span == 0.0:
         return _Curve(number, origin, normal, depth, force, 0.0, np.zeros_like(force))
     best = minimize_scalar(
-        lambda start: float(np.square(force - fitted(start)).sum()) / max(float(force @ force), 1e-300),
+        lambda start: (
+            float(np.square(force - fitted(start)).sum()) / max(float(force @ force), 1e-300)
+        ),
         bounds=(depth.min() - span, depth.max() - 0.02 * span),
         method="bounded",
         options={"xatol": 1e-5 * span},
@@ -219,13 +226,21 @@ def _curve(
     return _Curve(number, origin, normal, depth, force, float(best.x), fitted(float(best.x)))
 
 
-def _noise(curves: list[_Curve]) -> float:
-    """Standard deviation of a force about its curve [N]: the median over the pokes."""
-    square = [
-        float(np.square(each.force - each.fitted).sum()) / (len(each.force) - 2)
-        for each in curves
-        if len(each.force) > 2
-    ]
+def _noise(curves: list[_Curve], power: float) -> float:
+    """Standard deviation of a force about its curve [N]: the median over the pokes. Besides the
+    stiffness, the start of contact and what gives in proportion to the force are free."""
+    square = []
+    for each in curves:
+        touching = each.fitted > 0.0
+        if touching.sum() < _FEWEST:
+            continue
+        depth, force = each.depth[touching] - each.start, each.force[touching]
+        powers = (power, power - 1.0, 2.0 * power - 1.0)[: len(depth) - 1]
+        terms = np.stack([depth**k for k in powers], axis=1)
+        solution, _, rank, _ = np.linalg.lstsq(terms, force, rcond=1e-10)
+        if (free := len(depth) - int(rank)) > 0:
+            left = float(np.square(force - terms @ solution).sum())
+            square.append(left / float(chi2.median(free)))
     return float(np.sqrt(np.median(square))) if square else 0.0
 
 
@@ -293,19 +308,24 @@ def height_field(pokes: Pokes, *, thickness: float, margin: float) -> TriangleMe
     base = float(pokes.point[:, 2].mean()) - thickness
     if not (top > base + 0.1 * thickness).all():
         raise InputError(
-            f"the surface is {1e3 * np.ptp(top):.3g} mm high and reaches the base, {1e3 * thickness:.3g}"
-            " mm below its mean: check --thickness and the normals, or give a mesh (--surface)"
+            f"the surface is {1e3 * np.ptp(top):.3g} mm high and reaches the base,"
+            f" {1e3 * thickness:.3g} mm below its mean: check --thickness and the normals, or give"
+            " a mesh (--surface)"
         )
     return _closed(place, top, base, (int(count[0]), int(count[1])))
 
 
 def _closed(
-    place: Float[np.ndarray, "n 2"], top: Float[np.ndarray, " n"], base: float, shape: tuple[int, int]
+    place: Float[np.ndarray, "n 2"],
+    top: Float[np.ndarray, " n"],
+    base: float,
+    shape: tuple[int, int],
 ) -> TriangleMesh:
     """A grid of heights, its base and the walls between."""
     number = np.arange(len(place)).reshape(shape)
     a, b, c, d = (
-        part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+        part.ravel()
+        for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     )
     upper = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
@@ -341,14 +361,14 @@ def write_pokes(folder: Path, pokes: Pokes, mesh: TriangleMesh, tool: Tool, name
         worst = off[near.distance[off].argmax()]
         raise InputError(
             f"{off.size} of {len(pokes.number)} pokes are off the surface, poke"
-            f" {pokes.number[worst]} by {1e3 * near.distance[worst]:.3g} mm: mesh and positions must"
-            " be in one frame and, each in its unit, of one size (--surface-unit, --length-unit)"
+            f" {pokes.number[worst]} by {1e3 * near.distance[worst]:.3g} mm: mesh and positions"
+            " must be in one frame, and each in its own unit (--surface-unit, --length-unit)"
         )
     outward = (unit_normals(mesh)[near.triangle] * pokes.normal).sum(axis=1)
     if (outward < 0.0).any():
         raise InputError(
-            f"the normal of poke {pokes.number[outward.argmin()]} points into the body: normals must"
-            " point out of it, as the faces of the mesh do"
+            f"the normal of poke {pokes.number[outward.argmin()]} points into the body: normals"
+            " must point out of it, as the faces of the mesh do"
         )
     up = pokes.normal.mean(axis=0) / np.linalg.norm(pokes.normal.mean(axis=0))
     lowest = mesh.vertices[(mesh.vertices @ up).argmin()]

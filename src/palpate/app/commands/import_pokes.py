@@ -11,7 +11,6 @@ from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.recording import Pokes, height_field, read_pokes, write_pokes
 from palpate.records import (
     LENGTH_UNITS,
-    SLIDES,
     Tool,
     default_folder,
     modulus_unit,
@@ -35,7 +34,7 @@ def import_pokes(
     *,
     tool: Literal["sphere", "flat"] = "sphere",
     tool_radius: str,
-    friction: Literal["slides", "sticks"] = SLIDES,
+    friction: Literal["slides", "sticks"] = "slides",
     thickness: str | None = None,
     margin: str | None = None,
     surface: Path | None = None,
@@ -136,7 +135,7 @@ def _notes(pokes: Pokes, without_number: int, modulus: float) -> list[str]:
     if without_number:
         notes.append(f"{without_number} rows in which a number is missing were left out")
     if pokes.after_deepest:
-        notes.append(f"{pokes.after_deepest} samples of the way back, or of no contact, were left out")
+        notes.append(f"{pokes.after_deepest} samples of the way back were left out")
     if pokes.without_contact:
         names = ", ".join(map(str, pokes.without_contact[:8]))
         more = ", ..." if len(pokes.without_contact) > 8 else ""
@@ -152,7 +151,7 @@ def _notes(pokes: Pokes, without_number: int, modulus: float) -> list[str]:
     if modulus > _STIFF:
         less, small = modulus_unit(_GRAM * modulus)
         text += (
-            ", stiff for what is poked: is the force in newtons? In grams (--force-unit gf) it would"
-            f" be {_GRAM * modulus / less:.2g} {small}"
+            ", stiff for what is poked: is the force in newtons? In grams (--force-unit gf) it"
+            f" would be {_GRAM * modulus / less:.2g} {small}"
         )
     return [*notes, text]

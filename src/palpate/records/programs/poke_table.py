@@ -84,14 +84,14 @@ def read_poke_table(
     table = _Columns(path, *_columns(path))
     at = table.values("position", position, _POSITION, (3,))
     pushed = table.values("force", force, _FORCE, (1, 3))
-    outward = table.values("normal", normal, _NORMAL, (3,), optional=True)
-    number = table.values("poke", (poke,) if poke else (), _POKE, (1,), optional=True)
-    if outward is None:
-        outward = np.tile([0.0, 0.0, 1.0], (len(at), 1))
+    outward, number = np.tile([0.0, 0.0, 1.0], (len(at), 1)), np.zeros((len(at), 0))
+    if normal or table.names((), _NORMAL):
+        outward = table.values("normal", normal, _NORMAL, (3,))
+    if poke or table.names((), _POKE):
+        number = table.values("poke", (poke,) if poke else (), _POKE, (1,))
     at = at * table.factor("position", position, _POSITION, LENGTH_UNITS, length_unit)
     pushed = pushed * table.factor("force", force, _FORCE, FORCE_UNITS, force_unit)
-    parts = [at, pushed, outward, *([] if number is None else [number])]
-    whole = np.isfinite(np.hstack(parts)).all(axis=1)
+    whole = np.isfinite(np.hstack([at, pushed, outward, number])).all(axis=1)
     length = np.linalg.norm(outward[whole], axis=1, keepdims=True)
     if not length.all():
         raise RecordError(f"{path}: a normal is the zero vector; it must point out of the surface")
@@ -99,7 +99,7 @@ def read_poke_table(
         at[whole],
         pushed[whole],
         outward[whole] / length,
-        None if number is None else np.unique(number[whole, 0], return_inverse=True)[1],
+        np.unique(number[whole, 0], return_inverse=True)[1] if number.size else None,
         int((~whole).sum()),
     )
 
@@ -126,17 +126,14 @@ class _Columns:
         given: Sequence[str],
         usual: Sequence[tuple[str, ...]],
         widths: tuple[int, ...],
-        *,
-        optional: bool = False,
-    ) -> np.ndarray | None:
+    ) -> np.ndarray:
         names = self.names(given, usual)
         if not names:
-            if optional and not given:
-                return None
             wanted = " or ".join(", ".join(words) for words in ([given] if given else usual))
             raise RecordError(
                 f"{self.path}: has no column of the {what}: looked for {wanted}; it has:"
-                f" {', '.join(list(self.columns)[:12])}. Name it with --{what}-columns"
+                f" {', '.join(list(self.columns)[:12])}. Name it with --{what}-column"
+                f"{'' if what == 'poke' else 's'}"
             )
         rows = {len(self.columns[name]) for name in names}
         if len(rows) > 1:
