@@ -3,7 +3,7 @@
     python -m benchmarks.pokes FOLDER [--count N ...] [--kind KIND] [--seed S]
 
 A robot pokes a block with three inclusions it does not know of, with a ball, to 2 mm in ten
-steps; position and force go through `palpate import pokes`. Its force at the same depth at 150
+steps; position and force go through `palpate import pokes`, with the block's surface. Its force at the same depth at 150
 other places is predicted: by the field, by the homogeneous body, and by a Gaussian process of the
 stiffness over the place, the usual map of a palpating robot.
 
@@ -27,7 +27,7 @@ from benchmarks.bodies import box_mesh
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import Material, fit_session
 from palpate.probe import dent
-from palpate.recording import height_field, read_pokes, write_pokes
+from palpate.recording import read_pokes, write_pokes
 from palpate.records import PokeTable, Session, Tool, read_session
 from palpate.shapes import Points
 from palpate.solids import Solid, held_nodes, make_solid, pressure_load, surface_values
@@ -124,7 +124,7 @@ def force_at(depth: float, compliance: float) -> float:
         constants = {"shear_modulus": SHEAR_MODULUS, "poisson_ratio": POISSON_RATIO}
         return dent(TOOL, force, **constants) + compliance * force / SHEAR_MODULUS - depth
 
-    return float(brentq(excess, 1e-9, 1e3))
+    return float(brentq(excess, 1e-9, 10.0))
 
 
 def table(chosen: np.ndarray, compliance: np.ndarray, seed: int) -> PokeTable:
@@ -217,7 +217,7 @@ def run(count: int, kind: str, folder: Path, seed: int) -> None:
     pokes = read_pokes(table(chosen, compliance, seed), TOOL)
     start = folder / f"session_{kind}_{count}_{seed}"
     start.mkdir(exist_ok=True)
-    write_pokes(start, pokes, height_field(pokes, thickness=SIZE[2], margin=6e-3), TOOL, kind)
+    write_pokes(start, pokes, _block(6e-3)[0], TOOL, kind)
     session = read_session(start)
     truth = exact(session, others, compliance)
     above = over_inclusions(at[others], kind)

@@ -167,9 +167,11 @@ def fit_field(
         task = _Task(session, observations, expansion, settings)
         minimum = task.minimum(prior)
         start = modes.mixing_of(prior) @ minimum.theta[_modes_in(minimum)]
-        best = modes.best_prior(*task.information(minimum, start))
-        if (best.std, best.length) != (prior.std, prior.length):
-            prior, minimum = best, task.minimum(best)
+        # Two priors of nearly the same evidence must not take turns.
+        if iteration < _MOST_ROUNDS // 2:
+            best = modes.best_prior(*task.information(minimum, start))
+            if (best.std, best.length) != (prior.std, prior.length):
+                prior, minimum = best, task.minimum(best)
         new = modes.mixing_of(prior) @ minimum.theta[_modes_in(minimum)]
         change = float(np.abs(modes.modes @ (new - coefficients)).max())
         if change < _TOLERANCE:

@@ -151,10 +151,10 @@ class FieldExpansion:
 
     def with_slope(self) -> "FieldExpansion":
         """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
-        beside = self.poisson_ratio + _STEP
+        beside = self.poisson_ratio - _STEP
         change = self.model.moved(self.coefficients, beside)
         change -= self.model.moved(0.0 * self.coefficients, beside)
-        return replace(self, slope=(change - self.change) / _STEP)
+        return replace(self, slope=(self.change - change) / _STEP)
 
     def observations(
         self,

@@ -27,17 +27,23 @@ from palpate.estimation import (
 )
 from palpate.field.field_prior import FieldModes, make_field_modes
 from palpate.field.field_responses import ELEMENTS, MODE, SOURCE, filled
+from palpate.geometry import CREASE_ANGLE, triangle_distances, unit_normals
 from palpate.probe import GROWTH, dent
 from palpate.records import Session, Tool
 from palpate.shapes import Points
-from palpate.solids import GradedBody, held_nodes, make_graded_body, pressure_load, with_moduli
+from palpate.solids import (
+    GradedBody,
+    half_space_compliance,
+    held_nodes,
+    make_graded_body,
+    pressure_load,
+    with_moduli,
+)
 
 # Radius of the patch over which a load is spread, over the edge of the elements: with 1.5 the tip's
-# displacement is right to 0.3 % of its whole (0.8 % with 1, 0.5 % with 2).
-_SPREAD = 1.5
-# Compliance of a half space under pressure 1 - s^2 for the mean displacement with the same weight,
-# times 2 pi (patch radius) G / (1 - nu): the integral of (8 J_2(k) / k^2)^2 over k.
-_SPREAD_COMPLIANCE = 2.0695
+# displacement is right to 0.3 % of its whole (0.8 % with 1, 0.5 % with 2). Near an edge of the body
+# as far as that is away, but not less than 0.75, since its part there varies over the patch.
+_SPREAD, _LEAST_SPREAD = 1.5, 0.75
 # Change of Poisson's ratio for the derivative of what a field changes.
 _STEP = 0.005
 
@@ -154,11 +160,11 @@ class PokeExpansion:
 
     def with_slope(self) -> "PokeExpansion":
         """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
-        model, beside = self.model, self.poisson_ratio + _STEP
+        model, beside = self.model, self.poisson_ratio - _STEP
         moved = model.moved(self.coefficients, beside)
         moved -= model.moved(0.0 * self.coefficients, beside)
         change = (model.load * moved).sum(axis=0)
-        return replace(self, slope=(change - self.change) / _STEP)
+        return replace(self, slope=(self.change - change) / _STEP)
 
     def observations(
         self,
@@ -272,10 +278,15 @@ def make_poke_model(
 
 def _with_pokes(model: PokeModel, session: Session) -> PokeModel:
     """A model under the pokes of a session."""
-    solid, radius = model.body.solid, _SPREAD * model.edge
-    share, load = [], []
+    solid, share, load, spread = model.body.solid, list[np.ndarray](), list[np.ndarray](), []
+    normals = unit_normals(session.mesh)
     for probing in session.probings:
-        share.append(pressure_load(solid, probing.contact.point, radius, _smooth))
+        away = triangle_distances(session.mesh, probing.contact.point)
+        turned = normals @ normals[int(away.argmin())] < np.cos(CREASE_ANGLE)
+        radius = float(away[turned].min(initial=_SPREAD * model.edge))
+        patch = probing.contact.point, max(radius, _LEAST_SPREAD * model.edge), _smooth
+        share.append(pressure_load(solid, *patch))
+        spread.append(half_space_compliance(solid, *patch))
         push = probing.force / np.linalg.norm(probing.force)
         load.append(np.outer(share[-1], push).ravel())
     count = len(solid.elements)
@@ -284,8 +295,7 @@ def _with_pokes(model: PokeModel, session: Session) -> PokeModel:
     incidence = csr_array(coo_array(entries, shape=(count, len(solid.nodes))))
     shared = np.stack(share) / incidence.sum(axis=0)
     near = csr_array(shared @ incidence.T)
-    spread = np.full(len(load), _SPREAD_COMPLIANCE / (2.0 * np.pi * radius))
-    return replace(model, load=np.stack(load, axis=1), spread=spread, near=near)
+    return replace(model, load=np.stack(load, axis=1), spread=np.array(spread), near=near)
 
 
 def _smooth(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

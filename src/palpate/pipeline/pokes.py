@@ -37,8 +37,9 @@ _DEGREE = 5
 # Rounds for the modulus about which the growth of contacts is expanded, and its change that ends
 # them: of second order in what it leaves.
 _MOST_ROUNDS, _TOLERANCE = 8, 0.02
-# Poisson's ratios about that of a fit at which a prediction takes the body's compliance.
-_NEAR = 1e-3
+# Width of the range of Poisson's ratios, up to that of a fit, in which a prediction takes the
+# body's compliance.
+_NEAR = 2e-3
 _TINY = 1e-9
 # Fractions of the work that the elements, and the fit of one modulus, are done at.
 _MODELLED, _FITTED = 0.2, 0.4
@@ -100,7 +101,7 @@ def fit_pokes(
 
     def predict(others: Session) -> tuple[Prediction, ...]:
         others, ratio = _flattened(others), result.minimum.poisson_ratio
-        near = _regular(model.loaded(others), (ratio - _NEAR, ratio + _NEAR), 1)
+        near = _regular(model.loaded(others), (ratio - _NEAR, ratio), 1)
         predicted = poke_observations(others, near, result.minimum.shear_modulus)
         if field is not None:
             predicted = field.with_field(others, predicted)
