@@ -175,7 +175,7 @@ class PokeExpansion:
         """As `FieldExpansion.observations`, of the one that all pokes make up."""
         (probe,), model = observations, self.model
         force = np.stack([each.force for each in session.probings])
-        # The modulus at which the homogeneous response was taken.
+        # The half space's modulus at which the homogeneous response was taken.
         modulus = 1.0 if probe.settlement is None else probe.settlement.shear_modulus
         local = model.near @ model.modes.modes
         m, growth = local @ self.coefficients, growths(session)
@@ -213,24 +213,24 @@ class PokeExpansion:
         return [replace(probe, response=changed, nuisances=nuisances)]
 
 
-def dents(session: Session, shear_modulus: float, poisson_ratio: float) -> Float[np.ndarray, " k"]:
+def dents(session: Session, modulus: float, poisson_ratio: float) -> Float[np.ndarray, " k"]:
     """Dent of a half space under the tool of each poke, times G, over the force.
 
     Parameters
     ----------
     session : Session               `without_pictures`, k probings
-    shear_modulus : float [Pa]      > 0
+    modulus : float [Pa]            G / (1 - nu), > 0: of all moduli what dents tell best
     poisson_ratio : float [-]
 
     Returns
     -------
     (k,) float [1/m]
     """
-    constants = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
-    found = []
+    shear_modulus, found = modulus * (1.0 - poisson_ratio), []
     for tool, probing in zip(tools(session), session.probings, strict=True):
         force = float(np.linalg.norm(probing.force))
-        found.append(dent(tool, force, **constants) * shear_modulus / force)
+        depth = dent(tool, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+        found.append(depth * shear_modulus / force)
     return np.array(found)
 
 

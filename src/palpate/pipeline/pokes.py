@@ -102,7 +102,8 @@ def fit_pokes(
     def predict(others: Session) -> tuple[Prediction, ...]:
         others, ratio = _flattened(others), result.minimum.poisson_ratio
         near = _regular(model.loaded(others), (ratio - _NEAR, ratio), 1)
-        predicted = poke_observations(others, near, result.minimum.shear_modulus)
+        modulus = result.minimum.shear_modulus / (1.0 - ratio)
+        predicted = poke_observations(others, near, modulus)
         if field is not None:
             predicted = field.with_field(others, predicted)
         return predictions_of(result.minimum, predicted)
@@ -145,7 +146,7 @@ def _field(session: Session) -> DisplacementField:
 
 
 def poke_observations(
-    session: Session, regular: _Regular, shear_modulus: float
+    session: Session, regular: _Regular, modulus: float
 ) -> list[ProbeObservations]:
     """Observations of pokes of a homogeneous body, as one probing with a point for each: of each
     the component of the tool's displacement along which it moved most.
@@ -154,7 +155,7 @@ def poke_observations(
     ----------
     session : Session               k probings
     regular : function              Poisson's ratio -> (k,) float [1/m]: `PokeModel.regular`
-    shear_modulus : float [Pa]      about which the growth of contacts is expanded
+    modulus : float [Pa]            G / (1 - nu) about which the growth of contacts is expanded
 
     Returns
     -------
@@ -165,11 +166,15 @@ def poke_observations(
     size = np.abs(field.displacement)
     main = size == size.max(axis=1, keepdims=True)
 
-    def whole(poisson_ratio: float) -> Float[np.ndarray, " k"]:
-        return regular(poisson_ratio) + dents(session, shear_modulus, poisson_ratio)
-
+    # A dent times G is that at M = `modulus`, plus G / (M (1 - nu)) - 1 times its growth: a
+    # constant and G / M times the rest, as a `Settlement` at M has it.
     def growing(poisson_ratio: float) -> Float[np.ndarray, " k"]:
-        return growth * dents(session, shear_modulus, poisson_ratio)
+        return growth * dents(session, modulus, poisson_ratio) / (1.0 - poisson_ratio)
+
+    def whole(poisson_ratio: float) -> Float[np.ndarray, " k"]:
+        dented = dents(session, modulus, poisson_ratio)
+        rest = regular(poisson_ratio) + (1.0 - growth) * dented
+        return np.asarray(rest + growing(poisson_ratio))
 
     nuisances = []
     if priors.force_gain > 0.0:
@@ -187,7 +192,7 @@ def poke_observations(
             tip_displacement=None,
             tip_displacement_std=None,
             response=PokeResponse(force, whole),
-            settlement=Settlement(shear_modulus, PokeResponse(force, growing).value),
+            settlement=Settlement(modulus, PokeResponse(force, growing).value),
             nuisances=tuple(nuisances),
         )
     ]
@@ -262,17 +267,19 @@ def _settled_observations(
     session: Session, regular: _Regular, settings: FitSettings
 ) -> list[ProbeObservations]:
     """Observations about the modulus that fits best."""
-    # As of an incompressible half space, whose dent goes with the modulus to the power q - 1.
+    # As of a half space, whose dent goes with the modulus to the power q - 1.
     depth, force = (np.linalg.norm(each, axis=1) for each in (_tips(session), _forces(session)))
-    softest = dents(session, 1.0, 0.5) * force
+    # For M = 1 Pa; times G over the force, which is half of M.
+    softest = dents(session, 1.0, 0.5) * force / 0.5
     modulus = float(np.median((softest / depth) ** (1.0 / (1.0 - growths(session)))))
     for _ in range(_MOST_ROUNDS):
         observations = poke_observations(session, regular, modulus)
-        _, best = best_constants_of(observations, settings=settings)
+        ratio, shear_modulus = best_constants_of(observations, settings=settings)
+        best = shear_modulus / (1.0 - ratio)
         if abs(np.log(best / modulus)) < _TOLERANCE:
             return observations
         modulus = best
     raise NotConvergedError(
-        f"the shear modulus did not settle (last {modulus:.3g} Pa): forces and depths of the pokes"
+        f"the modulus did not settle (last {modulus:.3g} Pa): forces and depths of the pokes"
         " do not belong together; check the tool's radius and the units"
     )
