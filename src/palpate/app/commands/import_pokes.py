@@ -12,7 +12,6 @@ from palpate.recording import Pokes, height_field, read_pokes, write_pokes
 from palpate.records import (
     LENGTH_UNITS,
     Tool,
-    default_folder,
     modulus_unit,
     quantity,
     read_poke_table,
@@ -105,7 +104,7 @@ def import_pokes(
     )
     pokes = read_pokes(samples, tip)
     mesh = _surface(pokes, thickness, margin, surface, surface_unit)
-    target = out or default_folder(table.with_suffix(""), "session")
+    target = out or Path(f"{table.stem}-session")
     with result_folder(target, kind="import-pokes", force=force) as folder:
         write_pokes(folder, pokes, mesh, tip, table.stem)
         record_inputs(folder, [table, *([] if surface is None else [surface])])
