@@ -11,6 +11,7 @@ from surfaces import box, sphere
 from palpate.errors import InputError, SingularSystemError
 from palpate.solids.finite_elements import (
     free_part,
+    half_space_compliance,
     held_nodes,
     hooke_moduli,
     make_body,
@@ -285,3 +286,26 @@ def test_a_block_on_springs_sinks_and_rocks_as_winkler_says(block):
     wanted[:, 2] = -(even + tilt * x) * (z / young + 1 / stiffness)
     # Rounding: the field is of second degree, as the elements are.
     np.testing.assert_allclose(solve_load(body, load), wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_half_space_gives_under_a_load_as_in_closed_form(cut):
+    """Under pressure 1 - s^2 by Hankel's transform: the integral of (8 J_2(k) / k^2)^2 over k is
+    2.0695. A patch of which an edge cuts a third: a plain sum over many points."""
+    size, radius = (0.06, 0.06, 0.03), 9e-3
+    place = np.array([0.003 if cut else 0.03, 0.03, 0.03])
+    solid = filled(box(size, cells=6), edge=6e-3)
+    found = half_space_compliance(solid, place, radius, lambda s: np.clip(1.0 - s**2, 0.0, None))
+    expected = 2.0695 / (2.0 * np.pi * radius)
+    if cut:
+        x, y = np.meshgrid((np.arange(-10, 30) + 0.5) / 30, (np.arange(-30, 30) + 0.5) / 30)
+        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        weight = np.clip(1.0 - (points**2).sum(axis=1), 0.0, None)
+        points, weight = points[weight > 0.0], weight[weight > 0.0] / weight.sum()
+        apart = np.linalg.norm(points[:, None] - points, axis=2)
+        np.fill_diagonal(apart, 1.0)
+        # Mean of 1 / r between two squares of side 1 / 30, to second order, and within one.
+        inverse = 1.0 / apart + 1.0 / (12.0 * 30**2 * apart**3)
+        np.fill_diagonal(inverse, 30 * 2.9732)
+        expected = float(weight @ inverse @ weight) / (2.0 * np.pi * radius)
+    assert found == pytest.approx(expected, rel=0.01)

@@ -105,3 +105,16 @@ def test_stiffer_everywhere_yields_less_under_every_load(body, forces):
     assert np.linalg.eigvalsh(middle - low).min() > 0.0
     assert np.linalg.eigvalsh(high - middle).min() > 0.0
     assert np.abs(middle - middle.T).max() < 1e-10 * np.abs(middle).max()
+
+
+def test_energies_are_minus_the_derivatives_of_the_work(body, forces):
+    field = np.random.default_rng(4).normal(size=body.weight.size)
+    at = with_moduli(body, field, RATIO)
+    energies = at.energies(at.displacements(forces))
+    # All together the work itself: Clapeyron.
+    work = np.diag(compliance(body, field, forces))
+    np.testing.assert_allclose(energies.sum(axis=0), work, rtol=1e-9)
+    step = np.zeros(len(field))
+    step[7] = 1e-5
+    more, less = (np.diag(compliance(body, field + side * step, forces)) for side in (1, -1))
+    np.testing.assert_allclose(energies[7], -(more - less) / 2e-5, rtol=1e-4)

@@ -30,10 +30,6 @@ _COMMANDS = {
         "flow:flow",
         "Measure how the surface moved, from the pictures of calibrated cameras.",
     ),
-    "import": (
-        "import_results:import_displacements",
-        "Import displacements from another program into a session.",
-    ),
     "poke": (
         "use:poke",
         "Press a tool on a session's object: how deep it goes, and where it strains.",
@@ -86,6 +82,19 @@ _COMMANDS = {
 # Commands with commands of their own; the first of them is meant where no word says which, as in
 # `palpate lab CONFIG.toml OUT`.
 _GROUPS = {
+    "import": (
+        "Make sessions of what others measured: displacements of other programs, a robot's pokes.",
+        {
+            "displacements": (
+                "import_results:import_displacements",
+                "Import displacements from another program into a session.",
+            ),
+            "pokes": (
+                "import_pokes:import_pokes",
+                "Build a session from a table of pokes: position and force of a tool.",
+            ),
+        },
+    ),
     "lab": (
         "Virtual measurements with known truth, and plans; list the benches: palpate lab --list",
         {

@@ -56,7 +56,7 @@ class NuisanceParameter:
     ----------
     name : str                      worded so that it can end a sentence: "gain of the force sensor"
     std : float                     of the prior, > 0
-    unit : str                      of `std`: "m", "rad", "m/Pa", or empty for a relative error
+    unit : str                      of `std`: "m", "rad", "m/Pa", "m/N"; empty: a relative error
     of : str                        source in the uncertainty budget that it is part of, such as
                                     "pose of the object"; empty: it is a source of its own
     is_model_error : bool           an error of the model, whose shape is known only roughly: what

@@ -382,12 +382,13 @@ def _own(
 
 
 def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParameter, ...]:
-    """Parameters that occur in more than one probing."""
+    """Parameters that occur in more than one probing, and those of the material."""
     encountered: dict[str, NuisanceParameter] = {}
     shared: dict[str, NuisanceParameter] = {}
     for probe in probes:
         for parameter in probe.parameters:
-            group = shared if parameter.name in encountered else encountered
+            known = parameter.is_material or parameter.name in encountered
+            group = shared if known else encountered
             group[parameter.name] = parameter
     return tuple(shared.values())
 

@@ -6,7 +6,8 @@ Takes      : a `Session`, its `ProbeObservations` with the homogeneous model.
 Gives      : `ModulusField`; observations with the field's response and its coefficients as errors
              that all probings share.
 Depends on : `solids`, `estimation`, `probe`, `geometry`, `records`.
-Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`.
+Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`; of pokes without pictures
+             `poke_responses.py`.
 """
 
 from palpate.field.field_fit import (
@@ -23,6 +24,14 @@ from palpate.field.field_responses import (
 from palpate.field.map_response import (
     MapResponse as MapResponse,
     make_map_response as make_map_response,
+)
+from palpate.field.poke_responses import (
+    PokeModel as PokeModel,
+    PokeResponse as PokeResponse,
+    dents as dents,
+    growths as growths,
+    make_poke_model as make_poke_model,
+    tools as tools,
 )
 from palpate.field.regions import (
     RegionFit as RegionFit,

@@ -19,9 +19,16 @@ from palpate.estimation import (
 )
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
-from palpate.field.field_responses import FieldExpansion, make_field_model, smooth_prior
+from palpate.field.field_responses import (
+    CoefficientPrior,
+    FieldExpansion,
+    FieldModel,
+    make_field_model,
+    smooth_prior,
+)
+from palpate.field.poke_responses import PokeExpansion, PokeModel, make_poke_model
 from palpate.progress import Progress, silent
-from palpate.records import FieldEstimate, Session
+from palpate.records import FieldEstimate, Session, without_pictures
 
 _MOST_ROUNDS = 10
 # Change of log G anywhere that ends the rounds: of second order in what it leaves.
@@ -43,14 +50,14 @@ class FieldFit:
 
     Attributes
     ----------
-    expansion : FieldExpansion      about the field that fits best
+    expansion : FieldExpansion or PokeExpansion     about the field that fits best
     prior : FieldPrior              of most evidence
     log_evidence : float            over that of a body that is the same everywhere
     observations : list of ProbeObservations    with the field's response, its coefficients as
                                     errors that all probings share
     """
 
-    expansion: FieldExpansion
+    expansion: FieldExpansion | PokeExpansion
     prior: FieldPrior
     log_evidence: float
     observations: list[ProbeObservations]
@@ -66,7 +73,7 @@ class FieldFit:
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
         prior = smooth_prior(self.expansion.model.modes.mixing_of(self.prior))
-        return self.expansion.of_pushes(session, observations, prior)
+        return of_pushes(self.expansion, session, observations, prior)
 
     def posterior(self, minimum: Evaluation) -> FieldPosterior:
         """What a fit of `observations` says of the field.
@@ -96,6 +103,28 @@ class FieldFit:
         return FieldEstimate(prior.std, prior.length, self.log_evidence, known, posterior.parts())
 
 
+def of_pushes(
+    expansion: FieldExpansion | PokeExpansion,
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    prior: CoefficientPrior,
+) -> list[ProbeObservations]:
+    """Observations of other pushes of a body with the field that an expansion is about.
+
+    Parameters
+    ----------
+    expansion : FieldExpansion or PokeExpansion
+    session : Session           k probings
+    observations : sequence of k ProbeObservations      of the homogeneous body
+    prior : CoefficientPrior
+    """
+    about, ratio = expansion.coefficients, expansion.poisson_ratio
+    model: FieldModel | PokeModel = expansion.model.loaded(session)
+    homogeneous = model.moved(0.0 * about, ratio)
+    pushed = model.expanded(about, ratio, homogeneous).with_slope()
+    return pushed.observations(session, observations, prior)
+
+
 def field_evidence(
     session: Session, observations: Sequence[ProbeObservations], minimum: Evaluation
 ) -> float:
@@ -116,7 +145,8 @@ def field_evidence(
     ------
     MeshError                       so few elements do not fit into the body
     """
-    model = make_field_model(session, elements=_FEW, times=(1, 3))
+    make = make_poke_model if without_pictures(session) else make_field_model
+    model: FieldModel | PokeModel = make(session, elements=_FEW, times=(1, 3))
     none = np.zeros(model.modes.modes.shape[1])
     ratio = minimum.poisson_ratio
     expansion = model.expanded(none, ratio, model.moved(none, ratio))
@@ -150,7 +180,8 @@ def fit_field(
     NotConvergedError               the field does not settle
     """
     progress("finite elements", 0.0)
-    model = make_field_model(session)
+    make = make_poke_model if without_pictures(session) else make_field_model
+    model: FieldModel | PokeModel = make(session)
     plain = joint_minimum(observations, settings)
     modes, minimum = model.modes, plain
     coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
@@ -185,7 +216,7 @@ class _Task:
 
     session: Session
     homogeneous: Sequence[ProbeObservations]
-    expansion: FieldExpansion
+    expansion: FieldExpansion | PokeExpansion
     settings: FitSettings
 
     def observations(self, mixing: Float[np.ndarray, "b j"]) -> list[ProbeObservations]:

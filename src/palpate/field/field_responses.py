@@ -47,7 +47,7 @@ _STEP = 0.005
 # Points along the side of a triangle where the pressure of a contact is taken.
 _SAMPLES = 12
 # Begins the names of a field's coefficients; what the budget calls them together.
-_MODE, _SOURCE = "mode of the modulus", "modulus that differs from place to place"
+MODE, SOURCE = "mode of the modulus", "modulus that differs from place to place"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +81,7 @@ def smooth_prior(mixing: Float[np.ndarray, "b j"]) -> CoefficientPrior:
     ----------
     mixing : (b, j) float           L
     """
-    names = tuple(f"{_MODE} {j}" for j in range(mixing.shape[1]))
+    names = tuple(f"{MODE} {j}" for j in range(mixing.shape[1]))
     none = np.zeros(len(mixing))
     return CoefficientPrior(names, mixing, none, none, none)
 
@@ -195,29 +195,10 @@ class FieldExpansion:
 
     def with_slope(self) -> "FieldExpansion":
         """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
-        beside = self.poisson_ratio + _STEP
+        beside = self.poisson_ratio - _STEP
         change = self.model.moved(self.coefficients, beside)
         change -= self.model.moved(0.0 * self.coefficients, beside)
-        return replace(self, slope=(change - self.change) / _STEP)
-
-    def of_pushes(
-        self,
-        session: Session,
-        observations: Sequence[ProbeObservations],
-        prior: CoefficientPrior,
-    ) -> list[ProbeObservations]:
-        """The same field's observations of other pushes of the same body.
-
-        Parameters
-        ----------
-        session : Session           k probings
-        observations : sequence of k ProbeObservations      of the homogeneous body
-        prior : CoefficientPrior
-        """
-        model = self.model.loaded(session)
-        homogeneous = model.moved(0.0 * self.coefficients, self.poisson_ratio)
-        expansion = model.expanded(self.coefficients, self.poisson_ratio, homogeneous)
-        return expansion.with_slope().observations(session, observations, prior)
+        return replace(self, slope=(self.change - change) / _STEP)
 
     def observations(
         self,
@@ -275,7 +256,7 @@ class FieldExpansion:
             return moved
 
         parameters = tuple(
-            NuisanceParameter(name, 1.0, of=_SOURCE, is_material=True) for name in prior.names
+            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in prior.names
         )
         settlement = (
             Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
@@ -339,10 +320,10 @@ def make_field_model(
     """
     if reason := no_field_reason(session):
         raise InputError(f"{reason} Fit with --material homogeneous")
-    solid = _filled(session.mesh, [each * elements for each in times])
+    solid, _ = filled(session.mesh, [each * elements for each in times])
 
     def modes_of(body: GradedBody) -> tuple[csr_array, FieldModes]:
-        depth = _depth(session, body.corners)
+        depth = depth_below(session, body.corners)
         return body.linear, make_field_modes(body.corners, body.corner_volume, depth)
 
     return field_model(session, solid, modes_of)
@@ -370,8 +351,14 @@ def field_model(
     )  # fmt: skip
 
 
-def _depth(session: Session, points: Points) -> Float[np.ndarray, " p"]:
-    """Distance of points from the free surface [m]."""
+def depth_below(session: Session, points: Points) -> Float[np.ndarray, " p"]:
+    """Distance of points from the free surface [m].
+
+    Parameters
+    ----------
+    session : Session
+    points : (p, 3) float [m]
+    """
     free = np.delete(session.mesh.triangles, session.held_triangles, axis=0)
     return closest_points(TriangleMesh(session.mesh.vertices, free), points).distance
 
@@ -404,13 +391,23 @@ def no_field_reason(session: Session) -> str:
     )
 
 
-def _filled(mesh: TriangleMesh, counts: Sequence[int]) -> Solid:
-    """The body in the fewest elements that fit into it."""
+def filled(mesh: TriangleMesh, counts: Sequence[int]) -> tuple[Solid, float]:
+    """The body in the fewest elements that fit into it, and their edge [m].
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    counts : sequence of int        of elements, about, ascending
+
+    Raises
+    ------
+    MeshError                       not even the most of them fit
+    """
     volume = enclosed_volume(mesh)
     for count in counts:
         edge = (volume / (VOLUME * count)) ** (1.0 / 3.0)
         try:
-            return make_solid(mesh, edge=edge)
+            return make_solid(mesh, edge=edge), edge
         except MeshError:
             if count == counts[-1]:
                 raise

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
-from palpate.field.field_fit import SAME_RATIO, modes_in
+from palpate.field.field_fit import SAME_RATIO, modes_in, of_pushes
 from palpate.field.field_map import leading_directions
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import (
@@ -88,7 +88,7 @@ class RegionFit:
         session : Session                           k probings
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
-        return self.expansion.of_pushes(session, observations, self.prior)
+        return of_pushes(self.expansion, session, observations, self.prior)
 
     def estimates(self, minimum: Evaluation) -> tuple[RegionEstimate, ...]:
         """What a fit of `observations` says of every region.

@@ -75,6 +75,7 @@ from palpate.pipeline.poke import (
     tool_contact as tool_contact,
     von_mises_stress as von_mises_stress,
 )
+from palpate.pipeline.pokes import pooled as pooled
 from palpate.pipeline.reciprocity import reciprocity as reciprocity
 from palpate.pipeline.result_files import (
     SURFACE_FILE as SURFACE_FILE,

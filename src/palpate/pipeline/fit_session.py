@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
+from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.heterogeneous import (
@@ -36,6 +37,7 @@ from palpate.pipeline.observations import (
     ungraded_observations,
     with_mesh_steps,
 )
+from palpate.pipeline.pokes import fit_pokes
 from palpate.pipeline.reciprocity import reciprocity
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -48,6 +50,7 @@ from palpate.records import (
     Status,
     SupportEstimate,
     require_probings,
+    without_pictures,
 )
 
 # Fractions of the work that are done when the graded mesh's model, its factorisation and the
@@ -100,6 +103,10 @@ def fit_session(
     """
     start = time.perf_counter()
     require_probings(session)
+    if without_pictures(session):
+        if finite_strain:
+            raise InputError("pokes without pictures take --strain small: press less far")
+        return fit_pokes(session, settings=settings, material=material, progress=progress)
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}
     chosen |= {"lengths": length_error(session, strains)}

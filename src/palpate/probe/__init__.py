@@ -3,8 +3,8 @@
 Purpose    : the triangles under a tool and the pressure there; the contact circle of a tool;
              Young's modulus of a compressed cylinder, with a 95 % interval.
 Takes      : a mesh and a `Contact`; files of testing machines, or shortening and force.
-Gives      : `ContactPatch`, `ContactCircle`; `CompressionResult` per specimen, `CompressionSeries`
-             over several.
+Gives      : `ContactPatch`, `ContactCircle`, `dent`; `CompressionResult` per specimen,
+             `CompressionSeries` over several.
 Depends on : `records`, `geometry`, `shapes`, `errors`.
 Read first : `contact_patch.py`, `contact_circle.py`, then `compression_test.py`.
 """
@@ -32,4 +32,9 @@ from palpate.probe.contact_circle import (
 from palpate.probe.contact_patch import (
     ContactPatch as ContactPatch,
     find_contact_patch as find_contact_patch,
+)
+from palpate.probe.indentation import (
+    GROWTH as GROWTH,
+    dent as dent,
+    on_flat as on_flat,
 )

@@ -115,7 +115,7 @@ def contact_circle(
     as small), p cot(angle) of a cone; without slip `_no_slip_outward`.
     """
     _check_inward(force)
-    modulus = _reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+    modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
 
     def circle(radius: float, profile: str) -> ContactCircle:
         outward = _sliding_outward(tool, radius)
@@ -254,7 +254,7 @@ def convex_contact(
     228 (1929) 377, as in Johnson, Contact Mechanics (1985), equation 3.25.
     """
     _check_inward(force)
-    modulus = _reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+    modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
     axes, half, stiffer = local.tangents, tool.radius, 1.0
     for _ in range(_MOST_ROUNDS):
         x, y = half * np.stack(np.meshgrid(_centres(), _centres(), indexing="ij"))
@@ -301,8 +301,19 @@ def _check_inward(force: float) -> None:
         )
 
 
-def _reduced_modulus(tool: Tool, *, shear_modulus: float, poisson_ratio: float) -> float:
-    """Modulus E / (1 - nu^2) of the object [Pa], times the factor of a tool to which it sticks."""
+def reduced_modulus(tool: Tool, *, shear_modulus: float, poisson_ratio: float) -> float:
+    """Modulus E / (1 - nu^2) of the object, times the factor of a tool to which it sticks.
+
+    Parameters
+    ----------
+    tool : Tool
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu <= 0.5
+
+    Returns
+    -------
+    float [Pa]
+    """
     modulus = 2.0 * shear_modulus / (1.0 - poisson_ratio)
     return modulus * (_no_slip_factor(poisson_ratio) if tool.friction == STICKS else 1.0)
 

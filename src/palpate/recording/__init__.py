@@ -2,8 +2,9 @@
 
 Purpose    : find the presses in a recording, the clocks' offsets and the moments to measure at, and
              write them as a session.
-Takes      : recording.toml: a video or pictures for each camera, a force log, a mesh, a rig.
-Gives      : `Recorded`, a session folder; `survey_folder` and the outline of a session.
+Takes      : recording.toml: a video or pictures for each camera, a force log, a mesh, a rig; or a
+             table of a robot's pokes.
+Gives      : `Recorded`, `Pokes`, a session folder; `survey_folder` and the outline of a session.
 Depends on : `vision`, `bem`, `probe`, `records`, `geometry`.
 Read first : `record.py`, then `touches.py`, `clock.py` and `footage.py`.
 """
@@ -22,6 +23,12 @@ from palpate.recording.outline import (
     outline_text as outline_text,
     read_surface as read_surface,
     survey_folder as survey_folder,
+)
+from palpate.recording.pokes import (
+    Pokes as Pokes,
+    height_field as height_field,
+    read_pokes as read_pokes,
+    write_pokes as write_pokes,
 )
 from palpate.recording.record import (
     PlacedPress as PlacedPress,

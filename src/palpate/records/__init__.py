@@ -104,6 +104,10 @@ from palpate.records.program import (
     camera_matrix as camera_matrix,
     make_pose as make_pose,
 )
+from palpate.records.programs.poke_table import (
+    PokeTable as PokeTable,
+    read_poke_table as read_poke_table,
+)
 from palpate.records.programs.registry import (
     import_kinds as import_kinds,
     kinds_text as kinds_text,
@@ -167,6 +171,7 @@ from palpate.records.session import (
     Session as Session,
     Step as Step,
     require_probings as require_probings,
+    without_pictures as without_pictures,
 )
 from palpate.records.support import (
     FIXED as FIXED,

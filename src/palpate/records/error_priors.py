@@ -12,9 +12,13 @@ from palpate.records.text.toml_table import TomlTable
 
 _FRACTION_UNITS = {"%": 0.01}
 _FRACTION_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
+_COMPLIANCES = {
+    "support_compliance": COMPLIANCE_UNITS,
+    "tool_compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6},
+}
 
 _LARGEST_FRACTION, _LARGEST_ANGLE, _LARGEST_LENGTH = 0.5, 0.5, 1.0
-# One metre per pascal: in effect no support [m/Pa].
+# One metre per pascal, or per newton: in effect no support.
 _LARGEST_COMPLIANCE = 1.0
 
 
@@ -41,6 +45,8 @@ class ErrorPriors:
     length_scale : float [-]        scale of the measured displacements, along each axis
     support_compliance : float [m/Pa]    compliance of each support beyond that in the session:
                                     displacement over traction
+    tool_compliance : float [m/N]   of the arm, the tool and the base, along each measured
+                                    displacement of a tool
     contact_points : mapping        name of a probing -> its own `contact_point` [m], where it
                                     differs
     force_gains : mapping           name of a force sensor -> its own `force_gain`, where it differs
@@ -60,6 +66,7 @@ class ErrorPriors:
     pose_rotation: float = float(np.radians(0.2))
     length_scale: float = 0.002
     support_compliance: float = 0.0
+    tool_compliance: float = 0.0
     contact_points: Mapping[str, float] = field(default_factory=dict)
     force_gains: Mapping[str, float] = field(default_factory=dict)
 
@@ -70,6 +77,7 @@ class ErrorPriors:
             "contact_point": _LARGEST_LENGTH,
             "pose_translation": _LARGEST_LENGTH,
             "support_compliance": _LARGEST_COMPLIANCE,
+            "tool_compliance": _LARGEST_COMPLIANCE,
         }
         for prior in fields(self):
             if prior.name not in ("contact_points", "force_gains"):
@@ -97,7 +105,7 @@ def _check_range(name: str, value: float, limit: float) -> None:
         )
 
 
-EXACT = ErrorPriors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+EXACT = ErrorPriors(*(0.0,) * 11)
 
 
 def read_error_priors(
@@ -123,9 +131,7 @@ def read_error_priors(
     found: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
     found["contact_points"] = _contact_points(root, metres_per_unit)
     table = root.optional("errors", root.table) or TomlTable(root.file, "", {})
-    table.check_keys(
-        (*_FRACTION_KEYS, "force_direction", "contact_point", "pose", "support_compliance")
-    )
+    table.check_keys((*_FRACTION_KEYS, "force_direction", "contact_point", "pose", *_COMPLIANCES))
     fractions = [key for key in _FRACTION_KEYS if key in table.values]
     if isinstance(table.values.get("force_gain"), dict):
         fractions.remove("force_gain")
@@ -135,8 +141,9 @@ def read_error_priors(
         found["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
     if "contact_point" in table.values:
         found["contact_point"] = table.quantity("contact_point", LENGTH_UNITS, metres_per_unit)
-    if "support_compliance" in table.values:
-        found["support_compliance"] = table.quantity("support_compliance", COMPLIANCE_UNITS, 1.0)
+    for key, units in _COMPLIANCES.items():
+        if key in table.values:
+            found[key] = table.quantity(key, units, 1.0)
     found |= _pose(table, metres_per_unit)
     with table.error_context():
         return ErrorPriors(**found)

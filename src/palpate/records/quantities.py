@@ -26,6 +26,7 @@ _ERROR_UNITS = {
     "m": (1e3, "mm"),
     "rad": (180.0 / math.pi, "degrees"),
     "m/Pa": (1e9, "mm/MPa"),
+    "m/N": (1e3, "mm/N"),
 }
 # Range of elastic moduli [Pa], from the softest gel to diamond.
 MODULUS_RANGE = (1.0, 1.2e12)

@@ -13,7 +13,7 @@ import numpy as np
 from palpate.arrays import fix_fields
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import RIGID
+from palpate.records.contact import CYLINDER, FLAT, RIGID, SPHERE
 from palpate.records.error_priors import ErrorPriors
 from palpate.records.probing import Probing
 from palpate.records.region import Region
@@ -157,6 +157,24 @@ def require_probings(session: Session) -> None:
             f"{session.path}: this is a rigid-motion sequence ([[step]] tables): no force, no"
             " probing, so nothing about stiffness; give a session with [[probe]] tables"
         )
+
+
+def without_pictures(session: Session) -> bool:
+    """Whether a session is of pokes without pictures: all that was observed of any push is how far
+    a ball or a flat face went in.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    return bool(session.probings) and all(
+        each.displacement is None
+        and each.images is None
+        and each.tip_displacement is not None
+        and each.contact.tool is not None
+        and each.contact.tool.shape in (SPHERE, FLAT, CYLINDER)
+        for each in session.probings
+    )
 
 
 def _check_contents(session: Session) -> None:

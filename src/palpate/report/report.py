@@ -20,6 +20,7 @@ from palpate.figures import write_plots
 from palpate.files import read_bytes
 from palpate.pipeline import (
     FittedSurface,
+    pooled,
     read_fitted_surface,
     write_fitted_surface,
     write_modulus,
@@ -40,6 +41,7 @@ from palpate.records import (
     read_text,
     region_row,
     verdict_text,
+    without_pictures,
     write_estimate,
 )
 from palpate.report.scene import scene
@@ -196,6 +198,8 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     OSError, RecordError            a file cannot be written
     """
     start = time.perf_counter()
+    if without_pictures(session):
+        session = pooled(session)
     write_residuals(folder, session, result)
     write_fitted_surface(folder, session, result)
     write_plots(folder, session, result)

@@ -18,6 +18,7 @@ from palpate.solids.finite_contact import (
 )
 from palpate.solids.finite_elements import (
     Body as Body,
+    half_space_compliance as half_space_compliance,
     held_nodes as held_nodes,
     inner_points as inner_points,
     inner_tetrahedron_points as inner_tetrahedron_points,

@@ -12,6 +12,7 @@ import numpy as np
 import skfem
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array, kron
+from scipy.spatial.distance import cdist
 
 from palpate.errors import InputError, SingularSystemError
 from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
@@ -26,6 +27,10 @@ from palpate.solids.tetrahedra import QUARTERS, Solid, boundary_surface
 _IN_LINE = 1e-6
 # Quadrature points along a side of a face, for the integral of a pressure over it.
 _SAMPLES = 14
+# Parts along its side into which a half space's load is cut.
+_PARTS = 5
+# Variance of a place in an equilateral triangle, along an axis, over its area: side^2 / 24.
+_TRIANGLE = 1.0 / (6.0 * np.sqrt(3.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,21 +313,87 @@ def pressure_load(
     ------
     InputError                      the patch misses the surface
     """
+    near, _, density, shape = _pressed(solid, point, radius, pressure, inner_points(_SAMPLES))
+    share = np.zeros(len(solid.nodes))
+    np.add.at(share, solid.facets[near], density @ shape)
+    return share / share.sum()
+
+
+def half_space_compliance(
+    solid: Solid,
+    point: Vector3,
+    radius: float,
+    pressure: Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]],
+) -> float:
+    """Mean displacement of a half space under one newton of such a load, weighted with it, times
+    its shear modulus over 1 - nu; where an edge of the body cuts the patch, of the rest.
+
+    Parameters
+    ----------
+    solid, point, radius, pressure  as `pressure_load`
+
+    Returns
+    -------
+    float [1/m]
+
+    Source
+    ------
+    Boussinesq: (1 - nu) / (2 pi G r) at a distance r from one newton
+    """
+    _, position, density, _ = _pressed(solid, point, radius, pressure, _centroids(_PARTS))
+    # Area of each sample, from that of its facet, which is a factor of its weight.
+    loaded = density.ravel() > 0.0
+    place, weight = position.reshape(-1, 3)[loaded], density.ravel()[loaded]
+    distance = np.linalg.norm(place - point, axis=1) / radius
+    area = weight / pressure(np.minimum(distance, 1.0)) / (2.0 * position.shape[1])
+    weight = weight / weight.sum()
+    np.fill_diagonal(apart := cdist(place, place), 1.0)
+    # The mean of 1 / r between points of two triangles, to second order in their size.
+    inverse = 1.0 / apart + 0.5 * _TRIANGLE * (area[:, None] + area) / apart**3
+    # And between points of a disc of one's area.
+    np.fill_diagonal(inverse, 16.0 / (3.0 * np.pi) / np.sqrt(area / np.pi))
+    return float(weight @ inverse @ weight) / (2.0 * np.pi)
+
+
+def _centroids(count: int) -> Float[np.ndarray, "s 3"]:
+    """Barycentric coordinates of the centres of `count`^2 equal parts of a triangle."""
+    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(count), np.arange(count)))
+    upright, upset = i + j < count, i + j < count - 1
+    a, b = (
+        np.concatenate([each[upright] + 1.0 / 3.0, each[upset] + 2.0 / 3.0]) / count
+        for each in (i, j)
+    )
+    return np.stack([1.0 - a - b, a, b], axis=1)
+
+
+def _pressed(
+    solid: Solid,
+    point: Vector3,
+    radius: float,
+    pressure: Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]],
+    barycentric: Float[np.ndarray, "s 3"],
+) -> tuple[
+    Bool[np.ndarray, " f"],
+    Float[np.ndarray, "p s 3"],
+    Float[np.ndarray, "p s"],
+    Float[np.ndarray, "s 6"],
+]:
+    """Facets near a patch; samples on them, their pressure times twice the facet's area, and the
+    shape functions there."""
     nodes = solid.nodes[solid.facets]
     size = np.linalg.norm(nodes[:, 1:3] - nodes[:, :1], axis=2).max(axis=1)
     side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
     gap = np.linalg.norm(nodes - point, axis=2).min(axis=1)
     # Exclude the far side of a thin body: it is close as well, but faces the other way.
     near = (gap < radius + size) & (side @ side[int(gap.argmin())] > 0.0)
-    shape = quadratic_shapes(inner_points(_SAMPLES)).T
-    distance = np.linalg.norm(np.einsum("sv,fva->fsa", shape, nodes[near]) - point, axis=2)
+    shape = quadratic_shapes(barycentric).T
+    position = np.einsum("sv,fva->fsa", shape, nodes[near])
+    distance = np.linalg.norm(position - point, axis=2)
     area = np.linalg.norm(side[near], axis=1)[:, None]
     density = np.where(distance < radius, pressure(np.minimum(distance / radius, 1.0)), 0.0) * area
     if not density.any():
         raise InputError("the tool touches no part of the surface; check its point and radius")
-    share = np.zeros(len(solid.nodes))
-    np.add.at(share, solid.facets[near], density @ shape)
-    return share / share.sum()
+    return near, position, density, shape
 
 
 def inner_points(count: int) -> Float[np.ndarray, "s 3"]:

@@ -168,12 +168,28 @@ class GradedStiffness:
             changes.append(-self.displacements(gather @ force.reshape(unknowns.size, -1)).T)
         return np.stack(changes, axis=2)
 
+    def energies(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq p"]:
+        """Twice the energy at every quadrature point under each load: minus the derivative of the
+        work of the load by the logarithm of the modulus there.
+
+        Parameters
+        ----------
+        moved : (3 n, p) float [m Pa]   displacements under the loads
+
+        Returns
+        -------
+        (m q, p) float
+        """
+        return np.asarray((self._strain(moved) * self._stress(moved)).sum(axis=1))
+
+    def _strain(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
+        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
+        return (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
+
     def _stress(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
         """Stress times weight of the quadrature at every point."""
-        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
-        strain = (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
         scale = self.body.weight.ravel() * np.exp(self.log_modulus)
-        return (_hooke(self.poisson_ratio) @ strain) * scale[:, None, None]
+        return (_hooke(self.poisson_ratio) @ self._strain(moved)) * scale[:, None, None]
 
 
 def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:

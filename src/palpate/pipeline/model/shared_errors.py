@@ -28,6 +28,7 @@ from palpate.pipeline.model.object_model import ObjectModel
 from palpate.pipeline.model.responses import ProbeResponse, compliance_error
 from palpate.pipeline.model.supports import rigid_modes
 from palpate.records import SLIDES, Probing, Session, covariance_file, read_rig, read_rig_covariance
+from palpate.shapes import Points
 from palpate.vision import space_strains
 
 # A component's std over the effect of the sensor's rotation, above which that adds at most 0.5 %.
@@ -75,6 +76,10 @@ def shared_errors(
         )
     nuisances += _contact_errors(model, index, response)
     nuisances += _tool_slip(model, index, response)
+    if priors.tool_compliance > 0.0 and probing.tip_displacement is not None:
+        at_points = np.zeros((response.rows.surface.shape[0] // 3, 3))
+        each = np.concatenate([at_points, probing.force[None]])
+        nuisances.append(tool_compliance(priors.tool_compliance, each))
     if model.springs is not None:
         nuisances += filter(None, [compliance_error(model, response)])
     return tuple(nuisances)
@@ -320,6 +325,27 @@ def tool_slip(
         return fixed_displacement(columns * [each.std for each in parameters], at)
 
     return Nuisance(parameters, effects)
+
+
+def tool_compliance(std: float, force: Points) -> Nuisance:
+    """What the arm, the tool and the base give under a force, which the tool's displacement holds
+    as well: one parameter for all probings.
+
+    Parameters
+    ----------
+    std : float [m/N]               > 0
+    force : (p, 3) float [N]        of the tool at each point of a probing; zero where it is not
+                                    the tool that was observed
+
+    Returns
+    -------
+    Nuisance
+    """
+
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r 2 c 1"]:
+        return fixed_displacement(std * force.reshape(-1, 1)[at.rows], at)
+
+    return Nuisance((NuisanceParameter("compliance of arm, tool and base", std, "m/N"),), effects)
 
 
 def calibration_strains(session: Session) -> Float[np.ndarray, "m 3 3"] | None:

@@ -274,16 +274,16 @@ def _probing(
     images = _images(table) if observations else None
     file = table.optional("displacement", table.existing_file) if observations else None
     field, notes = _field(file, body)
-    if observations and field is None and images is None:
+    tip, tip_std = _tip(table, body.metres_per_unit)
+    if observations and field is None and images is None and tip is None:
         table.fail(
             "displacement",
-            "the key is missing: give the measured displacements as a CSV file, or the pictures"
-            " they are to come from as images",
+            "the key is missing: give the measured displacements as a CSV file, the pictures they"
+            " are to come from as images, or of a poke without pictures its tip_displacement",
         )
     support_field, support_notes = _field(
         table.optional("support_displacement", table.existing_file), body
     )
-    tip, tip_std = _tip(table, body.metres_per_unit)
     with table.error_context():
         loads = read_loads(table, body)
         contact, force = read_push(table, body, loads)

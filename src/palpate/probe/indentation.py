@@ -1,0 +1,65 @@
+"""The dent of a half space under a rigid tool, in closed form.
+
+Its depth is A F^(1 - q), with A in proportion to (shear modulus)^(q - 1) and q = 0 under a flat
+face, 1/3 under a sphere, whose circle of contact grows with the force.
+"""
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from palpate.probe.contact_circle import reduced_modulus
+from palpate.records import CYLINDER, FLAT, SPHERE, Tool
+
+# q, by the tool's shape.
+GROWTH = MappingProxyType({FLAT: 0.0, CYLINDER: 0.0, SPHERE: 1.0 / 3.0})
+# A hollow surface counts as at most this share of a sphere's curvature: else it would fit the tool.
+_HOLLOW = 0.9
+
+
+def on_flat(tool: Tool, curvature: float) -> Tool:
+    """The tool that dents a flat surface as this one dents a curved one.
+
+    Parameters
+    ----------
+    tool : Tool                     of a shape in `GROWTH`
+    curvature : float [1/m]         mean curvature of the surface, > 0 where it is convex; counts
+                                    under a sphere
+
+    Returns
+    -------
+    Tool
+
+    Source
+    ------
+    Johnson, Contact Mechanics (1985), equation 4.18
+    """
+    if tool.is_flat:
+        return tool
+    return replace(tool, radius=tool.radius / max(1.0 + tool.radius * curvature, 1.0 - _HOLLOW))
+
+
+def dent(tool: Tool, force: float, *, shear_modulus: float, poisson_ratio: float) -> float:
+    """Depth to which a sphere or a flat round face dents a half space.
+
+    Parameters
+    ----------
+    tool : Tool                     of a shape in `GROWTH`
+    force : float [N]               along the inward normal, > 0
+    shear_modulus : float [Pa]      > 0
+    poisson_ratio : float [-]       -1 < nu <= 0.5
+
+    Returns
+    -------
+    float [m]
+
+    Source
+    ------
+    Johnson, Contact Mechanics (1985), equations 4.23 (sphere, taken as a paraboloid: up to about
+    half its radius) and 3.36 (flat face).
+    """
+    modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
+    if tool.is_flat:
+        return force / (2.0 * tool.radius * modulus)
+    return float(np.cbrt((0.75 * force / modulus) ** 2 / tool.radius))
