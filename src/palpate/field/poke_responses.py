@@ -99,6 +99,11 @@ class PokeModel:
     spread: Float[np.ndarray, " k"]
     near: csr_array
 
+    @property
+    def values(self) -> csr_array:
+        """As `FieldModel.values`."""
+        return self.body.linear
+
     def loaded(self, session: Session) -> "PokeModel":
         """The same body under the pokes of another session."""
         return _with_pokes(self, session)
@@ -107,7 +112,7 @@ class PokeModel:
         self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
     ) -> Float[np.ndarray, "n3 k"]:
         """As `FieldModel.moved`, for one newton."""
-        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
+        log_modulus = self.values @ (self.modes.modes @ coefficients)
         return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
 
     def regular(self, poisson_ratio: float) -> Float[np.ndarray, " k"]:
@@ -132,11 +137,11 @@ class PokeModel:
         homogeneous: Float[np.ndarray, "n3 k"],
     ) -> "PokeExpansion":
         """As `FieldModel.expanded`."""
-        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
+        log_modulus = self.values @ (self.modes.modes @ coefficients)
         stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
         moved = stiffness.displacements(self.load)
         change = (self.load * (moved - homogeneous)).sum(axis=0)
-        derivative = -(self.body.linear.T @ stiffness.energies(moved)).T @ self.modes.modes
+        derivative = -(self.values.T @ stiffness.energies(moved)).T @ self.modes.modes
         return PokeExpansion(
             self, coefficients, poisson_ratio, change, np.zeros_like(change), derivative
         )
