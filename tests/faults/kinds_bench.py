@@ -18,6 +18,7 @@ _OBJECT = ("calibrate", "object", "rest_{camera}.png", "mesh.ply", "--rig", "rig
 _SCAN = ("scan", "scan", "--out", "made")
 _MESH = ("mesh", "mesh.ply", "--near", "near.csv", "--out", "made")
 _EXPORT = ("export", "result", "--to", "obj", "--out", "made")
+_BOARD_FILE = ("calibrate", "board", "made.png")
 _EDGE = ("export", "result", "--to", "obj", "--edge")
 _REPORT = ("report", "result", "--out", "made.html")
 _PLAN = ("lab", "plan", "pictured", "--young-modulus", "50kPa")
@@ -160,6 +161,10 @@ KINDS = [
         _option(None, *_EDGE, value, says=f"--edge is '{value}'; must be a finite number, with one of")
         for value in ("1_0e-5", "nan", "1e400", "3N")
     ),
+    _option(None, *_BOARD_FILE, "--square", "2m", says="markers smaller than the squares, but no less"),
+    _option(None, *_BOARD_FILE, "--square", "2m", "--marker", "1.5m", says="pixels; must have 30000 a side"),
+    _option(None, "report", "result", "--out", "made.pdf", says="made.pdf: a report is an HTML file"),
+    _option(replaced("scan/scan.toml", "sigma = 0.05", "sigma = 1e9"), *_SCAN, says="scan.toml: [[view]] number 1: sigma of view 'top.xyz' reaches"),
     _option(None, *_EDGE, "1um", says="edge of 0.001 mm have some 8e+14 nodes, which would take"),
     *(
         _option(None, *command, says=says)

@@ -18,6 +18,8 @@ _FREE_FRACTION, _MIN_WINDOW_PX, _MAX_WINDOW_PX = 0.9, 2, 11
 _MAX_SEARCHED_PX = 1600
 # Largest number of marks in each direction.
 _MAX_MARKS = 1000
+# A marker whose bits a camera could tell apart, as a fraction of its square.
+_LEAST_MARKER = 0.2
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 DICTIONARIES = {
     name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name)
@@ -206,11 +208,12 @@ class Charuco:
     first: int = 0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.marker < self.square or min(self.columns, self.rows) < 3:
+        small = _LEAST_MARKER * self.square
+        if not 0.0 < small <= self.marker < self.square or min(self.columns, self.rows) < 3:
             raise InputError(
                 f"a board of {self.columns} x {self.rows} squares of {1e3 * self.square:g} mm with"
                 f" markers of {1e3 * self.marker:g} mm; must have 3 x 3 squares or more, and"
-                " markers smaller than the squares"
+                " markers smaller than the squares, but no less than a fifth"
             )
         _check_numbers(self.first, self.columns * self.rows // 2, self.dictionary)
 

@@ -24,6 +24,7 @@ from palpate.calibration import (
     camera_quality,
     picture_errors,
 )
+from palpate.errors import InputError
 from palpate.figures.style import (
     BLUE,
     GREY,
@@ -43,6 +44,8 @@ from palpate.vision import project
 _INCH = 0.0254
 # Resolution of a page for printing, as PNG.
 _DOTS_PER_INCH = 600.0
+# Along a side of a bitmap: larger ones take gigabytes, and no program shows them.
+_MOST_PIXELS = 30_000
 _WIDTH = 3.2  # of one camera's panel [inches]
 # Margin of the picture around an object, as a fraction of its size.
 _AROUND = 0.3
@@ -303,8 +306,15 @@ def save_page(figure: Figure, path: Path, *, kind: str) -> None:
 
     Raises
     ------
+    InputError                      a bitmap of too many pixels
     OSError                         the file cannot be written
     """
+    pixels = figure.get_size_inches() * _DOTS_PER_INCH
+    if kind == "png" and pixels.max() > _MOST_PIXELS:
+        raise InputError(
+            f"at {_DOTS_PER_INCH:g} dpi the page has {pixels[0]:.0f} x {pixels[1]:.0f} pixels; must"
+            f" have {_MOST_PIXELS} a side at most: write a .pdf, or make the squares smaller"
+        )
     figure.savefig(path, dpi=_DOTS_PER_INCH, format=kind)
 
 

@@ -70,11 +70,16 @@ _SPAN = (1e-6, 1e4)
 _STEP_DEVIATION, _STEP_ANGLE = 5e-4, 0.3
 # A part of thousands of faces takes seconds.
 _MOST_STEP_SECONDS = 300
+# Address space of what reads it [bytes]: a damaged file may ask for any.
+_MOST_STEP_BYTES = 2 * 2**30
 # In a process of its own: OpenCASCADE may crash on a damaged file, and prints to the terminal. With
 # -P, or a cascadio.py in the current folder would be run; -I would lose the user's own packages.
 _STEP_SCRIPT = """\
 import sys, cascadio
-source, target, off, turn = sys.argv[1:]
+source, target, off, turn, most = sys.argv[1:]
+if sys.platform == "linux":
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (int(most), int(most)))
 sys.exit(cascadio.step_to_glb(source, target, float(off), float(turn), tol_relative=True))
 """
 # Statements of the format and of its extensions that are ignored.
@@ -372,10 +377,10 @@ def _read_step(path: Path) -> tuple[Vertices, Triangles]:
     trimesh = late_import("trimesh", extra=None, purpose=f"reading {path.name}")
     with TemporaryDirectory() as scratch:
         target = Path(scratch) / "solid.glb"
-        numbers = (str(path.resolve()), str(target), str(_STEP_DEVIATION), str(_STEP_ANGLE))
+        words = (path.resolve(), target, _STEP_DEVIATION, _STEP_ANGLE, _MOST_STEP_BYTES)
         try:
             done = subprocess.run(
-                [sys.executable, "-P", "-c", _STEP_SCRIPT, *numbers],
+                [sys.executable, "-P", "-c", _STEP_SCRIPT, *map(str, words)],
                 capture_output=True, timeout=_MOST_STEP_SECONDS, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:

@@ -19,7 +19,7 @@ from palpate.lab.config import LabConfig, Probe, Specimen
 from palpate.lab.head import make_head
 from palpate.lab.render_mesh import dot_count
 from palpate.lab.specimens import SHAPES
-from palpate.machine import check_memory_for
+from palpate.machine import check_memory_for, usable_memory
 from palpate.records import (
     STIFFNESS_UNITS,
     TomlTable,
@@ -130,11 +130,13 @@ def _specimen(root: TomlTable) -> Specimen:
     if not element > 0.0:
         table.fail("element", f"is {element:g} m; must be positive")
     nodes = node_count(body, element)
+    # The memory goes with the edge to the power -4; as much longer as rounding may shorten.
+    least = 1.05 * element * (body_memory(nodes) / usable_memory()) ** 0.25
     with table.error_context():
         check_memory_for(
             f"element is {element:g} m: the factor of a stiffness matrix of some {nodes:.2g} nodes",
             body_memory(nodes),
-            "use larger elements (missing: the edge)",
+            f"use {least:.2g} m or more (missing: the edge)",
         )
     held, support, stiffness = _support(root, body)
     return Specimen(mesh, body, held, support, element, stiffness)

@@ -364,6 +364,12 @@ def make_view(
     sigma = np.broadcast_to(np.asarray(sigma, dtype=np.float64), len(points)).copy()
     if not sigma.min() > 0.0:
         raise InputError(f"sigma of view '{name}' goes down to {sigma.min():g}; must be positive")
+    extent = float(np.ptp(points, axis=0).max())
+    if sigma.max() > extent:
+        raise InputError(
+            f"sigma of view '{name}' reaches {sigma.max():g} m; its points are {extent:.3g} m"
+            " across: check the unit"
+        )
     return View(name, points, normals, sigma, eye, pose)
 
 

@@ -283,6 +283,8 @@ def report(
     """
     check_fit_result(result)
     target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{target}: a report is an HTML file; its name must end in .html")
     check_free(target, force=force)
     with disk_errors(target):
         write_report(result, target)

@@ -19,7 +19,13 @@ from palpate.geometry import (
     triangle_areas,
 )
 from palpate.progress import part_of
-from palpate.records import LENGTH_UNITS, default_folder, record_inputs, result_folder
+from palpate.records import (
+    LENGTH_UNITS,
+    TomlTable,
+    default_folder,
+    record_inputs,
+    result_folder,
+)
 from palpate.scanning import (
     PreparedSurface,
     ScannedSurface,
@@ -147,10 +153,11 @@ def scan(
             points = None
             if near is not None:
                 points = read_points(near, metres_per_unit=LENGTH_UNITS[length_unit])
-            made = scan_surface(
-                read.views, vertices=vertices, near=points, support=read.support,
-                progress=part_of(progress, 0.6, 1.0),
-            )  # fmt: skip
+            with TomlTable(read.path, "", {}).error_context():
+                made = scan_surface(
+                    read.views, vertices=vertices, near=points, support=read.support,
+                    progress=part_of(progress, 0.6, 1.0),
+                )  # fmt: skip
         write_surface(folder, made)
         save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
     print_tables(_views_table(made))

@@ -25,7 +25,7 @@ from palpate.records.programs.opencv import KALIBR, OPENCV, TOML_CAMERAS, holds_
 from palpate.records.programs.point_tables import OPENCORR, PYVALE, VTU
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import Camera, PictureTracks, Rig, check_baselines, check_cameras
-from palpate.records.text.text_file import write_text
+from palpate.records.text.text_file import check_file_names, write_text
 from palpate.records.text.toml_table import TomlTable, nearest_file, read_toml
 
 # To add a program: a file next to these, and one line here.
@@ -230,6 +230,7 @@ def _read_toml_rig(root: TomlTable, length_unit: str | None) -> Rig:
     metres = file.metres(default=None)
     cameras = [_camera(file, table, metres) for table in root.tables("camera")]
     names = [camera.name for camera in cameras]
+    check_file_names(names, what=f"{root.file}: camera", kind=CalibrationError)
     reference = 0
     if "reference" in root.values:
         reference = names.index(root.choice("reference", names))
