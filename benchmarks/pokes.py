@@ -3,9 +3,10 @@
     python -m benchmarks.pokes FOLDER [--count N ...] [--kind KIND] [--seed S]
 
 A robot pokes a block with three inclusions it does not know of, with a ball, to 2 mm in ten
-steps; position and force go through `palpate import pokes`, with the block's surface. Its force at the same depth at 150
-other places is predicted: by the field, by the homogeneous body, and by a Gaussian process of the
-stiffness over the place, the usual map of a palpating robot.
+steps; positions and forces go through the steps of `palpate import pokes`, with the block's
+surface. Its force at the same depth at 150 other places is predicted: by the field, by the
+homogeneous body, and by a Gaussian process of the stiffness over the place, the usual map of a
+palpating robot.
 
 The truth is of tetrahedra half as large as the estimate's, by another assembly, with the modulus
 of every quadrature point; what is left under the tool, within 5 mm, is the half space of the

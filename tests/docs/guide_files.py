@@ -275,6 +275,17 @@ def _next(here):
     yield
 
 
+def _pokes(here):
+    """A half space of 30 kPa, poked in nine places."""
+    rows = ["poke,x,y,z,force"]
+    for k in range(9):
+        for depth in np.linspace(0.2, 2.0, 10):
+            force = 4.0 / 3.0 * 40e3 * np.sqrt(4e-3) * (1e-3 * depth) ** 1.5
+            rows.append(f"{k},{10 * (k % 3)},{10 * (k // 3)},{20 - depth:.6f},{force:.9f}")
+    (here / "pokes.csv").write_text("\n".join(rows) + "\n")
+    yield
+
+
 def _poke(here):
     write_block(here / "SESSION")
     write_block(here / "examples" / "half_ball")
@@ -359,6 +370,7 @@ GUIDES = {
     "mesh": _mesh,
     "next": _next,
     "poke": _poke,
+    "pokes": _pokes,
     "record": _record,
     "report": _report,
     "results": _results,

@@ -28,7 +28,7 @@ from palpate.pipeline.heterogeneous import Material, fit_with_field, wants_field
 from palpate.pipeline.model.shared_errors import force_gain, tool_compliance
 from palpate.probe import local_surface, on_flat
 from palpate.progress import Progress, part_of, silent
-from palpate.records import DisplacementField, Session
+from palpate.records import DisplacementField, Session, Status
 from palpate.shapes import Points
 
 # Poisson's ratios at which the body's compliance is computed, less one: that of a layer on a rigid
@@ -43,6 +43,7 @@ _NEAR = 2e-3
 _TINY = 1e-9
 # Fractions of the work that the elements, and the fit of one modulus, are done at.
 _MODELLED, _FITTED = 0.2, 0.4
+_BROKEN = (Status.MODEL_CONTRADICTED, Status.NOT_CONVERGED)
 # Name of the probing that all pokes make up.
 POKES = "pokes"
 
@@ -93,8 +94,13 @@ def fit_pokes(
     progress("fit done", 1.0)
     seconds = {"assembly": modelled - start} | result.estimate.seconds
     chosen = {"material": material, "errors": asdict(session.errors)}
+    estimate, status = result.estimate, result.estimate.status
+    if field is not None and estimate.identifiable["young_modulus"] and status not in _BROKEN:
+        # Poisson's ratio, which pokes hardly tell, is not what is asked.
+        status = Status.HETEROGENEOUS
     estimate = replace(
-        result.estimate,
+        estimate,
+        status=status,
         seconds=seconds | {"total": time.perf_counter() - start},
         settings=result.estimate.settings | chosen | {"elements": len(model.body.solid.elements)},
     )

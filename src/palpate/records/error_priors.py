@@ -12,10 +12,8 @@ from palpate.records.text.toml_table import TomlTable
 
 _FRACTION_UNITS = {"%": 0.01}
 _FRACTION_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
-_COMPLIANCES = {
-    "support_compliance": COMPLIANCE_UNITS,
-    "tool_compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6},
-}
+_COMPLIANCE_KEYS = ("support_compliance", "tool_compliance")
+_TOOL_UNITS = {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6}
 
 _LARGEST_FRACTION, _LARGEST_ANGLE, _LARGEST_LENGTH = 0.5, 0.5, 1.0
 # One metre per pascal, or per newton: in effect no support.
@@ -131,7 +129,8 @@ def read_error_priors(
     found: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
     found["contact_points"] = _contact_points(root, metres_per_unit)
     table = root.optional("errors", root.table) or TomlTable(root.file, "", {})
-    table.check_keys((*_FRACTION_KEYS, "force_direction", "contact_point", "pose", *_COMPLIANCES))
+    known = (*_FRACTION_KEYS, *_COMPLIANCE_KEYS, "force_direction", "contact_point", "pose")
+    table.check_keys(known)
     fractions = [key for key in _FRACTION_KEYS if key in table.values]
     if isinstance(table.values.get("force_gain"), dict):
         fractions.remove("force_gain")
@@ -141,9 +140,10 @@ def read_error_priors(
         found["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
     if "contact_point" in table.values:
         found["contact_point"] = table.quantity("contact_point", LENGTH_UNITS, metres_per_unit)
-    for key, units in _COMPLIANCES.items():
-        if key in table.values:
-            found[key] = table.quantity(key, units, 1.0)
+    if "support_compliance" in table.values:
+        found["support_compliance"] = table.quantity("support_compliance", COMPLIANCE_UNITS, 1.0)
+    if "tool_compliance" in table.values:
+        found["tool_compliance"] = table.quantity("tool_compliance", _TOOL_UNITS, 1.0)
     found |= _pose(table, metres_per_unit)
     with table.error_context():
         return ErrorPriors(**found)
