@@ -83,13 +83,17 @@ class FieldFit:
         minimum : Evaluation
         """
         where, model = modes_in(minimum), self.expansion.model
-        fields = model.modes.modes @ model.modes.mixing_of(self.prior)
+        modes = model.modes
+        fields = np.column_stack([modes.modes @ modes.mixing_of(self.prior), modes.depth])
+        means = model.body.means(model.values @ fields)
         return FieldPosterior(
             model.body.solid,
             model.body.volume,
-            model.body.means(model.values @ fields),
+            means[:, :-1],
             minimum.theta[where],
             minimum.normal.covariance[np.ix_(where, where)],
+            modes.layers if self.prior.layer_std else 0,
+            means[:, -1],
         )
 
     def estimate(self, posterior: FieldPosterior) -> FieldEstimate:

@@ -1,7 +1,7 @@
 """What is known of a field of moduli: its map, and the parts that are stiffer or softer."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,6 +34,8 @@ class FieldPosterior:
     fields : (m, j) float [-]       logarithm of the modulus per unit of each coefficient
     coefficients : (j,) float       standard normal before the data
     covariance : (j, j) float       of the coefficients, after the data
+    layers : int                    the last coefficients: of what depends on the depth alone
+    depth : (m,) float [m]          of every element below the free surface
     """
 
     solid: Solid
@@ -41,6 +43,8 @@ class FieldPosterior:
     fields: Float[np.ndarray, "m j"]
     coefficients: Float[np.ndarray, " j"]
     covariance: Float[np.ndarray, "j j"]
+    layers: int
+    depth: Float[np.ndarray, " m"]
 
     @property
     def log_modulus(self) -> Float[np.ndarray, " m"]:
@@ -81,7 +85,18 @@ class FieldPosterior:
         return self.solid.nodes[self.solid.elements[:, :4]].mean(axis=1)
 
     def parts(self) -> tuple[StiffPart, ...]:
-        """Parts that differ from the rest, those of the largest effect first."""
+        """Parts that differ from the rest, those of the largest effect first; before them the
+        outermost layer, where what lies at one depth differs from what lies deeper."""
+        if self.layers:
+            kept = slice(-self.layers)
+            others = replace(
+                self,
+                fields=self.fields[:, kept],
+                coefficients=self.coefficients[kept],
+                covariance=self.covariance[kept, kept],
+                layers=0,
+            )
+            return (*self._outermost(), *others.parts())
         log_modulus, known = self.log_modulus, self.is_known
         if not known.any():
             return ()
@@ -96,6 +111,25 @@ class FieldPosterior:
                     found.append(self._part(part, rest))
         found.sort(key=lambda part: -abs(np.log(part.ratio)) * part.size**3)
         return tuple(found[:_MOST_PARTS])
+
+    def _outermost(self) -> Iterator[StiffPart]:
+        """The layer below the free surface that explains most of how the modulus varies with the
+        depth, where it differs from the rest."""
+        order = np.argsort(self.depth, kind="stable")
+        values = (self.fields[:, -self.layers :] @ self.coefficients[-self.layers :])[order]
+        volume = self.volume[order]
+        above = np.cumsum(volume)[:-1]
+        below = volume.sum() - above
+        outer = np.cumsum(volume * values)[:-1]
+        inner = float(volume @ values) - outer
+        # Elements of one depth stay together.
+        between = above * below * np.square(outer / above - inner / below)
+        last = int(np.where(np.diff(self.depth[order]) > 0.0, between, -1.0).argmax())
+        limit = 0.5 * float(self.depth[order[last : last + 2]].sum())
+        inside = self.depth < limit
+        part = self._part(np.flatnonzero(inside), ~inside)
+        if not part.low < 1.0 < part.high:
+            yield replace(part, depth=limit)
 
     def _connected(self, chosen: Bool[np.ndarray, " m"]) -> Iterator[Int[np.ndarray, " p"]]:
         """Groups of chosen elements that share corners."""

@@ -57,11 +57,13 @@ class FieldModes:
                                     itself
     lengths : (l,) float [m]        that priors may have, ascending
     mixing : tuple of (k, j) float  L(1, l) of each length
+    depth : (m,) float [m]          of the points below the free surface
     """
 
     modes: Float[np.ndarray, "m kd"]
     lengths: Float[np.ndarray, " l"]
     mixing: tuple[Float[np.ndarray, "k _"], ...]
+    depth: Float[np.ndarray, " m"]
 
     @property
     def layers(self) -> int:
@@ -124,7 +126,7 @@ def make_field_modes(
         longer = root * _modes(points, volume, length)
         mixing.append(np.linalg.lstsq(root * modes, longer)[0])
     layers = _modes(depth[:, None], volume, lengths[0])
-    return FieldModes(np.hstack([modes, layers]), lengths, tuple(mixing))
+    return FieldModes(np.hstack([modes, layers]), lengths, tuple(mixing), depth)
 
 
 def _modes(

@@ -258,7 +258,9 @@ def make_region_model(session: Session) -> FieldModel:
 
     def modes_of(body: GradedBody) -> tuple[csr_array, FieldModes]:
         shares = csr_array(_shares(session.regions, solid))
-        return body.constant @ shares, FieldModes(np.eye(shares.shape[1]), np.zeros(0), ())
+        return body.constant @ shares, FieldModes(
+            np.eye(shares.shape[1]), np.zeros(0), (), np.zeros(0)
+        )
 
     return field_model(session, solid, modes_of)
 

@@ -25,6 +25,7 @@ class StiffPart:
     size : float [m]                diameter of a ball of its volume, > 0
     ratio : float [-]               its modulus over that of the rest, means of logarithms, > 0
     low, high : float [-]           95 % interval of the ratio, of a smooth field
+    depth : float [m]               of the outermost layer of the body, which it is; 0: it is none
 
     Raises
     ------
@@ -36,9 +37,12 @@ class StiffPart:
     ratio: float
     low: float
     high: float
+    depth: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.size > 0.0 and 0.0 < self.low <= self.ratio <= self.high):
+        if not (
+            self.size > 0.0 and self.depth >= 0.0 and 0.0 < self.low <= self.ratio <= self.high
+        ):
             raise InputError(
                 f"a part has size {self.size:g} m and ratio {self.ratio:g} in {self.low:g} to"
                 f" {self.high:g}; they must be positive, the ratio within its interval"
@@ -50,10 +54,10 @@ class StiffPart:
         more than its interval says."""
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
         place = ", ".join(f"{1e3 * x:.0f}" for x in self.centre)
-        return (
-            f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm is at least"
-            f" {least:.2g} times as {word} as the rest"
-        )
+        what = f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm"
+        if self.depth:
+            what = f"the outermost {1e3 * self.depth:.2g} mm or so"
+        return f"{what} is at least {least:.2g} times as {word} as the rest"
 
 
 @dataclass(frozen=True, slots=True)

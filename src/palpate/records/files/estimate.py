@@ -210,7 +210,7 @@ def _read_field(table: TomlTable) -> FieldEstimate:
     for part in table.optional("parts", table.tables) or ():
         place = _parts(part, "centre", "xyz", "three")
         centre = (_number(place, "x"), _number(place, "y"), _number(place, "z"))
-        numbers = (_number(part, key) for key in ("size", "ratio", "low", "high"))
+        numbers = (_number(part, key) for key in ("size", "ratio", "low", "high", "depth"))
         with part.error_context():
             parts.append(StiffPart(centre, *numbers))
     std, length, evidence, known = (
