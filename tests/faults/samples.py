@@ -367,7 +367,7 @@ def write_greens(folder: Path) -> Path:
     surface = np.zeros((2, 3, len(mesh.vertices), 3))
     material = exact_material(2e4, 0.3)
     held, nodes = np.array([0, 1]), np.array([4, 5])
-    made = GreenFunctions("cube", mesh, held, nodes, unit, surface, unit, material, 0.0)
+    made = GreenFunctions("cube", mesh, held, nodes, unit, surface, unit, unit[None], material, 0.0)
     write_green_functions(folder / "green.npz", made)
     return folder / "green.npz"
 

@@ -94,7 +94,16 @@ def test_a_file_with_any_other_byte_is_refused_or_reads_the_same(tmp_path):
     square = 1e-3 * np.eye(6).reshape(2, 3, 2, 3)
     surface = np.ones((2, 3, len(mesh.vertices), 3))
     small = GreenFunctions(
-        "small", mesh, held, nodes, square, surface, square, exact_material(SHEAR, NU), 0.01
+        "small",
+        mesh,
+        held,
+        nodes,
+        square,
+        surface,
+        square,
+        0.1 * square[None],
+        exact_material(SHEAR, NU),
+        0.01,
     )
     path = tmp_path / "small.npz"
     write_green_functions(path, small)

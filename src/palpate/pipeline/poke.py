@@ -29,7 +29,7 @@ from palpate.pipeline.model.supports import (
     session_surface,
     sliding_motion,
 )
-from palpate.probe import find_contact_patch
+from palpate.probe import ContactPatch, find_contact_patch
 from palpate.progress import Progress, silent
 from palpate.records import Contact, ModulusMap, Session, require_probings
 from palpate.shapes import Points, Vector3
@@ -104,11 +104,7 @@ def poke_session(
     SingularSystemError                 the support does not hold the object
     NotConvergedError                   the iteration for a large object does not converge
     """
-    if modulus is not None and interior is not None:
-        raise InputError(
-            "points inside are computed where the modulus is the same everywhere, but this object"
-            " has a map of it: leave --interior out"
-        )
+    _check_interior(modulus, interior)
     contact = settled_contact(
         session, contact, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
     )
@@ -135,10 +131,8 @@ def poke_session(
     states = elastic_map.respond(loads, np.array(forces))
     displacement = np.sum([state.displacement for state in states], axis=0)
     if modulus is not None:
-        changed = make_map_response(session, modulus, poisson_ratio)
-        load = nodal_load(session.mesh, patch.triangles, patch.density, force, changed.solid)
-        change = changed.at(session.mesh.vertices) @ changed.change(load[:, None])
-        displacement = displacement + change.reshape(-1, 3) / shear_modulus
+        change = _map_change(session, modulus, poisson_ratio, patch, force)
+        displacement += change / shear_modulus
     progress("interior points", 0.8)
     inside = None
     if interior is not None:
@@ -159,6 +153,29 @@ def poke_session(
         reaction=np.sum([state.reaction for state in states], axis=0),
         interior=inside,
     )
+
+
+def _check_interior(modulus: ModulusMap | None, interior: Points | None) -> None:
+    """Refuse points inside a body that is not the same everywhere."""
+    if modulus is not None and interior is not None:
+        raise InputError(
+            "points inside are computed where the modulus is the same everywhere, but this object"
+            " has a map of it: leave --interior out"
+        )
+
+
+def _map_change(
+    session: Session,
+    modulus: ModulusMap,
+    poisson_ratio: float,
+    patch: ContactPatch,
+    force: Vector3,
+) -> Points:
+    """What a map changes in the displacement of every vertex, times the modulus [m Pa]."""
+    changed = make_map_response(session, modulus, poisson_ratio)
+    load = nodal_load(session.mesh, patch.triangles, patch.density, force, changed.solid)
+    change = changed.at(session.mesh.vertices) @ changed.change(load[:, None])
+    return change.reshape(-1, 3)
 
 
 def held_object(

@@ -3,7 +3,7 @@
 Purpose    : forces and displacements of an object under tools, at haptic rates.
 Takes      : a `Session`, an `Estimate`; tools with their poses.
 Gives      : `GreenFunctions` and their files, `ContactState`; folders for simulators.
-Depends on : `pipeline`, `solids`, `bem`, `probe`, `records`, `geometry`.
+Depends on : `pipeline`, `field`, `solids`, `bem`, `probe`, `records`, `geometry`.
 Read first : `green_functions.py`, `contact.py`, then the kernels: `settle.py`, `friction.py`,
              `contact_response.py`; `export.py`, then `estimated_object.py`.
 """
