@@ -74,6 +74,10 @@ _TIMES = _both(
 _POINT = replaced(_FILE, ", [0.0, 0.001, 0.0]", "")
 
 KINDS = [
+    _kind("one video for two cameras", replaced(_FILE, '"c1.avi"', '"c0.avi"'),
+          "recording.toml: [[camera]] number 2 video: cameras 'c0' and 'c1' have the same"),
+    _kind("times that are milliseconds", replaced("force.csv", "time [s]", "time [ms]"),
+          "force.csv: its times run over 0.017595 s", "time_unit"),
     _kind("a log in kilonewtons", _UNIT, "force.csv", "another unit", "`unit`"),
     _kind("two units", _TOLD, "force.csv", "contradict"),
     _kind("a sign that is turned", _TURNED, _FILE, "press 1", "out of the surface", "on tool"),

@@ -32,8 +32,8 @@ _CURE = (
 )
 # Plausible range of a probing's forces [N]; outside it the unit is wrong.
 _LARGEST_FORCE, _SMALLEST_FORCE = 500.0, 1e-4
-# Longest recording [s].
-_LONGEST_RECORDING = 86400.0
+# Shortest and longest recording [s].
+_SHORTEST_RECORDING, _LONGEST_RECORDING = 1.0, 86400.0
 # A gap is a step longer than this many median steps and than this time [s].
 _GAP_STEPS, _GAP = 5.0, 0.05
 # Saturation: at least so many equal extreme readings in a row, unless more than this fraction of
@@ -255,7 +255,7 @@ def _check_times(path: Path, time: Float[np.ndarray, " n"], numbers: np.ndarray)
             f" above, {time[k]:g} s ({len(decreasing)} such lines); were two recordings joined, or"
             " did the clock wrap round?"
         )
-    if not 0.0 < time[-1] - time[0] <= _LONGEST_RECORDING:
+    if not _SHORTEST_RECORDING <= time[-1] - time[0] <= _LONGEST_RECORDING:
         raise RecordError(
             f"{path}: its times run over {time[-1] - time[0]:g} s; a recording has some seconds to"
             " a day: are they in another unit? Say it as `time_unit` in [force]"

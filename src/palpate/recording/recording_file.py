@@ -196,7 +196,14 @@ def _cameras(root: TomlTable, rig: Rig) -> tuple[Footage, ...]:
         name = table.choice("name", names)
         if name in found:
             table.fail("name", f"camera '{name}' is there twice")
-        found[name] = _footage(table, name)
+        footage = _footage(table, name)
+        for other in found.values():
+            if (footage.video, footage.pictures) == (other.video, other.pictures):
+                key = "video" if footage.video else "pictures"
+                table.fail(
+                    key, f"cameras '{other.camera}' and '{name}' have the same; give each its own"
+                )
+        found[name] = footage
     if missing := [name for name in names if name not in found]:
         root.fail(
             "[[camera]]",
