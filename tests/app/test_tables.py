@@ -13,9 +13,17 @@ from palpate.app.tables import (
     constants_table,
     number_text,
     probes_table,
+    regions_table,
     terminal_table,
 )
-from palpate.records import BudgetEntry, ErrorEstimate, Status, read_session
+from palpate.records import (
+    BudgetEntry,
+    Constant,
+    ErrorEstimate,
+    RegionEstimate,
+    Status,
+    read_session,
+)
 
 NAMES = ("probing-of-18-char", "another_of-18-char")
 
@@ -152,3 +160,14 @@ def test_what_is_not_determined_is_said_in_place_of_a_number(cube_session):
     assert "0.3000" not in text
     # A probing alone tells no more than all of them.
     assert "0.3000" not in printed(probes_table(estimate), 140)
+
+
+def test_regions_have_a_table(cube_session):
+    known = sample_result(read_session(cube_session)).estimate
+    modulus, ratio = Constant(6e4, 1.5e3, (57e3, 63e3)), Constant(3.0, 0.1, (2.8, 3.2))
+    insert = RegionEstimate("insert", ratio, modulus, modulus, "", True, True)
+    skin = replace(insert, name="skin", identifiable=False, is_seen=False)
+    lines = printed(regions_table(replace(known, regions=(insert, skin))), 120).splitlines()
+    (row,) = (line for line in lines if "insert" in line)
+    assert all(text in row for text in ("60.0 \u00b1 1.5 kPa", "57.0 to 63.0 kPa", "2.80 to 3.20"))
+    assert any("skin" in line and "not seen" in line for line in lines)

@@ -228,10 +228,7 @@ class FieldExpansion:
         probe: ProbeObservations,
         prior: CoefficientPrior,
     ) -> ProbeObservations:
-        tip = np.zeros((0, 3))
-        if probe.tip_displacement is not None:
-            tip = probing.contact.point[None]
-        points = np.concatenate([probe.position, tip])
+        points = observed_points(probing, probe)
         derivative = self.model.from_corners(points) @ self.derivative[index]
         along = probe.force / (probe.force @ probe.force)
         offset, drift = (
@@ -240,7 +237,7 @@ class FieldExpansion:
         response = self._changed(index, probe.response, along, points, offset, drift)
         vertices = probe.vertices
         if vertices is not None:
-            points = np.concatenate([session.mesh.vertices, tip])
+            points = np.concatenate([session.mesh.vertices, points[len(probe.position) :]])
             none = np.zeros(points.size)
             vertices = self._changed(index, vertices, along, points, none, none)
         mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
@@ -361,6 +358,19 @@ def depth_below(session: Session, points: Points) -> Float[np.ndarray, " p"]:
     """
     free = np.delete(session.mesh.triangles, session.held_triangles, axis=0)
     return closest_points(TriangleMesh(session.mesh.vertices, free), points).distance
+
+
+def observed_points(probing: Probing, probe: ProbeObservations) -> Points:
+    """The points of a probing's rows: where something was measured, and its tip if that was.
+
+    Parameters
+    ----------
+    probing : Probing
+    probe : ProbeObservations       of it
+    """
+    if probe.tip_displacement is None:
+        return probe.position
+    return np.concatenate([probe.position, probing.contact.point[None]])
 
 
 def no_field_reason(session: Session) -> str:

@@ -5,14 +5,22 @@ coefficient is the logarithm of the region's modulus over that of the rest, whic
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 
 from palpate.errors import InputError, NotConvergedError
-from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
+from palpate.estimation import (
+    Evaluation,
+    FitSettings,
+    Nuisance,
+    NuisanceParameter,
+    ProbeObservations,
+    ResponseTerms,
+    joint_minimum,
+)
 from palpate.field.field_fit import SAME_RATIO, modes_in, of_pushes
 from palpate.field.field_map import leading_directions
 from palpate.field.field_prior import FieldModes
@@ -24,6 +32,7 @@ from palpate.field.field_responses import (
     FieldModel,
     field_model,
     no_field_reason,
+    observed_points,
 )
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
 from palpate.progress import Progress, silent
@@ -41,7 +50,14 @@ from palpate.records import (
     Skin,
 )
 from palpate.shapes import Points
-from palpate.solids import GradedBody, Solid, inner_tetrahedron_points, inside, make_solid
+from palpate.solids import (
+    GradedBody,
+    Solid,
+    inner_tetrahedron_points,
+    inside,
+    make_solid,
+    with_moduli,
+)
 
 _MOST_ROUNDS = 20
 # Change of the logarithm of a modulus that ends the rounds: of second order in what it leaves.
@@ -88,7 +104,8 @@ class RegionFit:
         session : Session                           k probings
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
-        return of_pushes(self.expansion, session, observations, self.prior)
+        observed = of_pushes(self.expansion, session, observations, self.prior)
+        return _with_cut_elements(self.expansion, session, self.regions, observed)
 
     def estimates(self, minimum: Evaluation) -> tuple[RegionEstimate, ...]:
         """What a fit of `observations` says of every region.
@@ -201,6 +218,7 @@ def fit_regions(
         if change < _TOLERANCE:
             expansion = expansion.with_slope()
             observed = expansion.observations(session, observations, prior)
+            observed = _with_cut_elements(expansion, session, session.regions, observed)
             return RegionFit(session.regions, expansion, prior, observed)
         step = min(1.0, _LONGEST / change)
         coefficients = coefficients + step * (new - coefficients)
@@ -212,6 +230,49 @@ def fit_regions(
         f"the moduli of the regions still change by {100.0 * change:.0f} % after {_MOST_ROUNDS}"
         " rounds: the displacements contradict each other; check units, forces and contacts"
     )
+
+
+def _with_cut_elements(
+    expansion: FieldExpansion,
+    session: Session,
+    regions: Sequence[Region],
+    observations: Sequence[ProbeObservations],
+) -> list[ProbeObservations]:
+    """Observations with the error of elements that a region's boundary cuts.
+
+    Such an element has the geometric mean of the moduli on both sides, by their shares. What it
+    would change to have the arithmetic mean, the most that it can be, is one standard deviation.
+    """
+    model = expansion.model.loaded(session)
+    shares, ratio = model.values.toarray(), expansion.poisson_ratio
+    log_modulus = shares @ expansion.coefficients
+    moved = model.moved(expansion.coefficients, ratio)
+    found = list(observations)
+    for region, share, own in zip(regions, shares.T, expansion.coefficients, strict=True):
+        stiffer = log_modulus + np.log1p(share * np.expm1(own)) - share * own
+        change = with_moduli(model.body, stiffer, ratio).displacements(model.load) - moved
+        parameter = NuisanceParameter(
+            f"elements that region {region.name!r} cuts", 1.0, is_model_error=True
+        )
+        for k, (probing, probe) in enumerate(zip(session.probings, found, strict=True)):
+            seen = model.at(observed_points(probing, probe)) @ change[:, k]
+            found[k] = _with_change(probe, parameter, seen)
+    return found
+
+
+def _with_change(
+    probe: ProbeObservations, parameter: NuisanceParameter, change: Float[np.ndarray, " n"]
+) -> ProbeObservations:
+    """A probing with an error that changes its displacements, times the modulus, in proportion to
+    its force."""
+    along = probe.force / (probe.force @ probe.force)
+
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c 1"]:
+        moved = np.zeros((len(at.rows), 1, at.value.shape[2], 1))
+        moved[:, 0, :3, 0] = along * change[at.rows, None]
+        return moved
+
+    return replace(probe, nuisances=(*probe.nuisances, Nuisance((parameter,), effects)))
 
 
 def _prior(regions: Sequence[Region], ratio: float, modulus: float) -> CoefficientPrior:
