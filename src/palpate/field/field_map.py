@@ -16,6 +16,8 @@ from palpate.solids import Solid
 _KNOWN = 0.5
 # An element belongs to a part that differs by so many standard deviations from the rest.
 _SIGNIFICANT = 2.0
+# A part that differs by less than this factor, at the near end of its interval, is not mentioned.
+_MENTIONED = 1.1
 # A part has at least this share of the body's volume: fewer elements are noise of the mesh.
 _SMALLEST_PART = 0.002
 _MOST_PARTS = 3
@@ -109,6 +111,7 @@ class FieldPosterior:
             for part in self._connected(chosen):
                 if self.volume[part].sum() > _SMALLEST_PART * self.volume.sum() and rest.any():
                     found.append(self._part(part, rest))
+        found = [part for part in found if _is_mentioned(part)]
         found.sort(key=lambda part: -abs(np.log(part.ratio)) * part.size**3)
         return tuple(found[:_MOST_PARTS])
 
@@ -128,7 +131,7 @@ class FieldPosterior:
         limit = 0.5 * float(self.depth[order[last : last + 2]].sum())
         inside = self.depth < limit
         part = self._part(np.flatnonzero(inside), ~inside)
-        if not part.low < 1.0 < part.high:
+        if _is_mentioned(part):
             yield replace(part, depth=limit)
 
     def _connected(self, chosen: Bool[np.ndarray, " m"]) -> Iterator[Int[np.ndarray, " p"]]:
@@ -153,6 +156,10 @@ class FieldPosterior:
         x, y, z = (float(each) for each in weight @ self.centre[part] / weight.sum())
         size = float(6.0 * volume.sum() / np.pi) ** (1.0 / 3.0)
         return StiffPart((x, y, z), size, *(float(np.exp(each)) for each in (ratio, low, high)))
+
+
+def _is_mentioned(part: StiffPart) -> bool:
+    return part.low > _MENTIONED or part.high < 1.0 / _MENTIONED
 
 
 def leading_directions(
