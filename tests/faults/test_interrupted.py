@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
 
+import cv2
 import numpy as np
 import pytest
 from fault_injection import all_states, in_child
@@ -129,12 +130,25 @@ def _copied(name: str, request: pytest.FixtureRequest, work: Path) -> None:
     for read in _READS[name]:
         if read in ("recorded", "pictured"):
             shutil.copytree(request.getfixturevalue(read), work / read)
+            if read == "pictured":
+                _speckle(work / read)
         elif read == "ball":
             write_scan(work / read)
         elif (place / read).is_dir():
             shutil.copytree(place / read, work / read)
         else:
             shutil.copy2(place / read, work / read)
+
+
+def _speckle(folder: Path) -> None:
+    """Pictures with a texture that can be followed, though not from one camera to the other."""
+    rng = np.random.default_rng(2)
+    for camera in ("c0", "c1"):
+        blurred = cv2.GaussianBlur(rng.standard_normal((120, 160)), (0, 0), 1.5)
+        for instant in ("a", "b"):
+            noise = rng.standard_normal(blurred.shape)
+            grey = np.clip(128.0 + 300.0 * blurred + noise, 0.0, 255.0).astype(np.uint8)
+            cv2.imwrite(str(folder / f"{instant}_{camera}.png"), grey)
 
 
 @pytest.mark.parametrize("name", [name for name in _COMMANDS if _MANY or name not in _SLOW])
