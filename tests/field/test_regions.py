@@ -113,6 +113,7 @@ def observed(true):
     return found
 
 
+@pytest.mark.slow
 def test_the_modulus_of_a_region_is_that_of_the_truth(observed):
     found = fit_regions(session(Region("corner", CORNER)), observed)
     (corner,) = found.estimates(fit(found.observations).minimum)
@@ -123,6 +124,7 @@ def test_the_modulus_of_a_region_is_that_of_the_truth(observed):
     assert corner.note == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [SHEAR, YOUNG])
 def test_a_known_modulus_tells_that_of_the_rest(observed, kind):
     shear = RATIO_OF_CORNER * MODULUS
@@ -136,6 +138,7 @@ def test_a_known_modulus_tells_that_of_the_rest(observed, kind):
     assert minimum.shear_modulus == pytest.approx(MODULUS, rel=0.02)
 
 
+@pytest.mark.slow
 def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, observed):
     """A known modulus stays what it is where that of the rest changes."""
     known = RATIO_OF_CORNER * MODULUS
@@ -162,6 +165,7 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_no_push_sees_a_speck(observed):
     speck = Region("speck", Box(np.array([0.019, 0.019, 0.0]), np.array([0.021, 0.021, 0.002])))
     homogeneous, rng = [], np.random.default_rng(1)

@@ -67,8 +67,9 @@ _LONGEST = 1.5
 _UNKNOWN = float(np.log(10.0))
 # Points along the longest side of a body at which its regions are looked at.
 _LATTICE = 32
-# Elements that a fit has time for, and points along the edge of one where its share is taken.
-_MOST_ELEMENTS, _SAMPLES = 25_000, 3
+# Elements that a fit has time for, and that a region has at least where half its thickness asks for
+# more; and points along the edge of one where its share is taken.
+_MOST_ELEMENTS, _IN_A_REGION, _SAMPLES = 25_000, 5000, 3
 # A region is not seen where its standard deviation is more than this of the prior's; and is
 # determined where the ends of its interval differ by less than this factor, as for all moduli.
 _UNSEEN, _MAX_FACTOR = 0.9, 2.0
@@ -241,7 +242,12 @@ def _with_cut_elements(
     """Observations with the error of elements that a region's boundary cuts.
 
     Such an element has the geometric mean of the moduli on both sides, by their shares. What it
-    would change to have the arithmetic mean, the most that it can be, is one standard deviation.
+    would change to have the arithmetic mean, the most that it can be, is two standard deviations.
+
+    Source
+    ------
+    Voigt's bound: Hill, The elastic behaviour of a crystalline aggregate, Proc. Phys. Soc. A 65
+    (1952) 349
     """
     model = expansion.model.loaded(session)
     shares, ratio = model.values.toarray(), expansion.poisson_ratio
@@ -250,13 +256,13 @@ def _with_cut_elements(
     found = list(observations)
     for region, share, own in zip(regions, shares.T, expansion.coefficients, strict=True):
         stiffer = log_modulus + np.log1p(share * np.expm1(own)) - share * own
-        change = with_moduli(model.body, stiffer, ratio).displacements(model.load) - moved
+        most = with_moduli(model.body, stiffer, ratio).displacements(model.load) - moved
         parameter = NuisanceParameter(
             f"elements that region {region.name!r} cuts", 1.0, is_model_error=True
         )
         for k, (probing, probe) in enumerate(zip(session.probings, found, strict=True)):
-            seen = model.at(observed_points(probing, probe)) @ change[:, k]
-            found[k] = _with_change(probe, parameter, seen)
+            seen = model.at(observed_points(probing, probe)) @ most[:, k]
+            found[k] = _with_change(probe, parameter, 0.5 * seen)
     return found
 
 
@@ -414,13 +420,15 @@ def _within(region: Region, points: Points) -> Bool[np.ndarray, " n"]:
 
 
 def _filled(session: Session) -> Solid:
-    """The object in elements no larger than its regions are thick."""
+    """The object in elements no larger than its regions are thick, half as large in small ones."""
     mesh, volume = session.mesh, enclosed_volume(session.mesh)
     edge, fine = (volume / (VOLUME * ELEMENTS)) ** (1.0 / 3.0), []
     for region, points in zip(session.regions, check_regions(session), strict=True):
-        step, small = _step(region, mesh), region.shape.thickness
+        step, thickness = _step(region, mesh), region.shape.thickness
+        part = len(points) * step**3 / VOLUME
+        small = min(thickness, max(0.5 * thickness, (part / _IN_A_REGION) ** (1.0 / 3.0)))
         if small < edge:
-            _check_count(region, len(points) * step**3 / (VOLUME * small**3))
+            _check_count(region, part / small**3)
             fine += [(point, step, small) for point in points]
     return make_solid(mesh, edge=edge, fine=fine)
 
