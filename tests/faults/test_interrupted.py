@@ -192,9 +192,9 @@ def test_old_or_new_wherever_it_is_killed(
             seen = _visible(folder)
             assert seen == before or (may_be_done and seen.keys() == after.keys())
             if left := _hidden(folder):
-                # What could not be removed, as that was the step that failed.
-                assert len(left) == 1
-                assert fault != "SIGTERM"
+                # Finished instants, from which the next run goes on; and what could not be removed,
+                # as that was the step that failed.
+                assert len(set(left) - {".made.parts"}) <= (fault != "SIGTERM")
                 assert main(words) in (0, 3)
             assert _hidden(folder) == []
 
