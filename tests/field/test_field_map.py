@@ -18,7 +18,7 @@ def body():
 
 def posterior(body, ratio, std):
     """One coefficient for a ball, another for the rest."""
-    inside = np.linalg.norm(body.centre - CENTRE, axis=1) < RADIUS
+    inside = np.linalg.norm(body.means(body.points.reshape(-1, 3)) - CENTRE, axis=1) < RADIUS
     fields = np.stack([inside, ~inside], axis=1).astype(float)
     coefficients = np.array([np.log(ratio), 0.0])
     return FieldPosterior(body.solid, body.volume, fields, coefficients, std**2 * np.eye(2))

@@ -9,44 +9,52 @@ from palpate.field.field_prior import FieldPrior, make_field_modes
 
 @pytest.fixture(scope="module")
 def modes():
-    """Modes on a grid of 216 cells of unlike volume."""
-    line = np.arange(6) / 6.0
-    centre = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
-    return make_field_modes(centre, np.random.default_rng(0).uniform(0.5, 1.5, len(centre)) / 216)
+    """Modes on a grid of 125 cells of unlike volume, their depth below the top."""
+    line = np.arange(5) / 5.0
+    points = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
+    volume = np.random.default_rng(0).uniform(0.5, 1.5, len(points)) / 125
+    return make_field_modes(points, volume, 1.0 - points[:, 2])
 
 
-def covariance(modes, std, length):
-    """Matern's of order 3/2, of fields without their mean over the volume."""
-    distance = np.linalg.norm(modes.centre[:, None] - modes.centre, axis=2)
-    scaled = np.sqrt(3) * distance / length
-    whole = std**2 * (1 + scaled) * np.exp(-scaled)
+def covariance(modes, prior):
+    """Matern's of order 3/2 of distance and of depth, of fields without their mean."""
+
+    def matern(distance, length):
+        scaled = np.sqrt(3) * distance / length
+        return (1 + scaled) * np.exp(-scaled)
+
+    distance = np.linalg.norm(modes.points[:, None] - modes.points, axis=2)
+    depth = np.abs(modes.points[:, None, 2] - modes.points[:, 2])
+    whole = prior.std**2 * matern(distance, prior.length)
+    whole += prior.layer_std**2 * matern(depth, modes.lengths[0])
     take = np.eye(len(whole)) - modes.volume / modes.volume.sum()
     return take @ whole @ take.T
 
 
+@pytest.mark.parametrize("layer_std", [0.0, 0.8])
 @pytest.mark.parametrize("number", range(4))
-def test_modes_have_the_covariance_of_the_prior(modes, number):
-    prior = FieldPrior(0.4, float(modes.lengths[number]))
+def test_modes_have_the_covariance_of_the_prior(modes, number, layer_std):
+    prior = FieldPrior(0.4, float(modes.lengths[number]), layer_std)
     fields = modes.modes @ modes.mixing_of(prior)
-    expected = covariance(modes, prior.std, prior.length)
     # A hundredth of the variance may be left out of the modes.
-    assert np.abs(fields @ fields.T - expected).max() < 0.02 * prior.std**2
+    most = 0.02 * (prior.std**2 + layer_std**2)
+    assert np.abs(fields @ fields.T - covariance(modes, prior)).max() < most
 
 
 def test_fields_have_no_mean(modes):
     assert np.abs(modes.volume @ modes.modes).max() < 1e-12
 
 
-def measured(modes, std, length, seed):
+def measured(modes, prior, seed):
     """Linear observations of a field drawn from a prior, with noise of unit variance."""
     rng = np.random.default_rng(seed)
-    fields = modes.modes @ modes.mixing_of(FieldPrior(std, length))
-    rows = rng.normal(size=(80, len(modes.centre)))
+    fields = modes.modes @ modes.mixing_of(prior)
+    rows = rng.normal(size=(80, len(modes.points)))
     return rows, rows @ fields @ rng.normal(size=fields.shape[1]) + rng.normal(size=80)
 
 
 def test_evidence_is_the_marginal_likelihood(modes):
-    rows, data = measured(modes, 0.4, modes.lengths[2], 1)
+    rows, data = measured(modes, FieldPrior(0.4, modes.lengths[2], 0.8), 1)
     effects = rows @ modes.modes
     best = modes.best_prior(effects.T @ effects, effects.T @ data)
     fields = rows @ modes.modes @ modes.mixing_of(best)
@@ -55,24 +63,28 @@ def test_evidence_is_the_marginal_likelihood(modes):
     assert best.log_evidence == pytest.approx(whole - none, rel=1e-8)
 
 
-def test_the_prior_of_most_evidence_is_the_one_that_drew(modes):
+@pytest.mark.parametrize("layer_std", [0.0, 0.8])
+def test_the_prior_of_most_evidence_is_the_one_that_drew(modes, layer_std):
+    truth = FieldPrior(0.4, modes.lengths[2], layer_std)
     found = []
-    for seed in range(20):
-        rows, data = measured(modes, 0.4, modes.lengths[2], seed)
+    for seed in range(9):
+        rows, data = measured(modes, truth, seed)
         effects = rows @ modes.modes
         found.append(modes.best_prior(effects.T @ effects, effects.T @ data))
     # Over factors of two the choice scatters by a step.
-    assert np.median([prior.std for prior in found]) == pytest.approx(0.4)
-    assert np.median([prior.length for prior in found]) == pytest.approx(modes.lengths[2])
+    assert np.median([prior.std for prior in found]) == pytest.approx(truth.std)
+    assert np.median([prior.length for prior in found]) == pytest.approx(truth.length)
+    # Layers that are not there: at most the smallest that is tried.
+    assert np.median([prior.layer_std for prior in found]) == pytest.approx(layer_std, abs=0.05)
 
 
 def test_noise_alone_is_no_evidence(modes):
     rng = np.random.default_rng(5)
-    rows = rng.normal(size=(80, len(modes.centre)))
+    rows = rng.normal(size=(80, len(modes.points)))
     effects = rows @ modes.modes
     most = [
         modes.best_prior(effects.T @ effects, effects.T @ rng.normal(size=80)).log_evidence
-        for _ in range(50)
+        for _ in range(12)
     ]
-    # 1 in 400 beyond log(400) by Markov's inequality for each prior; 24 priors.
-    assert max(most) < np.log(400 * 24)
+    # 1 in 400 beyond log(400) by Markov's inequality for each prior; 168 priors.
+    assert max(most) < np.log(400 * 168)

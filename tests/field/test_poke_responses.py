@@ -95,9 +95,9 @@ def test_a_tool_goes_in_as_with_elements_that_resolve_it(layered):
     def field(centre):
         return 0.7 * np.tanh((centre[:, 0] - 0.013) / 6e-3) if layered else np.zeros(len(centre))
 
-    stiffness = with_moduli(model.body, field(model.body.centre), RATIO)
+    stiffness = with_moduli(model.body, field(model.body.points.reshape(-1, 3)), RATIO)
     seen = (model.load * stiffness.displacements(model.load)).sum(axis=0)
-    local = np.exp(-(model.near @ field(model.body.centre)))
+    local = np.exp(-(model.near @ field(model.body.corners)))
     found = seen + local * (dents(given, 1.0, RATIO) - (1.0 - RATIO) * model.spread)
     for k, place in enumerate(np.array(PLACES)):
         assert found[k] == pytest.approx(
@@ -110,7 +110,7 @@ def _resolved(given, place, field):
     radius = 1.5e-3
     solid = make_solid(given.mesh, edge=4e-3, fine=[(place, 1.3 * radius, 0.3e-3)])
     body = make_graded_body(solid, held_nodes(solid, given.held_triangles))
-    stiffness = with_moduli(body, field(body.centre), RATIO)
+    stiffness = with_moduli(body, field(body.points.reshape(-1, 3)), RATIO)
     share = pressure_load(
         solid, place, radius, lambda s: 1.0 / np.sqrt(np.clip(1.0 - s**2, 1e-3, None))
     )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from surfaces import box
 
 from palpate.solids.finite_elements import held_nodes, make_body, solve_load
@@ -32,7 +33,7 @@ def compliance(body, log_modulus, forces):
 
 def test_one_modulus_is_the_homogeneous_body(body, forces):
     other = make_body(body.solid, body.held, shear_modulus=np.exp(0.7), poisson_ratio=RATIO)
-    moved = with_moduli(body, np.full(len(body.volume), 0.7), RATIO).displacements(forces)
+    moved = with_moduli(body, np.full(body.weight.size, 0.7), RATIO).displacements(forces)
     for load, found in zip(forces.T, moved.T, strict=True):
         expected = solve_load(other, load.reshape(-1, 3)).ravel()
         assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
@@ -42,12 +43,24 @@ def test_volumes_fill_the_block(body):
     assert body.volume.sum() == pytest.approx(0.04 * 0.03 * 0.02, rel=1e-12)
 
 
+def test_linear_functions_are_given_by_their_corners(body):
+    slope = np.array([3.0, -1.0, 2.0])
+    assert np.allclose(body.linear @ (body.corners @ slope), body.points.reshape(-1, 3) @ slope)
+    # The volume that belongs to the corners integrates them.
+    centre = body.corner_volume @ body.corners / body.corner_volume.sum()
+    assert np.allclose(centre, [0.02, 0.015, 0.01], rtol=1e-12)
+    means = body.means(body.linear @ body.corners)
+    assert np.allclose(means, body.solid.nodes[body.solid.elements[:, :4]].mean(axis=1))
+
+
 def test_derivatives_are_those_of_the_displacements(body, forces):
     rng = np.random.default_rng(2)
-    field, basis = rng.normal(size=len(body.volume)), rng.normal(size=(len(body.volume), 4))
+    field, basis = rng.normal(size=body.weight.size), rng.normal(size=(body.weight.size, 4))
     at = with_moduli(body, field, RATIO)
     seen = rng.normal(size=(len(forces), 5))
-    derivative = at.sensitivities(at.displacements(seen), at.displacements(forces), basis)
+    derivative = at.sensitivities(
+        at.displacements(seen), at.displacements(forces), csr_array(basis)
+    )
     step = 1e-5
     for k in range(4):
         more, less = (
@@ -60,10 +73,12 @@ def test_derivatives_are_those_of_the_displacements(body, forces):
 
 def test_scaling_the_modulus_divides_the_displacement(body, forces):
     # Euler: the derivative along a constant field is minus the displacement.
-    field = np.random.default_rng(3).normal(size=len(body.volume))
+    field = np.random.default_rng(3).normal(size=body.weight.size)
     at = with_moduli(body, field, RATIO)
     moved, seen = at.displacements(forces), np.eye(len(forces))[:, 60:90]
-    derivative = at.sensitivities(at.displacements(seen), moved, np.ones((len(field), 1)))
+    derivative = at.sensitivities(
+        at.displacements(seen), moved, csr_array(np.ones((len(field), 1)))
+    )
     assert np.allclose(
         derivative[:, :, 0].T, -moved[60:90], rtol=1e-9, atol=1e-12 * np.abs(moved).max()
     )
@@ -71,7 +86,7 @@ def test_scaling_the_modulus_divides_the_displacement(body, forces):
 
 def test_stiffer_everywhere_yields_less_under_every_load(body, forces):
     # Loewner order of the compliances (Eberle and Harrach, arXiv 2208.06865).
-    field = np.random.default_rng(4).normal(size=len(body.volume))
+    field = np.random.default_rng(4).normal(size=body.weight.size)
     low, middle, high = (
         compliance(body, m, forces)
         for m in (np.full_like(field, field.max()), field, np.full_like(field, field.min()))
@@ -82,7 +97,7 @@ def test_stiffer_everywhere_yields_less_under_every_load(body, forces):
 
 
 def test_energies_are_minus_the_derivatives_of_the_work(body, forces):
-    field = np.random.default_rng(4).normal(size=len(body.volume))
+    field = np.random.default_rng(4).normal(size=body.weight.size)
     at = with_moduli(body, field, RATIO)
     energies = at.energies(at.displacements(forces))
     # All together the work itself: Clapeyron.

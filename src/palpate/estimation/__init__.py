@@ -15,7 +15,10 @@ from palpate.estimation.fit import (
     fit as fit,
     joint_minimum as joint_minimum,
 )
-from palpate.estimation.gauss_newton import gauss_newton as gauss_newton
+from palpate.estimation.gauss_newton import (
+    gauss_newton as gauss_newton,
+    with_noise as with_noise,
+)
 from palpate.estimation.information import (
     Information as Information,
     cramer_rao_bound as cramer_rao_bound,

@@ -15,6 +15,7 @@ from palpate.estimation import (
     gauss_newton,
     joint_minimum,
     observed_rows_of,
+    with_noise,
 )
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
@@ -80,10 +81,11 @@ class FieldFit:
         minimum : Evaluation
         """
         where, model = _modes_in(minimum), self.expansion.model
+        fields = model.modes.modes @ model.modes.mixing_of(self.prior)
         return FieldPosterior(
             model.body.solid,
-            model.modes.volume,
-            model.modes.modes @ model.modes.mixing_of(self.prior),
+            model.body.volume,
+            model.body.means(model.body.linear @ fields),
             minimum.theta[where],
             minimum.normal.covariance[np.ix_(where, where)],
         )
@@ -157,21 +159,18 @@ def fit_field(
     make = make_poke_model if without_pictures(session) else make_field_model
     model: FieldModel | PokeModel = make(session)
     plain = joint_minimum(observations, settings)
-    modes = model.modes
-    prior = FieldPrior(0.4, float(modes.lengths[1]))
+    modes, minimum = model.modes, plain
     coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
     homogeneous = model.moved(coefficients, ratio)
+    new = coefficients
     for iteration in range(_MOST_ROUNDS):
         progress("field of the modulus", 1.0 - 0.7**iteration)
         expansion = model.expanded(coefficients, ratio, homogeneous)
         task = _Task(session, observations, expansion, settings)
-        minimum = task.minimum(prior)
-        start = modes.mixing_of(prior) @ minimum.theta[_modes_in(minimum)]
         # Two priors of nearly the same evidence must not take turns.
         if iteration < _MOST_ROUNDS // 2:
-            best = modes.best_prior(*task.information(minimum, start))
-            if (best.std, best.length) != (prior.std, prior.length):
-                prior, minimum = best, task.minimum(best)
+            prior = modes.best_prior(*task.information(minimum, new))
+        minimum = task.minimum(prior, minimum, new)
         new = modes.mixing_of(prior) @ minimum.theta[_modes_in(minimum)]
         change = float(np.abs(modes.modes @ (new - coefficients)).max())
         if change < _TOLERANCE:
@@ -201,10 +200,15 @@ class _Task:
     def observations(self, mixing: Float[np.ndarray, "b j"]) -> list[ProbeObservations]:
         return self.expansion.observations(self.session, self.homogeneous, mixing)
 
-    def minimum(self, prior: FieldPrior) -> Evaluation:
-        """The best field under a prior, jointly with everything else."""
+    def minimum(
+        self, prior: FieldPrior, start: Evaluation, coefficients: Float[np.ndarray, " b"]
+    ) -> Evaluation:
+        """The best field under a prior, jointly with everything else, from another minimum and the
+        coefficients there."""
         mixing = self.expansion.model.modes.mixing_of(prior)
-        return joint_minimum(self.observations(mixing), self.settings)
+        rows = tuple(map(observed_rows_of, self.observations(mixing)))
+        at = _with_modes(start, rows, np.linalg.lstsq(mixing, coefficients)[0])
+        return with_noise(at.problem, at.theta, self.settings.poisson_range)
 
     def information(
         self, minimum: Evaluation, start: Float[np.ndarray, " b"]

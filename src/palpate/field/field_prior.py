@@ -1,8 +1,9 @@
 """Gaussian prior of the logarithm of a body's shear modulus over its mean, and the choice of its
 size and length by the evidence.
 
-A field is m = Phi b, Phi the modes of the shortest length, which can be any longer field as well;
-under a prior of standard deviation s and length l its coefficients are b = L(s, l) xi, xi normal.
+A field is m = Phi b. Its modes Phi are those of the shortest length, which can be any longer field
+as well, and layers: fields that depend on the depth below the free surface alone. Under a prior of
+standard deviations s and s_d and length l its coefficients are b = L(s, s_d, l) xi, xi normal.
 About a field b0 the data say of b, everything else marginalised, exp(-b'H b / 2 + h'b), so that
 
     log evidence = y'A^-1 y / 2 - log det A / 2,    A = 1 + L'H L,    y = L'h,
@@ -11,9 +12,11 @@ up to a constant. It is 0 for s = 0: a body that is the same everywhere.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag, solve_triangular
 
 from palpate.shapes import Points
 
@@ -26,43 +29,55 @@ _MOST_MODES, _LEFT = 300, 0.01
 
 @dataclass(frozen=True, slots=True)
 class FieldPrior:
-    """Prior of a field: Gaussian, of mean zero, its covariance a Matern function of order 3/2.
+    """Prior of a field: Gaussian, of mean zero, its covariance a sum of Matern functions of order
+    3/2, of distance and of the difference in depth.
 
     Attributes
     ----------
     std : float [-]                 of the logarithm of the modulus
     length : float [m]              over which it varies
+    layer_std : float [-]           of its part that depends on the depth alone
     log_evidence : float            over that of a body that is the same everywhere
     """
 
     std: float
     length: float
+    layer_std: float = 0.0
     log_evidence: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldModes:
-    """Modes of fields on the elements of a body.
+    """Modes of fields on a body.
 
     Attributes
     ----------
-    centre : (m, 3) float [m]       of every element
-    volume : (m,) float [m^3]
-    modes : (m, k) float [-]        Phi: of a prior of unit variance and the shortest length,
-                                    without the mean over the volume, which is log G itself
+    points : (m, 3) float [m]       at which a field is given
+    volume : (m,) float [m^3]       that belongs to each
+    modes : (m, k + d) float [-]    Phi: of a prior of unit variance and the shortest length, then d
+                                    of layers; without the mean over the volume, which is log G
+                                    itself
     lengths : (l,) float [m]        that priors may have, ascending
     mixing : tuple of (k, j) float  L(1, l) of each length
     """
 
-    centre: Points
+    points: Points
     volume: Float[np.ndarray, " m"]
-    modes: Float[np.ndarray, "m k"]
+    modes: Float[np.ndarray, "m kd"]
     lengths: Float[np.ndarray, " l"]
     mixing: tuple[Float[np.ndarray, "k _"], ...]
 
-    def mixing_of(self, prior: FieldPrior) -> Float[np.ndarray, "k j"]:
+    @property
+    def layers(self) -> int:
+        """Number of modes that depend on the depth alone."""
+        return self.modes.shape[1] - len(self.mixing[0])
+
+    def mixing_of(self, prior: FieldPrior) -> Float[np.ndarray, "kd j"]:
         """L of a prior of one of the lengths."""
-        return prior.std * self.mixing[int(np.abs(self.lengths - prior.length).argmin())]
+        mixing = self.mixing[int(np.abs(self.lengths - prior.length).argmin())]
+        if not prior.layer_std:
+            return prior.std * np.pad(mixing, ((0, self.layers), (0, 0)))
+        return block_diag(prior.std * mixing, prior.layer_std * np.eye(self.layers))
 
     def best_prior(
         self, information: Float[np.ndarray, "k k"], score: Float[np.ndarray, " k"]
@@ -77,38 +92,47 @@ class FieldModes:
         # Rounding may leave a combination about which the data know nothing slightly negative.
         value, vector = np.linalg.eigh(information)
         information = (vector * np.maximum(value, 0.0)) @ vector.T
-        priors = [
-            FieldPrior(float(std), float(length), _log_evidence(std * mixing, information, score))
-            for length, mixing in zip(self.lengths, self.mixing, strict=True)
-            for std in _STDS
-        ]
-        return max(priors, key=lambda prior: prior.log_evidence)
+        best = FieldPrior(0.0, 0.0, log_evidence=-np.inf)
+        for length in self.lengths:
+            mixing = self.mixing_of(FieldPrior(1.0, float(length), 1.0))
+            about, along = mixing.T @ information @ mixing, mixing.T @ score
+            for std, layer_std in product(_STDS, (0.0, *_STDS)):
+                scale = np.full(len(along), std)
+                scale[len(along) - self.layers :] = layer_std
+                evidence = _log_evidence(scale[:, None] * about * scale, scale * along)
+                if evidence > best.log_evidence:
+                    best = FieldPrior(float(std), float(length), float(layer_std), evidence)
+        return best
 
 
-def make_field_modes(centre: Points, volume: Float[np.ndarray, " m"]) -> FieldModes:
+def make_field_modes(
+    points: Points, volume: Float[np.ndarray, " m"], depth: Float[np.ndarray, " m"]
+) -> FieldModes:
     """Modes of the fields that a body may have.
 
     Parameters
     ----------
-    centre : (m, 3) float [m]       of every element
-    volume : (m,) float [m^3]
+    points : (m, 3) float [m]       at which they are given
+    volume : (m,) float [m^3]       that belongs to each
+    depth : (m,) float [m]          below the free surface
 
     Returns
     -------
     FieldModes
     """
     lengths = float(volume.sum()) ** (1.0 / 3.0) * _LENGTHS
-    modes = _modes(centre, volume, lengths[0])
+    modes = _modes(points, volume, lengths[0])
     root = np.sqrt(volume)[:, None]
     mixing = [np.eye(modes.shape[1])]
     for length in lengths[1:]:
-        longer = root * _modes(centre, volume, length)
+        longer = root * _modes(points, volume, length)
         mixing.append(np.linalg.lstsq(root * modes, longer)[0])
-    return FieldModes(centre, volume, modes, lengths, tuple(mixing))
+    layers = _modes(depth[:, None], volume, lengths[0])
+    return FieldModes(points, volume, np.hstack([modes, layers]), lengths, tuple(mixing))
 
 
 def _modes(
-    centre: Points, volume: Float[np.ndarray, " m"], length: float
+    points: Float[np.ndarray, "m n"], volume: Float[np.ndarray, " m"], length: float
 ) -> Float[np.ndarray, "m k"]:
     """Fields whose products add up to the covariance of a prior of unit variance, without the mean
     over the volume.
@@ -118,13 +142,13 @@ def _modes(
     Harbrecht, Peters and Schneider, On the low-rank approximation by the pivoted Cholesky
     decomposition, Applied Numerical Mathematics 62 (2012) 428, algorithm 1.
     """
-    left, modes = np.ones(len(centre)), np.zeros((min(_MOST_MODES, len(centre)), len(centre)))
+    left, modes = np.ones(len(points)), np.zeros((min(_MOST_MODES, len(points)), len(points)))
     for k in range(len(modes)):
         pivot = int(left.argmax())
         if left[pivot] < _LEFT:
             modes = modes[:k]
             break
-        column = _matern(np.linalg.norm(centre - centre[pivot], axis=1) / length)
+        column = _matern(np.linalg.norm(points - points[pivot], axis=1) / length)
         column -= modes[:k, pivot] @ modes[:k]
         modes[k] = column / np.sqrt(left[pivot])
         left = np.maximum(left - modes[k] ** 2, 0.0)
@@ -137,11 +161,8 @@ def _matern(distance: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
     return (1.0 + scaled) * np.exp(-scaled)
 
 
-def _log_evidence(
-    mixing: Float[np.ndarray, "k j"],
-    information: Float[np.ndarray, "k k"],
-    score: Float[np.ndarray, " k"],
-) -> float:
-    factor = np.linalg.cholesky(np.eye(mixing.shape[1]) + mixing.T @ information @ mixing)
-    half = np.linalg.solve(factor, mixing.T @ score)
+def _log_evidence(information: Float[np.ndarray, "j j"], score: Float[np.ndarray, " j"]) -> float:
+    """Of coefficients that are standard normal."""
+    factor = np.linalg.cholesky(np.eye(len(score)) + information)
+    half = solve_triangular(factor, score, lower=True)
     return float(0.5 * half @ half - np.log(np.diag(factor)).sum())

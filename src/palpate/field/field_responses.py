@@ -80,7 +80,7 @@ class FieldModel:
         coefficients : (b,) float       of the modes
         poisson_ratio : float [-]
         """
-        log_modulus = self.modes.modes @ coefficients
+        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
         return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
 
     def expanded(
@@ -97,14 +97,14 @@ class FieldModel:
         poisson_ratio : float [-]
         homogeneous : (3 n, k) float [m Pa]     `moved` of the body without a field
         """
-        log_modulus = self.modes.modes @ coefficients
+        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
         stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
         moved = stiffness.displacements(self.load)
         unknowns = (3 * self.corners[:, None] + np.arange(3)).ravel()
         observed = np.zeros((len(moved), len(unknowns)))
         observed[unknowns, np.arange(len(unknowns))] = 1.0
         seen = stiffness.displacements(observed)
-        derivative = stiffness.sensitivities(seen, moved, self.modes.modes)
+        derivative = stiffness.sensitivities(seen, moved, self.body.linear) @ self.modes.modes
         change = moved - homogeneous
         none = np.zeros_like(change)
         return FieldExpansion(self, coefficients, poisson_ratio, change, none, derivative)
@@ -271,10 +271,22 @@ def make_field_model(
     corners = np.unique(solid.facets[:, :3])
     return FieldModel(
         body,
-        make_field_modes(body.centre, body.volume),
+        make_field_modes(body.corners, body.corner_volume, depth(session, body.corners)),
         corners[~held[corners]],
         _nodal_loads(session, solid),
     )
+
+
+def depth(session: Session, points: Points) -> Float[np.ndarray, " p"]:
+    """Distance of points from the free surface, (p,) [m].
+
+    Parameters
+    ----------
+    session : Session
+    points : (p, 3) float [m]
+    """
+    free = np.delete(session.mesh.triangles, session.held_triangles, axis=0)
+    return closest_points(TriangleMesh(session.mesh.vertices, free), points).distance
 
 
 def no_field_reason(session: Session) -> str:

@@ -26,7 +26,7 @@ from palpate.estimation import (
     ResponseTerms,
 )
 from palpate.field.field_prior import FieldModes, make_field_modes
-from palpate.field.field_responses import ELEMENTS, MODE, SOURCE, filled
+from palpate.field.field_responses import ELEMENTS, MODE, SOURCE, depth, filled
 from palpate.geometry import CREASE_ANGLE, triangle_distances, unit_normals
 from palpate.probe import GROWTH, dent
 from palpate.records import Session, Tool
@@ -83,7 +83,7 @@ class PokeModel:
     edge : float [m]                of the elements, about
     load : (3 n, k) float [-]       nodal forces of one newton along each push, spread
     spread : (k,) float [1/m]       compliance of a half space under them, times G / (1 - nu)
-    near : (k, m) sparse [-]        weights of the elements under them; rows add up to 1
+    near : (k, c) sparse [-]        weights of the corners of elements under them; rows add up to 1
     """
 
     body: GradedBody
@@ -101,7 +101,7 @@ class PokeModel:
         self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
     ) -> Float[np.ndarray, "n3 k"]:
         """As `FieldModel.moved`, for one newton."""
-        log_modulus = self.modes.modes @ coefficients
+        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
         return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
 
     def regular(self, poisson_ratio: float) -> Float[np.ndarray, " k"]:
@@ -126,11 +126,11 @@ class PokeModel:
         homogeneous: Float[np.ndarray, "n3 k"],
     ) -> "PokeExpansion":
         """As `FieldModel.expanded`."""
-        log_modulus = self.modes.modes @ coefficients
+        log_modulus = self.body.linear @ (self.modes.modes @ coefficients)
         stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
         moved = stiffness.displacements(self.load)
         change = (self.load * (moved - homogeneous)).sum(axis=0)
-        derivative = -stiffness.energies(moved).T @ self.modes.modes
+        derivative = -(self.body.linear.T @ stiffness.energies(moved)).T @ self.modes.modes
         return PokeExpansion(
             self, coefficients, poisson_ratio, change, np.zeros_like(change), derivative
         )
@@ -270,8 +270,8 @@ def make_poke_model(
     """
     solid, edge = filled(session.mesh, [each * elements for each in times])
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
-    none = csr_array((0, len(solid.elements)))
-    modes = make_field_modes(body.centre, body.volume)
+    none = csr_array((0, len(body.corners)))
+    modes = make_field_modes(body.corners, body.corner_volume, depth(session, body.corners))
     empty = PokeModel(body, modes, edge, np.zeros((solid.nodes.size, 0)), np.zeros(0), none)
     return _with_pokes(empty, session)
 
@@ -293,8 +293,9 @@ def _with_pokes(model: PokeModel, session: Session) -> PokeModel:
     row = np.repeat(np.arange(count), solid.elements.shape[1])
     entries = (np.ones(row.size), (row, solid.elements.ravel()))
     incidence = csr_array(coo_array(entries, shape=(count, len(solid.nodes))))
-    shared = np.stack(share) / incidence.sum(axis=0)
-    near = csr_array(shared @ incidence.T)
+    # A node's share of the load to the elements about it, and an element's to its corners.
+    to_corners = 0.25 * incidence[:, : len(model.body.corners)]
+    near = csr_array(np.stack(share) / incidence.sum(axis=0) @ incidence.T @ to_corners)
     return replace(model, load=np.stack(load, axis=1), spread=np.array(spread), near=near)
 
 

@@ -1,26 +1,26 @@
-"""A supported solid whose shear modulus differs from element to element.
+"""A supported solid whose shear modulus differs from place to place.
 
-Displacements are those of a mean modulus of 1 Pa: element e has the modulus exp(m[e]). With them
-come their derivatives with respect to every m[e], from one more solution for each observed
-component:
+Displacements are those of a mean modulus of 1 Pa: at quadrature point q the modulus is exp(m[q]).
+With them come their derivatives with respect to every m[q], from one more solution for each
+observed component:
 
-    d u_a / d m_e = -exp(m_e) w_a' K_e u,      K(m) = sum_e exp(m_e) K_e,
+    d u_a / d m_q = -exp(m_q) w_a' K_q u,      K(m) = sum_q exp(m_q) K_q,
 
 u the displacement under a load, w_a that under a unit load where and along which u_a is observed.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 
+from palpate.shapes import Points
 from palpate.solids.finite_elements import free_part, quadratic_basis, solve_free
 from palpate.solids.sparse_cholesky import Cholesky, factorise
 from palpate.solids.tetrahedra import Solid
 
-# Elements whose strains are held at a time: 24 numbers for each and for each observed component.
+# Observed components whose strains are held at a time, 24 numbers for each and each element.
 _BLOCK = 64
 
 
@@ -35,22 +35,37 @@ class GradedBody:
     strain : (m, q, 6, 30) float    strain (xx, yy, zz, and twice xy, yz, zx) at q quadrature points
                                     of each element per unit of its unknowns [1/m]
     weight : (m, q) float [m^3]     of the quadrature
+    points : (m, q, 3) float [m]    of the quadrature
+    linear : (m q, c) sparse        values there of a function that is linear in every element, from
+                                    those at its corners: the nodes before the first midside node
     """
 
     solid: Solid
     held: Bool[np.ndarray, " n"]
     strain: Float[np.ndarray, "m q 6 30"]
     weight: Float[np.ndarray, "m q"]
+    points: Float[np.ndarray, "m q 3"]
+    linear: csr_array
+
+    @property
+    def corners(self) -> Points:
+        """Corners of the elements [m]."""
+        return self.solid.nodes[: self.linear.shape[1]]
+
+    @property
+    def corner_volume(self) -> Float[np.ndarray, " c"]:
+        """Volume that belongs to each corner [m^3]."""
+        return self.linear.T @ self.weight.ravel()
 
     @property
     def volume(self) -> Float[np.ndarray, " m"]:
         """Volume of every element [m^3]."""
         return self.weight.sum(axis=1)
 
-    @property
-    def centre(self) -> Float[np.ndarray, "m 3"]:
-        """Centre of every element [m]."""
-        return self.solid.nodes[self.solid.elements[:, :4]].mean(axis=1)
+    def means(self, values: Float[np.ndarray, "mq b"]) -> Float[np.ndarray, "m b"]:
+        """Means over every element of what is known at the quadrature points."""
+        weight = self.weight / self.volume[:, None]
+        return np.einsum("eq,eqb->eb", weight, values.reshape(*weight.shape, -1))
 
     @property
     def unknowns(self) -> Int[np.ndarray, "m 30"]:
@@ -66,13 +81,13 @@ class GradedStiffness:
     Attributes
     ----------
     body : GradedBody
-    log_modulus : (m,) float        m, logarithm of every element's shear modulus over the mean one
+    log_modulus : (m q,) float      m, logarithm of the shear modulus over the mean one
     poisson_ratio : float [-]
     factor : Cholesky               for a mean shear modulus of 1 Pa
     """
 
     body: GradedBody
-    log_modulus: Float[np.ndarray, " m"]
+    log_modulus: Float[np.ndarray, " mq"]
     poisson_ratio: float
     factor: Cholesky
 
@@ -93,7 +108,7 @@ class GradedStiffness:
         self,
         observed: Float[np.ndarray, "k a"],
         moved: Float[np.ndarray, "k p"],
-        basis: Float[np.ndarray, "m b"],
+        basis: csr_array,
     ) -> Float[np.ndarray, "p a b"]:
         """Derivatives of observed displacements with respect to the coefficients of a field.
 
@@ -101,32 +116,32 @@ class GradedStiffness:
         ----------
         observed : (3 n, a) float       displacements under unit loads at what is observed
         moved : (3 n, p) float [m Pa]   displacements under the loads
-        basis : (m, b) float            m per unit of each coefficient
+        basis : (m q, b) sparse         m per unit of each coefficient
 
         Returns
         -------
         (p, a, b) float [m Pa]
         """
-        count, points = moved.shape[1], observed.shape[1]
-        result = np.zeros((count, points, basis.shape[1]))
-        moduli = _hooke(self.poisson_ratio)
-        unknowns = self.body.unknowns
-        for part in _blocks(len(basis)):
-            strain = self.body.strain[part]
-            size = len(strain)
-            operator = strain.reshape(size, -1, 30)
-            seen = operator @ observed[unknowns[part]]
-            own = (operator @ moved[unknowns[part]]).reshape(*strain.shape[:3], count)
-            scale = self.body.weight[part] * np.exp(self.log_modulus[part])[:, None]
-            stress = np.einsum("ij,eqjp->eqip", moduli, own) * scale[:, :, None, None]
-            stress = stress.reshape(size, -1, count)
+        body, unknowns = self.body, self.body.unknowns
+        count, (elements, points) = moved.shape[1], body.weight.shape
+        operator = body.strain.reshape(elements, -1, 30)
+        strain = (operator @ moved[unknowns]).reshape(elements * points, 6, count)
+        scale = body.weight.ravel() * np.exp(self.log_modulus)
+        stress = (_hooke(self.poisson_ratio) @ strain) * scale[:, None, None]
+        result = np.zeros((count, observed.shape[1], basis.shape[1]))
+        for first in range(0, observed.shape[1], _BLOCK):
+            part = observed[:, first : first + _BLOCK]
+            seen = (operator @ part[unknowns]).reshape(elements * points, 6, -1)
             energy = np.swapaxes(stress, 1, 2) @ seen
-            result -= np.tensordot(energy, basis[part], axes=(0, 0))
+            sums = basis.T @ energy.reshape(len(energy), -1)
+            result[:, first : first + _BLOCK] -= np.moveaxis(
+                sums.reshape(-1, *energy.shape[1:]), 0, 2
+            )
         return result
 
-    def energies(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "m p"]:
-        """Twice the energy of every element under each load: minus the derivative of the work of
-        the load by the logarithm of the element's modulus.
+    def energies(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq p"]:
+        """Twice the energy at every quadrature point under each load: minus the derivative of the
+        work of the load by the logarithm of the modulus there.
 
         Parameters
         ----------
@@ -134,18 +149,16 @@ class GradedStiffness:
 
         Returns
         -------
-        (m, p) float
+        (m q, p) float
         """
-        moduli, unknowns = _hooke(self.poisson_ratio), self.body.unknowns
-        energy = np.zeros((len(unknowns), moved.shape[1]))
-        for part in _blocks(len(unknowns)):
-            strain = self.body.strain[part]
-            own = strain.reshape(len(strain), -1, 30) @ moved[unknowns[part]]
-            own = own.reshape(*strain.shape[:3], moved.shape[1])
-            scale = self.body.weight[part] * np.exp(self.log_modulus[part])[:, None]
-            stress = np.einsum("ij,eqjp->eqip", moduli, own)
-            energy[part] = np.einsum("eqip,eqip,eq->ep", own, stress, scale)
-        return energy
+        body, unknowns = self.body, self.body.unknowns
+        scale = body.weight * np.exp(self.log_modulus).reshape(body.weight.shape)
+        energy = np.zeros((*scale.shape, moved.shape[1]))
+        for q in range(scale.shape[1]):
+            strain = body.strain[:, q] @ moved[unknowns]
+            stress = _hooke(self.poisson_ratio) @ strain
+            energy[:, q] = scale[:, q, None] * (strain * stress).sum(axis=1)
+        return energy.reshape(-1, moved.shape[1])
 
 
 def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
@@ -172,18 +185,27 @@ def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
         strain[:, :, 3 + i, :, j] = slope[:, :, i]
     strain = strain.reshape(*slope.shape[:2], 6, 30)
     # scikit-fem's elements number their nodes as `Solid` does.
-    return GradedBody(solid, held, strain, np.asarray(basis.dx))
+    weight, corners = np.asarray(basis.dx), solid.elements[:, :4]
+    share = np.vstack([1.0 - basis.X.sum(axis=0), basis.X]).T
+    column = np.repeat(corners, len(share), axis=0)
+    entries = (
+        np.tile(share, (len(corners), 1)).ravel(),
+        (np.repeat(np.arange(len(column)), 4), column.ravel()),
+    )
+    linear = csr_array(entries, shape=(weight.size, int(corners.max()) + 1))
+    points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+    return GradedBody(solid, held, strain, weight, points, linear)
 
 
 def with_moduli(
-    body: GradedBody, log_modulus: Float[np.ndarray, " m"], poisson_ratio: float
+    body: GradedBody, log_modulus: Float[np.ndarray, " mq"], poisson_ratio: float
 ) -> GradedStiffness:
-    """A body with the modulus of every element, factorised.
+    """A body with the modulus at every quadrature point, factorised.
 
     Parameters
     ----------
     body : GradedBody
-    log_modulus : (m,) float [-]    logarithm of each element's shear modulus over the mean one
+    log_modulus : (m q,) float [-]  logarithm of the shear modulus over the mean one
     poisson_ratio : float [-]       -1 < nu < 0.5
 
     Returns
@@ -195,7 +217,7 @@ def with_moduli(
     SingularSystemError             the held nodes do not hold the body
     """
     moduli = _hooke(poisson_ratio)
-    scale = body.weight * np.exp(log_modulus)[:, None]
+    scale = body.weight * np.exp(log_modulus).reshape(body.weight.shape)
     stiffness = np.zeros((len(scale), 30, 30))
     for q in range(scale.shape[1]):
         strain = body.strain[:, q]
@@ -215,8 +237,3 @@ def _hooke(poisson_ratio: float) -> Float[np.ndarray, "6 6"]:
     moduli = np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
     moduli[:3, :3] += 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
     return moduli
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    for first in range(0, count, _BLOCK):
-        yield slice(first, min(first + _BLOCK, count))
