@@ -272,6 +272,8 @@ def make_poke_model(
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
     none = csr_array((0, len(body.corners)))
     modes = make_field_modes(body.corners, body.corner_volume, depth(session, body.corners))
+    # Layers change every poke of a face alike, as a modulus or Poisson's ratio does.
+    modes = replace(modes, modes=modes.modes[:, : len(modes.mixing[0])])
     empty = PokeModel(body, modes, edge, np.zeros((solid.nodes.size, 0)), np.zeros(0), none)
     return _with_pokes(empty, session)
 
