@@ -195,7 +195,9 @@ def fit_field(
         progress("field of the modulus", 1.0 - 0.7**iteration)
         expansion = model.expanded(coefficients, ratio, homogeneous)
         task = _Task(session, observations, expansion, settings)
-        prior = modes.best_prior(*task.information(minimum, new))
+        # Two priors of nearly the same evidence must not take turns.
+        if iteration < _MOST_ROUNDS // 2:
+            prior = modes.best_prior(*task.information(minimum, new))
         minimum = task.minimum(prior, minimum, new)
         new = modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)]
         change = float(np.abs(modes.modes @ (new - coefficients)).max())

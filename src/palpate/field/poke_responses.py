@@ -89,7 +89,7 @@ class PokeModel:
     edge : float [m]                of the elements, about
     load : (3 n, k) float [-]       nodal forces of one newton along each push, spread
     spread : (k,) float [1/m]       compliance of a half space under them, times G / (1 - nu)
-    near : (k, c) sparse [-]        weights of the corners under them; rows add up to 1
+    near : (k, c) sparse [-]        weights of the corners of elements under them; rows add up to 1
     """
 
     body: GradedBody
@@ -280,9 +280,11 @@ def make_poke_model(
     """
     solid, edge = filled(session.mesh, [each * elements for each in times])
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
-    none = csr_array((0, body.linear.shape[1]))
+    none = csr_array((0, len(body.corners)))
     depth = depth_below(session, body.corners)
     modes = make_field_modes(body.corners, body.corner_volume, depth)
+    # Layers change every poke of a face alike, as a modulus or Poisson's ratio does.
+    modes = replace(modes, modes=modes.modes[:, : len(modes.mixing[0])])
     empty = PokeModel(body, modes, edge, np.zeros((solid.nodes.size, 0)), np.zeros(0), none)
     return _with_pokes(empty, session)
 
@@ -300,13 +302,13 @@ def _with_pokes(model: PokeModel, session: Session) -> PokeModel:
         spread.append(half_space_compliance(solid, *patch))
         push = probing.force / np.linalg.norm(probing.force)
         load.append(np.outer(share[-1], push).ravel())
-    count, corners = len(solid.elements), model.body.linear.shape[1]
+    count = len(solid.elements)
     row = np.repeat(np.arange(count), solid.elements.shape[1])
     entries = (np.ones(row.size), (row, solid.elements.ravel()))
     incidence = csr_array(coo_array(entries, shape=(count, len(solid.nodes))))
-    shared = np.stack(share) / incidence.sum(axis=0)
-    # The mean of an element is that of its four corners.
-    near = csr_array(shared @ incidence.T) @ incidence[:, :corners] / 4.0
+    # A node's share of the load to the elements about it, and an element's to its corners.
+    to_corners = 0.25 * incidence[:, : len(model.body.corners)]
+    near = csr_array(np.stack(share) / incidence.sum(axis=0) @ incidence.T @ to_corners)
     return replace(model, load=np.stack(load, axis=1), spread=np.array(spread), near=near)
 
 

@@ -101,12 +101,24 @@ def fit_session(
     NotConvergedError                 contact radii, compliant supports or finite-strain corrections
                                       did not converge
     """
-    start = time.perf_counter()
     require_probings(session)
     if without_pictures(session):
         if finite_strain:
             raise InputError("pokes without pictures take --strain small: press less far")
         return fit_pokes(session, settings=settings, material=material, progress=progress)
+    return _fit_displacements(session, settings, cache, finite_strain, material, progress)
+
+
+def _fit_displacements(
+    session: Session,
+    settings: FitSettings,
+    cache: Path | None,
+    finite_strain: bool,
+    material: Material,
+    progress: Progress,
+) -> FitResult:
+    """As `fit_session`, of a session with measured displacements."""
+    start = time.perf_counter()
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}
     chosen |= {"lengths": length_error(session, strains)}

@@ -130,7 +130,7 @@ def read_error_priors(
     found["contact_points"] = _contact_points(root, metres_per_unit)
     table = root.optional("errors", root.table) or TomlTable(root.file, "", {})
     table.check_keys(
-        (*_FRACTION_KEYS, *_COMPLIANCE_KEYS, "force_direction", "contact_point", "pose")
+        (*_FRACTION_KEYS, "force_direction", "contact_point", "pose", *_COMPLIANCE_KEYS)
     )
     fractions = [key for key in _FRACTION_KEYS if key in table.values]
     if isinstance(table.values.get("force_gain"), dict):

@@ -180,16 +180,21 @@ class GradedStiffness:
         -------
         (m q, p) float
         """
-        return np.asarray((self._strain(moved) * self._stress(moved)).sum(axis=1))
-
-    def _strain(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
-        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
-        return (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
+        body, unknowns = self.body, self.body.unknowns
+        scale = body.weight * np.exp(self.log_modulus).reshape(body.weight.shape)
+        energy = np.zeros((*scale.shape, moved.shape[1]))
+        for q in range(scale.shape[1]):
+            strain = body.strain[:, q] @ moved[unknowns]
+            stress = _hooke(self.poisson_ratio) @ strain
+            energy[:, q] = scale[:, q, None] * (strain * stress).sum(axis=1)
+        return energy.reshape(-1, moved.shape[1])
 
     def _stress(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
         """Stress times weight of the quadrature at every point."""
+        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
+        strain = (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
         scale = self.body.weight.ravel() * np.exp(self.log_modulus)
-        return (_hooke(self.poisson_ratio) @ self._strain(moved)) * scale[:, None, None]
+        return (_hooke(self.poisson_ratio) @ strain) * scale[:, None, None]
 
 
 def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
