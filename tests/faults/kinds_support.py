@@ -1,5 +1,7 @@
 """Kinds of broken supports, grips and loads."""
 
+from pathlib import Path
+
 from faults.kind import Kind, replaced, written
 
 _GIVEN = 'support_displacement = "foot.csv"'
@@ -19,7 +21,35 @@ def _with_load(load: str):
     return _edited(_GIVEN, f"{_GIVEN}\n[[probe.load]]\n{load}")
 
 
+def _with_regions(*regions: str):
+    def damage(folder: Path) -> None:
+        with (folder / "session.toml").open("a") as file:
+            file.writelines(f"\n[[region]]\n{region}\n" for region in regions)
+
+    return damage
+
+
+def _region(name: str, regions: tuple[str, ...], *says: str, command: tuple[str, ...] = _CHECK):
+    return Kind(name, _with_regions(*regions), command, ("session.toml", *says))
+
+
+_INSERT = 'name = "insert"\nbox = { min = [0.01, 0.01, 0.02], max = [0.02, 0.02, 0.03] }'
+_FILM = 'name = "film"\nplane = { point = [0, 0, 0.03], normal = [0, 0, 1] }\nthickness = "10 um"'
+REGIONS = [
+    _region("a region elsewhere",
+            ('name = "far"\nbox = { min = [1, 0, 0], max = [1.01, 0.01, 0.01] }',),
+            "'far' is outside the object", "length_unit"),
+    _region("two regions in one place", (_INSERT, _INSERT.replace('"insert"', '"other"')),
+            "100 % of region 'other' lie in region 'insert'"),
+    _region("a region thinner than elements can be", (_FILM,), "'film'", "mm thick", "elements"),
+    _region("a region that is not said", ('name = "insert"',), "[[region]]", "surface", "skin"),
+    _region("two regions of one name", (_INSERT, _INSERT), "'insert' is that of another region"),
+    _region("regions at finite strain", (_INSERT,), "--strain small",
+            command=("fit", ".", "--strain", "finite")),
+]  # fmt: skip
+
 KINDS = [
+    *REGIONS,
     _kind("a motion misspelt", _edited('"free"', '"fre"'), "motion", "did you mean 'free'"),
     _kind("a motion that is a number", _edited('"free"', "3"), "[[support]] number 2", "motion"),
     _kind("a stiffness of zero", _edited('motion = "free"', 'motion = "free"\nstiffness = 0'),

@@ -348,7 +348,14 @@ def check_regions(session: Session) -> list[Points]:
     InputError                      a region outside the object, or thinner than elements can be;
                                     two that overlap; or no rest
     """
-    mesh, regions = session.mesh, session.regions
+    try:
+        return _separate_points(session.mesh, session.regions)
+    except InputError as error:
+        raise InputError(f"{session.path}: {error}") from error
+
+
+def _separate_points(mesh: TriangleMesh, regions: Sequence[Region]) -> list[Points]:
+    """Evenly spaced points in each region, in which no other is."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     found = [_points_in(region, mesh) for region in regions]
     for k, (region, points) in enumerate(zip(regions, found, strict=True)):

@@ -106,6 +106,11 @@ def fit_session(
         if finite_strain:
             raise InputError("pokes without pictures take --strain small: press less far")
         return fit_pokes(session, settings=settings, material=material, progress=progress)
+    if finite_strain and session.regions and material in (Material.REGIONS, Material.AUTO):
+        raise InputError(
+            f"{session.path}: has regions with moduli of their own, which take --strain small; or"
+            " leave them out with --material homogeneous"
+        )
     return _fit_displacements(session, settings, cache, finite_strain, material, progress)
 
 

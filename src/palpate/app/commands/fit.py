@@ -27,6 +27,7 @@ from palpate.app.terminal import StageLog, print_notes, print_tables, print_text
 from palpate.bem import check_memory
 from palpate.errors import InputError, print_message
 from palpate.estimation import FitResult, FitSettings, Prediction
+from palpate.field import check_regions
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.pipeline import (
     NEAR_RADII,
@@ -236,6 +237,7 @@ def check(session: Path, /) -> int:
     """
     given = read_session(session, allow=check_memory)
     require_given_motions(given)
+    check_regions(given)
     cameras, remarks = survey_cameras(given)
     view, doubts = survey_view(given)
     surveys = [survey_probing(given, probing) for probing in given.probings]
