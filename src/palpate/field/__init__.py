@@ -16,14 +16,14 @@ from palpate.field.field_fit import (
     field_evidence as field_evidence,
     fit_field as fit_field,
 )
-from palpate.field.field_map import FieldPosterior as FieldPosterior
+from palpate.field.field_map import (
+    FieldPosterior as FieldPosterior,
+    MapResponse as MapResponse,
+    make_map_response as make_map_response,
+)
 from palpate.field.field_responses import (
     no_field_reason as no_field_reason,
     nodal_load as nodal_load,
-)
-from palpate.field.map_response import (
-    MapResponse as MapResponse,
-    make_map_response as make_map_response,
 )
 from palpate.field.poke_responses import (
     PokeModel as PokeModel,

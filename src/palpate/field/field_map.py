@@ -1,16 +1,26 @@
-"""What is known of a field of moduli: its map, and the parts that are stiffer or softer."""
+"""What is known of a field of moduli: its map, the parts that are stiffer or softer, and what a map
+changes in the displacements of a held body: finite elements with it and without, in its elements.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array, kron
 from scipy.sparse.csgraph import connected_components
 
-from palpate.records import ModulusMap, StiffPart
+from palpate.records import ModulusMap, Session, StiffPart
 from palpate.shapes import Points
-from palpate.solids import Solid
+from palpate.solids import (
+    GradedStiffness,
+    Solid,
+    held_nodes,
+    make_graded_body,
+    quadratic_solid,
+    surface_values,
+    with_moduli,
+)
 
 # The modulus is known where the data leave less than this share of the prior's standard deviation.
 _KNOWN = 0.5
@@ -23,6 +33,8 @@ _SMALLEST_PART = 0.002
 _MOST_PARTS = 3
 # Directions of a field's uncertainty that predictions take along.
 _MOST_DIRECTIONS = 24
+# Quadratic elements lock above this Poisson's ratio; the change hardly depends on it.
+_LARGEST_RATIO = 0.495
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,3 +194,68 @@ def _weighted_median(values: Float[np.ndarray, " n"], weight: Float[np.ndarray, 
     order = np.argsort(values)
     share = np.cumsum(weight[order]) / weight.sum()
     return float(values[order][np.searchsorted(share, 0.5)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapResponse:
+    """A body with a map of moduli and the same body without.
+
+    Attributes
+    ----------
+    uneven, even : GradedStiffness
+    directions : (m q, k) sparse    independent changes of the map, a standard deviation each
+    """
+
+    uneven: GradedStiffness
+    even: GradedStiffness
+    directions: csr_array
+
+    @property
+    def solid(self) -> Solid:
+        """The elements of the map, quadratic."""
+        return self.uneven.body.solid
+
+    def change(self, load: Float[np.ndarray, "n3 p"]) -> Float[np.ndarray, "n3 p"]:
+        """What the map changes in the displacement of all nodes, times the mean modulus.
+
+        Parameters
+        ----------
+        load : (3 n, p) float [N]
+
+        Returns
+        -------
+        (3 n, p) float [m Pa]
+        """
+        return self.uneven.displacements(load) - self.even.displacements(load)
+
+    def at(self, points: Points) -> csr_array:
+        """Displacements at points of the surface from those of all nodes, (3 p, 3 n)."""
+        return csr_array(kron(surface_values(self.solid, points), np.eye(3)))
+
+
+def make_map_response(session: Session, modulus: ModulusMap, poisson_ratio: float) -> MapResponse:
+    """Finite elements of a body with a map of moduli.
+
+    Parameters
+    ----------
+    session : Session               whose object the map is of
+    modulus : ModulusMap
+    poisson_ratio : float [-]
+
+    Returns
+    -------
+    MapResponse
+
+    Raises
+    ------
+    MeshError                       a map of another object
+    SingularSystemError             the support does not hold the object
+    """
+    solid = quadratic_solid(modulus.nodes, modulus.tetrahedra, mesh=session.mesh)
+    body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
+    ratio = min(poisson_ratio, _LARGEST_RATIO)
+    uneven, even = (
+        with_moduli(body, body.constant @ field, ratio)
+        for field in (modulus.log_modulus, 0.0 * modulus.log_modulus)
+    )
+    return MapResponse(uneven, even, body.constant @ csr_array(modulus.directions.T))
