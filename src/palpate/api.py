@@ -4,22 +4,24 @@ import html
 import os
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from palpate.errors import InputError
-from palpate.estimation import FitResult, FitSettings
+from palpate.estimation import FitResult, FitSettings, Prediction
 from palpate.figures import (
     budget_figure,
     displacement_figure,
     errors_figure,
     likelihood_figure,
+    modulus_map_figure,
     predictions_figure,
     probings_figure,
 )
 from palpate.pipeline import (
+    Material,
     PokedState,
     PoseChoice,
     fit_session,
@@ -53,7 +55,7 @@ _LABELS = {
     "shear_modulus": "shear modulus",
     "poisson_ratio": "Poisson's ratio",
 }
-_PICTURES = ("likelihood", "probings", "predictions", "errors", "budget")
+_PICTURES = ("likelihood", "probings", "predictions", "errors", "budget", "modulus")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,8 +98,9 @@ class Result:
 
         Parameters
         ----------
-        what : str                  "likelihood", "probings", "predictions", "errors", "budget", or
-                                    the name of a probing: measured against predicted on its surface
+        what : str                  "likelihood", "probings", "predictions", "errors", "budget",
+                                    "modulus" (of a body that is not the same everywhere), or the
+                                    name of a probing: measured against predicted on its surface
 
         Returns
         -------
@@ -118,6 +121,8 @@ class Result:
             drawn = errors_figure(self.estimate)
         elif what == "budget":
             drawn = budget_figure(self.estimate)
+        elif what == "modulus":
+            drawn = modulus_map_figure(self.fitted)
         else:
             drawn = self._probing_figure(what)
         if drawn is None:
@@ -132,6 +137,24 @@ class Result:
                     return displacement_figure(self.session.mesh, probing, fitted, held=held)
         names = ", ".join((*_PICTURES, *(probing.name for probing in self.session.probings)))
         raise InputError(f"there is no picture {name!r}; there are: {names}")
+
+    def predict(self, pushes: Session | Path | str) -> tuple[Prediction, ...]:
+        """Displacements of pushes that were not fitted, from their forces.
+
+        Parameters
+        ----------
+        pushes : Session or path    of the same object on the same supports, with measured points;
+                                    a path names a session folder
+
+        Returns
+        -------
+        tuple of Prediction         one for each push, with standard deviations
+
+        Raises
+        ------
+        InputError                  a push without points, a bad contact
+        """
+        return self.fitted.predict(_given(pushes))
 
     def poke(
         self,
@@ -165,6 +188,7 @@ class Result:
             tool_contact(self.session, quantities(at, LENGTH_UNITS, "at"), size),
             shear_modulus=self.shear_modulus.value,
             poisson_ratio=self.poisson_ratio.value,
+            modulus=self.fitted.map,
             cache=self.cache,
         )
 
@@ -268,10 +292,12 @@ class Result:
 def fit(
     session: Session | Path | str,
     *,
-    probe: Sequence[str] | None = None,
+    probe: str | Sequence[str] | None = None,
     method: str = "reduced",
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    finite_strain: bool = False,
+    surface: str = "smooth",
+    strain: str = "small",
+    material: str = "auto",
     pose: PoseChoice = "auto",
     cache: Path | str | None = None,
     progress: Progress = silent,
@@ -281,11 +307,16 @@ def fit(
     Parameters
     ----------
     session : Session or path       a path names a session folder, which is read first
-    probe : sequence of str         names of the probings to use; only with a folder. None: all
+    probe : str or sequence of str  names of the probings to use; only with a folder. None: all
     method : str                    "reduced", or "nelder-mead" on the full model
     poisson_range : (float, float)  range in which Poisson's ratio is searched
-    finite_strain : bool            correct for the geometric and material nonlinearity that the
-                                    linear model leaves out at large displacement
+    surface : "smooth", "flat"      how to read the mesh: as points on a smooth object, or as facets
+    strain : "small", "finite"      finite: correct for the geometric and material nonlinearity that
+                                    the linear model leaves out at large displacement
+    material : "auto", "homogeneous", "regions", "field"    one modulus everywhere, one for every
+                                    region of the session, or one that differs from place to place;
+                                    auto: regions if there are any, else a field only where the data
+                                    contradict one modulus
     pose : "auto", "given" or "register"    where the object is in pictures: as the rig says, or as
                                     the pictures at rest show; auto: the latter only where they
                                     contradict the rig
@@ -303,15 +334,34 @@ def fit(
     SingularSystemError             the support does not hold the object
     NotConvergedError               an iteration does not converge, as in `fit_session`
     """
-    if isinstance(session, (str, os.PathLike)):
-        session = read_session(session, probes=None if probe is None else list(probe))
+    _check_choice("surface", surface, ("smooth", "flat"))
+    _check_choice("strain", strain, ("small", "finite"))
+    _check_choice("material", material, tuple(Material))
+    names = [probe] if isinstance(probe, str) else probe
+    given = replace(_given(session, names), smooth=surface == "smooth")
     folder = None if cache is None else Path(cache)
-    measured = with_pictures_measured(session, pose=pose, progress=progress)
+    measured = with_pictures_measured(given, pose=pose, progress=progress)
     fitted = fit_session(
         measured,
         settings=FitSettings(method=method, poisson_range=poisson_range),
         cache=folder,
-        finite_strain=finite_strain,
+        finite_strain=strain == "finite",
+        material=Material(material),
         progress=progress,
     )
     return Result(measured, fitted, folder)
+
+
+def _given(session: Session | Path | str, probe: Sequence[str] | None = None) -> Session:
+    """A session, read where it is a path."""
+    if isinstance(session, Session):
+        return session
+    if isinstance(session, (str, os.PathLike)):
+        return read_session(Path(session), probes=None if probe is None else list(probe))
+    raise InputError(f"session is {session!r}; must be the path of a session folder, or a Session")
+
+
+def _check_choice(name: str, given: str, allowed: Sequence[str]) -> None:
+    if given not in allowed:
+        choices = ", ".join(f"'{each}'" for each in allowed)
+        raise InputError(f"{name} is {given!r}; must be one of {choices}")

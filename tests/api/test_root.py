@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from cube_session import cube_session as cube_session
@@ -106,3 +107,48 @@ def test_the_pose_is_chosen_as_on_the_command_line(cube_session, monkeypatch):
     palpate.fit(cube_session)
     palpate.fit(cube_session, pose="given")
     assert chosen == ["auto", "given"]
+
+
+def test_options_are_those_of_the_command_line(cube_session, monkeypatch):
+    """Each reaches the fit under the name that `palpate fit` gives it."""
+    fitted = []
+
+    def fit_session(session, **options):
+        fitted.append((session, options))
+        return sample_result(session)
+
+    monkeypatch.setattr("palpate.api.fit_session", fit_session)
+    palpate.fit(cube_session, probe="n01", surface="flat", strain="finite", material="field")
+    palpate.fit(cube_session)
+    (first, chosen), (second, default) = fitted
+    assert [probing.name for probing in first.probings] == ["n01"]
+    assert (first.smooth, second.smooth) == (False, True)
+    assert (chosen["finite_strain"], chosen["material"]) == (True, "field")
+    assert (default["finite_strain"], default["material"]) == (False, "auto")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"strain": "large"}, "strain is 'large'; must be one of 'small', 'finite'"),
+        ({"material": "steel"}, "material is 'steel'; must be one of 'homogeneous', 'regions'"),
+        ({"surface": "sharp"}, "surface is 'sharp'; must be one of 'smooth', 'flat'"),
+    ],
+)
+def test_choices_that_there_are_not_are_refused(cube_session, options, message):
+    with pytest.raises(InputError, match=message):
+        palpate.fit(cube_session, **options)
+
+
+def test_what_is_no_session_is_refused():
+    # In another process: here the types of all arguments are checked before.
+    script = "import palpate; palpate.fit(3)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert "session is 3; must be the path of a session folder, or a Session" in done.stderr
+
+
+def test_pushes_are_predicted_from_a_folder(result, cube_session):
+    seen = []
+    fitted = replace(result.fitted, predict=lambda session: tuple(seen.append(session) or ()))
+    assert replace(result, fitted=fitted).predict(cube_session) == ()
+    assert seen[0].path == result.session.path

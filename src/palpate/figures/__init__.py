@@ -31,6 +31,7 @@ from palpate.figures.estimate import (
     budget_figure as budget_figure,
     errors_figure as errors_figure,
     likelihood_figure as likelihood_figure,
+    modulus_map_figure as modulus_map_figure,
     predictions_figure as predictions_figure,
     probings_figure as probings_figure,
     refined_likelihood as refined_likelihood,

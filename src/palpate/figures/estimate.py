@@ -100,7 +100,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
         ("errors", errors_figure(result.estimate)),
         ("budget", budget_figure(result.estimate)),
         ("reciprocity", None if tested is None else reciprocity_figure(tested)),
-        ("modulus", _modulus_figure(result)),
+        ("modulus", modulus_map_figure(result)),
     ):
         if drawn is not None:
             written += save_drawing(drawn, folder / f"{name}.png")
@@ -117,7 +117,13 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     return written
 
 
-def _modulus_figure(result: FitResult) -> Figure | None:
+def modulus_map_figure(result: FitResult) -> Figure | None:
+    """Sections through a body that is not the same everywhere; None: one modulus fits.
+
+    Parameters
+    ----------
+    result : FitResult
+    """
     return None if result.map is None else modulus_figure(result.map, result.estimate.field)
 
 
