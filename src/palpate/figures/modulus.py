@@ -66,7 +66,7 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
             cmap="RdBu_r",
         )  # fmt: skip
         third = 3 - i - j
-        axes.set_title(f"{_NAMES[third]} = {_MM * through[third]:.0f} mm", color=INK)
+        axes.set_title(f"{_NAMES[third]} = {round(_MM * through[third])} mm", color=INK)
         axes.set_xlabel(f"{_NAMES[i]} (mm)")
         axes.set_ylabel(f"{_NAMES[j]} (mm)")
     bar = figure.colorbar(image, cax=figure.add_axes((0.89, 0.2, 0.015, 0.6)))

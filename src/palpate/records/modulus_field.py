@@ -53,7 +53,7 @@ class StiffPart:
         """For a reader, without full stop: a smooth field rounds edges, so a small part differs by
         more than its interval says."""
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
-        place = ", ".join(f"{1e3 * x:.0f}" for x in self.centre)
+        place = ", ".join(str(round(1e3 * x)) for x in self.centre)
         what = f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm"
         if self.depth:
             what = f"the outermost {1e3 * self.depth:.2g} mm or so"
