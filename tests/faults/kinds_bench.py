@@ -115,6 +115,11 @@ _TARGETS = {
 _TAGS = ("calibrate", "boards", "--target", "aprilgrid", "--gap", "3mm", "--square", "16mm",
          "--rows", "5", "--columns")  # fmt: skip
 KINDS = [
+    Kind("a folder named like a file", lambda folder: None,
+         ("mesh", "mesh.ply", "--out", "part.ply"),
+         ("part.ply: is the name of a file", "--out part"), example="bench"),
+    Kind("a result named like a report", lambda folder: None,
+         ("fit", "cube", "--out", "cube.html"), ("writes a folder", "--out cube"), example="bench"),
     *(
         _kind(command, name, place, damage, _GOOD.get((name, place)) or word)
         for name, (commands, word) in _READERS.items()

@@ -38,6 +38,11 @@ _DISK_ERRORS = (
     errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG,
     errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
+# Endings of files that people expect where a command writes a folder.
+_FILE_ENDINGS = frozenset((
+    ".ply", ".obj", ".stl", ".off", ".msh", ".vtu", ".vtp", ".csv", ".json", ".toml", ".npz",
+    ".html", ".pdf", ".png", ".svg", ".xml",
+))  # fmt: skip
 CHANGED, MISSING, NOT_LISTED = "changed", "missing", "not listed"
 # Escapes of `sha256sum` in names that contain a backslash or a line break.
 _ESCAPES = {"\\": "\\\\", "\n": "\\n", "\r": "\\r"}
@@ -335,6 +340,11 @@ def _check_place(target: Path) -> None:
         )
     if target.is_symlink() or (target.exists() and not target.is_dir()):
         raise InputError(f"{target}: is not a folder; choose another name with --out")
+    if target.suffix.lower() in _FILE_ENDINGS and not target.exists():
+        raise InputError(
+            f"{target}: is the name of a file, but this command writes a folder with several files;"
+            f" name the folder, as in --out {target.stem}"
+        )
     real, here = Path(os.path.realpath(target)), Path.cwd()
     if real in (here, *here.parents, Path(os.path.expanduser("~"))):
         raise InputError(
