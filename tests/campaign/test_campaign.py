@@ -189,7 +189,7 @@ def test_a_body_beyond_a_thread_s_share_of_memory_is_a_row(cube, tmp_path):
     with _small_worker(threads=2) as address:
         (row,) = run_campaign(read_items(cube.parent), tmp_path / "c", scheduler=address)
     assert row.state == "failed"
-    assert "needs 0.4 GB of memory for one probing; 0.4 GB can be used here" in row.message
+    assert "for one probing would take 0.4 GB of memory; 0.4 GB can be used here" in row.message
 
 
 def test_a_body_beyond_memory_does_not_keep_the_others_from_their_results(cubes, tmp_path):
@@ -202,7 +202,7 @@ def test_a_body_beyond_memory_does_not_keep_the_others_from_their_results(cubes,
     }  # fmt: skip
     refused = rows[-1].message
     assert refused.startswith(f"{cubes}/large/mesh.ply: the mesh has 1946 vertices")
-    assert "needs 0.9 GB of memory for one probing; 0.8 GB can be used here" in refused
+    assert "for one probing would take 0.9 GB of memory; 0.8 GB can be used here" in refused
 
 
 def test_only_one_process_works_on_a_campaign(cubes, tmp_path):

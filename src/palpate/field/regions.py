@@ -325,9 +325,8 @@ def make_region_model(session: Session) -> FieldModel:
 
     def modes_of(body: GradedBody) -> tuple[csr_array, FieldModes]:
         shares = csr_array(_shares(session.regions, solid))
-        return body.constant @ shares, FieldModes(
-            np.eye(shares.shape[1]), np.zeros(0), (), np.zeros(0)
-        )
+        count = shares.shape[1]
+        return body.constant @ shares, FieldModes(np.eye(count), np.zeros(0), (), np.zeros(count))
 
     return field_model(session, solid, modes_of)
 

@@ -432,7 +432,7 @@ def _map_responses(
     bend = (change - at @ beside.change(load)).reshape(count, 3, -1)[nodes] / _STEP
     rows = (3 * nodes[:, None] + np.arange(3)).ravel()
     seen = changed.uneven.displacements(at[rows].toarray().T)
-    changes = np.zeros((len(rows), len(rows), len(changed.directions)))
+    changes = np.zeros((len(rows), len(rows), changed.directions.shape[1]))
     for part in _parts(len(rows)):
         changes[part] = changed.uneven.sensitivities(seen, moved[:, part], changed.directions)
     changes = 0.5 * (changes + changes.transpose(1, 0, 2)).transpose(2, 0, 1)
