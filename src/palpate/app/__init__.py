@@ -7,7 +7,7 @@ Takes      : arguments of a shell.
 Gives      : text on the terminal, a result folder, an exit code (0, 2 bad input, 3 not ok, 70 an
              error of the program, 128 and a signal's number).
 Depends on : `paper`, `report`, `viewer`, `campaign`, `figures`, `simulation`, `pipeline`,
-             `calibration`, `scanning`, `recording`, `lab`, `estimation`, `bem`, `probe`,
+             `calibration`, `scanning`, `recording`, `lab`, `field`, `estimation`, `bem`, `probe`,
              `records`, `geometry`.
 Read first : `cli.py`, `arguments.py`, then `commands/fit.py`.
 

@@ -4,7 +4,7 @@ Purpose    : read what a command needs, call the pipeline, print and write what 
 Takes      : arguments of the command line, already of the right types.
 Gives      : an exit code.
 Depends on : `paper`, `report`, `viewer`, `campaign`, `figures`, `simulation`, `pipeline`,
-             `calibration`, `scanning`, `recording`, `lab`, `estimation`, `bem`, `probe`,
+             `calibration`, `scanning`, `recording`, `lab`, `field`, `estimation`, `bem`, `probe`,
              `records`, `geometry`.
 Read first : `fit.py`.
 

@@ -40,8 +40,8 @@ _DISK_ERRORS = (
 )  # fmt: skip
 # Endings of files that people expect where a command writes a folder.
 _FILE_ENDINGS = frozenset((
-    ".ply", ".obj", ".stl", ".off", ".msh", ".vtu", ".vtp", ".csv", ".json", ".toml", ".npz",
-    ".html", ".pdf", ".png", ".svg", ".xml",
+    ".ply", ".obj", ".stl", ".off", ".msh", ".vtu", ".csv", ".json", ".toml", ".npz", ".html",
+    ".pdf", ".png", ".svg", ".xml",
 ))  # fmt: skip
 CHANGED, MISSING, NOT_LISTED = "changed", "missing", "not listed"
 # Escapes of `sha256sum` in names that contain a backslash or a line break.
@@ -341,10 +341,7 @@ def _check_place(target: Path) -> None:
     if target.is_symlink() or (target.exists() and not target.is_dir()):
         raise InputError(f"{target}: is not a folder; choose another name with --out")
     if target.suffix.lower() in _FILE_ENDINGS and not target.exists():
-        raise InputError(
-            f"{target}: is the name of a file, but this command writes a folder with several files;"
-            f" name the folder, as in --out {target.stem}"
-        )
+        raise InputError(f"{target}: names a file, but a result is a folder: --out {target.stem}")
     real, here = Path(os.path.realpath(target)), Path.cwd()
     if real in (here, *here.parents, Path(os.path.expanduser("~"))):
         raise InputError(
@@ -520,21 +517,8 @@ def parsed_sums(text: str) -> dict[str, str]:
 
 @_unreadable_errors()
 def _changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
-    """Files that have changed since their checksums were taken.
-
-    Parameters
-    ----------
-    folder : Path                   folder that the names are relative to
-    sums : mapping                  name -> checksum
-
-    Returns
-    -------
-    dict of str to str              name -> `CHANGED` or `MISSING`; empty if nothing has changed
-
-    Raises
-    ------
-    RecordError                     missing, not readable, not a regular file, too large
-    """
+    """Files that have changed since their checksums were taken, or are gone: name -> `CHANGED` or
+    `MISSING`."""
     found = {}
     for name, value in sums.items():
         path = folder / name
