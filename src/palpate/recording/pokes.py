@@ -168,7 +168,7 @@ def _parts(table: PokeTable, radius: float) -> Iterator[Int[np.ndarray, " n"]]:
         first = row
 
 
-def _sign(table: PokeTable, parts: list[Int[np.ndarray, " n"]]) -> float:
+def _sign(table: PokeTable, parts: list[Int[np.ndarray, " _"]]) -> float:
     """Sign that makes the force of a push positive; refuses normals that point inward."""
     force = _along(table)
     deepest = np.array([force[rows[np.abs(force[rows]).argmax()]] for rows in parts])
