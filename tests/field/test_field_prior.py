@@ -28,13 +28,13 @@ def covariance(modes, prior):
     distance = np.linalg.norm(POINTS[:, None] - POINTS, axis=2)
     depth = np.abs(POINTS[:, None, 2] - POINTS[:, 2])
     whole = prior.std**2 * matern(distance, prior.length)
-    whole += prior.layer_std**2 * matern(depth, modes.lengths[0])
+    whole += prior.layer_std**2 * matern(depth, 0.5 * modes.lengths[0])
     take = np.eye(len(whole)) - VOLUME / VOLUME.sum()
     return take @ whole @ take.T
 
 
 @pytest.mark.parametrize("layer_std", [0.0, 0.8])
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(3))
 def test_modes_have_the_covariance_of_the_prior(modes, number, layer_std):
     prior = FieldPrior(0.4, float(modes.lengths[number]), layer_std)
     fields = modes.modes @ modes.mixing_of(prior)
@@ -56,7 +56,7 @@ def measured(modes, prior, seed):
 
 
 def test_evidence_is_the_marginal_likelihood(modes):
-    rows, data = measured(modes, FieldPrior(0.4, modes.lengths[2], 0.8), 1)
+    rows, data = measured(modes, FieldPrior(0.4, modes.lengths[1], 0.8), 1)
     effects = rows @ modes.modes
     best = modes.best_prior(effects.T @ effects, effects.T @ data)
     fields = rows @ modes.modes @ modes.mixing_of(best)
@@ -67,7 +67,7 @@ def test_evidence_is_the_marginal_likelihood(modes):
 
 @pytest.mark.parametrize("layer_std", [0.0, 0.8])
 def test_the_prior_of_most_evidence_is_the_one_that_drew(modes, layer_std):
-    truth = FieldPrior(0.4, modes.lengths[2], layer_std)
+    truth = FieldPrior(0.4, modes.lengths[1], layer_std)
     found = []
     for seed in range(9):
         rows, data = measured(modes, truth, seed)
@@ -88,5 +88,5 @@ def test_noise_alone_is_no_evidence(modes):
         modes.best_prior(effects.T @ effects, effects.T @ rng.normal(size=80)).log_evidence
         for _ in range(12)
     ]
-    # 1 in 400 beyond log(400) by Markov's inequality for each prior; 168 priors.
-    assert max(most) < np.log(400 * 168)
+    # 1 in 400 beyond log(400) by Markov's inequality for each prior; 126 priors.
+    assert max(most) < np.log(400 * 126)

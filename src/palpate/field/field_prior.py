@@ -20,9 +20,11 @@ from scipy.linalg import block_diag, solve_triangular
 
 from palpate.shapes import Points
 
-# Standard deviations of log G, and lengths over the cube root of the body's volume, that are tried.
+# Standard deviations of log G, and lengths over the cube root of the body's volume, that are tried;
+# the shortest is two edges of the elements, less than which they do not resolve. Of layers, which
+# are few unknowns, it is one.
 _STDS = 0.05 * 2.0 ** np.arange(6)
-_LENGTHS = 0.125 * 2.0 ** np.arange(4)
+_LENGTHS, _LAYER = 0.25 * 2.0 ** np.arange(3), 0.125
 # Most modes, and the variance of a field over its prior's that may remain without them.
 _MOST_MODES, _LEFT = 300, 0.01
 
@@ -118,14 +120,15 @@ def make_field_modes(
     -------
     FieldModes
     """
-    lengths = float(volume.sum()) ** (1.0 / 3.0) * _LENGTHS
+    size = float(volume.sum()) ** (1.0 / 3.0)
+    lengths = size * _LENGTHS
     modes = _modes(points, volume, lengths[0])
     root = np.sqrt(volume)[:, None]
     mixing = [np.eye(modes.shape[1])]
     for length in lengths[1:]:
         longer = root * _modes(points, volume, length)
         mixing.append(np.linalg.lstsq(root * modes, longer)[0])
-    layers = _modes(depth[:, None], volume, lengths[0])
+    layers = _modes(depth[:, None], volume, size * _LAYER)
     return FieldModes(np.hstack([modes, layers]), lengths, tuple(mixing), depth)
 
 
