@@ -1,6 +1,6 @@
 """The field of moduli that explains a session's displacements, and its evidence."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -149,8 +149,7 @@ def field_evidence(
     ------
     MeshError                       so few elements do not fit into the body
     """
-    make = make_poke_model if without_pictures(session) else make_field_model
-    model: FieldModel | PokeModel = make(session, elements=_FEW, times=(1, 3))
+    model = _maker(session)(session, elements=_FEW, times=(1, 3))
     none = np.zeros(model.modes.modes.shape[1])
     ratio = minimum.poisson_ratio
     expansion = model.expanded(none, ratio, model.moved(none, ratio))
@@ -184,8 +183,7 @@ def fit_field(
     NotConvergedError               the field does not settle
     """
     progress("finite elements", 0.0)
-    make = make_poke_model if without_pictures(session) else make_field_model
-    model: FieldModel | PokeModel = make(session)
+    model = _maker(session)(session)
     plain = joint_minimum(observations, settings)
     modes, minimum = model.modes, plain
     coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
@@ -214,6 +212,11 @@ def fit_field(
         f"the field of the modulus still changes by {100.0 * change:.0f} % after {_MOST_ROUNDS}"
         " rounds: the displacements contradict each other; check units, forces and contacts"
     )
+
+
+def _maker(session: Session) -> Callable[..., FieldModel | PokeModel]:
+    """What makes the finite elements of a session's object."""
+    return make_poke_model if without_pictures(session) else make_field_model
 
 
 @dataclass(frozen=True, slots=True, eq=False)

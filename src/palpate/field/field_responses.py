@@ -47,7 +47,7 @@ _STEP = 0.005
 # Points along the side of a triangle where the pressure of a contact is taken.
 _SAMPLES = 12
 # Begins the names of a field's coefficients; what the budget calls them together.
-MODE, SOURCE = "mode of the modulus", "modulus that differs from place to place"
+_MODE, _SOURCE = "mode of the modulus", "modulus that differs from place to place"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +73,13 @@ class CoefficientPrior:
     poisson_ratio: float = 0.0
     shear_modulus: float = 1.0
 
+    @property
+    def parameters(self) -> tuple[NuisanceParameter, ...]:
+        """xi, as errors that all probings share."""
+        return tuple(
+            NuisanceParameter(name, 1.0, of=_SOURCE, is_material=True) for name in self.names
+        )
+
 
 def smooth_prior(mixing: Float[np.ndarray, "b j"]) -> CoefficientPrior:
     """Prior of mean zero, b = L xi.
@@ -81,7 +88,7 @@ def smooth_prior(mixing: Float[np.ndarray, "b j"]) -> CoefficientPrior:
     ----------
     mixing : (b, j) float           L
     """
-    names = tuple(f"{MODE} {j}" for j in range(mixing.shape[1]))
+    names = tuple(f"{_MODE} {j}" for j in range(mixing.shape[1]))
     none = np.zeros(len(mixing))
     return CoefficientPrior(names, mixing, none, none, none)
 
@@ -252,15 +259,12 @@ class FieldExpansion:
             moved[:, 0, :3] = along[:, None] * mixed[at.rows, None]
             return moved
 
-        parameters = tuple(
-            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in prior.names
-        )
         settlement = (
             Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
         )
         return replace(
             probe, response=response, vertices=vertices, settlement=settlement,
-            nuisances=(*probe.nuisances, Nuisance(parameters, effects)),
+            nuisances=(*probe.nuisances, Nuisance(prior.parameters, effects)),
         )  # fmt: skip
 
     def _changed(

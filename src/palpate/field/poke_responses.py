@@ -20,7 +20,6 @@ from scipy.sparse import coo_array, csr_array
 
 from palpate.estimation import (
     Nuisance,
-    NuisanceParameter,
     ProbeObservations,
     ResponseModel,
     ResponseTerms,
@@ -28,7 +27,6 @@ from palpate.estimation import (
 from palpate.field.field_prior import FieldModes, make_field_modes
 from palpate.field.field_responses import (
     ELEMENTS,
-    SOURCE,
     CoefficientPrior,
     depth_below,
     filled,
@@ -215,10 +213,7 @@ class PokeExpansion:
             moved[:, 0, 3] = mixed[at.rows]
             return moved
 
-        parameters = tuple(
-            NuisanceParameter(name, 1.0, of=SOURCE, is_material=True) for name in prior.names
-        )
-        nuisances = (*probe.nuisances, Nuisance(parameters, effects))
+        nuisances = (*probe.nuisances, Nuisance(prior.parameters, effects))
         changed = PokeResponse(force, change, probe.response)
         return [replace(probe, response=changed, nuisances=nuisances)]
 
