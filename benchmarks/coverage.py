@@ -13,7 +13,7 @@ from jaxtyping import Float
 from palpate.estimation import (
     FitSettings,
     ProbeObservations,
-    cramer_rao_bound,
+    fisher_information,
     fit,
 )
 
@@ -124,9 +124,9 @@ def measured_coverage(
         rng = np.random.default_rng([seed, repeat])
         probes = [disturbed(probe, disturbance, rng) for probe in exact]
         if repeat == 0:
-            bound = cramer_rao_bound(
+            bound = fisher_information(
                 probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
-            )
+            ).bound()
         found = fit(probes, settings=settings or FitSettings()).intervals
         errors.append([getattr(found, name).value - truth[name] for name in NAMES])
         ends = [getattr(found, name).ci95 for name in NAMES]

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.options import Options
-from palpate.estimation import FitResult, cramer_rao_bound
+from palpate.estimation import FitResult, fisher_information
 from palpate.lab import LabConfig, choose_variant, make_sessions, read_lab_config
 from palpate.pipeline import MeasurementPlan, fit_session, plan_measurement, with_pictures_measured
 from palpate.records import read_session
@@ -103,7 +103,11 @@ def kept(config: LabConfig, repeats: int) -> Kept:
         )  # fmt: skip
     models = [one.model for one in results if one.model is not None]
     bounds = [
-        cramer_rao_bound(one.observations, shear_modulus=material.shear_modulus, **constants)
+        fisher_information(
+            [probe.observations for probe in one.problem.probes],
+            shear_modulus=material.shear_modulus,
+            **constants,
+        ).bound()
         for one in models
     ]
     return Kept(plan, tuple(results), tuple(bounds))

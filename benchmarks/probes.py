@@ -8,7 +8,7 @@ from benchmarks.figure import ESTIMATION, Figure
 from benchmarks.machine import SHARED
 from benchmarks.options import Options
 from benchmarks.session_observations import session_observations
-from palpate.estimation import cramer_rao_bound
+from palpate.estimation import fisher_information
 from palpate.pipeline import fit_session
 from palpate.records import Estimate, Session, read_session
 
@@ -70,7 +70,7 @@ def _single(estimate: Estimate, session: Session, truth: dict[str, float]) -> li
     constants = {name: truth[name] for name in ("poisson_ratio", "shear_modulus")}
     bound = np.array(
         [
-            cramer_rao_bound([probe], **constants)["poisson_ratio"]
+            fisher_information([probe], **constants).bound()["poisson_ratio"]
             for probe in session_observations(session)
         ]
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.estimation import cramer_rao_bound
+from palpate.estimation import fisher_information
 from palpate.pipeline import make_object_model, session_observations
 from palpate.records import read_session
 
@@ -34,7 +34,9 @@ def main() -> dict[str, float]:
     ]
     bounds = {}
     for name, chosen in [*((probe.name, [probe]) for probe in probes), ("all", probes)]:
-        bound = cramer_rao_bound(chosen, poisson_ratio=POISSON_RATIO, shear_modulus=SHEAR_MODULUS)
+        bound = fisher_information(
+            chosen, poisson_ratio=POISSON_RATIO, shear_modulus=SHEAR_MODULUS
+        ).bound()
         bounds[name] = bound["poisson_ratio"]
         relative = bound["shear_modulus"] / SHEAR_MODULUS
         print(f"{name:4s} nu +- {bound['poisson_ratio']:.4f}   G +- {100 * relative:.2f} %")

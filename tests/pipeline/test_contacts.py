@@ -118,7 +118,7 @@ def test_all_radii_are_tried_with_the_same_factors(
     factorised, asked = [], []
     for module, name, calls in (
         ("palpate.bem.system.factors", "_factorise_with_slope", factorised),
-        ("palpate.pipeline.contacts", "best_constants_of", asked),
+        ("palpate.pipeline.contacts", "joint_minimum", asked),
     ):
         monkeypatch.setattr(sys.modules[module], name, _counted(sys.modules[module], name, calls))
     fit_session(_named(measured, Tool(SPHERE, BALL)))

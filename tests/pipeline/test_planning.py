@@ -11,7 +11,7 @@ from lab.planned_sessions import planned_session
 from surfaces import box
 
 from palpate.errors import InputError
-from palpate.estimation import cramer_rao_bound
+from palpate.estimation import fisher_information
 from palpate.geometry import closest_points
 from palpate.lab import choose_variant, make_session, read_lab_config
 from palpate.pipeline import (
@@ -165,11 +165,11 @@ def test_information_is_that_of_the_bound(found: NextProbings) -> None:
     """One probing by itself, at the constants that were found."""
     session = _session()
     observed = graded_observations(session)
-    of_one = cramer_rao_bound(
+    of_one = fisher_information(
         observed,
         poisson_ratio=found.information.poisson_ratio,
         shear_modulus=found.information.shear_modulus,
-    )
+    ).bound()
     for name, value in found.now.items():
         # The plan's mesh has more vertices at the edges.
         assert value == pytest.approx(of_one[name], rel=0.1)

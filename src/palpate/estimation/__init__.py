@@ -11,17 +11,16 @@ from palpate.estimation.fit import (
     FitMethod as FitMethod,
     FitResult as FitResult,
     FitSettings as FitSettings,
-    best_constants_of as best_constants_of,
     fit as fit,
     joint_minimum as joint_minimum,
 )
 from palpate.estimation.gauss_newton import (
+    at_constants as at_constants,
     gauss_newton as gauss_newton,
     with_noise as with_noise,
 )
 from palpate.estimation.information import (
     Information as Information,
-    cramer_rao_bound as cramer_rao_bound,
     fisher_information as fisher_information,
 )
 from palpate.estimation.normal_equations import Evaluation as Evaluation
@@ -44,11 +43,7 @@ from palpate.estimation.posterior import (
     LikelihoodMap as LikelihoodMap,
 )
 from palpate.estimation.predictions import (
-    FittedModel as FittedModel,
-    ModelState as ModelState,
-    PredictedProbing as PredictedProbing,
     Prediction as Prediction,
     ProbeFit as ProbeFit,
-    predicted_surface as predicted_surface,
     predictions_of as predictions_of,
 )

@@ -49,20 +49,6 @@ _LONGEST = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class FreedForce:
-    """A force that disagrees with the others and is left out.
-
-    Attributes
-    ----------
-    name : str                      of the probing
-    deviation : float               in standard deviations of the disagreement, along the force
-    """
-
-    name: str
-    deviation: float
-
-
-@dataclass(frozen=True, slots=True)
 class Contradiction:
     """How the data contradict the model.
 
@@ -89,7 +75,7 @@ class Contradiction:
 
 def with_outlying_forces_freed(
     minimum: Evaluation, poisson_range: tuple[float, float]
-) -> tuple[Evaluation, tuple[FreedForce, ...]]:
+) -> tuple[Evaluation, dict[str, float]]:
     """Set forces free that disagree with the others, one at a time, as long as three agree for
     each: two constants are fitted, so that two pushes agree on wrong ones, too.
 
@@ -104,23 +90,24 @@ def with_outlying_forces_freed(
     Returns
     -------
     Evaluation                      with these forces unknown
-    tuple of FreedForce
+    probing's name -> float         deviation of each, in standard deviations of the disagreement,
+                                    along the force
     """
-    freed: list[FreedForce] = []
+    freed: dict[str, float] = {}
     count = len(minimum.problem.probes)
     limit = -float(ndtri(0.5 * _FALSE_ALARM / count))
     for _ in range((count - 1) // _AGREEING):
         deviation = np.abs(force_deviations(minimum))
-        deviation[[probe.name in {f.name for f in freed} for probe in minimum.problem.probes]] = 0.0
+        deviation[[probe.name in freed for probe in minimum.problem.probes]] = 0.0
         worst = int(deviation.argmax())
         if deviation[worst] < limit:
             break
         free = with_noise(*_freed(minimum, worst), poisson_range)
         if not free.converged:
             break
-        freed.append(FreedForce(minimum.problem.probes[worst].name, float(deviation[worst])))
+        freed[minimum.problem.probes[worst].name] = float(deviation[worst])
         minimum = free
-    return minimum, tuple(freed)
+    return minimum, freed
 
 
 def force_deviations(minimum: Evaluation) -> Float[np.ndarray, " k"]:

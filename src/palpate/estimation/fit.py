@@ -14,11 +14,10 @@ from scipy.optimize import minimize
 from palpate.errors import InputError
 from palpate.estimation.checks import (
     Contradiction,
-    FreedForce,
     contradictions,
     with_outlying_forces_freed,
 )
-from palpate.estimation.gauss_newton import fitted, gauss_newton
+from palpate.estimation.gauss_newton import at_constants, fitted, gauss_newton
 from palpate.estimation.noise import NOISE_MODELS
 from palpate.estimation.normal_equations import Evaluation, determined
 from palpate.estimation.observations import ProbeObservations
@@ -41,7 +40,6 @@ from palpate.estimation.posterior import (
     valley_text,
 )
 from palpate.estimation.predictions import (
-    FittedModel,
     Prediction,
     ProbeFit,
     error_estimates,
@@ -140,7 +138,7 @@ class FitResult:
     probes : tuple of ProbeFit
     intervals : IntervalSet or None     of the joint constants from the data alone: without prior
                                         ranges for constants that are not determined
-    model : FittedModel or None         can be evaluated at other constants
+    model : Evaluation or None          the objective at the estimate; None: read from files
     map : ModulusMap or None            None: one modulus everywhere
     predict : callable                  Session of the same object on the same supports -> tuple of
                                         Prediction, from the forces of its probings
@@ -150,7 +148,7 @@ class FitResult:
     likelihood: LikelihoodMap
     probes: tuple[ProbeFit, ...]
     intervals: IntervalSet | None = None
-    model: FittedModel | None = None
+    model: Evaluation | None = None
     map: ModulusMap | None = None
     predict: Callable[[Session], tuple[Prediction, ...]] = _no_prediction
 
@@ -164,7 +162,7 @@ class FitResult:
         """
         if self.model is None:
             raise InputError("this result has no model: fit the session again")
-        return self.model.minimum
+        return self.model
 
     def __repr__(self) -> str:
         return f"FitResult of {len(self.probes)} probings: {self.estimate!r}"
@@ -240,30 +238,8 @@ def fit(
         likelihood_map(posterior, reported),
         fits,
         interval_set(posterior),
-        FittedModel(minimum, settings.poisson_range),
+        minimum,
     )
-
-
-def best_constants_of(
-    probes: Sequence[ProbeObservations], *, settings: FitSettings = FitSettings()
-) -> tuple[float, float]:
-    """Best-fit constants from all probings together, without intervals.
-
-    Parameters
-    ----------
-    probes : sequence of ProbeObservations  at least one
-    settings : FitSettings
-
-    Returns
-    -------
-    (float [-], float [Pa])                 Poisson's ratio and shear modulus
-
-    Raises
-    ------
-    InputError                              as `fit`
-    """
-    minimum = joint_minimum(probes, settings)
-    return minimum.poisson_ratio, minimum.shear_modulus
 
 
 def joint_minimum(probes: Sequence[ProbeObservations], settings: FitSettings) -> Evaluation:
@@ -313,9 +289,7 @@ def _simplex_minimum(minimum: Evaluation, poisson_range: tuple[float, float]) ->
     with everything else at its best for each."""
 
     def at(constants: np.ndarray) -> Evaluation:
-        theta = minimum.theta.copy()
-        theta[:2] = np.clip(constants[0], *poisson_range), constants[1]
-        return gauss_newton(minimum.problem, theta, fixed=(0, 1), poisson_range=poisson_range)
+        return at_constants(minimum, float(constants[0]), float(np.exp(constants[1])))
 
     found = minimize(
         lambda constants: at(constants).value,
@@ -351,7 +325,7 @@ def _fit_notes(
     posterior: Posterior,
     determined: Mapping[str, bool],
     contradictions: Sequence[Contradiction],
-    freed: Sequence[FreedForce],
+    freed: Mapping[str, float],
     errors: Sequence[ErrorEstimate],
 ) -> tuple[str, ...]:
     """Notes on contradictions of the model, forces set free, implausible errors, constants that are
@@ -362,7 +336,7 @@ def _fit_notes(
     posterior : Posterior           of all probings
     determined : constant's name -> bool
     contradictions : sequence of Contradiction
-    freed : sequence of FreedForce
+    freed : probing's name -> float     `with_outlying_forces_freed`
     errors : sequence of ErrorEstimate      of the session and of all its probings
 
     Returns
@@ -373,7 +347,7 @@ def _fit_notes(
     if contradictions:
         notes.append(_contradiction_note(contradictions[0]))
     if freed:
-        names = ", ".join(f"{each.name!r} by {each.deviation:.1f}" for each in freed)
+        names = ", ".join(f"{name!r} by {by:.1f}" for name, by in freed.items())
         notes.append(
             "A force that disagrees with all others was left out, in standard deviations of the"
             f" difference: {names}; check that sensor reading and its unit."

@@ -141,6 +141,25 @@ def gauss_newton(
     return at
 
 
+def at_constants(minimum: Evaluation, poisson_ratio: float, shear_modulus: float) -> Evaluation:
+    """The objective at given constants, with the errors that fit best there.
+
+    Parameters
+    ----------
+    minimum : Evaluation            its problem, and where the search starts
+    poisson_ratio : float [-]
+    shear_modulus : float [Pa]      > 0
+
+    Returns
+    -------
+    Evaluation
+    """
+    theta = minimum.theta.copy()
+    theta[:2] = poisson_ratio, np.log(shear_modulus)
+    held = (poisson_ratio, poisson_ratio)
+    return gauss_newton(minimum.problem, theta, fixed=(0, 1), poisson_range=held)
+
+
 def stated_excess(at: Evaluation) -> float:
     """As `_correlation_excess`, from what is stated of the points alone: which are neighbours, and
     which probings share pictures.

@@ -49,18 +49,18 @@ class Information:
             information[2:, 2:], information[2:, :2]
         )
 
-    def bound(self, probings: Sequence[int]) -> dict[str, float]:
+    def bound(self, probings: Sequence[int] | None = None) -> dict[str, float]:
         """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
 
         Parameters
         ----------
-        probings : sequence of int      indices of those that are made
+        probings : sequence of int or None      indices of those that are made; None: all
 
         Returns
         -------
         constant's name -> float        nu [-], G and E [Pa]; infinite where not identifiable
         """
-        information = self.of(probings)
+        information = self.of(range(len(self.parts)) if probings is None else probings)
         covariance = np.linalg.pinv(information, hermitian=True)
         young = 2 * self.shear_modulus * (1 + self.poisson_ratio)
         bound = {}
@@ -107,32 +107,7 @@ def fisher_information(
     excess = stated_excess(Evaluation(problem, theta))
     at = Evaluation(replace(problem, information=problem.information / excess), theta)
     information = Information(at.normal.parts, (), poisson_ratio, shear_modulus)
-    bound = information.bound(range(len(probes)))
+    bound = information.bound()
     determined = {name: bool(np.isfinite(bound[name])) for name in CONSTANT_NAMES}
     budget = uncertainty_budget(posterior_of(at, _ANY_RATIO, np.inf), determined)
     return replace(information, budget=budget)
-
-
-def cramer_rao_bound(
-    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
-) -> dict[str, float]:
-    """Cramer-Rao bound of all given probings together.
-
-    Parameters
-    ----------
-    probes : sequence of ProbeObservations  all with standard deviations
-    poisson_ratio : float [-]
-    shear_modulus : float [Pa]              > 0
-
-    Returns
-    -------
-    constant's name -> float                as `Information.bound`
-
-    Raises
-    ------
-    InputError                              a probing has no standard deviations
-    """
-    information = fisher_information(
-        probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
-    )
-    return information.bound(range(len(probes)))

@@ -148,7 +148,7 @@ class Evaluation:
         """Robust weight of every row of each probing."""
         noise = self.problem.noise
         return [
-            probe.per_row(noise.weight(square, probe.components))
+            noise.weight(square, probe.components)[probe.point_of_row]
             for probe, square in zip(self.problem.probes, self.squared, strict=True)
         ]
 

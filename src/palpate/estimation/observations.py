@@ -198,7 +198,6 @@ class ProbeObservations:
             array = fixed_array(value, name=label + name, shape=shape, nan_allowed=nan_allowed)
             object.__setattr__(self, name, array)
         _check_std(label + "std", self.std, self.displacement)
-        _check_covariance(label, self)
         _check_std(label + "tip_displacement_std", self.tip_displacement_std, self.tip_displacement)
         for name in ("force_std", "motion_std"):
             if np.any(getattr(self, name) < 0):
@@ -280,23 +279,4 @@ def _check_std(name: str, std: np.ndarray | None, displacement: np.ndarray | Non
             f"{name} is {std[where]} at index {where}, and {int(bad.sum())} entries in all are not"
             " > 0 where a displacement was measured; give the true 1 sigma, or leave it out to have"
             " the noise level estimated"
-        )
-
-
-def _check_covariance(label: str, probe: ProbeObservations) -> None:
-    """Refuse a covariance without `std`, not positive definite, or of partly measured points."""
-    if probe.covariance is None:
-        return
-    measured = np.isfinite(probe.displacement)
-    complete = measured.all(axis=1)
-    if probe.std is None or (measured.any(axis=1) & ~complete).any():
-        raise InputError(
-            f"{label}covariance is given without std, or where some components of a point are"
-            " measured and others are not; give both, for points that are measured as a whole"
-        )
-    smallest = np.linalg.eigvalsh(probe.covariance[complete])[:, 0]
-    if not (smallest > 0.0).all():
-        row = int(np.flatnonzero(complete)[np.argmin(smallest > 0.0)])
-        raise InputError(
-            f"{label}covariance of point {row} is not positive definite: {probe.covariance[row]}"
         )

@@ -39,8 +39,8 @@ class ObservedRows:
     components : (p,) float                 measured components of each point, 1 to 3
     point : (p,) int                        index of the point in the probing; n = the tip
     position : (p, 3) float [m]             NaN for the tip
-    whitening : (k, 3, 3) float [-] or None    matrices of the first k points, which have three rows
-                                            each: covariance^(-1/2) times `unit`
+    whitening : (k, 3, 3) float [-]         matrices of the first k points, which have three rows
+                                            each: covariance^(-1/2) times `unit`; none of the others
     neighbours : (r, r) sparse or None      error correlation of the rows of neighbouring points,
                                             zero on the diagonal; None: errors are independent
     """
@@ -54,7 +54,7 @@ class ObservedRows:
     components: Float[np.ndarray, " p"]
     point: Int[np.ndarray, " p"]
     position: Float[np.ndarray, "p 3"]
-    whitening: Float[np.ndarray, "k 3 3"] | None
+    whitening: Float[np.ndarray, "k 3 3"]
     neighbours: csr_array | None
 
     @property
@@ -96,9 +96,8 @@ class ObservedRows:
         """Weight of each pair of a point's components as measured, from weights of its rows."""
         products = np.zeros((len(self.start), 3, 3))
         products[self.point_of_row, self.component_of_row, self.component_of_row] = weight
-        if self.whitening is not None:
-            k = len(self.whitening)
-            products[:k] = self.whitening @ products[:k] @ self.whitening
+        k = len(self.whitening)
+        products[:k] = self.whitening @ products[:k] @ self.whitening
         return products
 
     def sigma(self, level: Float[np.ndarray, " 8"]) -> Float[np.ndarray, " r"]:
@@ -111,27 +110,19 @@ class ObservedRows:
 
     def unwhitened(self, rows: Float[np.ndarray, "r ..."]) -> Float[np.ndarray, "r ..."]:
         """The reverse of `whitened`."""
-        inverse = None if self.whitening is None else np.linalg.inv(self.whitening)
-        return _pointwise(inverse, rows)
+        return _pointwise(np.linalg.inv(self.whitening), rows)
 
     def whitening_power(self) -> Float[np.ndarray, " r"]:
         """Variance of every row for components as measured of variance 1, (r,) [-]."""
         power = np.ones(len(self.measured))
-        if self.whitening is not None:
-            power[: 3 * len(self.whitening)] = (self.whitening**2).sum(axis=2).ravel()
+        power[: 3 * len(self.whitening)] = (self.whitening**2).sum(axis=2).ravel()
         return power
 
     def component_variance(self, variance: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
         """Variance of the x, y and z components as measured, from that of the rows, (r,) [m^2]."""
-        if self.whitening is None:
-            return variance
         k, inverse = len(self.whitening), np.linalg.inv(self.whitening)
         own = np.einsum("kab,kb->ka", inverse**2, variance[: 3 * k].reshape(k, 3))
         return np.append(own.ravel(), variance[3 * k :])
-
-    def per_row(self, values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
-        """Values of points, (p,), repeated for each row of the point, (r,)."""
-        return np.repeat(values, self.components.astype(np.int64))
 
     def correlated(
         self, columns: Float[np.ndarray, "r c"], sharing: float
@@ -153,11 +144,10 @@ class ObservedRows:
 
 
 def _pointwise(
-    matrices: Float[np.ndarray, "k 3 3"] | None, rows: Float[np.ndarray, "r ..."]
+    matrices: Float[np.ndarray, "k 3 3"], rows: Float[np.ndarray, "r ..."]
 ) -> Float[np.ndarray, "r ..."]:
-    """Rows with the three of each of the first k points multiplied by that point's matrix;
-    unchanged without matrices."""
-    if matrices is None:
+    """Rows with the three of each of the first k points multiplied by that point's matrix."""
+    if not len(matrices):
         return rows
     k = 3 * len(matrices)
     first = matrices @ rows[:k].reshape(len(matrices), 3, math.prod(rows.shape[1:]))
@@ -232,10 +222,10 @@ def _neighbours(
     return csr_array(upper + upper.T)
 
 
-def _whitening(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"] | None:
+def _whitening(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"]:
     """`ObservedRows.whitening` of the measured points."""
     if probe.covariance is None:
-        return None
+        return np.zeros((0, 3, 3))
     covariance = probe.covariance[np.isfinite(probe.displacement).all(axis=1)]
     value, vector = np.linalg.eigh(covariance)
     size = np.sqrt(value.mean(axis=1, keepdims=True) / value)

@@ -1,5 +1,5 @@
-"""Predicted displacements of each probing: at the estimate, from the constants of the others, and
-at constants of one's choice."""
+"""Predicted displacements: of each probing at the estimate and from the constants of the others,
+and of probings that were not fitted."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from palpate.estimation.gauss_newton import gauss_newton
 from palpate.estimation.noise import relative_weight
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import NuisanceParameter, ProbeObservations
@@ -51,84 +50,6 @@ class ProbeFit:
     errors: tuple[ErrorEstimate, ...] = ()
     sigma: Points | None = None
     surface: Vertices | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedProbing:
-    """Prediction of one probing at given constants.
-
-    Attributes
-    ----------
-    name : str
-    predicted : (n, 3) float [m]            with the true force and errors that fit best there
-    residual : (n, 3) float [m]             measured minus predicted, NaN where not measured
-    surface : (v, 3) float [m] or None      displacement of all vertices of the model's mesh
-    """
-
-    name: str
-    predicted: Points
-    residual: Points
-    surface: Vertices | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelState:
-    """Predictions and misfit of the model at given constants.
-
-    Attributes
-    ----------
-    misfit : float                  minus twice the log likelihood, above its minimum
-    probings : tuple of PredictedProbing
-    """
-
-    misfit: float
-    probings: tuple[PredictedProbing, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedModel:
-    """The model of a fit, with its noise levels.
-
-    Attributes
-    ----------
-    minimum : Evaluation
-    poisson_range : (float, float)
-    """
-
-    minimum: Evaluation
-    poisson_range: tuple[float, float]
-
-    @property
-    def observations(self) -> tuple[ProbeObservations, ...]:
-        """Its probings."""
-        return tuple(probe.observations for probe in self.minimum.problem.probes)
-
-    def at(self, poisson_ratio: float, shear_modulus: float) -> ModelState:
-        """Evaluate the model at other constants, at the errors that fit best there.
-
-        Parameters
-        ----------
-        poisson_ratio : float [-]       within the range of the fit
-        shear_modulus : float [Pa]      > 0
-
-        Returns
-        -------
-        ModelState
-        """
-        start = self.minimum.theta.copy()
-        start[:2] = poisson_ratio, np.log(shear_modulus)
-        held = gauss_newton(
-            self.minimum.problem, start, fixed=(0, 1), poisson_range=self.poisson_range
-        )
-        probings = []
-        for index, probe in enumerate(held.problem.probes):
-            seen = probe.observations
-            predicted = held.problem.predicted_points(index, held.theta)
-            load = held.problem.load(index, held.theta)
-            surface = predicted_surface(seen, poisson_ratio, load)
-            residual = seen.displacement - predicted
-            probings.append(PredictedProbing(seen.name, predicted, residual, surface))
-        return ModelState(max(held.value - self.minimum.value, 0.0), tuple(probings))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,29 +114,6 @@ def predictions_of(
     return tuple(predictions)
 
 
-def predicted_surface(
-    probe: ProbeObservations, poisson_ratio: float, load: Float[np.ndarray, " c"]
-) -> Vertices | None:
-    """Displacement of all vertices of the mesh, where their response is known.
-
-    Parameters
-    ----------
-    probe : ProbeObservations
-    poisson_ratio : float [-]
-    load : (c,) float               `Problem.load`
-
-    Returns
-    -------
-    (v, 3) float [m] or None
-    """
-    if probe.vertices is None:
-        return None
-    response = probe.vertices.value(poisson_ratio)
-    # Rows of a measured contact point follow those of the vertices.
-    response = response if probe.tip_displacement is None else response[:-3]
-    return np.asarray(response @ load).reshape(-1, 3)
-
-
 def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple[ProbeFit, ...]:
     """Predictions, residuals and weights of every probing.
 
@@ -251,7 +149,7 @@ def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple
                 motion_std=seen.motion_std * std[block.motions],
                 errors=error_estimates(problem.own(k), minimum, block.errors),
                 sigma=sigma[: 3 * n].reshape(-1, 3),
-                surface=predicted_surface(seen, minimum.poisson_ratio, load),
+                surface=problem.predicted_surface(k, theta),
             )
         )
     return tuple(fits)

@@ -30,7 +30,7 @@ from palpate.estimation.observed_rows import (
     ObservedRows,
 )
 from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
-from palpate.shapes import Points
+from palpate.shapes import Points, Vertices
 
 # Sources in the uncertainty budget: of what is no named error.
 FORCES, MOTIONS, MODEL = "measured forces", "motions of supports", "mesh"
@@ -255,6 +255,15 @@ class Problem:
         model = _expansion(probe.everywhere(), self.shared, float(theta[0]))
         count = len(probe.observations.position)
         return self._predicted(index, theta, model)[0].reshape(-1, 3)[:count]
+
+    def predicted_surface(self, index: int, theta: Float[np.ndarray, " t"]) -> Vertices | None:
+        """Displacement of all vertices in a probing, (v, 3) [m]; None without their response."""
+        seen = self.probes[index].observations
+        if seen.vertices is None:
+            return None
+        moved = seen.vertices.value(float(theta[0])) @ self.load(index, theta)
+        # Rows of a measured contact point follow those of the vertices.
+        return (moved if seen.tip_displacement is None else moved[:-3]).reshape(-1, 3)
 
     def _errors(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
         """Errors of one probing, in the order of its expansion."""

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from palpate.bem import BoundarySurface, PressureDisc, disc_displacement, disc_potentials
 from palpate.errors import InputError, NotConvergedError
-from palpate.estimation import FitSettings, ProbeObservations, best_constants_of, predicted_surface
+from palpate.estimation import FitSettings, ProbeObservations, joint_minimum
 from palpate.geometry import (
     CREASE_ANGLE,
     TriangleMesh,
@@ -85,17 +85,21 @@ def with_consistent_contacts(
             with_surface=displaced,
             progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
         )  # fmt: skip
-        ratio, modulus = best_constants_of(observations, settings=settings)
-        fitted.append(float(np.log(modulus)))
+        best = joint_minimum(observations, settings)
+        fitted.append(float(best.theta[1]))
         taken.append(_consistent_modulus(taken, fitted))
         constants = {
             "shear_modulus": float(np.exp(taken[-1])),
-            "poisson_ratio": min(ratio, _LARGEST_RATIO),
+            "poisson_ratio": min(best.poisson_ratio, _LARGEST_RATIO),
         }
         updated = session
         if displaced:
-            moved = [_displacement_of_vertices(probe, ratio, modulus) for probe in observations]
-            updated = displaced_contacts(session, model.system.surface, moved, **constants)
+            # Under the forces that were measured.
+            theta = np.zeros_like(best.theta)
+            theta[:2] = best.theta[:2]
+            moved = (best.problem.predicted_surface(k, theta) for k in range(len(observations)))
+            known = [each for each in moved if each is not None]
+            updated = displaced_contacts(session, model.system.surface, known, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
         # Responses of all vertices are large, and not needed any more.
@@ -249,13 +253,6 @@ def displaced_contacts(
             probing = replace(probing, contact=replace(contact, point=point, first_point=start))
         probings.append(probing)
     return replace(session, probings=tuple(probings))
-
-
-def _displacement_of_vertices(probe: ProbeObservations, ratio: float, modulus: float) -> Vertices:
-    """Displacement of all vertices under the measured force, (v, 3) [m]."""
-    load = np.concatenate([np.append(probe.force, 1.0) / modulus, probe.motion])
-    moved = predicted_surface(probe, ratio, load)
-    return np.zeros((0, 3)) if moved is None else moved
 
 
 def _consistent_modulus(taken: Sequence[float], fitted: Sequence[float]) -> float:

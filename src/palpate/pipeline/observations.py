@@ -31,7 +31,7 @@ from palpate.estimation import (
     NuisanceParameter,
     ProbeObservations,
     ResponseTerms,
-    best_constants_of,
+    joint_minimum,
     padded,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal, distinct_points
@@ -177,7 +177,7 @@ def converged_observations(
         modulus = coarser[0].settlement.shear_modulus
     for _ in range(_MOST_ROUNDS):
         observations = _with_mesh_errors(make(modulus), coarser)
-        _, best = best_constants_of(observations, settings=settings)
+        best = joint_minimum(observations, settings).shear_modulus
         step = float(np.log(best / modulus))
         if abs(step) < _STEP_TOLERANCE:
             return observations

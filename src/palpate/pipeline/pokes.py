@@ -18,8 +18,8 @@ from palpate.estimation import (
     ProbeObservations,
     ResponseTerms,
     Settlement,
-    best_constants_of,
     fit,
+    joint_minimum,
     predictions_of,
 )
 from palpate.field import PokeModel, PokeResponse, dents, growths, make_poke_model, tools
@@ -280,8 +280,8 @@ def _settled_observations(
     modulus = float(np.median((softest / depth) ** (1.0 / (1.0 - growths(session)))))
     for _ in range(_MOST_ROUNDS):
         observations = poke_observations(session, regular, modulus)
-        ratio, shear_modulus = best_constants_of(observations, settings=settings)
-        best = shear_modulus / (1.0 - ratio)
+        minimum = joint_minimum(observations, settings)
+        best = minimum.shear_modulus / (1.0 - minimum.poisson_ratio)
         if abs(np.log(best / modulus)) < _TOLERANCE:
             return observations
         modulus = best

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import PalpateError
-from palpate.estimation import FitResult, ModelState
+from palpate.estimation import FitResult, at_constants
 from palpate.geometry import closest_points
 from palpate.pipeline import FittedProbing
 from palpate.records import length_unit, modulus_unit
@@ -198,13 +198,13 @@ class MaterialPanel:
         for slider in (self.modulus, self.ratio):
             slider.on_update(lambda _: self._ask())
         back.on_click(lambda _: self._back(nu, start))
-        self._show_numbers(nu, best, None)
+        self._show_numbers(nu, best)
 
     def _back(self, nu: float, modulus: float) -> None:
         """Return to the constants of the fit, not to the sliders' nearest steps."""
         self.modulus.value, self.ratio.value = modulus, round(nu, 3)
         self._look.override({})
-        self._show_numbers(nu, modulus * self._unit, None)
+        self._show_numbers(nu, modulus * self._unit)
 
     def _ask(self) -> None:
         """Compute and show the model's prediction at the sliders' constants."""
@@ -213,25 +213,22 @@ class MaterialPanel:
             return
         nu, modulus = float(self.ratio.value), float(self.modulus.value) * self._unit
         try:
-            state = fitted.model.at(nu, modulus)
+            held = at_constants(fitted.model, nu, modulus)
         except PalpateError as error:
             self.text.content = text_html(str(error), italic=True)
             return
-        found = {one.name: one for one in state.probings}
-        self._look.override(
-            {one.name: with_prediction(one, found[one.name]) for one in self._background.probings}
-        )
-        self._show_numbers(nu, modulus, state)
+        shown = enumerate(self._background.probings)
+        self._look.override({one.name: with_prediction(one, held, k) for k, one in shown})
+        self._show_numbers(nu, modulus, held.value - fitted.model.value)
 
-    def _show_numbers(self, nu: float, modulus: float, state: ModelState | None) -> None:
+    def _show_numbers(self, nu: float, modulus: float, misfit: float = 0.0) -> None:
         """Update the numbers next to the sliders, and the cross in the plot."""
         young = 2.0 * modulus * (1.0 + nu) / self._unit
-        misfit = 0.0 if state is None else max(state.misfit, 0.0)
         name = modulus_unit(self._unit)[1]
         self.text.content = text_html(
             " above that of the best constants; 6 is the edge of the 95 % region where noise is"
             f" independent\nE = {young:.4g} {name}; {rms_text(self._look.shown)}",
-            bold=f"misfit {misfit:.1f}",
+            bold=f"misfit {max(misfit, 0.0):.1f}",
         )
         if self._plot is not None:
             self._image.image = self._plot.marked(nu, modulus)

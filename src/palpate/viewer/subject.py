@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.errors import PalpateError, RecordError
-from palpate.estimation import FitResult, PredictedProbing
+from palpate.estimation import Evaluation, FitResult
 from palpate.pipeline import (
     SURFACE_FILE,
     FittedProbing,
@@ -139,23 +139,25 @@ def _fitted_probings(session: Session, result: FitResult) -> tuple[FittedProbing
     return tuple(found)
 
 
-def with_prediction(shown: FittedProbing, predicted: PredictedProbing) -> FittedProbing:
+def with_prediction(shown: FittedProbing, at: Evaluation, index: int) -> FittedProbing:
     """A probing with the model's prediction at other constants.
 
     Parameters
     ----------
     shown : FittedProbing
-    predicted : PredictedProbing    of this probing; its mesh may have additional vertices after
-                                    those of the session
+    at : Evaluation                 there; its mesh may have additional vertices after those of the
+                                    session
+    index : int                     of the probing
 
     Returns
     -------
     FittedProbing
     """
-    surface = predicted.surface
+    predicted = at.problem.predicted_points(index, at.theta)
+    surface = at.problem.predicted_surface(index, at.theta)
     if surface is not None and shown.surface is not None:
         surface = surface[: len(shown.surface)]
-    return replace(shown, predicted=predicted.predicted, surface=surface)
+    return replace(shown, predicted=predicted, surface=surface)
 
 
 def _measured(probing: Probing, session: Session) -> FittedProbing:
