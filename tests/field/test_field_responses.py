@@ -9,7 +9,12 @@ from surfaces import box
 
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, ResponseTerms
-from palpate.field.field_responses import make_field_model, no_field_reason, smooth_prior
+from palpate.field.field_responses import (
+    at_points,
+    make_field_model,
+    no_field_reason,
+    smooth_prior,
+)
 from palpate.records import Contact, Probing, Session, Support
 
 RATIO, PUSHES = 0.3, (((0.02, 0.02, 0.04), (0.3, 0.1, -1.0)), ((0.01, 0.0, 0.025), (0.0, 2.0, 0.5)))
@@ -70,28 +75,30 @@ def test_forces_are_those_of_the_probings(model):
 
 def test_about_its_field_the_response_is_that_of_the_body_with_it(model):
     points, about = np.array([[0.03, 0.03, 0.04], [0.0, 0.02, 0.03]]), drawn(model, 1)
+    model = model.under(session(), observations(points))
     none = model.moved(0.0 * about, RATIO)
     expansion = model.expanded(about, RATIO, none).with_slope()
-    given, prior = session(), smooth_prior(np.eye(len(about)))
-    for k, seen in enumerate(expansion.observations(given, observations(points), prior)):
+    for k, seen in enumerate(expansion.observations(smooth_prior(np.eye(len(about))))):
         for ratio in (RATIO, RATIO + 0.01):
             change = model.moved(about, ratio) - model.moved(0.0 * about, ratio)
-            expected = model.at(points) @ change[:, k]
+            expected = at_points(model.body.solid, points) @ change[:, k]
             # A step of 0.01 of nu changes the difference by 1 %; its derivative leaves a hundredth.
             off = predicted(seen, ratio, about) - expected
             assert np.abs(off).max() < 1e-3 * np.abs(expected).max()
 
 
 def test_beside_its_field_the_error_of_the_response_is_of_second_order(model):
-    nodes = model.body.solid.nodes[model.corners[::9]]
+    solid = model.body.solid
+    corners = np.unique(solid.facets[:, :3])
+    nodes = solid.nodes[corners[~model.body.held[corners]][::9]]
+    model = model.under(session(), observations(nodes))
     about, step = drawn(model, 2), drawn(model, 3)
     expansion = model.expanded(about, RATIO, model.moved(0.0 * about, RATIO))
-    prior = smooth_prior(np.eye(len(about)))
-    seen = expansion.observations(session(), observations(nodes), prior)[0]
+    seen = expansion.observations(smooth_prior(np.eye(len(about))))[0]
     errors = []
     for size in (0.1, 0.05):
         change = model.moved(about + size * step, RATIO) - model.moved(0.0 * about, RATIO)
-        off = predicted(seen, RATIO, about + size * step) - model.at(nodes) @ change[:, 0]
+        off = predicted(seen, RATIO, about + size * step) - at_points(solid, nodes) @ change[:, 0]
         errors.append(np.linalg.norm(off))
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)
 

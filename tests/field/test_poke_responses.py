@@ -69,10 +69,10 @@ def test_beside_its_field_the_error_of_the_response_is_of_second_order(model):
     none = model.moved(0.0 * about, RATIO)
     prior = smooth_prior(np.eye(len(about)))
 
+    model = model.under(given, [observed(given, model, modulus)])
+
     def at(coefficients):
-        return model.expanded(coefficients, RATIO, none).observations(
-            given, [observed(given, model, modulus)], prior
-        )[0]
+        return model.expanded(coefficients, RATIO, none).observations(prior)[0]
 
     here, errors = at(about), []
     np.testing.assert_allclose(

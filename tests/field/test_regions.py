@@ -12,7 +12,7 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, fit
 from palpate.field.field_prior import FieldModes
-from palpate.field.field_responses import field_model
+from palpate.field.field_responses import at_points, push_model
 from palpate.field.regions import check_regions, fit_regions, make_region_model
 from palpate.records import (
     RATIO,
@@ -73,7 +73,7 @@ def true():
         return FieldModes(centre, volume, CORNER.contains(centre)[:, None] * 1.0, np.zeros(0), ())
 
     given = session()
-    return field_model(given, layered(given.mesh), corner)
+    return push_model(given, (), layered(given.mesh), corner)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def observed(true):
     """Exact observations of the corner's body, with the homogeneous response."""
     given = session()
     points = given.mesh.vertices[given.mesh.vertices[:, 2] > 1e-9]
-    at, ratios = true.at(points), np.array([0.25, 0.3, 0.35])
+    at, ratios = at_points(true.body.solid, points), np.array([0.25, 0.3, 0.35])
     homogeneous = np.stack([at @ true.moved(np.zeros(1), ratio) for ratio in ratios])
     moved = at @ true.moved(np.log([RATIO_OF_CORNER]), NU) / MODULUS
     found = []
@@ -146,7 +146,7 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
     found = fit_regions(given, observed)
     model, prior = found.expansion.model, found.prior
     probe, errors = found.observations[0], []
-    at = model.from_corners(probe.position)
+    at = model.points[0].from_corners
     corners = np.repeat(3 * model.corners, 3).reshape(-1, 3) + np.arange(3)
     for change in (0.08, 0.04):
         modulus = prior.shear_modulus * np.exp(change)
@@ -160,7 +160,7 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
         about = float(found.expansion.coefficients[0])
         expected = solved(prior.mean[0] - change) - solved(about)
         base = replace(found.expansion, derivative=0.0 * found.expansion.derivative)
-        still = base.observations(given, observed, prior)[0].response_terms(prior.poisson_ratio)
+        still = base.observations(prior)[0].response_terms(prior.poisson_ratio)
         errors.append(np.linalg.norm(modulus * moved - still[:, 0, :3] @ probe.force - expected))
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
 

@@ -20,13 +20,12 @@ from palpate.estimation import (
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
 from palpate.field.field_responses import (
-    CoefficientPrior,
     FieldExpansion,
     FieldModel,
     make_field_model,
     smooth_prior,
 )
-from palpate.field.poke_responses import PokeExpansion, PokeModel, make_poke_model
+from palpate.field.poke_responses import make_poke_model
 from palpate.progress import Progress, silent
 from palpate.records import FieldEstimate, Session, without_pictures
 
@@ -50,14 +49,14 @@ class FieldFit:
 
     Attributes
     ----------
-    expansion : FieldExpansion or PokeExpansion     about the field that fits best
+    expansion : FieldExpansion      about the field that fits best
     prior : FieldPrior              of most evidence
     log_evidence : float            over that of a body that is the same everywhere
     observations : list of ProbeObservations    with the field's response, its coefficients as
                                     errors that all probings share
     """
 
-    expansion: FieldExpansion | PokeExpansion
+    expansion: FieldExpansion
     prior: FieldPrior
     log_evidence: float
     observations: list[ProbeObservations]
@@ -73,7 +72,7 @@ class FieldFit:
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
         prior = smooth_prior(self.expansion.model.modes.mixing_of(self.prior))
-        return of_pushes(self.expansion, session, observations, prior)
+        return self.expansion.under(session, observations).observations(prior)
 
     def posterior(self, minimum: Evaluation) -> FieldPosterior:
         """What a fit of `observations` says of the field.
@@ -107,28 +106,6 @@ class FieldFit:
         return FieldEstimate(prior.std, prior.length, self.log_evidence, known, posterior.parts())
 
 
-def of_pushes(
-    expansion: FieldExpansion | PokeExpansion,
-    session: Session,
-    observations: Sequence[ProbeObservations],
-    prior: CoefficientPrior,
-) -> list[ProbeObservations]:
-    """Observations of other pushes of a body with the field that an expansion is about.
-
-    Parameters
-    ----------
-    expansion : FieldExpansion or PokeExpansion
-    session : Session           k probings
-    observations : sequence of k ProbeObservations      of the homogeneous body
-    prior : CoefficientPrior
-    """
-    about, ratio = expansion.coefficients, expansion.poisson_ratio
-    model: FieldModel | PokeModel = expansion.model.loaded(session)
-    homogeneous = model.moved(0.0 * about, ratio)
-    pushed = model.expanded(about, ratio, homogeneous).with_slope()
-    return pushed.observations(session, observations, prior)
-
-
 def field_evidence(
     session: Session, observations: Sequence[ProbeObservations], minimum: Evaluation
 ) -> float:
@@ -149,12 +126,11 @@ def field_evidence(
     ------
     MeshError                       so few elements do not fit into the body
     """
-    model = _maker(session)(session, elements=_FEW, times=(1, 3))
+    model = _maker(session)(session, observations, elements=_FEW, times=(1, 3))
     none = np.zeros(model.modes.modes.shape[1])
     ratio = minimum.poisson_ratio
     expansion = model.expanded(none, ratio, model.moved(none, ratio))
-    task = _Task(session, observations, expansion, FitSettings())
-    return model.modes.best_prior(*task.information(minimum, none)).log_evidence
+    return model.modes.best_prior(*_information(expansion, minimum, none)).log_evidence
 
 
 def fit_field(
@@ -183,7 +159,7 @@ def fit_field(
     NotConvergedError               the field does not settle
     """
     progress("finite elements", 0.0)
-    model = _maker(session)(session)
+    model = _maker(session)(session, observations)
     plain = joint_minimum(observations, settings)
     modes, minimum = model.modes, plain
     coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
@@ -192,18 +168,17 @@ def fit_field(
     for iteration in range(_MOST_ROUNDS):
         progress("field of the modulus", 1.0 - 0.7**iteration)
         expansion = model.expanded(coefficients, ratio, homogeneous)
-        task = _Task(session, observations, expansion, settings)
         # Two priors of nearly the same evidence must not take turns.
         if iteration < _MOST_ROUNDS // 2:
-            prior = modes.best_prior(*task.information(minimum, new))
-        minimum = task.minimum(prior, minimum, new)
+            prior = modes.best_prior(*_information(expansion, minimum, new))
+        minimum = _minimum(expansion, prior, minimum, new, settings)
         new = modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)]
         change = float(np.abs(modes.modes @ (new - coefficients)).max())
         if change < _TOLERANCE:
-            task = replace(task, expansion=expansion.with_slope())
+            expansion = expansion.with_slope()
             evidence = _log_bayes_factor(minimum, plain, settings)
-            observed = task.observations(modes.mixing_of(prior))
-            return FieldFit(task.expansion, prior, evidence, observed)
+            observed = expansion.observations(smooth_prior(modes.mixing_of(prior)))
+            return FieldFit(expansion, prior, evidence, observed)
         coefficients = coefficients + min(1.0, _LONGEST / change) * (new - coefficients)
         if abs(minimum.poisson_ratio - ratio) > SAME_RATIO:
             ratio = minimum.poisson_ratio
@@ -214,49 +189,42 @@ def fit_field(
     )
 
 
-def _maker(session: Session) -> Callable[..., FieldModel | PokeModel]:
+def _maker(session: Session) -> Callable[..., FieldModel]:
     """What makes the finite elements of a session's object."""
     return make_poke_model if without_pictures(session) else make_field_model
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Task:
-    """Fits about one expansion."""
+def _minimum(
+    expansion: FieldExpansion,
+    prior: FieldPrior,
+    start: Evaluation,
+    coefficients: Float[np.ndarray, " b"],
+    settings: FitSettings,
+) -> Evaluation:
+    """The best field under a prior, jointly with everything else, from another minimum and the
+    coefficients there."""
+    mixing = expansion.model.modes.mixing_of(prior)
+    rows = tuple(map(observed_rows_of, expansion.observations(smooth_prior(mixing))))
+    at = _with_modes(start, rows, np.linalg.lstsq(mixing, coefficients)[0])
+    return with_noise(at.problem, at.theta, settings.poisson_range)
 
-    session: Session
-    homogeneous: Sequence[ProbeObservations]
-    expansion: FieldExpansion | PokeExpansion
-    settings: FitSettings
 
-    def observations(self, mixing: Float[np.ndarray, "b j"]) -> list[ProbeObservations]:
-        return self.expansion.observations(self.session, self.homogeneous, smooth_prior(mixing))
-
-    def minimum(
-        self, prior: FieldPrior, start: Evaluation, coefficients: Float[np.ndarray, " b"]
-    ) -> Evaluation:
-        """The best field under a prior, jointly with everything else, from another minimum and the
-        coefficients there."""
-        mixing = self.expansion.model.modes.mixing_of(prior)
-        rows = tuple(map(observed_rows_of, self.observations(mixing)))
-        at = _with_modes(start, rows, np.linalg.lstsq(mixing, coefficients)[0])
-        return with_noise(at.problem, at.theta, self.settings.poisson_range)
-
-    def information(
-        self, minimum: Evaluation, start: Float[np.ndarray, " b"]
-    ) -> tuple[Float[np.ndarray, "b b"], Float[np.ndarray, " b"]]:
-        """What the data say about the coefficients of all modes, everything else marginalised: H
-        and h of `field_prior`, from a minimum and the coefficients there."""
-        count = len(start)
-        rows = tuple(map(observed_rows_of, self.observations(np.eye(count))))
-        at = _with_modes(minimum, rows, start)
-        normal, where = at.normal, modes_in(at)
-        rest = np.setdiff1d(np.arange(len(normal.gradient)), where)
-        common, gradient = normal.common, normal.gradient
-        back = np.linalg.solve(common[np.ix_(rest, rest)], common[np.ix_(rest, where)]).T
-        information = common[np.ix_(where, where)] - back @ common[np.ix_(rest, where)]
-        information -= np.eye(count)
-        score = gradient[where] + start - back @ gradient[rest]
-        return information, information @ start + score
+def _information(
+    expansion: FieldExpansion, minimum: Evaluation, start: Float[np.ndarray, " b"]
+) -> tuple[Float[np.ndarray, "b b"], Float[np.ndarray, " b"]]:
+    """What the data say about the coefficients of all modes, everything else marginalised: H and h
+    of `field_prior`, from a minimum and the coefficients there."""
+    every = smooth_prior(np.eye(len(start)))
+    rows = tuple(map(observed_rows_of, expansion.observations(every)))
+    at = _with_modes(minimum, rows, start)
+    normal, where = at.normal, modes_in(at)
+    rest = np.setdiff1d(np.arange(len(normal.gradient)), where)
+    common, gradient = normal.common, normal.gradient
+    back = np.linalg.solve(common[np.ix_(rest, rest)], common[np.ix_(rest, where)]).T
+    information = common[np.ix_(where, where)] - back @ common[np.ix_(rest, where)]
+    information -= np.eye(len(start))
+    score = gradient[where] + start - back @ gradient[rest]
+    return information, information @ start + score
 
 
 def _with_modes(

@@ -8,12 +8,14 @@ difference of a body with a field from one without, so that their own error canc
 d the difference at the coefficients b0 about which it is expanded, S its derivative there.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, kron
+from scipy.sparse import csr_array, kron, vstack
 
 from palpate.errors import InputError, MeshError
 from palpate.estimation import (
@@ -31,6 +33,7 @@ from palpate.records import FIXED, RIGID, Probing, Session
 from palpate.shapes import Points
 from palpate.solids import (
     GradedBody,
+    GradedStiffness,
     Solid,
     held_nodes,
     inner_points,
@@ -94,27 +97,70 @@ def smooth_prior(mixing: Float[np.ndarray, "b j"]) -> CoefficientPrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FieldModel:
-    """Finite elements of a session's object, with the loads of its probings.
+class FieldModel(ABC):
+    """Finite elements of a session's object under the loads of its probings.
 
     Attributes
     ----------
     body : GradedBody
     values : (m q, f) sparse        a field at the quadrature points, from where modes give it
     modes : FieldModes
-    corners : (c,) int              nodes on the free surface at which derivatives are computed
     load : (3 n, k) float [N]       nodal forces of every probing
+    session : Session
+    observations : tuple of ProbeObservations       of its probings, of the homogeneous body
     """
 
     body: GradedBody
     values: csr_array
     modes: FieldModes
-    corners: Int[np.ndarray, " c"]
     load: Float[np.ndarray, "n3 k"]
+    session: Session
+    observations: tuple[ProbeObservations, ...]
 
-    def loaded(self, session: Session) -> "FieldModel":
-        """The same body under the loads of another session."""
-        return replace(self, load=_nodal_loads(session, self.body.solid))
+    @abstractmethod
+    def under(self, session: Session, observations: Sequence[ProbeObservations] = ()) -> Self:
+        """The same body under the loads of another session.
+
+        Parameters
+        ----------
+        session : Session
+        observations : sequence of ProbeObservations        of the homogeneous body
+        """
+
+    @abstractmethod
+    def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, "*n"]:
+        """What an expansion keeps of the displacements of every node under each load."""
+
+    @abstractmethod
+    def derivative(
+        self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
+    ) -> Float[np.ndarray, "*n b"]:
+        """Derivative of what is observed with respect to the coefficients of the modes.
+
+        Parameters
+        ----------
+        stiffness : GradedStiffness
+        moved : (3 n, k) float [m Pa]       displacements with it
+        """
+
+    @abstractmethod
+    def changed(
+        self, expansion: "FieldExpansion", prior: CoefficientPrior
+    ) -> list[ProbeObservations]:
+        """`FieldExpansion.observations`."""
+
+    def stiffness(
+        self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
+    ) -> GradedStiffness:
+        """The body with a field.
+
+        Parameters
+        ----------
+        coefficients : (b,) float       of the modes
+        poisson_ratio : float [-]
+        """
+        log_modulus = self.values @ (self.modes.modes @ coefficients)
+        return with_moduli(self.body, log_modulus, poisson_ratio)
 
     def moved(
         self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
@@ -123,11 +169,9 @@ class FieldModel:
 
         Parameters
         ----------
-        coefficients : (b,) float       of the modes
-        poisson_ratio : float [-]
+        coefficients, poisson_ratio     as `stiffness`
         """
-        log_modulus = self.values @ (self.modes.modes @ coefficients)
-        return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
+        return self.stiffness(coefficients, poisson_ratio).displacements(self.load)
 
     def expanded(
         self,
@@ -139,43 +183,15 @@ class FieldModel:
 
         Parameters
         ----------
-        coefficients : (b,) float       of the modes
-        poisson_ratio : float [-]
+        coefficients, poisson_ratio     as `stiffness`
         homogeneous : (3 n, k) float [m Pa]     `moved` of the body without a field
         """
-        log_modulus = self.values @ (self.modes.modes @ coefficients)
-        stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
+        stiffness = self.stiffness(coefficients, poisson_ratio)
         moved = stiffness.displacements(self.load)
-        unknowns = (3 * self.corners[:, None] + np.arange(3)).ravel()
-        basis = self.modes.modes
-        # Whichever takes fewer solutions.
-        if basis.shape[1] * moved.shape[1] < len(unknowns):
-            derivative = stiffness.changes(moved, self.values @ csr_array(basis))[:, unknowns]
-        else:
-            observed = np.zeros((len(moved), len(unknowns)))
-            observed[unknowns, np.arange(len(unknowns))] = 1.0
-            seen = stiffness.displacements(observed)
-            derivative = stiffness.sensitivities(seen, moved, self.values) @ basis
-        change = moved - homogeneous
-        none = np.zeros_like(change)
-        return FieldExpansion(self, coefficients, poisson_ratio, change, none, derivative)
-
-    def at(self, points: Points) -> csr_array:
-        """Displacements at points of the surface from those of all nodes, (3 p, 3 n)."""
-        return csr_array(kron(surface_values(self.body.solid, points), np.eye(3)))
-
-    def from_corners(self, points: Points) -> csr_array:
-        """Displacements at points of the surface from those of `corners`, (3 p, 3 c)."""
-        triangles = self.body.solid.facets[:, :3]
-        near = closest_points(TriangleMesh(self.body.solid.nodes, triangles), points)
-        number = np.full(len(self.body.solid.nodes), -1)
-        number[self.corners] = np.arange(len(self.corners))
-        column = number[triangles[near.triangle]]
-        share = np.where(column >= 0, near.barycentric, 0.0)
-        row = np.repeat(np.arange(len(points)), 3)
-        entries = (share.ravel(), (row, np.maximum(column, 0).ravel()))
-        matrix = csr_array(entries, shape=(len(points), len(self.corners)))
-        return csr_array(kron(matrix, np.eye(3)))
+        change, derivative = self.seen(moved - homogeneous), self.derivative(stiffness, moved)
+        return FieldExpansion(
+            self, coefficients, poisson_ratio, change, np.zeros_like(change), derivative
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,98 +203,201 @@ class FieldExpansion:
     model : FieldModel
     coefficients : (b,) float                   b0
     poisson_ratio : float [-]                   nu0
-    change : (3 n, k) float [m Pa]              d of every node under the load of each probing
-    slope : (3 n, k) float [m Pa]               its derivative with respect to Poisson's ratio; zero
+    change : (..., k) float                     d under the load of each probing (`FieldModel.seen`)
+    slope : (..., k) float                      its derivative with respect to Poisson's ratio; zero
                                                 until it is asked for
-    derivative : (k, 3 c, b) float [m Pa]       S, at the corners
+    derivative : (k, ..., b) float              S (`FieldModel.derivative`)
     """
 
     model: FieldModel
     coefficients: Float[np.ndarray, " b"]
     poisson_ratio: float
-    change: Float[np.ndarray, "n3 k"]
-    slope: Float[np.ndarray, "n3 k"]
-    derivative: Float[np.ndarray, "k c3 b"]
+    change: Float[np.ndarray, "*n"]
+    slope: Float[np.ndarray, "*n"]
+    derivative: Float[np.ndarray, "*d b"]
 
     def with_slope(self) -> "FieldExpansion":
         """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
         beside = self.poisson_ratio - _STEP
-        change = self.model.moved(self.coefficients, beside)
-        change -= self.model.moved(0.0 * self.coefficients, beside)
-        return replace(self, slope=(self.change - change) / _STEP)
+        moved = self.model.moved(self.coefficients, beside)
+        moved -= self.model.moved(0.0 * self.coefficients, beside)
+        return replace(self, slope=(self.change - self.model.seen(moved)) / _STEP)
 
-    def observations(
-        self,
-        session: Session,
-        observations: Sequence[ProbeObservations],
-        prior: CoefficientPrior,
-    ) -> list[ProbeObservations]:
+    def under(
+        self, session: Session, observations: Sequence[ProbeObservations]
+    ) -> "FieldExpansion":
+        """About the same field, of other pushes of the body.
+
+        Parameters
+        ----------
+        session : Session           k probings
+        observations : sequence of k ProbeObservations      of the homogeneous body
+        """
+        model, about, ratio = (
+            self.model.under(session, observations), self.coefficients, self.poisson_ratio
+        )  # fmt: skip
+        return model.expanded(about, ratio, model.moved(0.0 * about, ratio)).with_slope()
+
+    def observations(self, prior: CoefficientPrior) -> list[ProbeObservations]:
         """Observations with the field's response, its coefficients by xi as errors of unit standard
         deviation that all probings share.
 
         Parameters
         ----------
-        session : Session
-        observations : sequence of k ProbeObservations      of the homogeneous body
         prior : CoefficientPrior
         """
+        return self.model.changed(self, prior)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenPoints:
+    """Where the rows of a probing are among the elements.
+
+    Attributes
+    ----------
+    from_nodes : (r, 3 n) sparse        their displacements from those of all nodes
+    from_corners : (r, 3 c) sparse      the same from those of `PushModel.corners`
+    vertices : (v, 3 n) sparse          as `from_nodes`, of all vertices and the tip
+    """
+
+    from_nodes: csr_array
+    from_corners: csr_array
+    vertices: csr_array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PushModel(FieldModel):
+    """Finite elements of an object whose surface is seen to move.
+
+    Attributes
+    ----------
+    corners : (c,) int              nodes on the surface at which derivatives are computed: those
+                                    about the observed points
+    points : tuple of SeenPoints    of every probing
+    """
+
+    corners: Int[np.ndarray, " c"]
+    points: tuple[SeenPoints, ...]
+
+    def under(
+        self, session: Session, observations: Sequence[ProbeObservations] = ()
+    ) -> "PushModel":
+        """See `FieldModel`."""
+        seen = _seen(self.body, session, observations)
+        load = _nodal_loads(session, self.body.solid)
+        return PushModel(
+            self.body, self.values, self.modes, load, session, tuple(observations), *seen
+        )
+
+    def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, "n3 k"]:
+        """All of it."""
+        return moved
+
+    def derivative(
+        self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
+    ) -> Float[np.ndarray, "k c3 b"]:
+        """Of the displacements of the corners."""
+        unknowns = (3 * self.corners[:, None] + np.arange(3)).ravel()
+        basis = self.modes.modes
+        # Whichever takes fewer solutions.
+        if basis.shape[1] * moved.shape[1] < len(unknowns):
+            return stiffness.changes(moved, self.values @ csr_array(basis))[:, unknowns]
+        observed = np.zeros((len(moved), len(unknowns)))
+        observed[unknowns, np.arange(len(unknowns))] = 1.0
+        seen = stiffness.displacements(observed)
+        return stiffness.sensitivities(seen, moved, self.values) @ basis
+
+    def changed(
+        self, expansion: FieldExpansion, prior: CoefficientPrior
+    ) -> list[ProbeObservations]:
+        """See `FieldExpansion.observations`."""
         return [
-            self._observed(k, session, probing, probe, prior)
-            for k, (probing, probe) in enumerate(zip(session.probings, observations, strict=True))
+            _changed(expansion, k, probe, points, prior)
+            for k, (probe, points) in enumerate(zip(self.observations, self.points, strict=True))
         ]
 
-    def _observed(
-        self,
-        index: int,
-        session: Session,
-        probing: Probing,
-        probe: ProbeObservations,
-        prior: CoefficientPrior,
-    ) -> ProbeObservations:
-        points = observed_points(probing, probe)
-        derivative = self.model.from_corners(points) @ self.derivative[index]
-        along = probe.force / (probe.force @ probe.force)
-        offset, drift = (
-            derivative @ each for each in (prior.mean - self.coefficients, prior.by_ratio)
-        )
-        response = self._changed(index, probe.response, along, points, offset, drift)
-        vertices = probe.vertices
-        if vertices is not None:
-            points = np.concatenate([session.mesh.vertices, points[len(probe.position) :]])
-            none = np.zeros(points.size)
-            vertices = self._changed(index, vertices, along, points, none, none)
-        mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
 
-        def settled(_: float) -> Float[np.ndarray, "n_rows c"]:
-            columns = np.zeros((len(rising), 4 + len(probe.motion)))
-            columns[:, :3] = rising[:, None] * along
-            return columns
+def _changed(
+    expansion: FieldExpansion,
+    index: int,
+    probe: ProbeObservations,
+    points: SeenPoints,
+    prior: CoefficientPrior,
+) -> ProbeObservations:
+    """Observations of one probing with what a field changes."""
+    derivative = points.from_corners @ expansion.derivative[index]
+    along = probe.force / (probe.force @ probe.force)
+    moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
+    expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
+    here = points.from_nodes @ moved + derivative @ expected
+    response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
+    vertices = probe.vertices
+    if vertices is not None:
+        there = points.vertices @ moved
+        vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
+    mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
 
-        def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
-            moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[1]))
-            moved[:, 0, :3] = along[:, None] * mixed[at.rows, None]
-            return moved
+    def settled(_: float) -> Float[np.ndarray, "n_rows c"]:
+        columns = np.zeros((len(rising), 4 + len(probe.motion)))
+        columns[:, :3] = rising[:, None] * along
+        return columns
 
-        settlement = (
-            Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
-        )
-        return replace(
-            probe, response=response, vertices=vertices, settlement=settlement,
-            nuisances=(*probe.nuisances, Nuisance(prior.parameters, effects)),
-        )  # fmt: skip
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
+        moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[1]))
+        moved[:, 0, :3] = along[:, None] * mixed[at.rows, None]
+        return moved
 
-    def _changed(
-        self,
-        index: int,
-        response: ResponseModel,
-        along: Float[np.ndarray, "3"],
-        points: Points,
-        offset: Float[np.ndarray, " n_rows"],
-        drift: Float[np.ndarray, " n_rows"],
-    ) -> "_Changed":
-        every = self.model.at(points)
-        change, slope = every @ self.change[:, index] + offset, every @ self.slope[:, index] + drift
-        return _Changed(response, along, self.poisson_ratio, change, slope)
+    settlement = Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
+    return replace(
+        probe, response=response, vertices=vertices, settlement=settlement,
+        nuisances=(*probe.nuisances, Nuisance(prior.parameters, effects)),
+    )  # fmt: skip
+
+
+def _seen(
+    body: GradedBody, session: Session, observations: Sequence[ProbeObservations]
+) -> tuple[Int[np.ndarray, " c"], tuple[SeenPoints, ...]]:
+    """The corners about all observed points that are free, and the points of every probing."""
+    solid = body.solid
+    surface = TriangleMesh(solid.nodes, solid.facets[:, :3])
+    vertices, near, matrices = at_points(solid, session.mesh.vertices), [], []
+    for probing, probe in zip(session.probings, observations, strict=False):
+        points = probe.position
+        if tip := probe.tip_displacement is not None:
+            points = np.concatenate([points, probing.contact.point[None]])
+        near.append(closest_points(surface, points))
+        own = at_points(solid, points)
+        every = csr_array(vstack([vertices, own[-3:]])) if tip else vertices
+        matrices.append((own, every))
+    about = [surface.triangles[each.triangle] for each in near]
+    corners = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.ravel() for each in about)]))
+    corners = corners[~body.held[corners]]
+    number = np.full(len(solid.nodes), -1)
+    number[corners] = np.arange(len(corners))
+    seen = []
+    for triangle, place, (own, every) in zip(about, near, matrices, strict=True):
+        column = number[triangle]
+        share = np.where(column >= 0, place.barycentric, 0.0)
+        row = np.repeat(np.arange(len(share)), 3)
+        entries = (share.ravel(), (row, np.maximum(column, 0).ravel()))
+        matrix = csr_array(entries, shape=(len(share), len(corners)))
+        seen.append(SeenPoints(own, csr_array(kron(matrix, np.eye(3))), every))
+    return corners, tuple(seen)
+
+
+def at_points(solid: Solid, points: Points) -> csr_array:
+    """Displacements at points of the surface from those of all nodes.
+
+    Parameters
+    ----------
+    solid : Solid
+    points : (p, 3) float [m]
+
+    Returns
+    -------
+    (3 p, 3 n) sparse
+    """
+    return csr_array(kron(surface_values(solid, points), np.eye(3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,19 +419,24 @@ class _Changed:
 
 
 def make_field_model(
-    session: Session, *, elements: int = ELEMENTS, times: Sequence[int] = (1, 3, 9)
-) -> FieldModel:
+    session: Session,
+    observations: Sequence[ProbeObservations] = (),
+    *,
+    elements: int = ELEMENTS,
+    times: Sequence[int] = (1, 3, 9),
+) -> PushModel:
     """Finite elements for a session's object and the loads of its probings.
 
     Parameters
     ----------
     session : Session               its contacts with radii
+    observations : sequence of ProbeObservations    of the homogeneous body
     elements : int                  about so many
     times : sequence of int         how many times as many are tried until they fit into a thin body
 
     Returns
     -------
-    FieldModel
+    PushModel
 
     Raises
     ------
@@ -327,29 +451,27 @@ def make_field_model(
         depth = depth_below(session, body.corners)
         return body.linear, make_field_modes(body.corners, body.corner_volume, depth)
 
-    return field_model(session, solid, modes_of)
+    return push_model(session, observations, solid, modes_of)
 
 
-def field_model(
+def push_model(
     session: Session,
+    observations: Sequence[ProbeObservations],
     solid: Solid,
     modes_of: Callable[[GradedBody], tuple[csr_array, FieldModes]],
-) -> FieldModel:
+) -> PushModel:
     """The finite elements of a solid with the loads of a session's probings.
 
     Parameters
     ----------
     session : Session               its contacts with radii
+    observations : sequence of ProbeObservations    of the homogeneous body
     solid : Solid
     modes_of : callable             gives `values` and `modes`
     """
-    held = held_nodes(solid, session.held_triangles)
-    body = make_graded_body(solid, held)
-    corners = np.unique(solid.facets[:, :3])
-    return FieldModel(
-        body, *modes_of(body), corners[~held[corners]],
-        _nodal_loads(session, solid),
-    )  # fmt: skip
+    body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
+    seen, load = _seen(body, session, observations), _nodal_loads(session, solid)
+    return PushModel(body, *modes_of(body), load, session, tuple(observations), *seen)
 
 
 def depth_below(session: Session, points: Points) -> Float[np.ndarray, " p"]:
@@ -362,19 +484,6 @@ def depth_below(session: Session, points: Points) -> Float[np.ndarray, " p"]:
     """
     free = np.delete(session.mesh.triangles, session.held_triangles, axis=0)
     return closest_points(TriangleMesh(session.mesh.vertices, free), points).distance
-
-
-def observed_points(probing: Probing, probe: ProbeObservations) -> Points:
-    """The points of a probing's rows: where something was measured, and its tip if that was.
-
-    Parameters
-    ----------
-    probing : Probing
-    probe : ProbeObservations       of it
-    """
-    if probe.tip_displacement is None:
-        return probe.position
-    return np.concatenate([probe.position, probing.contact.point[None]])
 
 
 def no_field_reason(session: Session) -> str:

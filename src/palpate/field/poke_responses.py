@@ -24,10 +24,12 @@ from palpate.estimation import (
     ResponseModel,
     ResponseTerms,
 )
-from palpate.field.field_prior import FieldModes, make_field_modes
+from palpate.field.field_prior import make_field_modes
 from palpate.field.field_responses import (
     ELEMENTS,
     CoefficientPrior,
+    FieldExpansion,
+    FieldModel,
     depth_below,
     filled,
 )
@@ -37,19 +39,17 @@ from palpate.records import Session, Tool
 from palpate.shapes import Points
 from palpate.solids import (
     GradedBody,
+    GradedStiffness,
     half_space_compliance,
     held_nodes,
     make_graded_body,
     pressure_load,
-    with_moduli,
 )
 
 # Radius of the patch over which a load is spread, over the edge of the elements: with 1.5 the tip's
 # displacement is right to 0.3 % of its whole (0.8 % with 1, 0.5 % with 2). Near an edge of the body
 # as far as that is away, but not less than 0.75, since its part there varies over the patch.
 _SPREAD, _LEAST_SPREAD = 1.5, 0.75
-# Change of Poisson's ratio for the derivative of what a field changes.
-_STEP = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,41 +77,40 @@ class PokeResponse:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PokeModel:
-    """Finite elements of a poked object.
+class PokeModel(FieldModel):
+    """Finite elements of a poked object. Loads are one newton along each push, spread; all k pokes
+    are one probing.
 
     Attributes
     ----------
-    body : GradedBody
-    modes : FieldModes
     edge : float [m]                of the elements, about
-    load : (3 n, k) float [-]       nodal forces of one newton along each push, spread
-    spread : (k,) float [1/m]       compliance of a half space under them, times G / (1 - nu)
+    spread : (k,) float [1/m]       compliance of a half space under the loads, times G / (1 - nu)
     near : (k, c) sparse [-]        weights of the corners of elements under them; rows add up to 1
     """
 
-    body: GradedBody
-    modes: FieldModes
     edge: float
-    load: Float[np.ndarray, "n3 k"]
     spread: Float[np.ndarray, " k"]
     near: csr_array
 
-    @property
-    def values(self) -> csr_array:
-        """As `FieldModel.values`."""
-        return self.body.linear
+    def under(
+        self, session: Session, observations: Sequence[ProbeObservations] = ()
+    ) -> "PokeModel":
+        """See `FieldModel`."""
+        load, spread, near = _loads(self.body, self.edge, session)
+        return PokeModel(
+            self.body, self.values, self.modes, load, session, tuple(observations), self.edge,
+            spread, near,
+        )  # fmt: skip
 
-    def loaded(self, session: Session) -> "PokeModel":
-        """The same body under the pokes of another session."""
-        return _with_pokes(self, session)
+    def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, " k"]:
+        """Compliance under each load [1/m]."""
+        return np.asarray((self.load * moved).sum(axis=0))
 
-    def moved(
-        self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
-    ) -> Float[np.ndarray, "n3 k"]:
-        """As `FieldModel.moved`, for one newton."""
-        log_modulus = self.values @ (self.modes.modes @ coefficients)
-        return with_moduli(self.body, log_modulus, poisson_ratio).displacements(self.load)
+    def derivative(
+        self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
+    ) -> Float[np.ndarray, "k b"]:
+        """Of the compliances."""
+        return -(self.values.T @ stiffness.energies(moved)).T @ self.modes.modes
 
     def regular(self, poisson_ratio: float) -> Float[np.ndarray, " k"]:
         """Compliance of the homogeneous body at each poke beyond that of a half space, times G.
@@ -125,85 +124,34 @@ class PokeModel:
         (k,) float [1/m]
         """
         none = np.zeros(self.modes.modes.shape[1])
-        seen = (self.load * self.moved(none, poisson_ratio)).sum(axis=0)
-        return np.asarray(seen - (1.0 - poisson_ratio) * self.spread)
+        return self.seen(self.moved(none, poisson_ratio)) - (1.0 - poisson_ratio) * self.spread
 
-    def expanded(
-        self,
-        coefficients: Float[np.ndarray, " b"],
-        poisson_ratio: float,
-        homogeneous: Float[np.ndarray, "n3 k"],
-    ) -> "PokeExpansion":
-        """As `FieldModel.expanded`."""
-        log_modulus = self.values @ (self.modes.modes @ coefficients)
-        stiffness = with_moduli(self.body, log_modulus, poisson_ratio)
-        moved = stiffness.displacements(self.load)
-        change = (self.load * (moved - homogeneous)).sum(axis=0)
-        derivative = -(self.values.T @ stiffness.energies(moved)).T @ self.modes.modes
-        return PokeExpansion(
-            self, coefficients, poisson_ratio, change, np.zeros_like(change), derivative
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PokeExpansion:
-    """Change of the elements' compliance by a field, to first order about some coefficients.
-
-    Attributes
-    ----------
-    model : PokeModel
-    coefficients : (b,) float       b0
-    poisson_ratio : float [-]       nu0
-    change : (k,) float [1/m]       C(b0) - C(0)
-    slope : (k,) float [1/m]        its derivative with respect to Poisson's ratio; zero until it is
-                                    asked for
-    derivative : (k, b) float [1/m]
-    """
-
-    model: PokeModel
-    coefficients: Float[np.ndarray, " b"]
-    poisson_ratio: float
-    change: Float[np.ndarray, " k"]
-    slope: Float[np.ndarray, " k"]
-    derivative: Float[np.ndarray, "k b"]
-
-    def with_slope(self) -> "PokeExpansion":
-        """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
-        model, beside = self.model, self.poisson_ratio - _STEP
-        moved = model.moved(self.coefficients, beside)
-        moved -= model.moved(0.0 * self.coefficients, beside)
-        change = (model.load * moved).sum(axis=0)
-        return replace(self, slope=(self.change - change) / _STEP)
-
-    def observations(
-        self,
-        session: Session,
-        observations: Sequence[ProbeObservations],
-        prior: CoefficientPrior,
+    def changed(
+        self, expansion: FieldExpansion, prior: CoefficientPrior
     ) -> list[ProbeObservations]:
-        """As `FieldExpansion.observations`, of the one that all pokes make up."""
-        (probe,), model = observations, self.model
+        """See `FieldExpansion.observations`."""
+        (probe,), session, spread = self.observations, self.session, self.spread
         force = np.stack([each.force for each in session.probings])
         # The half space's modulus at which the homogeneous response was taken.
         modulus = 1.0 if probe.settlement is None else probe.settlement.shear_modulus
-        local = model.near @ model.modes.modes
-        m, growth = local @ self.coefficients, growths(session)
+        local = self.near @ self.modes.modes
+        m, growth = local @ expansion.coefficients, growths(session)
 
         def parts(
             poisson_ratio: float,
         ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
             """What a field changes of what elements miss, and the derivative by m."""
             dented = dents(session, modulus, poisson_ratio)
-            missed, shared = (1.0 - poisson_ratio) * model.spread * np.exp(-m), 1.0 - growth
+            missed, shared = (1.0 - poisson_ratio) * spread * np.exp(-m), 1.0 - growth
             softer = dented * np.exp(-shared * m)
-            change = (1.0 - poisson_ratio) * model.spread - missed + softer - dented
+            change = (1.0 - poisson_ratio) * spread - missed + softer - dented
             return change, missed - shared * softer
 
-        derivative = self.derivative + parts(self.poisson_ratio)[1][:, None] * local
-        offset = self.change - derivative @ self.coefficients
+        derivative = expansion.derivative + parts(expansion.poisson_ratio)[1][:, None] * local
+        offset = expansion.change - derivative @ expansion.coefficients
 
         def change(poisson_ratio: float) -> Float[np.ndarray, " k"]:
-            further = (poisson_ratio - self.poisson_ratio) * self.slope
+            further = (poisson_ratio - expansion.poisson_ratio) * expansion.slope
             return np.asarray(offset + further + parts(poisson_ratio)[0])
 
         mixed = (force[:, :, None] * (derivative @ prior.mixing)[:, None]).reshape(force.size, -1)
@@ -255,14 +203,18 @@ def tools(session: Session) -> list[Tool]:
 
 
 def make_poke_model(
-    session: Session, *, elements: int = ELEMENTS, times: Sequence[int] = (1, 3, 9)
+    session: Session,
+    observations: Sequence[ProbeObservations] = (),
+    *,
+    elements: int = ELEMENTS,
+    times: Sequence[int] = (1, 3, 9),
 ) -> PokeModel:
     """Finite elements for a poked object.
 
     Parameters
     ----------
     session : Session               `without_pictures`
-    elements, times                 as `make_field_model`
+    observations, elements, times   as `make_field_model`
 
     Returns
     -------
@@ -275,24 +227,26 @@ def make_poke_model(
     """
     solid, edge = filled(session.mesh, [each * elements for each in times])
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
-    none = csr_array((0, len(body.corners)))
     depth = depth_below(session, body.corners)
     modes = make_field_modes(body.corners, body.corner_volume, depth)
     # Layers change every poke of a face alike, as a modulus or Poisson's ratio does.
     modes = replace(modes, modes=modes.modes[:, : len(modes.mixing[0])])
-    empty = PokeModel(body, modes, edge, np.zeros((solid.nodes.size, 0)), np.zeros(0), none)
-    return _with_pokes(empty, session)
+    load, spread, near = _loads(body, edge, session)
+    observed = tuple(observations)
+    return PokeModel(body, body.linear, modes, load, session, observed, edge, spread, near)
 
 
-def _with_pokes(model: PokeModel, session: Session) -> PokeModel:
-    """A model under the pokes of a session."""
-    solid, share, load, spread = model.body.solid, list[np.ndarray](), list[np.ndarray](), []
+def _loads(
+    body: GradedBody, edge: float, session: Session
+) -> tuple[Float[np.ndarray, "n3 k"], Float[np.ndarray, " k"], csr_array]:
+    """`load`, `spread` and `near` of the pokes of a session."""
+    solid, share, load, spread = body.solid, list[np.ndarray](), list[np.ndarray](), []
     normals = unit_normals(session.mesh)
     for probing in session.probings:
         away = triangle_distances(session.mesh, probing.contact.point)
         turned = normals @ normals[int(away.argmin())] < np.cos(CREASE_ANGLE)
-        radius = float(away[turned].min(initial=_SPREAD * model.edge))
-        patch = probing.contact.point, max(radius, _LEAST_SPREAD * model.edge), _smooth
+        radius = float(away[turned].min(initial=_SPREAD * edge))
+        patch = probing.contact.point, max(radius, _LEAST_SPREAD * edge), _smooth
         share.append(pressure_load(solid, *patch))
         spread.append(half_space_compliance(solid, *patch))
         push = probing.force / np.linalg.norm(probing.force)
@@ -302,9 +256,9 @@ def _with_pokes(model: PokeModel, session: Session) -> PokeModel:
     entries = (np.ones(row.size), (row, solid.elements.ravel()))
     incidence = csr_array(coo_array(entries, shape=(count, len(solid.nodes))))
     # A node's share of the load to the elements about it, and an element's to its corners.
-    to_corners = 0.25 * incidence[:, : len(model.body.corners)]
+    to_corners = 0.25 * incidence[:, : len(body.corners)]
     near = csr_array(np.stack(share) / incidence.sum(axis=0) @ incidence.T @ to_corners)
-    return replace(model, load=np.stack(load, axis=1), spread=np.array(spread), near=near)
+    return np.stack(load, axis=1), np.array(spread), near
 
 
 def _smooth(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

@@ -6,6 +6,7 @@ coefficient is the logarithm of the region's modulus over that of the rest, whic
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,7 +22,7 @@ from palpate.estimation import (
     ResponseTerms,
     joint_minimum,
 )
-from palpate.field.field_fit import SAME_RATIO, modes_in, of_pushes
+from palpate.field.field_fit import SAME_RATIO, modes_in
 from palpate.field.field_map import leading_directions
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import (
@@ -29,10 +30,9 @@ from palpate.field.field_responses import (
     VOLUME,
     CoefficientPrior,
     FieldExpansion,
-    FieldModel,
-    field_model,
+    PushModel,
     no_field_reason,
-    observed_points,
+    push_model,
 )
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
 from palpate.progress import Progress, silent
@@ -105,8 +105,8 @@ class RegionFit:
         session : Session                           k probings
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
-        observed = of_pushes(self.expansion, session, observations, self.prior)
-        return _with_cut_elements(self.expansion, session, self.regions, observed)
+        pushed = self.expansion.under(session, observations)
+        return _with_cut_elements(pushed, self.regions, self.prior)
 
     def estimates(self, minimum: Evaluation) -> tuple[RegionEstimate, ...]:
         """What a fit of `observations` says of every region.
@@ -204,7 +204,7 @@ def fit_regions(
     NotConvergedError               the moduli do not settle
     """
     progress("finite elements", 0.0)
-    model = make_region_model(session)
+    model = make_region_model(session, observations)
     minimum = joint_minimum(observations, settings)
     ratio, modulus = minimum.poisson_ratio, minimum.shear_modulus
     coefficients = _prior(session.regions, ratio, modulus).mean
@@ -213,13 +213,12 @@ def fit_regions(
         progress("moduli of the regions", 1.0 - 0.7**iteration)
         expansion = model.expanded(coefficients, ratio, homogeneous)
         prior = _prior(session.regions, ratio, modulus)
-        minimum = joint_minimum(expansion.observations(session, observations, prior), settings)
+        minimum = joint_minimum(expansion.observations(prior), settings)
         new, _ = _log_ratios(minimum, prior)
         change = float(np.abs(new - coefficients).max())
         if change < _TOLERANCE:
             expansion = expansion.with_slope()
-            observed = expansion.observations(session, observations, prior)
-            observed = _with_cut_elements(expansion, session, session.regions, observed)
+            observed = _with_cut_elements(expansion, session.regions, prior)
             return RegionFit(session.regions, expansion, prior, observed)
         step = min(1.0, _LONGEST / change)
         coefficients = coefficients + step * (new - coefficients)
@@ -234,10 +233,7 @@ def fit_regions(
 
 
 def _with_cut_elements(
-    expansion: FieldExpansion,
-    session: Session,
-    regions: Sequence[Region],
-    observations: Sequence[ProbeObservations],
+    expansion: FieldExpansion, regions: Sequence[Region], prior: CoefficientPrior
 ) -> list[ProbeObservations]:
     """Observations with the error of elements that a region's boundary cuts.
 
@@ -249,19 +245,18 @@ def _with_cut_elements(
     Voigt's bound: Hill, The elastic behaviour of a crystalline aggregate, Proc. Phys. Soc. A 65
     (1952) 349
     """
-    model = expansion.model.loaded(session)
+    model, found = cast(PushModel, expansion.model), expansion.observations(prior)
     shares, ratio = model.values.toarray(), expansion.poisson_ratio
     log_modulus = shares @ expansion.coefficients
     moved = model.moved(expansion.coefficients, ratio)
-    found = list(observations)
     for region, share, own in zip(regions, shares.T, expansion.coefficients, strict=True):
         stiffer = log_modulus + np.log1p(share * np.expm1(own)) - share * own
         most = with_moduli(model.body, stiffer, ratio).displacements(model.load) - moved
         parameter = NuisanceParameter(
             f"elements that region {region.name!r} cuts", 1.0, is_model_error=True
         )
-        for k, (probing, probe) in enumerate(zip(session.probings, found, strict=True)):
-            seen = model.at(observed_points(probing, probe)) @ most[:, k]
+        for k, probe in enumerate(found):
+            seen = model.points[k].from_nodes @ most[:, k]
             found[k] = _with_change(probe, parameter, 0.5 * seen)
     return found
 
@@ -301,17 +296,20 @@ def _prior(regions: Sequence[Region], ratio: float, modulus: float) -> Coefficie
     return CoefficientPrior(names, np.diag(std), mean, by_ratio, by_log_modulus, ratio, modulus)
 
 
-def make_region_model(session: Session) -> FieldModel:
+def make_region_model(
+    session: Session, observations: Sequence[ProbeObservations] = ()
+) -> PushModel:
     """Finite elements for a session's object, fine enough for its regions, and the loads of its
     probings.
 
     Parameters
     ----------
     session : Session               its contacts with radii
+    observations : sequence of ProbeObservations    of the homogeneous body
 
     Returns
     -------
-    FieldModel                      its modes the shares of the regions
+    PushModel                       its modes the shares of the regions
 
     Raises
     ------
@@ -328,7 +326,7 @@ def make_region_model(session: Session) -> FieldModel:
         count = shares.shape[1]
         return body.constant @ shares, FieldModes(np.eye(count), np.zeros(0), (), np.zeros(count))
 
-    return field_model(session, solid, modes_of)
+    return push_model(session, observations, solid, modes_of)
 
 
 def check_regions(session: Session) -> list[Points]:

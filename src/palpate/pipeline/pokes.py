@@ -107,7 +107,7 @@ def fit_pokes(
 
     def predict(others: Session) -> tuple[Prediction, ...]:
         others, ratio = _flattened(others), result.minimum.poisson_ratio
-        near = _regular(model.loaded(others), (ratio - _NEAR, ratio), 1)
+        near = _regular(model.under(others), (ratio - _NEAR, ratio), 1)
         modulus = result.minimum.shear_modulus / (1.0 - ratio)
         predicted = poke_observations(others, near, modulus)
         if field is not None:
