@@ -11,6 +11,7 @@ from palpate.estimation.fit import (
     FitMethod as FitMethod,
     FitResult as FitResult,
     FitSettings as FitSettings,
+    contradicted as contradicted,
     fit as fit,
     joint_minimum as joint_minimum,
 )

@@ -5,7 +5,7 @@ The notes for the reader of an estimate are full sentences, the most important f
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -212,16 +212,11 @@ def fit(
     status = Status.from_identifiable(identifiable)
     if not minimum.converged:
         status = Status.NOT_CONVERGED
-    # Also where the search did not converge: a wrong model is the usual reason.
-    if contradicted_by:
-        status = Status.MODEL_CONTRADICTED
-    # An interval is that of a right model.
-    intervals = _without_intervals(reported, identifiable) if contradicted_by else reported
     estimate = Estimate(
         status=status,
-        shear_modulus=intervals.shear_modulus,
-        poisson_ratio=intervals.poisson_ratio,
-        young_modulus=intervals.young_modulus,
+        shear_modulus=reported.shear_modulus,
+        poisson_ratio=reported.poisson_ratio,
+        young_modulus=reported.young_modulus,
         identifiable=identifiable,
         probes=tuple(
             probe_estimate(*single, own) for single, own in zip(singles, fits, strict=True)
@@ -231,8 +226,11 @@ def fit(
         settings=asdict(settings),
         notes=_fit_notes(posterior, identifiable, contradicted_by, freed, every),
         errors=errors,
-        budget=() if contradicted_by else uncertainty_budget(posterior, identifiable),
+        budget=uncertainty_budget(posterior, identifiable),
     )
+    # Also where the search did not converge: a wrong model is the usual reason.
+    if contradicted_by:
+        estimate = contradicted(estimate)
     return FitResult(
         estimate,
         likelihood_map(posterior, reported),
@@ -264,14 +262,28 @@ def joint_minimum(probes: Sequence[ProbeObservations], settings: FitSettings) ->
     return minimum
 
 
-def _without_intervals(intervals: IntervalSet, identifiable: dict[str, bool]) -> IntervalSet:
-    """The values alone, the best fit of a model that does not fit; a constant that is not
-    determined keeps the range of its possible values."""
-    bare = {}
-    for name, known in identifiable.items():
-        constant = getattr(intervals, name)
-        bare[name] = Constant(constant.value, np.nan, (np.nan, np.nan)) if known else constant
-    return IntervalSet(**bare)
+def contradicted(estimate: Estimate) -> Estimate:
+    """The estimate of a model that does not hold: the best fit, without intervals, as these are
+    those of a right model; a constant that is not determined keeps the range of its values.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+
+    def bare(name: str) -> Constant:
+        constant: Constant = getattr(estimate, name)
+        known = estimate.identifiable[name]
+        return Constant(constant.value, np.nan, (np.nan, np.nan)) if known else constant
+
+    return replace(
+        estimate,
+        status=Status.MODEL_CONTRADICTED,
+        shear_modulus=bare("shear_modulus"),
+        poisson_ratio=bare("poisson_ratio"),
+        young_modulus=bare("young_modulus"),
+        budget=(),
+    )
 
 
 def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ...]:

@@ -10,10 +10,14 @@ Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`; of pok
              `poke_responses.py`.
 """
 
+from palpate.field.explanations import (
+    Cause as Cause,
+    Explanation as Explanation,
+    explanations as explanations,
+)
 from palpate.field.field_fit import (
     DECISIVE as DECISIVE,
     FieldFit as FieldFit,
-    field_evidence as field_evidence,
     fit_field as fit_field,
 )
 from palpate.field.field_map import (

@@ -1,6 +1,6 @@
 """The field of moduli that explains a session's displacements, and its evidence."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from palpate.estimation import (
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
 from palpate.field.field_responses import (
+    ELEMENTS,
     FieldExpansion,
     FieldModel,
     make_field_model,
@@ -35,8 +36,6 @@ _TOLERANCE = 0.03
 # Change of Poisson's ratio for which the finite elements are solved anew: what a field changes
 # hardly depends on it.
 SAME_RATIO = 0.02
-# Number of elements with which to ask whether there is a field at all.
-_FEW = 1000
 # Longest step of log G: derivatives are those of the body as it is.
 _LONGEST = 1.5
 # Evidence over that of a body that is the same everywhere from which it is not: exp(10).
@@ -106,33 +105,6 @@ class FieldFit:
         return FieldEstimate(prior.std, prior.length, self.log_evidence, known, posterior.parts())
 
 
-def field_evidence(
-    session: Session, observations: Sequence[ProbeObservations], minimum: Evaluation
-) -> float:
-    """Logarithm of the evidence of a field over none, to first order and with coarse elements: a
-    question that takes seconds.
-
-    Parameters
-    ----------
-    session : Session                           k probings
-    observations : sequence of k ProbeObservations      with the homogeneous body's response
-    minimum : Evaluation                        of these
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    MeshError                       so few elements do not fit into the body
-    """
-    model = _maker(session)(session, observations, elements=_FEW, times=(1, 3))
-    none = np.zeros(model.modes.modes.shape[1])
-    ratio = minimum.poisson_ratio
-    expansion = model.expanded(none, ratio, model.moved(none, ratio))
-    return model.modes.best_prior(*_information(expansion, minimum, none)).log_evidence
-
-
 def fit_field(
     session: Session,
     observations: Sequence[ProbeObservations],
@@ -159,7 +131,7 @@ def fit_field(
     NotConvergedError               the field does not settle
     """
     progress("finite elements", 0.0)
-    model = _maker(session)(session, observations)
+    model = make_model(session, observations)
     plain = joint_minimum(observations, settings)
     modes, minimum = model.modes, plain
     coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
@@ -170,7 +142,7 @@ def fit_field(
         expansion = model.expanded(coefficients, ratio, homogeneous)
         # Two priors of nearly the same evidence must not take turns.
         if iteration < _MOST_ROUNDS // 2:
-            prior = modes.best_prior(*_information(expansion, minimum, new))
+            prior = modes.best_prior(*information_about(expansion, minimum, new))
         minimum = _minimum(expansion, prior, minimum, new, settings)
         new = modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)]
         change = float(np.abs(modes.modes @ (new - coefficients)).max())
@@ -189,9 +161,21 @@ def fit_field(
     )
 
 
-def _maker(session: Session) -> Callable[..., FieldModel]:
-    """What makes the finite elements of a session's object."""
-    return make_poke_model if without_pictures(session) else make_field_model
+def make_model(
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    *,
+    elements: int = ELEMENTS,
+    times: Sequence[int] = (1, 3, 9),
+) -> FieldModel:
+    """Finite elements of an object that is pushed in view of cameras, or poked without any.
+
+    Parameters
+    ----------
+    session, observations, elements, times      as `make_field_model`, `make_poke_model`
+    """
+    make = make_poke_model if without_pictures(session) else make_field_model
+    return make(session, observations, elements=elements, times=times)
 
 
 def _minimum(
@@ -209,11 +193,22 @@ def _minimum(
     return with_noise(at.problem, at.theta, settings.poisson_range)
 
 
-def _information(
+def information_about(
     expansion: FieldExpansion, minimum: Evaluation, start: Float[np.ndarray, " b"]
 ) -> tuple[Float[np.ndarray, "b b"], Float[np.ndarray, " b"]]:
-    """What the data say about the coefficients of all modes, everything else marginalised: H and h
-    of `field_prior`, from a minimum and the coefficients there."""
+    """What the data say about some coefficients, everything else marginalised: H and h of
+    `field_prior`.
+
+    Parameters
+    ----------
+    expansion : FieldExpansion
+    minimum : Evaluation            of the observations without these coefficients, or with others
+    start : (b,) float              coefficients there
+
+    Returns
+    -------
+    (b, b), (b,) float              H, h
+    """
     every = smooth_prior(np.eye(len(start)))
     rows = tuple(map(observed_rows_of, expansion.observations(every)))
     at = _with_modes(minimum, rows, start)

@@ -162,6 +162,19 @@ def _matern(distance: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
     return (1.0 + scaled) * np.exp(-scaled)
 
 
+def best_evidence(
+    information: Float[np.ndarray, "k k"], score: Float[np.ndarray, " k"]
+) -> tuple[float, float]:
+    """Most log evidence of coefficients that are independent and of one standard deviation, and
+    that standard deviation.
+
+    Parameters
+    ----------
+    information, score : (k, k), (k,) float     H and h
+    """
+    return max((_log_evidence(std**2 * information, std * score), float(std)) for std in _STDS)
+
+
 def _log_evidence(information: Float[np.ndarray, "j j"], score: Float[np.ndarray, " j"]) -> float:
     """Of coefficients that are standard normal."""
     factor = np.linalg.cholesky(np.eye(len(score)) + information)

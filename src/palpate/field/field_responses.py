@@ -297,15 +297,24 @@ class PushModel(FieldModel):
         self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
     ) -> Float[np.ndarray, "k c3 b"]:
         """Of the displacements of the corners."""
-        unknowns = (3 * self.corners[:, None] + np.arange(3)).ravel()
         basis = self.modes.modes
         # Whichever takes fewer solutions.
-        if basis.shape[1] * moved.shape[1] < len(unknowns):
-            return stiffness.changes(moved, self.values @ csr_array(basis))[:, unknowns]
-        observed = np.zeros((len(moved), len(unknowns)))
-        observed[unknowns, np.arange(len(unknowns))] = 1.0
-        seen = stiffness.displacements(observed)
+        if basis.shape[1] * moved.shape[1] < 3 * len(self.corners):
+            changes = stiffness.changes(moved, self.values @ csr_array(basis))
+            return changes[:, self._unknowns]
+        seen = stiffness.displacements(self.unit_loads)
         return stiffness.sensitivities(seen, moved, self.values) @ basis
+
+    @property
+    def unit_loads(self) -> Float[np.ndarray, "n3 c3"]:
+        """One newton on each component of every corner."""
+        loads = np.zeros((3 * len(self.body.solid.nodes), 3 * len(self.corners)))
+        loads[self._unknowns, np.arange(loads.shape[1])] = 1.0
+        return loads
+
+    @property
+    def _unknowns(self) -> Int[np.ndarray, " c3"]:
+        return (3 * self.corners[:, None] + np.arange(3)).ravel()
 
     def changed(
         self, expansion: FieldExpansion, prior: CoefficientPrior

@@ -11,14 +11,17 @@ from palpate.estimation import (
     FitSettings,
     Prediction,
     ProbeObservations,
+    contradicted,
     fit,
     predictions_of,
 )
 from palpate.field import (
     DECISIVE,
+    Cause,
+    Explanation,
     FieldFit,
     RegionFit,
-    field_evidence,
+    explanations,
     fit_field,
     fit_regions,
     no_field_reason,
@@ -39,6 +42,16 @@ _FOUND = 0.7
 _BYTES_A_POINT = 8.0 * 3 * 300 * 11
 # Of the machine's memory: the rest of the fit needs some, too.
 _USABLE = 0.5
+# What causes mean to a reader.
+_MEANING = {
+    Cause.DIRECTION: (
+        "Young's modulus is no single number, and the constants shown are means over directions."
+    ),
+    Cause.SUPPORT: (
+        "look whether the object is held wherever the session says so, and give the stiffness of a"
+        " support that is soft."
+    ),
+}
 
 
 class Material(StrEnum):
@@ -59,12 +72,12 @@ class Predictor:
     Attributes
     ----------
     minimum : Evaluation
-    field : FieldFit, RegionFit or None     None: the object is the same everywhere
+    field : FieldFit, RegionFit, Explanation or None        None: the object is the same everywhere
     settings : FitSettings
     """
 
     minimum: Evaluation
-    field: FieldFit | RegionFit | None
+    field: FieldFit | RegionFit | Explanation | None
     settings: FitSettings
 
     def __call__(self, session: Session) -> tuple[Prediction, ...]:
@@ -102,7 +115,7 @@ def fit_material(
     observations: Sequence[ProbeObservations],
     settings: FitSettings,
     progress: Progress,
-) -> tuple[FitResult, FieldFit | RegionFit | None]:
+) -> tuple[FitResult, FieldFit | RegionFit | Explanation | None]:
     """The fit with what the object may be made of.
 
     Parameters
@@ -116,7 +129,7 @@ def fit_material(
     Returns
     -------
     FitResult
-    FieldFit, RegionFit or None                 None: one modulus everywhere
+    FieldFit, RegionFit, Explanation or None    None: one modulus everywhere
 
     Raises
     ------
@@ -132,9 +145,9 @@ def fit_material(
     if session.regions and material in (Material.REGIONS, Material.AUTO):
         return _fit_with_regions(session, observations, settings, progress)
     result = fit(observations, settings=settings, progress=progress)
-    if not wants_field(material, session, observations, result):
+    if material is Material.HOMOGENEOUS:
         return result, None
-    return fit_with_field(session, observations, result, material, settings, progress)
+    return fit_other_causes(material, session, observations, result, settings, progress)
 
 
 def _fit_with_regions(
@@ -155,37 +168,68 @@ def _fit_with_regions(
     return replace(result, estimate=estimate, map=regions.map(result.minimum)), regions
 
 
-def wants_field(
+def fit_other_causes(
     material: Material,
     session: Session,
     observations: Sequence[ProbeObservations],
-    result: FitResult,
-) -> bool:
-    """Whether to fit a field: where it is asked for, or where one may be computed and one modulus
-    is contradicted, or less likely to first order.
+    plain: FitResult,
+    settings: FitSettings,
+    progress: Progress,
+) -> tuple[FitResult, FieldFit | Explanation | None]:
+    """The fit with a field of moduli, or with another cause where that is decisively likelier;
+    `plain` where one modulus will do.
 
     Parameters
     ----------
-    material : Material
+    material : Material             field or auto
     session : Session                           k probings
     observations : sequence of k ProbeObservations      with the homogeneous body's response
-    result : FitResult                          of these
+    plain : FitResult                           of these
+    settings : FitSettings
+    progress : callable
 
     Raises
     ------
     InputError                      a field is asked for and not computed for such a session
+    MeshError, NotConvergedError    as `fit_field`
     """
     reason = _no_field_reason(session, observations)
-    if material is Material.FIELD and reason:
-        raise InputError(f"{reason} Fit with --material homogeneous")
-    if material is not Material.AUTO or reason:
-        return material is Material.FIELD
-    if result.estimate.status is Status.MODEL_CONTRADICTED:
-        return True
+    if material is Material.FIELD:
+        if reason:
+            raise InputError(f"{reason} Fit with --material homogeneous")
+        return _fit_with_field(session, observations, plain, material, settings, progress)
+    if reason:
+        return plain, None
     try:
-        return field_evidence(session, observations, result.minimum) > DECISIVE
+        likeliest, *others = explanations(session, observations, plain.minimum)
     except (MeshError, SingularSystemError):
-        return False
+        return plain, None
+    field = max(each.log_evidence for each in (likeliest, *others) if each.cause is Cause.PLACE)
+    if likeliest.log_evidence - max(field, 0.0) > DECISIVE:
+        return _fit_with_cause(likeliest, field, session, observations, settings, progress)
+    if field > DECISIVE or plain.estimate.status is Status.MODEL_CONTRADICTED:
+        return _fit_with_field(session, observations, plain, material, settings, progress)
+    return plain, None
+
+
+def _fit_with_cause(
+    cause: Explanation,
+    field: float,
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    settings: FitSettings,
+    progress: Progress,
+) -> tuple[FitResult, Explanation]:
+    """The fit with a cause to first order: what it predicts is better, but no interval is that of a
+    constant."""
+    explained = cause.with_field(session, observations)
+    result = fit(explained, settings=settings, progress=part_of(progress, _FOUND, 1.0))
+    note = (
+        f"The displacements ask for {cause.cause} (log evidence {cause.log_evidence:.0f} over one"
+        f" modulus; {field:.0f} for {Cause.PLACE}): {_MEANING[cause.cause]}"
+    )
+    estimate = replace(contradicted(result.estimate), notes=(note, *result.estimate.notes))
+    return replace(result, estimate=estimate), cause
 
 
 def _no_field_reason(session: Session, observations: Sequence[ProbeObservations]) -> str:
@@ -202,7 +246,7 @@ def _no_field_reason(session: Session, observations: Sequence[ProbeObservations]
     )
 
 
-def fit_with_field(
+def _fit_with_field(
     session: Session,
     observations: Sequence[ProbeObservations],
     plain: FitResult,

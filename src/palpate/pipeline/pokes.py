@@ -24,7 +24,7 @@ from palpate.estimation import (
 )
 from palpate.field import PokeModel, PokeResponse, dents, growths, make_poke_model, tools
 from palpate.geometry import closest_points
-from palpate.pipeline.heterogeneous import Material, fit_with_field, wants_field
+from palpate.pipeline.heterogeneous import Material, fit_other_causes
 from palpate.pipeline.model.shared_errors import force_gain, tool_compliance
 from palpate.probe import local_surface, on_flat
 from palpate.progress import Progress, part_of, silent
@@ -88,9 +88,9 @@ def fit_pokes(
     observations = _settled_observations(session, regular, settings)
     report = part_of(progress, _MODELLED, _FITTED)
     result, field = fit(observations, settings=settings, progress=report), None
-    if wants_field(material, session, observations, result):
+    if material is not Material.HOMOGENEOUS:
         last = part_of(progress, _FITTED, 1.0)
-        result, field = fit_with_field(session, observations, result, material, settings, last)
+        result, field = fit_other_causes(material, session, observations, result, settings, last)
     progress("fit done", 1.0)
     seconds = {"assembly": modelled - start} | result.estimate.seconds
     chosen = {"material": material, "errors": asdict(session.errors)}

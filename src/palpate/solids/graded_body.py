@@ -22,6 +22,8 @@ from palpate.solids.tetrahedra import Solid
 
 # Observed components whose strains are held at a time, 24 numbers for each and each element.
 _BLOCK = 64
+# From strains with twice the shears to Mandel's six-vectors, whose products are those of tensors.
+_MANDEL = np.array([1.0, 1.0, 1.0, *[np.sqrt(0.5)] * 3])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,10 +191,55 @@ class GradedStiffness:
             energy[:, q] = scale[:, q, None] * (strain * stress).sum(axis=1)
         return energy.reshape(-1, moved.shape[1])
 
+    def strain_products(
+        self, observed: Float[np.ndarray, "k a"], moved: Float[np.ndarray, "k p"]
+    ) -> Float[np.ndarray, "p a 6 6"]:
+        """Integrals over the body of the products of strains, as six-vectors of Mandel's, that a
+        change of the elasticity tensor everywhere by the modulus there does work on.
+
+        Parameters
+        ----------
+        observed : (3 n, a) float       displacements under unit loads at what is observed
+        moved : (3 n, p) float [m Pa]   displacements under the loads
+
+        Returns
+        -------
+        (p, a, 6, 6) float [m Pa]
+        """
+        scale = self.body.weight.ravel() * np.exp(self.log_modulus)
+        loaded = (self._strain(moved) * scale[:, None, None]).reshape(len(scale), -1)
+        result = np.zeros((observed.shape[1], 6, 6, moved.shape[1]))
+        for first in range(0, observed.shape[1], _BLOCK):
+            part = self._strain(observed[:, first : first + _BLOCK])
+            products = part.reshape(len(scale), -1).T @ loaded
+            shape = (6, part.shape[2], 6, moved.shape[1])
+            result[first : first + _BLOCK] = products.reshape(shape).swapaxes(0, 1)
+        return result.transpose(3, 0, 1, 2) * np.outer(_MANDEL, _MANDEL)
+
+    def reactions(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "h3 p"]:
+        """Forces of the support on the held nodes [N], three components a node, under loads
+        elsewhere.
+
+        Parameters
+        ----------
+        moved : (3 n, p) float [m Pa]   displacements under the loads
+        """
+        unknowns, force = self.body.unknowns, np.zeros_like(moved)
+        near = np.flatnonzero(self.body.held[self.body.solid.elements].any(axis=1))
+        strain = self.body.strain.reshape(len(unknowns), -1, 30)[near]
+        for first in range(0, moved.shape[1], _BLOCK):
+            part = slice(first, first + _BLOCK)
+            stress = self._stress(moved[:, part]).reshape(len(unknowns), strain.shape[1], -1)
+            np.add.at(force[:, part], unknowns[near], np.swapaxes(strain, 1, 2) @ stress[near])
+        return force[np.repeat(self.body.held, 3)]
+
+    def _strain(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
+        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
+        return (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
+
     def _stress(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
         """Stress times weight of the quadrature at every point."""
-        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
-        strain = (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
+        strain = self._strain(moved)
         scale = self.body.weight.ravel() * np.exp(self.log_modulus)
         return (_hooke(self.poisson_ratio) @ strain) * scale[:, None, None]
 

@@ -1,0 +1,203 @@
+"""What may be wrong with one modulus everywhere: rival explanations and their evidence.
+
+Each adds coefficients b to the model of the homogeneous body, normal with one standard deviation,
+whose effect is taken to first order:
+
+    place      a modulus that differs from place to place (`field_prior`);
+    direction  a stiffness that depends on direction, the same everywhere: the nineteen components
+               of an elasticity tensor that is not isotropic, over the shear modulus;
+    support    a support that gives: the compliance of its parts, in all directions and along their
+               normal, times their area, over that of a layer as thick as the body is wide.
+
+With e and r the strains and the reactions of the parts under a unit load where and along which u
+is observed, and e' and r' those under the load itself,
+
+    d u / d b = -sum_q w_q e C_b e'    and    d u / d b = L r . r' / A.
+
+Source
+------
+Components: Moakher and Norris, The closest elastic tensor of arbitrary symmetry to an elasticity
+tensor of lower symmetry, Journal of Elasticity 85 (2006), section 2.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.cluster.vq import kmeans2
+from scipy.spatial import cKDTree
+
+from palpate.estimation import Evaluation, ProbeObservations
+from palpate.field.field_fit import information_about, make_model
+from palpate.field.field_prior import best_evidence
+from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
+from palpate.records import Session
+from palpate.solids import GradedBody, GradedStiffness
+
+# Number of elements with which to ask.
+_FEW = 1000
+# Parts of a support.
+_PARTS = 8
+
+
+class Cause(StrEnum):
+    """Why one modulus does not explain the displacements."""
+
+    PLACE = "a modulus that differs from place to place"
+    DIRECTION = "a stiffness that depends on direction"
+    SUPPORT = "a support that gives"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """A cause with its evidence over that of one modulus, to first order and by coarse elements.
+
+    Attributes
+    ----------
+    cause : Cause
+    log_evidence : float
+    std : float                     standard deviation of the coefficients of most evidence
+    model : FieldModel
+    poisson_ratio : float [-]       about which it is expanded
+    """
+
+    cause: Cause
+    log_evidence: float
+    std: float
+    model: FieldModel
+    poisson_ratio: float
+
+    def with_field(
+        self, session: Session, observations: Sequence[ProbeObservations]
+    ) -> list[ProbeObservations]:
+        """Observations of pushes of the body, with the cause's coefficients as errors that all
+        probings share.
+
+        Parameters
+        ----------
+        session : Session                           k probings
+        observations : sequence of k ProbeObservations      with the homogeneous body's response
+        """
+        model = self.model.under(session, observations)
+        expansion = _expansions(model, self.poisson_ratio)[self.cause]
+        count = len(expansion.coefficients)
+        return expansion.observations(smooth_prior(self.std * np.eye(count)))
+
+
+def explanations(
+    session: Session, observations: Sequence[ProbeObservations], minimum: Evaluation
+) -> list[Explanation]:
+    """What may explain displacements that one modulus does not, the likeliest first: a question
+    that takes seconds.
+
+    Parameters
+    ----------
+    session : Session                           k probings
+    observations : sequence of k ProbeObservations      with the homogeneous body's response
+    minimum : Evaluation                        of these
+
+    Raises
+    ------
+    MeshError                       so few elements do not fit into the body
+    """
+    model = make_model(session, observations, elements=_FEW, times=(1, 3))
+    ratio, found = minimum.poisson_ratio, []
+    for cause, expansion in _expansions(model, ratio).items():
+        known = information_about(expansion, minimum, expansion.coefficients)
+        if cause is Cause.PLACE:
+            prior = model.modes.best_prior(*known)
+            evidence, std = prior.log_evidence, prior.std
+        else:
+            evidence, std = best_evidence(*known)
+        found.append(Explanation(cause, evidence, std, model, ratio))
+    return sorted(found, key=lambda each: -each.log_evidence)
+
+
+def _expansions(model: FieldModel, poisson_ratio: float) -> dict[Cause, FieldExpansion]:
+    """The responses' change by each cause about the homogeneous body; pokes, which tell one number
+    each, have but the first."""
+    none = np.zeros(model.modes.modes.shape[1])
+    stiffness = model.stiffness(none, poisson_ratio)
+    moved = stiffness.displacements(model.load)
+    change = model.seen(0.0 * moved)
+    if not isinstance(model, PushModel):
+        derivatives = {Cause.PLACE: model.derivative(stiffness, moved)}
+    else:
+        seen = stiffness.displacements(model.unit_loads)
+        by_place = stiffness.sensitivities(seen, moved, model.values) @ model.modes.modes
+        derivatives = {
+            Cause.PLACE: by_place,
+            Cause.DIRECTION: _by_direction(stiffness, seen, moved),
+            Cause.SUPPORT: _by_support(model.body, stiffness, seen, moved),
+        }
+    return {
+        cause: FieldExpansion(model, np.zeros(each.shape[-1]), poisson_ratio, change, change, each)
+        for cause, each in derivatives.items()
+    }
+
+
+def _by_direction(
+    stiffness: GradedStiffness,
+    seen: Float[np.ndarray, "n3 a"],
+    moved: Float[np.ndarray, "n3 k"],
+) -> Float[np.ndarray, "k a 19"]:
+    """Derivative by the components of an anisotropic tensor."""
+    products = stiffness.strain_products(seen, moved)
+    return -np.einsum("kaij,ijc->kac", products, _components())
+
+
+def _components() -> Float[np.ndarray, "6 6 19"]:
+    """Orthonormal components of symmetric tensors, without the two isotropic ones (Mandel)."""
+    i, j = np.triu_indices(6)
+    every = np.zeros((len(i), 6, 6))
+    size = np.where(i == j, 1.0, np.sqrt(0.5))
+    every[np.arange(len(i)), i, j] = every[np.arange(len(i)), j, i] = size
+    volume = np.zeros((6, 6))
+    volume[:3, :3] = 1.0 / 3.0
+    isotropic = np.stack([volume, (np.eye(6) - volume) / np.sqrt(5.0)])
+    share = np.einsum("cij,dij->cd", every, isotropic)
+    rest = np.linalg.svd(share, full_matrices=True)[0][:, 2:]
+    return np.einsum("cij,cd->ijd", every, rest)
+
+
+def _by_support(
+    body: GradedBody,
+    stiffness: GradedStiffness,
+    seen: Float[np.ndarray, "n3 a"],
+    moved: Float[np.ndarray, "n3 k"],
+) -> Float[np.ndarray, "k a b"]:
+    """Derivative by the compliance of every part of the support, in all directions and along its
+    normal."""
+    length = float(body.volume.sum()) ** (1.0 / 3.0)
+    part, normals, areas = _parts(body)
+    inside = (part == np.arange(len(areas))[:, None]).astype(float)
+    forces = [
+        np.einsum("sh,hip->sip", inside, stiffness.reactions(each).reshape(len(part), 3, -1))
+        for each in (seen, moved)
+    ]
+    along = [np.einsum("si,sip->sp", normals, each) for each in forces]
+    every = np.einsum("sia,sik,s->kas", *forces, length / areas)
+    pressed = np.einsum("sa,sk,s->kas", *along, length / areas)
+    return np.concatenate([every, pressed], axis=2)
+
+
+def _parts(
+    body: GradedBody,
+) -> tuple[Int[np.ndarray, " h"], Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
+    """Parts of a support of about the same size: number of the part that each held node belongs to,
+    mean normals, areas [m^2]."""
+    nodes, facets = body.solid.nodes, body.solid.facets
+    facets = facets[body.held[facets].all(axis=1), :3]
+    corner = nodes[facets]
+    crossed = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    middle = corner.mean(axis=1)
+    centres, own = kmeans2(middle, min(_PARTS, len(middle)), minit="++", seed=0)
+    used, own = np.unique(own, return_inverse=True)
+    whole = np.zeros((len(used), 3))
+    np.add.at(whole, own, crossed)
+    areas = np.bincount(own, np.linalg.norm(crossed, axis=1))
+    normals = whole / np.maximum(np.linalg.norm(whole, axis=1), 1e-9 * areas.max())[:, None]
+    part = cKDTree(centres[used]).query(nodes[body.held])[1]
+    return part, normals, areas
