@@ -69,8 +69,10 @@ def layered(mesh):
 def true():
     """The cube with a stiffer corner, in elements none of which is cut by it."""
 
-    def corner(centre, volume):
-        return FieldModes(centre, volume, CORNER.contains(centre)[:, None] * 1.0, np.zeros(0), ())
+    def corner(body):
+        centres = body.means(body.points.reshape(-1, 3))
+        stiff = CORNER.contains(centres)[:, None] * 1.0
+        return body.constant, FieldModes(stiff, np.zeros(0), (), np.zeros(len(stiff)))
 
     given = session()
     return push_model(given, (), layered(given.mesh), corner)
