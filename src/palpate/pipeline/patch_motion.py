@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
-from scipy.linalg.lapack import dtrtrs
-from scipy.optimize import minimize
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
@@ -31,9 +29,11 @@ from palpate.shapes import PointIndices, Points, Vector3
 
 # Prior variance of the plane over that of the noise.
 _PLANE = 1e6
-# Logarithms of the length of correlation over the farthest point's distance, and of the variance of
-# the process over that of the noise: start and limits.
-_START, _LIMITS = (0.0, 4.0), ((-0.7, 3.0), (-9.0, 25.0))
+# Tried for a process: its length of correlation over the farthest point's distance, its variance
+# over that of the motion.
+_LENGTHS, _POWERS = np.geomspace(0.5, 20.0, 7), np.geomspace(1e-6, 1e6, 25)
+# Tried for the noise: its standard deviation over that of the motion, or over what was claimed.
+_QUIET, _LOUD = np.geomspace(1e-5, 2.0, 22), np.geomspace(1.0, 100.0, 22)
 # Chance that a sound place has a point left out, as of the checks of a fit; passes that leave out.
 _FALSE_ALARM, _ROUNDS = 1 / 400, 4
 # Fewest points: a plane has four coefficients.
@@ -128,9 +128,13 @@ def _prior_covariance(
     """Covariance of plane and process between points, over the noise's variance: Matern's, of
     smoothness 5/2."""
     length, power = shape
+    return np.asarray(power * _process(distance, length) + _PLANE * (1.0 + here @ there.T))
+
+
+def _process(distance: Float[np.ndarray, "n k"], length: float) -> Float[np.ndarray, "n k"]:
+    """Correlation of the process."""
     scaled = np.sqrt(5.0) / length * distance
-    process = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
-    return np.asarray(power * process + _PLANE * (1.0 + here @ there.T))
+    return np.asarray((1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled))
 
 
 def local_field(
@@ -184,46 +188,39 @@ def _most_likely(
     claim: float,
     claimed: bool,
 ) -> LocalField:
+    """The process of most likelihood with the mean noise that all processes leave, each by its
+    likelihood: where points are far apart a rough process can explain all of the noise, and so
+    small a level is one of many."""
     origin = points.mean(axis=0)
     size = float(np.linalg.norm(points - origin, axis=1).max())
     middle, place = moved.mean(axis=0), (points - origin) / size
     around = moved - middle
-
-    apart, least = cdist(place, place), claim**2 if claimed else np.finfo(float).tiny
+    apart = cdist(place, place)
     if (noise == noise[0]).all():
         noise = noise[:1]
-
-    def factors(at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "c n n"]:
-        length, power = np.exp(at).tolist()
-        return np.linalg.cholesky(_prior_covariance(apart, place, place, (length, power)) + noise)
-
-    def variance(found: Float[np.ndarray, "c n n"]) -> float:
-        parts = around.T[:, :, None] if len(found) == 3 else around[None]
-        white = [dtrtrs(each, part, lower=1)[0] for each, part in zip(found, parts, strict=True)]
-        return sum(float((each**2).sum()) for each in white) / moved.size
-
-    def surprise(at: Float[np.ndarray, "2"]) -> float:
-        try:
-            found = factors(at)
-        except np.linalg.LinAlgError:
-            return np.inf
-        volume = 2.0 * float(np.log(np.einsum("ann->an", found)).sum()) * 3.0 / len(found)
-        square = variance(found)
-        level = max(square, least)
-        return moved.size * (float(np.log(level)) + square / level) + volume
-
-    best = minimize(
-        surprise, _START, method="Nelder-Mead", bounds=_LIMITS,
-        options={"xatol": 0.05, "fatol": 0.05, "maxfev": 80, "initial_simplex":
-                 [_START, (1.5, 4.0), (0.0, 9.0)]},
-    ).x  # fmt: skip
-    found = factors(best)
-    sides = np.linalg.inv(found)
+    motion = float(np.sqrt((around**2).mean())) + np.finfo(float).tiny ** 0.25
+    levels = claim * _LOUD if claimed else motion * _QUIET
+    powers = motion**2 * _POWERS
+    # The plane is taken out: what is left of n points is n - 4 combinations of them.
+    rest = np.linalg.qr(np.column_stack([np.ones(len(place)), place]), mode="complete")[0][:, 4:]
+    white = np.linalg.inv(np.linalg.cholesky(rest.T @ noise @ rest)) @ rest.T
+    chance = np.zeros((len(_LENGTHS), len(levels), len(powers)))
+    for k, length in enumerate(_LENGTHS):
+        value, axes = np.linalg.eigh(white @ _process(apart, length) @ white.mT)
+        square = (axes.mT @ white @ around) ** 2
+        each = square.sum(axis=2) if len(noise) == 1 else np.einsum("ana->an", square)
+        total = levels[:, None, None, None] ** 2 + powers[:, None, None] * np.maximum(value, 0.0)
+        volume = 3 / len(noise) * np.log(total)
+        chance[k] = -0.5 * (volume + each / total).sum(axis=(2, 3))
+    chance = np.exp(chance - chance.max())
+    level = float(np.sqrt(np.einsum("klp,l->", chance, levels**2) / chance.sum()))
+    nearest = int(np.abs(np.log(levels / level)).argmin())
+    k, p = np.unravel_index(chance[:, nearest].argmax(), chance[:, 0].shape)
+    shape = (float(_LENGTHS[k]), float(powers[p]) / level**2)
+    sides = np.linalg.inv(np.linalg.cholesky(_prior_covariance(apart, place, place, shape) + noise))
     inverse = np.broadcast_to(sides.mT @ sides, (3, *apart.shape))
-    length, power = np.exp(best).tolist()
-    level = float(np.sqrt(max(variance(found), least)))
     return LocalField(
-        rows, origin, size, place, middle, around, apart, (length, power), level, claim, inverse
+        rows, origin, size, place, middle, around, apart, shape, level, claim, inverse
     )
 
 
