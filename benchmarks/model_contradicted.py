@@ -25,7 +25,7 @@ from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, Contact as Place, conta
 from benchmarks.coverage import unit_noise
 from benchmarks.coverage_of_bodies import NAMES, held
 from palpate.estimation import FitResult, ProbeObservations, fit
-from palpate.field import DECISIVE, explanations
+from palpate.field import DECISIVE, evidence_of_errors, explanations
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.lab.specimens import block, cylinder, half_ball, toy
 from palpate.pipeline import graded_observations, refined_session
@@ -207,7 +207,7 @@ def noisy(
 def cause_of(session: Session, probes: Sequence[ProbeObservations], result: FitResult) -> str:
     """What `palpate fit` says is wrong with one modulus: nothing, or the likeliest cause."""
     likeliest, *_ = explanations(session, probes, result.minimum)
-    if likeliest.log_evidence > DECISIVE:
+    if likeliest.log_evidence > max(DECISIVE, evidence_of_errors(result.minimum)):
         return likeliest.cause.name.lower()
     return "" if result.estimate.status is Status.OK else "another"
 

@@ -1,5 +1,6 @@
 """Effects of each cause on a body against bodies that are solved with it, and which is named."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from palpate.field.explanations import (
     _by_support,
     _components,
     _parts,
+    evidence_of_errors,
     explanations,
 )
 from palpate.field.field_responses import at_points, make_field_model
@@ -201,3 +203,15 @@ def test_the_cause_is_named(model, cause):
     else:
         assert likeliest.cause is cause
         assert likeliest.log_evidence > second.log_evidence + 10.0
+
+
+def test_forces_that_are_wrong_are_evidence_of_errors(model):
+    given = session()
+    points = given.mesh.vertices[given.mesh.vertices[:, 2] > 1e-9]
+    right = [
+        replace(one, force_std=0.01 * np.abs(one.force) + 1e-6)
+        for one in observed(model, points, moved_by(model, None))
+    ]
+    wrong = [replace(one, force=(1.0 + 0.15 * k) * one.force) for k, one in enumerate(right)]
+    assert evidence_of_errors(joint_minimum(right, FitSettings())) < 1.0
+    assert evidence_of_errors(joint_minimum(wrong, FitSettings())) > 10.0

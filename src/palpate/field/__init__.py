@@ -13,6 +13,7 @@ Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`; of pok
 from palpate.field.explanations import (
     Cause as Cause,
     Explanation as Explanation,
+    evidence_of_errors as evidence_of_errors,
     explanations as explanations,
 )
 from palpate.field.field_fit import (

@@ -27,11 +27,12 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.cluster.vq import kmeans2
+from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
 from palpate.estimation import Evaluation, ProbeObservations
 from palpate.field.field_fit import information_about, make_model
-from palpate.field.field_prior import best_evidence
+from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness
@@ -40,6 +41,8 @@ from palpate.solids import GradedBody, GradedStiffness
 _FEW = 1000
 # Parts of a support.
 _PARTS = 8
+# How many times as large as a session says errors may be.
+_FREED = 2.0 ** np.arange(6)
 
 
 class Cause(StrEnum):
@@ -110,9 +113,39 @@ def explanations(
             prior = model.modes.best_prior(*known)
             evidence, std = prior.log_evidence, prior.std
         else:
-            evidence, std = best_evidence(*known)
+            evidence, std = best_evidence(*known, STDS)
         found.append(Explanation(cause, evidence, std, model, ratio))
     return sorted(found, key=lambda each: -each.log_evidence)
+
+
+def evidence_of_errors(minimum: Evaluation) -> float:
+    """Most log evidence of forces, contacts or other errors of single probings that are larger than
+    the session says, each kind by itself, over errors as it says.
+
+    Parameters
+    ----------
+    minimum : Evaluation
+    """
+    problem, normal = minimum.problem, minimum.normal
+    places, sources = [], []
+    for block in problem.layout.blocks:
+        count = block.unknown.start - block.whole.start
+        places.append(np.arange(block.whole.start, block.whole.start + count))
+        sources += problem.sources[block.whole.start : block.unknown.start]
+    own = [len(each) for each in places]
+    back = np.concatenate(
+        [part[:count, :-1] for part, count in zip(normal.solutions, own, strict=True)]
+    )
+    inner = [np.linalg.inv(each)[:n, :n] for each, n in zip(normal.own, own, strict=True)]
+    covariance = block_diag(*inner) + back @ normal.covariance @ back.T
+    theta, found = minimum.theta[np.concatenate(places)], 0.0
+    for source in set(sources):
+        chosen = np.flatnonzero(np.array(sources) == source)
+        # Of the posterior, whose prior is normal of unit variance.
+        precision = np.linalg.inv(covariance[np.ix_(chosen, chosen)])
+        known = precision - np.eye(len(chosen)), precision @ theta[chosen]
+        found = max(found, best_evidence(*known, _FREED)[0] - best_evidence(*known, np.ones(1))[0])
+    return found
 
 
 def _expansions(model: FieldModel, poisson_ratio: float) -> dict[Cause, FieldExpansion]:

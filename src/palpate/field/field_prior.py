@@ -23,7 +23,7 @@ from palpate.shapes import Points
 # Standard deviations of log G, and lengths over the cube root of the body's volume, that are tried;
 # the shortest is two edges of the elements, less than which they do not resolve. Of layers, which
 # are few unknowns, it is one.
-_STDS = 0.05 * 2.0 ** np.arange(6)
+STDS = 0.05 * 2.0 ** np.arange(6)
 _LENGTHS, _LAYER = 0.25 * 2.0 ** np.arange(3), 0.125
 # Most modes, and the variance of a field over its prior's that may remain without them.
 _MOST_MODES, _LEFT = 300, 0.01
@@ -96,7 +96,7 @@ class FieldModes:
         for length in self.lengths:
             mixing = self.mixing_of(FieldPrior(1.0, float(length), 1.0))
             about, along = mixing.T @ information @ mixing, mixing.T @ score
-            for std, layer_std in product(_STDS, (0.0, *_STDS)):
+            for std, layer_std in product(STDS, (0.0, *STDS)):
                 scale = np.full(len(along), std)
                 scale[len(along) - self.layers :] = layer_std
                 evidence = _log_evidence(scale[:, None] * about * scale, scale * along)
@@ -163,7 +163,9 @@ def _matern(distance: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
 
 
 def best_evidence(
-    information: Float[np.ndarray, "k k"], score: Float[np.ndarray, " k"]
+    information: Float[np.ndarray, "k k"],
+    score: Float[np.ndarray, " k"],
+    stds: Float[np.ndarray, " s"],
 ) -> tuple[float, float]:
     """Most log evidence of coefficients that are independent and of one standard deviation, and
     that standard deviation.
@@ -171,8 +173,9 @@ def best_evidence(
     Parameters
     ----------
     information, score : (k, k), (k,) float     H and h
+    stds : (s,) float               that are tried
     """
-    return max((_log_evidence(std**2 * information, std * score), float(std)) for std in _STDS)
+    return max((_log_evidence(std**2 * information, std * score), float(std)) for std in stds)
 
 
 def _log_evidence(information: Float[np.ndarray, "j j"], score: Float[np.ndarray, " j"]) -> float:

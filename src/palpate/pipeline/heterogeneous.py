@@ -21,6 +21,7 @@ from palpate.field import (
     Explanation,
     FieldFit,
     RegionFit,
+    evidence_of_errors,
     explanations,
     fit_field,
     fit_regions,
@@ -205,7 +206,8 @@ def fit_other_causes(
     except (MeshError, SingularSystemError):
         return plain, None
     field = max(each.log_evidence for each in (likeliest, *others) if each.cause is Cause.PLACE)
-    if likeliest.log_evidence - max(field, 0.0) > DECISIVE:
+    rival = max(field, evidence_of_errors(plain.minimum))
+    if likeliest.log_evidence - rival > DECISIVE:
         return _fit_with_cause(likeliest, field, session, observations, settings, progress)
     if field > DECISIVE or plain.estimate.status is Status.MODEL_CONTRADICTED:
         return _fit_with_field(session, observations, plain, material, settings, progress)
