@@ -5,10 +5,11 @@ that need no data of the reader's own, in test_guides.py those that do.
 """
 
 import json
+import re
 import shlex
 import shutil
 
-from docs.page_blocks import blocks, lines
+from docs.page_blocks import ROOT, blocks, lines
 
 from palpate.app.cli import main
 
@@ -91,3 +92,10 @@ def test_what_the_readme_does_in_python_runs(here, capsys):
     assert "Young's modulus" in shown
     assert "PokedState: the contact moves by (" in shown
     assert {"half_ball.html", "p4.png"} <= {path.name for path in here.iterdir()}
+
+
+def test_the_first_screens_of_the_readme_leave_few_choices():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 80
+    assert len(re.findall(r"\]\(", text)) <= 10
+    assert sum(len(lines(block)) for block in blocks("README.md", "sh")) <= 6

@@ -202,7 +202,7 @@ def _read_vtu_points(path: Path, frame: int | None) -> ProgramPoints:
     Raises
     ------
     RecordError                     no such data, a 2-D vector, volume cells, unreadable
-    InputError                      the optional package meshio is missing
+    InputError                      meshio is missing
 
     Source
     ------
@@ -231,7 +231,7 @@ def _vtk_content(path: Path) -> Any:
             f"{path}: is no .vtu file; save it as an unstructured grid of VTK (.vtu or .vtk)"
         )
     content = read_bytes(path, max_bytes=_MOST_VTK_BYTES)
-    meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
+    meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
     what = f"cannot be read as {path.suffix[1:].upper()}"
     with read_errors(path, "open it in ParaView and save it again", what=what):
         if path.suffix.lower() == ".vtu":
