@@ -29,7 +29,7 @@ def test_help_names_every_command(palpate):
 
 def test_help_goes_from_the_measurement_to_what_few_need(palpate):
     _, out, _ = palpate("--help")
-    words = ("Measure", "init", "check", "Estimate", "fit", "Use", "Laboratory", "compile", "--help")
+    words = ("Measure", "init", "check", "Estimate", "fit", "Use", "Laboratory", "--help")
     # As headings, and as commands with their text: either follows the frame.
     places = [re.search(rf"[│─] {word} ", out).start() for word in words]
     assert places == sorted(places)

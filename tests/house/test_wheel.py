@@ -62,7 +62,6 @@ def test_what_it_says_of_itself(wheel):
         "e57",
         "hdf5",
         "lab",
-        "mesh",
         "parquet",
         "surface",
         "view",
