@@ -40,6 +40,11 @@ def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
             if not any(letter.isdigit() for letter in word):
                 assert word in shown
     found = json.loads((here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8"))
+    # `check` foresaw it.
+    for name, size in (("Young's modulus", 0.01 * 50e3), ("Poisson's ratio", 1.0)):
+        (foreseen,) = re.findall(rf"{name} to about ([0-9.]*[0-9])", shown)
+        std = found[name.lower().replace("'s", "").replace(" ", "_")]["std"]
+        assert 0.5 < float(foreseen) * size / std < 2.0
     # The block's own 50 kPa and 0.3: within the printed 95 % interval, as the page says.
     for name, truth in (("young_modulus", 50e3), ("poisson_ratio", 0.3)):
         low, high = found[name]["ci95"]

@@ -265,11 +265,12 @@ def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[s
             f" Young's modulus of about {pascals(modulus)},"
             f" {'softer' if modulus < 1e5 else 'stiffer'} than what is usually probed; is it in N?"
         )
-    if probing.force_std is not None and np.linalg.norm(probing.force_std) > force:
-        notes.append("force_std exceeds the force itself; check both.")
+    direction = probing.force / force
+    # Across the force it may be as large as one likes: a gauge of one axis does not see that.
+    if probing.force_std is not None and np.linalg.norm(probing.force_std * direction) > force:
+        notes.append("force_std exceeds the force itself, along it; check both.")
     if probing.contact.triangles is not None:
         return notes
-    direction = probing.force / force
     distance = triangle_distances(mesh, probing.contact.point)
     triangle, gap = int(distance.argmin()), float(distance.min())
     if probing.contact.radius is not None and gap > _MAX_OFF_SURFACE * probing.contact.radius:

@@ -36,6 +36,7 @@ from palpate.pipeline import (
     PoseChoice,
     ProbingSurvey,
     ViewSurvey,
+    expected_precision,
     fit_session,
     keep_motion,
     kept_motion,
@@ -253,8 +254,19 @@ def check(session: Path, /) -> int:
         print_text(f"Note: {note}")
     if sum(probing.displacement is not None for probing in given.probings) > 1:
         print_text(reciprocity(given).text)
-    print_text(session_outlook(given, surveys))
+    print_text(session_outlook(given, surveys, _precision(given)))
     return 0
+
+
+def _precision(session: Session) -> dict[str, float] | None:
+    """What the constants can be known to at best; None where displacements are still to be measured
+    and where it would take minutes."""
+    unread = any(each.displacement is None for each in session.probings)
+    if unread or not session.probings or size_notes(session):
+        return None
+    with progress_bar() as progress:
+        progress("what the data can tell", 0.0)
+        return expected_precision(session)
 
 
 def report(
