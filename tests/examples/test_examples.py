@@ -33,7 +33,7 @@ def test_write_a_session():
 
 
 def test_predict_a_push():
-    # 0.95 of independent components; neighbours share errors, so that a tenth less or more is usual.
+    # 0.95 of independent components; neighbours share errors, so that a tenth more is usual.
     assert run_example("05_predict_a_push.py") == pytest.approx(0.95, abs=0.06)
 
 
