@@ -163,7 +163,9 @@ def outline_text(survey: FolderSurvey, outline: Outline) -> str:
     head = _head(outline, RECORDING_FORMAT if recorded else SESSION_FORMAT)
     held = _support("[support]", outline.side)
     if outline.template == "tension":
-        held = _support("[[support]]", outline.side) + "\n" + _support("[[support]]", outline.pulled)
+        held = (
+            _support("[[support]]", outline.side) + "\n" + _support("[[support]]", outline.pulled)
+        )
         held += _line('motion = "free"', "this grip moves, and nobody need know how")
     parts = [head, _object(outline), held]
     if recorded:
