@@ -22,6 +22,7 @@ from palpate.app.tables import (
     probes_table,
     regions_table,
     terminal_table,
+    truth_text,
 )
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
@@ -29,6 +30,7 @@ from palpate.errors import InputError, print_message
 from palpate.estimation import FitResult, FitSettings, Prediction
 from palpate.field import check_regions
 from palpate.geometry import mesh_quality, triangle_areas
+from palpate.paper import true_material
 from palpate.pipeline import (
     NEAR_RADII,
     CameraSurvey,
@@ -387,6 +389,8 @@ def _print(estimate: Estimate, session: Session, predictions: Sequence[Predictio
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
     print_tables(constants_table(estimate))
+    if (session.path.parent / "truth.toml").is_file():
+        print_text(truth_text(estimate, true_material(session)))
     if estimate.regions:
         print_tables(regions_table(estimate))
     for note in estimate.notes:
