@@ -76,7 +76,7 @@ from palpate.records import (
     session_files,
     write_text,
 )
-from palpate.report import write_report, write_result_files
+from palpate.report import write_for_paper, write_report, write_result_files
 from palpate.shapes import Vector3
 
 # Fractions of the work that are done when the fit and when the drawing begin.
@@ -275,10 +275,11 @@ def report(
     result: Path,
     /,
     *,
+    for_: Annotated[Literal["screen", "paper"], Parameter(name="--for")] = "screen",
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Write a result's report again, as one self-contained HTML file.
+    """Write a result's report again, as one self-contained HTML file, or what a paper needs of it.
 
     `palpate fit` writes it along with its result, as report.html; this is for a copy elsewhere, or
     for a result whose report was removed.
@@ -287,10 +288,14 @@ def report(
     ----------
     result
         Result folder of `palpate fit`.
+    for_
+        Screen: the HTML file. Paper: a folder with a paragraph on methods, and the constants and
+        the probings as LaTeX and CSV tables.
     out
-        The file. Default: the result folder's name followed by -report.html, in the current folder.
+        The file or folder. Default: the result folder's name followed by -report.html, or by
+        -paper, in the current folder.
     force
-        Replace a file of that name.
+        Replace a file of that name; a folder that is not unchanged is kept as NAME.old.
 
     Returns
     -------
@@ -298,6 +303,12 @@ def report(
         0.
     """
     check_fit_result(result)
+    if for_ == "paper":
+        target = out or default_folder(result, "paper")
+        with result_folder(target, kind="report --for paper", force=force) as folder:
+            write_for_paper(folder, result)
+        print_text(f"Methods, constants and probings in {target}")
+        return 0
     target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
     if target.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{target}: a report is an HTML file; its name must end in .html")
