@@ -49,7 +49,7 @@ def test_objects_print_themselves_in_a_few_lines(result):
         text = repr(one)
         assert 20 < len(text) < 600, type(one)
         assert text.count("\n") <= 4
-    assert "1 probings (n01)" in repr(session)
+    assert "1 probing (n01)" in repr(session)
     assert "169 points, 168 measured" in repr(session.probings[0])
     assert "60.0 ± 1.2  57.6 to 62.4  kPa" in repr(result)
 

@@ -112,7 +112,7 @@ def test_what_the_intervals_hold_is_said_below_the_constants(cube_session):
     )
     assumed = replace(known, settings=settings, errors=errors)
     text = " ".join(printed(constants_table(assumed), 120).split())
-    assert "The force of 1 of 1 probings is assumed known to 1 % (no force_std given)" in text
+    assert "The force of 1 of 1 probing is assumed known to 1 % (no force_std given)" in text
     assert "Sigma of" not in text
     budget = (BudgetEntry("mesh", 0.01, 2e-3, 0.012), BudgetEntry("pose", 0.005, 1e-4, 0.006))
     text = " ".join(printed(constants_table(replace(known, budget=budget)), 120).split())

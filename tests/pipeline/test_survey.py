@@ -111,8 +111,8 @@ def test_what_the_data_promise_is_said_in_words(session):
     enough = replace(few, near=20)
     coarse = replace(enough, elements_per_radius=0.5, signal_to_noise=2.9)
     text = session_outlook(session, [coarse])
-    assert "below 3 sigma in 1 of 1 probings (a)" in text
-    assert "smaller than an element in 1 probings" in text
+    assert "below 3 sigma in 1 of 1 probing (a)" in text
+    assert "smaller than an element in 1 probing:" in text
     for text in (session_outlook(session, [enough]), session_outlook(session, [few, coarse])):
         assert "No standard deviations are given" not in text
     silent = replace(enough, signal_to_noise=np.nan, tangential_signal=np.nan)

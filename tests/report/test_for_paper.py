@@ -39,7 +39,7 @@ def test_methods_and_tables_hold_the_numbers_of_the_result(result, tmp_path, mon
     folder = _written(result, tmp_path, monkeypatch)
     text = (folder / "methods.txt").read_text()
     for words in (
-        "from 1 probings with forces of 1.2 to 1.2 N",
+        "from 1 probing with forces of 1.2 to 1.2 N",
         "surface of 218 vertices, 17 % of which was held",
         "gain of the force sensor 1 %, contact points 0.5 mm, pose 0.2 mm, 0.2 degrees",
         "homogeneous, isotropic and linearly elastic, at small strain",

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from palpate.errors import visible
+from palpate.errors import counted, visible
 from palpate.estimation import Prediction
 from palpate.lab import Material
 from palpate.pipeline import MotionFigures
@@ -375,8 +375,8 @@ def _captions(estimate: Estimate) -> list[str]:
     if assumed := len(estimate.settings.get("assumed_forces", ())):
         fraction = estimate.settings["errors"]["force"]
         sentences.append(
-            f"The force of {assumed} of {len(estimate.probes)} probings is assumed known to"
-            f" {100 * fraction:.2g} % (no force_std given)."
+            f"The force of {assumed} of {counted(len(estimate.probes), 'probing')} is assumed known"
+            f" to {100 * fraction:.2g} % (no force_std given)."
         )
     lengths = estimate.settings.get("lengths", {})
     if "rig_covariance" in lengths.get("source", ""):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from palpate.arrays import known_median
 from palpate.bem import LARGEST_DENSE, memory_needed
-from palpate.errors import CalibrationError, PalpateError, RecordError
+from palpate.errors import CalibrationError, PalpateError, RecordError, counted
 from palpate.geometry import triangle_distances, unit_normals
 from palpate.pipeline.model.supports import compliant_supports
 from palpate.pipeline.motion.sequences import posed_rig
@@ -231,8 +231,8 @@ def session_outlook(
     unread = [p.name for p in session.probings if p.displacement is None and p.images is not None]
     if len(unread) == len(surveys):
         return (
-            f"{len(unread)} probings have pictures and no displacements yet: `palpate flow` shows"
-            " what can be read from them, `palpate fit` reads them itself."
+            f"Pictures without displacements: {counted(len(unread), 'probing')}. `palpate flow`"
+            " shows what can be read from them, `palpate fit` reads them itself."
         )
     sentences = [] if precision is None else [_expectation(precision)]
     weak = [s.name for s in surveys if s.signal_to_noise < _CLEAR_SIGNAL]
@@ -240,15 +240,17 @@ def session_outlook(
         names = ", ".join(weak[:5]) + (", ..." if len(weak) > 5 else "")
         sentences.append(
             f"Half the vectors or more are below {_CLEAR_SIGNAL:g} sigma in {len(weak)} of"
-            f" {len(surveys)} probings ({names}): expect wide intervals from these alone."
+            f" {counted(len(surveys), 'probing')} ({names}): expect wide intervals from these"
+            " alone."
         )
     if not any(np.isfinite(survey.signal_to_noise) for survey in surveys):
         sentences.append("No standard deviations are given; the noise will be estimated.")
     coarse = [survey.name for survey in surveys if survey.elements_per_radius < 1.0]
     if coarse:
         sentences.append(
-            f"The contact is smaller than an element in {len(coarse)} probings: displacements next"
-            " to it will be inaccurate; refine the mesh there or leave near points out."
+            f"The contact is smaller than an element in {counted(len(coarse), 'probing')}:"
+            " displacements next to it will be inaccurate; refine the mesh there or leave near"
+            " points out."
         )
     return " ".join([*sentences, "`palpate fit` decides."])
 

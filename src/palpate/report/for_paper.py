@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.errors import counted
 from palpate.geometry import TriangleMesh, triangle_areas
 from palpate.pipeline import FittedSurface, read_fitted_surface
 from palpate.records import (
@@ -71,8 +72,8 @@ def _methods(estimate: Estimate, surface: FittedSurface) -> str:
     return (
         f"{surface.name}\n\n"
         f"The elastic constants were estimated with {f'Palpate {version}'.strip()} from"
-        f" {len(force)} probings with forces of {min(force):.3g} to {max(force):.3g} N, in which"
-        f" the displacement of {points} points on the surface was measured. The object was taken as"
+        f" {counted(len(force), 'probing')} with forces of {min(force):.3g} to {max(force):.3g} N,"
+        f" in which the displacement of {points} points on the surface was measured. The object was taken as"
         f" {kind}, isotropic and linearly elastic, {strain}, and modelled by boundary elements on a"
         f" closed surface of {len(surface.vertices)} vertices, {held:.2g} % of which was held.\n\n"
         f"{_fitted_together(estimate)} {outliers} outliers were excluded. Intervals hold the noise,"

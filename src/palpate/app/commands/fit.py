@@ -26,7 +26,7 @@ from palpate.app.tables import (
 )
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
-from palpate.errors import InputError, print_message
+from palpate.errors import InputError, counted, print_message
 from palpate.estimation import FitResult, FitSettings, Prediction
 from palpate.field import check_regions
 from palpate.geometry import mesh_quality, triangle_areas
@@ -474,6 +474,8 @@ def _acceleration(vector: Vector3) -> str:
 
 
 def _probings_table(surveys: list[ProbingSurvey]) -> Table:
+    """Contacts, and what was measured, where displacements are there already."""
+    columns = ("probing", "patch", "elem", "observed", "missing", "|u| mm", "snr", "along", "near")
     rows = [
         (
             s.name, str(s.patch_triangles), number_text(s.elements_per_radius, ".1f"),
@@ -483,14 +485,15 @@ def _probings_table(surveys: list[ProbingSurvey]) -> Table:
         )
         for s in surveys
     ]  # fmt: skip
-    return terminal_table(
-        f"{len(surveys)} probings",
-        ("probing", "patch", "elem", "observed", "missing", "|u| mm", "snr", "along", "near"),
-        rows,
-        caption="patch: triangles under the tool; elem: elements per contact radius; snr: median"
-        " |u| over sigma; along: the same along the surface; near: measured points within"
-        f" {NEAR_RADII:g} contact radii",
+    caption = "patch: triangles under the tool; elem: elements per contact radius"
+    measured = (
+        "; snr: median |u| over sigma; along: the same along the surface; near: measured points"
+        f" within {NEAR_RADII:g} contact radii"
     )
+    if not any(s.observed + s.missing for s in surveys):
+        columns, rows, measured = columns[:3], [row[:3] for row in rows], ""
+    title = counted(len(surveys), "probing")
+    return terminal_table(title, columns, rows, caption=caption + measured)
 
 
 def _cameras_table(surveys: tuple[CameraSurvey, ...]) -> Table:
@@ -508,7 +511,7 @@ def _cameras_table(surveys: tuple[CameraSurvey, ...]) -> Table:
             )
         )  # fmt: skip
     return terminal_table(
-        f"{len(surveys)} cameras",
+        counted(len(surveys), "camera"),
         ("camera", "pictures", "size px", "grey", "white %", "sees %"),
         rows,
         caption="grey: 1st to 99th percentile over all pictures, 255 is white; white: pixels at the"
