@@ -475,14 +475,14 @@ def _acceleration(vector: Vector3) -> str:
 
 def _probings_table(surveys: list[ProbingSurvey]) -> Table:
     """Contacts, and what was measured, where displacements are there already."""
-    columns = ("probing", "patch", "elem", "observed", "missing", "|u| mm", "snr", "along", "near")
+    columns = ["probing", "patch", "elem", "observed", "missing", "|u| mm", "snr", "along", "near"]
     rows = [
-        (
+        [
             s.name, str(s.patch_triangles), number_text(s.elements_per_radius, ".1f"),
             str(s.observed), str(s.missing), number_text(1e3 * s.median_displacement, ".3g"),
             number_text(s.signal_to_noise, ".1f"), number_text(s.tangential_signal, ".1f"),
             str(s.near),
-        )
+        ]
         for s in surveys
     ]  # fmt: skip
     caption = "patch: triangles under the tool; elem: elements per contact radius"
