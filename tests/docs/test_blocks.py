@@ -54,6 +54,25 @@ def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
     assert (here / "foam_block-result" / "report.html").exists()
 
 
+def test_one_camera_from_above_tells_the_constants_too(here):
+    page = "docs/howto/first_session.md"
+    (script,) = blocks(page, "python")
+    exec(script, {})
+    session, *_ = blocks(page, "toml")
+    head, *rows = blocks(page, "csv")[0].splitlines()
+    flat = [",".join([*row.split(",")[:5], "nan"]) for row in rows]
+    (here / "foam_block" / "session.toml").write_text(session, encoding="utf-8")
+    (here / "foam_block" / "top.csv").write_text("\n".join([head, *flat]) + "\n")
+    assert main(["check", "foam_block"]) == 0
+    assert main(["fit", "foam_block"]) == 0
+    found = json.loads((here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8"))
+    for name, truth in (("young_modulus", 50e3), ("poisson_ratio", 0.3)):
+        low, high = found[name]["ci95"]
+        assert low < truth < high
+        assert high - low < 0.2 * truth
+    assert found["probes"][0]["observed"] == 16
+
+
 def test_one_measured_point_is_named_as_the_cause(here, capsys):
     page = "docs/howto/first_session.md"
     (script,) = blocks(page, "python")

@@ -27,6 +27,7 @@ from palpate.figures.displacement import (
     displacement_figure as displacement_figure,
     make_view as make_view,
     projected as projected,
+    rms_of_known as rms_of_known,
 )
 from palpate.figures.estimate import (
     budget_figure as budget_figure,

@@ -39,6 +39,8 @@ from palpate.records import (
     Probing,
     Rig,
     Session,
+    lengths,
+    observed_rows,
     picture_size,
     read_rig,
     require_probings,
@@ -333,8 +335,8 @@ def expected_precision(session: Session) -> dict[str, float]:
 def _lengths(session: Session) -> float:
     """Typical displacement of the measured points [m]."""
     fields = [each.displacement for each in session.probings if each.displacement is not None]
-    length = np.concatenate([np.linalg.norm(each.displacement, axis=1) for each in fields])
-    return float(np.nanmedian(length))
+    length = [lengths(each.displacement[observed_rows(each)]) for each in fields]
+    return float(np.median(np.concatenate(length)))
 
 
 def _explaining(observed: Sequence[ProbeObservations], ratio: float) -> tuple[float, float, float]:

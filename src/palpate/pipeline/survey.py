@@ -25,6 +25,7 @@ from palpate.records import (
     ProgramPoints,
     Rig,
     Session,
+    lengths,
     measured_rows,
     observed_rows,
     read_rig,
@@ -127,7 +128,7 @@ def survey_field(field: DisplacementField) -> FieldSurvey:
     FieldSurvey
     """
     measured = observed_rows(field)
-    length = np.linalg.norm(field.displacement[measured], axis=1)
+    length = lengths(field.displacement[measured])
     sigma = np.zeros(0) if field.std is None else field.std[measured]
     return FieldSurvey(
         int(measured.sum()),
@@ -160,7 +161,7 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
     if field is None:
         return ProbingSurvey(probing.name, len(patch), elements, 0, 0, np.nan, np.nan, np.nan, 0)
     counts, measured = survey_field(field), observed_rows(field)
-    displacement = field.displacement[measured]
+    displacement = np.nan_to_num(field.displacement[measured])
     normal = unit_normals(mesh)[field.surface.triangle[measured]]
     tangential = displacement - np.einsum("na,na->n", displacement, normal)[:, None] * normal
     sigma = np.nan if field.std is None else field.std[measured].mean(axis=1)
@@ -411,7 +412,7 @@ def without_contradicted(measured: MeasuredPoints) -> MeasuredPoints:
     MeasuredPoints                  outliers are rows of NaN, and counted
     """
     valid = measured_rows(measured.displacement)
-    ratio = median_test(measured.points, measured.displacement, valid)
+    ratio = median_test(measured.points, np.nan_to_num(measured.displacement), valid)
     return measured.without(ratio > _MAX_DIFFERENCE)
 
 

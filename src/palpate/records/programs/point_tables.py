@@ -1,5 +1,5 @@
-"""Displacements of points from programs whose calibration is not read: OpenCorr, pyvale, and VTK
-unstructured grids of any program.
+"""Displacements of points from programs whose calibration is not read: OpenCorr, pyvale, VTK
+unstructured grids of any program, and planar results of any program.
 """
 
 from collections.abc import Mapping, Sequence
@@ -119,6 +119,42 @@ OPENCORR = Program(
     read_points=_read_opencorr_points,
     default_unit="mm",
     min_score=MIN_CORRELATION,
+)
+
+
+def _read_planar_points(path: Path, frame: int | None) -> ProgramPoints:
+    """Points of one camera that looks square at a flat face, as a table x, y, u, v of lengths.
+
+    Where there are columns X, Y, U, V in capitals, small letters are pixels and are ignored. The
+    face is the plane z = 0 of the file's frame; the displacement along z is not known.
+
+    Parameters
+    ----------
+    path : Path
+    frame : int or None             a file holds one state: only 0 or None
+
+    Raises
+    ------
+    RecordError                     a missing column, text in a cell, no rows
+    """
+    chosen_frame(path, frame)
+    table = read_text_table(path, cure="export the points again, as text")
+    capitals = all(table.find([name], normalise=str) for name in "XYUV")
+    wanted = table.require(
+        {name: (name.upper() if capitals else name,) for name in "xyuv"},
+        normalise=str if capitals else str.lower,
+        reason=lambda _: "export x, y, u, v as lengths",
+    )
+    values = table.values(wanted)
+    points, displacement = np.zeros((2, len(values), 3))
+    points[:, :2], displacement[:, :2], displacement[:, 2] = values[:, :2], values[:, 2:], np.nan
+    return ProgramPoints(points, displacement, unit=table.unit(wanted))
+
+
+PLANAR = Program(
+    kinds=("planar",),
+    results=".csv, .txt",
+    read_points=_read_planar_points,
 )
 
 
