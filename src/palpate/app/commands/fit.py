@@ -157,38 +157,38 @@ def fit(
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
-    with result_folder(target, kind="fit", force=force) as folder:
+    with result_folder(target, kind="fit", force=force) as folder, progress_bar() as bar:
+        bar("reading", 0.0)
         given = _read(session, probe, hold_out or [])
         given = replace(given, smooth=surface == "smooth")
         record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)
-        with progress_bar() as bar:
-            progress = log.logged(bar)
-            count = len(unread_probings(given))
-            # Shares of the work, about: pictures, where there are some, take as long as the rest.
-            fit_begins = _FIT_BEGINS if count else 0.0
-            measured, reused = _with_motion_measured(
-                given, target, folder, pose, part_of(progress, 0.0, fit_begins)
-            )
-            print_notes(measured.notes[len(given.notes) :])
-            before = {"loading": loading, "reading_and_motion": log.seconds - loading}
-            measured, held = _split(measured, hold_out or [])
-            result = fit_session(
-                measured,
-                settings=settings,
-                cache=cache,
-                finite_strain=strain == "finite",
-                material=Material(material),
-                progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
-            )
-            progress("tables and pictures", _DRAWING_BEGINS)
-            choices = (surface, strain, pose, material)
-            command = _command(session, probe, hold_out, settings, choices)
-            result = _with_provenance(result, before, log, command)
-            predictions = () if held is None else result.predict(held)
-            write_held_out(folder, predictions)
-            estimate = _write(folder, measured, result, log)
+        progress = log.logged(bar)
+        count = len(unread_probings(given))
+        # Shares of the work, about: pictures, where there are some, take as long as the rest.
+        fit_begins = _FIT_BEGINS if count else 0.0
+        measured, reused = _with_motion_measured(
+            given, target, folder, pose, part_of(progress, 0.0, fit_begins)
+        )
+        print_notes(measured.notes[len(given.notes) :])
+        before = {"loading": loading, "reading_and_motion": log.seconds - loading}
+        measured, held = _split(measured, hold_out or [])
+        result = fit_session(
+            measured,
+            settings=settings,
+            cache=cache,
+            finite_strain=strain == "finite",
+            material=Material(material),
+            progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
+        )
+        progress("tables and pictures", _DRAWING_BEGINS)
+        choices = (surface, strain, pose, material)
+        command = _command(session, probe, hold_out, settings, choices)
+        result = _with_provenance(result, before, log, command)
+        predictions = () if held is None else result.predict(held)
+        write_held_out(folder, predictions)
+        estimate = _write(folder, measured, result, log)
     _print(estimate, measured, predictions)
     if reused:
         print_text(f"Note: {_REUSED.format(reused, count, target)}.")
