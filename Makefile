@@ -141,7 +141,7 @@ wheel: $(VENV)/run.stamp
 # of the terminal are not among these.
 OLDEST := import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
     more = p['optional-dependencies']; \
-    print(*(d.replace('>=', '==') for d in p['dependencies'] + more['hdf5'] + more['mesh']), sep='\n')
+    print(*(d.replace('>=', '==') for d in p['dependencies'] + more['hdf5']), sep='\n')
 OLDEST_TESTS := tests/api tests/geometry tests/records tests/figures tests/estimation
 
 oldest:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.records import in_object_frame, on_surface, read_measured, read_session
+import palpate
+from palpate.records import in_object_frame, on_surface, read_measured
 
 HERE = Path(__file__).parent
 # Where the program's frame lies in the object's: x_object = T_object_program x_program.
@@ -19,7 +20,7 @@ T_OBJECT_PROGRAM = np.array(
 
 def export_vic3d(path: Path) -> None:
     """Write the first probing of the half ball as VIC-3D would: millimetres, another frame."""
-    field = read_session(HERE / "half_ball").probings[0].displacement
+    field = palpate.read_session(HERE / "half_ball").probings[0].displacement
     turn, shift = T_OBJECT_PROGRAM[:3, :3], T_OBJECT_PROGRAM[:3, 3]
     points = (field.points - shift) @ turn
     table = 1e3 * np.hstack([points, field.displacement @ turn])
@@ -30,7 +31,7 @@ def export_vic3d(path: Path) -> None:
 
 def main() -> float:
     """Read the file back onto the mesh; gives the points' median distance from it [m]."""
-    session = read_session(HERE / "half_ball")
+    session = palpate.read_session(HERE / "half_ball")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "B00012.csv"
         export_vic3d(path)

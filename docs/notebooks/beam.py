@@ -8,7 +8,8 @@ from pathlib import Path
 
 import palpate
 
-EXAMPLES = next(p for p in Path.cwd().resolve().parents if (p / "examples").is_dir()) / "examples"
+HERE = Path.cwd()
+EXAMPLES = next(p for p in (HERE, *HERE.parents) if (p / "examples").is_dir()) / "examples"
 result = palpate.fit(EXAMPLES / "beam", probe=["load52_a"])
 result
 

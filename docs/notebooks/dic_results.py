@@ -11,7 +11,8 @@ import numpy as np
 
 from palpate.records import in_object_frame, on_surface, read_measured, read_session
 
-EXAMPLES = next(p for p in Path.cwd().resolve().parents if (p / "examples").is_dir()) / "examples"
+HERE = Path.cwd()
+EXAMPLES = next(p for p in (HERE, *HERE.parents) if (p / "examples").is_dir()) / "examples"
 session = read_session(EXAMPLES / "half_ball")
 # Where the program's frame lies in the object's: x_object = T x_program.
 T_OBJECT_PROGRAM = np.array(

@@ -2,7 +2,7 @@
 # # Your own mesh
 # A block of foam, 60 x 60 x 40 mm, as a mesh of your own; the push and what was seen of it are
 # computed here, at 50 kPa and 0.3, in place of your measurement. The files of such a folder alone,
-# with a point that was not found: `examples/05_write_a_session.py`.
+# with a point that was not found: `examples/03_write_a_session.py`.
 
 # %%
 import os

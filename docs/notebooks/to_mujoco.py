@@ -9,7 +9,8 @@ from pathlib import Path
 
 import palpate
 
-EXAMPLES = next(p for p in Path.cwd().resolve().parents if (p / "examples").is_dir()) / "examples"
+HERE = Path.cwd()
+EXAMPLES = next(p for p in (HERE, *HERE.parents) if (p / "examples").is_dir()) / "examples"
 result = palpate.fit(EXAMPLES / "half_ball", probe=["p2", "p3", "p4", "p5", "p6"])
 folder = result.export(Path(tempfile.mkdtemp()) / "ball", "mujoco")
 

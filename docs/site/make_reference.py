@@ -1,4 +1,5 @@
-"""Writes docs/reference/*.md and docs/gallery.md from the code that reads files: `make reference`.
+"""Writes docs/reference/*.md and docs/gallery.md from the code that reads files, and notebooks from
+their text: `make reference`.
 
 Tables are found where a reader refuses unknown keys (`TomlTable.check_keys`): what is allowed there
 is what the page lists. What a key holds is found where it is read (`table.vector("force")`), what
@@ -8,10 +9,12 @@ found ends this program, and so the tests: say it there or in `reference_words.p
 
 import ast
 import inspect
+import json
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -358,10 +361,34 @@ def gallery_page() -> str:
     return "\n".join(parts)
 
 
+def notebook(source: Path) -> str:
+    """A notebook as Jupyter opens it, of its text with `# %%` before every cell."""
+    cells = []
+    for number, cell in enumerate(source.read_text(encoding="utf-8").split("# %%")[1:]):
+        head, _, text = cell.partition("\n")
+        kind, more = "code", {"execution_count": None, "outputs": []}
+        if "markdown" in head:
+            kind, more = "markdown", {}
+            text = re.sub(r"^# ?", "", text, flags=re.MULTILINE)
+        lines = text.strip().splitlines(keepends=True)
+        cells.append(
+            {"cell_type": kind, "id": f"cell-{number}", "metadata": {}, "source": lines} | more
+        )
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    content = {
+        "cells": cells, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5,
+    }  # fmt: skip
+    return json.dumps(content, indent=1)
+
+
 PAGES = {
     DOCS / "reference" / "files.md": session_page,
     DOCS / "reference" / "programs.md": programs_page,
     DOCS / "gallery.md": gallery_page,
+    **{
+        path.with_suffix(".ipynb"): partial(notebook, path)
+        for path in sorted((DOCS / "notebooks").glob("*.py"))
+    },
 }
 
 

@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palpate.api import Result as Result, fit as fit
+    from palpate.api import Result as Result, fit as fit, read_result as read_result
     from palpate.errors import InputError as InputError, PalpateError as PalpateError
     from palpate.geometry import (
         TriangleMesh as TriangleMesh,
@@ -48,7 +48,7 @@ _ROOMS = {
         "read_session", "Session", "Probing", "Contact", "DisplacementField", "Estimate",
         "Constant", "Status", "Rig", "read_estimate", "read_rig",
     ),
-    "palpate.api": ("fit", "Result"),
+    "palpate.api": ("fit", "Result", "read_result"),
     "palpate.geometry": ("TriangleMesh", "read_mesh", "write_mesh"),
     "palpate.errors": ("PalpateError", "InputError"),
 }  # fmt: skip

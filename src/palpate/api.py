@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
-from palpate.errors import InputError
-from palpate.estimation import FitResult, FitSettings, Prediction
+from palpate.errors import InputError, RecordError
+from palpate.estimation import FitResult, FitSettings, Prediction, ProbeFit
 from palpate.figures import (
     budget_figure,
     displacement_figure,
@@ -21,11 +22,13 @@ from palpate.figures import (
     probings_figure,
 )
 from palpate.pipeline import (
+    FittedProbing,
     Material,
     PokedState,
     PoseChoice,
     fit_session,
     poke_session,
+    pooled,
     tool_contact,
     with_pictures_measured,
 )
@@ -46,9 +49,10 @@ from palpate.records import (
     result_folder,
     session_files,
     verdict_text,
+    without_pictures,
 )
 from palpate.report import write_report, write_result_files
-from palpate.simulation import FORMATS, FitSource, export_fit
+from palpate.simulation import FORMATS, FitSource, export_fit, read_fitted
 
 _LABELS = {
     "young_modulus": "Young's modulus",
@@ -350,6 +354,57 @@ def fit(
         progress=progress,
     )
     return Result(measured, fitted, folder)
+
+
+def read_result(
+    folder: Path | str, *, session: Path | str | None = None, cache: Path | str | None = None
+) -> Result:
+    """Open what a fit wrote, without fitting: constants, figures, report, export and pokes.
+
+    Parameters
+    ----------
+    folder : path                   result folder of `palpate fit` or `Result.save`
+    session : path or None          present location of its session; None: as recorded
+    cache : path or None            folder in which what is computed of the body is kept
+
+    Returns
+    -------
+    Result                          cannot `predict`, which takes the model of a fit; the notes of
+                                    its estimate say what has changed in the session since
+
+    Raises
+    ------
+    RecordError                     no result, or a damaged one; its session is gone, or has another
+                                    mesh or other measured points now
+    """
+    source, surface = read_fitted(Path(folder), None if session is None else Path(session))
+    estimate = replace(source.estimate, notes=(*source.notes, *source.estimate.notes))
+    given = replace(source.session, smooth=estimate.settings.get("surface") != "flat")
+    shown = pooled(given) if without_pictures(given) else given
+    measured = {each.name: each.displacement for each in shown.probings}
+    for probing in surface.probings:
+        field = measured.get(probing.name)
+        if field is None or not np.array_equal(field.points, probing.points):
+            raise RecordError(
+                f"{folder}: probing '{probing.name}' was fitted to other points than those of"
+                f" {given.path} now; fit the session again"
+            )
+    fits = tuple(_fit_read(probing) for probing in surface.probings)
+    fitted = FitResult(estimate, surface.likelihood, fits, map=source.modulus)
+    return Result(given, fitted, None if cache is None else Path(cache))
+
+
+def _fit_read(probing: FittedProbing) -> ProbeFit:
+    """A probing as it was fitted."""
+    return ProbeFit(
+        name=probing.name,
+        predicted=probing.predicted,
+        residual=probing.displacement - probing.predicted,
+        weight=probing.weight,
+        left_out_predicted=probing.left_out,
+        sigma=probing.sigma,
+        surface=probing.surface,
+    )
 
 
 def _given(session: Session | Path | str, probe: Sequence[str] | None = None) -> Session:

@@ -60,6 +60,17 @@ def print_message(text: str) -> None:
     print(f"palpate: {visible(text)}", file=sys.stderr)
 
 
+def counted(count: int, what: str) -> str:
+    """A number with its noun: 1 probing, 2 probings.
+
+    Parameters
+    ----------
+    count : int
+    what : str                      in the singular, of a regular plural
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 class PalpateError(Exception):
     """Base class of all errors that Palpate raises deliberately; the text says what to do."""
 

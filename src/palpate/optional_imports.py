@@ -1,5 +1,7 @@
 """Deferred import of modules that are optional, or too slow to load before they are needed."""
 
+import shlex
+import sys
 from importlib import import_module
 from types import ModuleType
 
@@ -31,5 +33,5 @@ def late_import(module: str, *, extra: str | None, purpose: str) -> ModuleType:
         wanted = f"palpate[{extra}]" if extra else "palpate"
         raise InputError(
             f"{purpose} needs the package '{module}', which is not installed;"
-            f" run: pip install '{wanted}'"
+            f" run: {shlex.quote(sys.executable)} -m pip install '{wanted}'"
         ) from error

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 from estimate_samples import sample_result
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 
 import palpate
 from palpate.api import Result
-from palpate.errors import InputError
+from palpate.errors import InputError, RecordError
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def test_objects_print_themselves_in_a_few_lines(result):
         text = repr(one)
         assert 20 < len(text) < 600, type(one)
         assert text.count("\n") <= 4
-    assert "1 probings (n01)" in repr(session)
+    assert "1 probing (n01)" in repr(session)
     assert "169 points, 168 measured" in repr(session.probings[0])
     assert "60.0 ± 1.2  57.6 to 62.4  kPa" in repr(result)
 
@@ -152,3 +153,34 @@ def test_pushes_are_predicted_from_a_folder(result, cube_session):
     fitted = replace(result.fitted, predict=lambda session: tuple(seen.append(session) or ()))
     assert replace(result, fitted=fitted).predict(cube_session) == ()
     assert seen[0].path == result.session.path
+
+
+def test_a_written_result_is_opened_without_fitting(result, tmp_path):
+    opened = palpate.read_result(result.save(tmp_path / "kept"))
+    assert repr(opened) == repr(result)
+    for what in ("likelihood", "probings", "n01"):
+        assert isinstance(opened.plot(what), Figure)
+    push = ("20 mm", "2cm", "40mm"), (0, 0, "-1 N")
+    poked = opened.poke(*push, radius="6 mm").displacement
+    assert poked == pytest.approx(result.poke(*push, radius="6 mm").displacement, rel=1e-9)
+    again = palpate.read_result(opened.save(tmp_path / "again"))
+    (first,), (second,) = result.fitted.probes, again.fitted.probes
+    for name in ("predicted", "residual", "weight"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert "determined" in opened.report(tmp_path / "cube.html").read_text(encoding="utf-8")
+    assert (opened.export(tmp_path / "obj", "obj") / "README.txt").is_file()
+    with pytest.raises(InputError, match="no model to predict with: fit the session again"):
+        opened.predict(opened.session)
+
+
+def test_a_result_whose_session_has_changed_says_so(result, cube_session, tmp_path):
+    folder = result.save(tmp_path / "kept")
+    table = cube_session / "n01.csv"
+    kept = table.read_text(encoding="utf-8")
+    table.write_text("".join(kept.splitlines(keepends=True)[:-1]), encoding="utf-8")
+    with pytest.raises(RecordError, match="'n01' was fitted to other points"):
+        palpate.read_result(folder)
+    table.write_text(kept + "\n", encoding="utf-8")
+    assert "n01.csv changed" in palpate.read_result(folder).estimate.notes[0]
+    with pytest.raises(RecordError, match="is no result of this version"):
+        palpate.read_result(cube_session)

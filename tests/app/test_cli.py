@@ -1,5 +1,6 @@
 """The command line: exit codes, one clear message, a fast start."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -24,6 +25,15 @@ def test_help_names_every_command(palpate):
     code, out, _ = palpate("--help")
     assert code == 0
     assert all(name in out for name in ("fit", "check", "compression"))
+
+
+def test_help_goes_from_the_measurement_to_what_few_need(palpate):
+    _, out, _ = palpate("--help")
+    words = ("Measure", "init", "check", "Estimate", "fit", "Use", "Laboratory", "--help")
+    # As headings, and as commands with their text: either follows the frame.
+    places = [re.search(rf"[│─] {word} ", out).start() for word in words]
+    assert places == sorted(places)
+    assert "Commands ─" not in out
 
 
 def test_help_loads_no_numerics():

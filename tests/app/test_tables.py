@@ -15,7 +15,9 @@ from palpate.app.tables import (
     probes_table,
     regions_table,
     terminal_table,
+    truth_text,
 )
+from palpate.lab import Material
 from palpate.records import (
     BudgetEntry,
     Constant,
@@ -110,7 +112,7 @@ def test_what_the_intervals_hold_is_said_below_the_constants(cube_session):
     )
     assumed = replace(known, settings=settings, errors=errors)
     text = " ".join(printed(constants_table(assumed), 120).split())
-    assert "The force of 1 of 1 probings is assumed known to 1 % (no force_std given)" in text
+    assert "The force of 1 of 1 probing is assumed known to 1 % (no force_std given)" in text
     assert "Sigma of" not in text
     budget = (BudgetEntry("mesh", 0.01, 2e-3, 0.012), BudgetEntry("pose", 0.005, 1e-4, 0.006))
     text = " ".join(printed(constants_table(replace(known, budget=budget)), 120).split())
@@ -171,3 +173,14 @@ def test_regions_have_a_table(cube_session):
     (row,) = (line for line in lines if "insert" in line)
     assert all(text in row for text in ("60.0 \u00b1 1.5 kPa", "57.0 to 63.0 kPa", "2.80 to 3.20"))
     assert any("skin" in line and "not seen" in line for line in lines)
+
+
+def test_the_truth_of_a_virtual_bench_stands_beside_the_estimate(cube_session):
+    estimate = sample_result(read_session(cube_session)).estimate
+    assert truth_text(estimate, Material(60e3, 0.3)) == (
+        "The truth of this virtual bench: G = 23.08 kPa, nu = 0.3, E = 60 kPa; all within."
+    )
+    # nu is 0.3 +- 0.006.
+    assert truth_text(estimate, Material(60e3, 0.32)).endswith(
+        "outside its interval: Poisson's ratio nu."
+    )

@@ -5,10 +5,11 @@ that need no data of the reader's own, in test_guides.py those that do.
 """
 
 import json
+import re
 import shlex
 import shutil
 
-from docs.page_blocks import blocks, lines
+from docs.page_blocks import ROOT, blocks, lines
 
 from palpate.app.cli import main
 
@@ -39,6 +40,11 @@ def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
             if not any(letter.isdigit() for letter in word):
                 assert word in shown
     found = json.loads((here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8"))
+    # `check` foresaw it.
+    for name, size in (("Young's modulus", 0.01 * 50e3), ("Poisson's ratio", 1.0)):
+        (foreseen,) = re.findall(rf"{name} to about ([0-9.]*[0-9])", shown)
+        std = found[name.lower().replace("'s", "").replace(" ", "_")]["std"]
+        assert 0.5 < float(foreseen) * size / std < 2.0
     # The block's own 50 kPa and 0.3: within the printed 95 % interval, as the page says.
     for name, truth in (("young_modulus", 50e3), ("poisson_ratio", 0.3)):
         low, high = found[name]["ci95"]
@@ -46,6 +52,25 @@ def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
         # Little more than a tenth wide: the session is no bad example.
         assert high - low < 0.11 * truth
     assert (here / "foam_block-result" / "report.html").exists()
+
+
+def test_one_camera_from_above_tells_the_constants_too(here):
+    page = "docs/howto/first_session.md"
+    (script,) = blocks(page, "python")
+    exec(script, {})
+    session, *_ = blocks(page, "toml")
+    head, *rows = blocks(page, "csv")[0].splitlines()
+    flat = [",".join([*row.split(",")[:5], "nan"]) for row in rows]
+    (here / "foam_block" / "session.toml").write_text(session, encoding="utf-8")
+    (here / "foam_block" / "top.csv").write_text("\n".join([head, *flat]) + "\n")
+    assert main(["check", "foam_block"]) == 0
+    assert main(["fit", "foam_block"]) == 0
+    found = json.loads((here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8"))
+    for name, truth in (("young_modulus", 50e3), ("poisson_ratio", 0.3)):
+        low, high = found[name]["ci95"]
+        assert low < truth < high
+        assert high - low < 0.2 * truth
+    assert found["probes"][0]["observed"] == 16
 
 
 def test_one_measured_point_is_named_as_the_cause(here, capsys):
@@ -91,3 +116,10 @@ def test_what_the_readme_does_in_python_runs(here, capsys):
     assert "Young's modulus" in shown
     assert "PokedState: the contact moves by (" in shown
     assert {"half_ball.html", "p4.png"} <= {path.name for path in here.iterdir()}
+
+
+def test_the_first_screens_of_the_readme_leave_few_choices():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 80
+    assert len(re.findall(r"\]\(", text)) <= 10
+    assert sum(len(lines(block)) for block in blocks("README.md", "sh")) <= 6

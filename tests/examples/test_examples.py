@@ -22,16 +22,6 @@ def test_fit_session():
     assert run_example("01_fit_session.py") == pytest.approx(60e3, rel=0.015)
 
 
-def test_poke_the_model():
-    # The example's own number; a change of the mesh or the elements may move it by some 0.1 %.
-    assert run_example("02_poke_the_model.py") == pytest.approx(2.25e-3, rel=0.01)
-
-
-def test_compression():
-    # Whole records over 2-10 % strain give 116.3, 116.4 and 110.7 kPa (a plain line fit).
-    assert run_example("03_compression_test.py") == pytest.approx(114.5e3, rel=0.005)
-
-
 def test_import_displacements():
     # What lies between the true sphere and its mesh: points on an arc over edges of 2 to 4 mm are
     # up to 0.07 mm off. A wrong frame or unit would be centimetres.
@@ -39,7 +29,12 @@ def test_import_displacements():
 
 
 def test_write_a_session():
-    assert run_example("05_write_a_session.py") == 3  # of four rows one is nan
+    assert run_example("03_write_a_session.py") == 3  # of four rows one is nan
+
+
+def test_predict_a_push():
+    # 0.95 of independent components; neighbours share errors, so that a tenth more is usual.
+    assert run_example("05_predict_a_push.py") == pytest.approx(0.95, abs=0.06)
 
 
 @pytest.mark.slow
@@ -117,10 +112,10 @@ def test_examples_stay_small():
 def test_whole_result():
     # 52 g sank the middle of the end face by 10.4 mm (load52_a.csv): 20 g by 4.0 mm, and the
     # contact itself gives way a little more.
-    assert run_example("14_whole_result.py") == pytest.approx(4.0e-3 * 1.03, rel=0.03)
+    assert run_example("02_whole_result.py") == pytest.approx(4.0e-3 * 1.03, rel=0.03)
 
 
 @pytest.mark.slow
 def test_touch_in_real_time():
     # The example's own number; a change of the mesh or the elements may move it by some 0.1 %.
-    assert run_example("15_touch_in_real_time.py") == pytest.approx(0.815, rel=0.01)
+    assert run_example("14_touch_in_real_time.py") == pytest.approx(0.815, rel=0.01)

@@ -198,6 +198,7 @@ def write_results(folder: Path) -> list[tuple[str, Path]]:
         "matchid": (_texts("correlation").MATCHID, matchid, ";"),
         "pyvale": (_texts("point_tables").PYVALE, _texts("point_tables")._pyvale_rows(), ","),
         "opencorr": (_texts("point_tables").OPENCORR, _texts("point_tables")._opencorr_rows(), ","),
+        "planar": ("x,y,u,v", np.column_stack([PLACE[:, :2], MOVE[:, :2]]), ","),
     }
     found = []
     for kind, (header, rows, delimiter) in tables.items():

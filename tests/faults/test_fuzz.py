@@ -61,7 +61,7 @@ def _read(file: Path, read: Reader, content: bytes) -> None:
     assert time.perf_counter() - start < _MOST_SECONDS
 
 
-_COUNT = 70
+_COUNT = 71
 
 
 @pytest.mark.parametrize("number", range(_COUNT))

@@ -2,6 +2,7 @@
 
 import base64
 import struct
+import sys
 import zlib
 from pathlib import Path
 
@@ -237,8 +238,10 @@ def test_ply_that_cannot_be_written_is_refused(tmp_path):
 
 
 def test_missing_package_says_what_to_install():
-    with pytest.raises(InputError, match=r"pip install 'palpate\[mesh\]'"):
-        late_import("no_such_package", extra="mesh", purpose="reading part.msh")
+    with pytest.raises(InputError, match=r"pip install 'palpate\[cad\]'") as raised:
+        late_import("no_such_package", extra="cad", purpose="reading part.step")
+    # With the Python that runs it: another's pip would install it elsewhere.
+    assert f"run: {sys.executable} -m pip" in str(raised.value)
 
 
 def test_shared_meshes_are_closed(shared_data):

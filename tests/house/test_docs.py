@@ -65,7 +65,9 @@ def test_the_configuration_of_the_facility_is_read(tmp_path):
     assert (config.name, len(config.probes)) == ("my bench", 1)
 
 
-@pytest.mark.parametrize("page", ["first_session", "flow", "import", "scan", "tension"])
+@pytest.mark.parametrize(
+    "page", ["first_session", "flow", "import", "scan", "session_keys", "tension"]
+)
 def test_tables_in_the_guides_are_toml(page):
     text = (ROOT / "docs" / "howto" / f"{page}.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)

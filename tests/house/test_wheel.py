@@ -51,7 +51,7 @@ def test_what_it_says_of_itself(wheel):
     (name,) = [name for name in opened.namelist() if name.endswith("/METADATA")]
     said = Parser().parsestr(opened.read(name).decode())
     needed = [line for line in said.get_all("Requires-Dist") if "extra ==" not in line]
-    heavy = ("viser", "mitsuba", "mujoco", "libigl", "meshio", "playwright", "sphinx", "pytest")
+    heavy = ("viser", "mitsuba", "mujoco", "libigl", "playwright", "sphinx", "pytest")
     assert [line for line in needed if line.startswith(heavy)] == []
     extras = set(said.get_all("Provides-Extra"))
     assert extras == {
@@ -62,7 +62,6 @@ def test_what_it_says_of_itself(wheel):
         "e57",
         "hdf5",
         "lab",
-        "mesh",
         "parquet",
         "surface",
         "view",

@@ -100,15 +100,19 @@ def test_medians_of_a_field(session):
 
 def test_what_the_data_promise_is_said_in_words(session):
     few = ProbingSurvey("a", 9, 2.0, 5, 0, 0.01, 20.0, 19.0, 19)
-    assert "next to nothing about Poisson's ratio" in session_outlook(session, [few])
+    bending = {"young_modulus": 0.021, "poisson_ratio": 0.3, "shear_modulus": 0.2}
+    text = session_outlook(session, [few], bending)
+    assert "Young's modulus to about 2.1 %, next to nothing about Poisson's ratio" in text
+    all_told = session_outlook(session, [few], bending | {"poisson_ratio": 0.0041})
+    assert "Poisson's ratio to about 0.004." in all_told
+    nothing = dict.fromkeys(bending, np.inf)
+    assert "next to nothing about Young's modulus" in session_outlook(session, [few], nothing)
+    assert "tell" not in session_outlook(session, [few])
     enough = replace(few, near=20)
-    assert "20 measured vectors lie within 8 contact radii" in session_outlook(session, [enough])
-    # Two probings count together.
-    assert "38 measured vectors" in session_outlook(session, [few, few])
     coarse = replace(enough, elements_per_radius=0.5, signal_to_noise=2.9)
     text = session_outlook(session, [coarse])
-    assert "below 3 sigma in 1 of 1 probings (a)" in text
-    assert "smaller than an element in 1 probings" in text
+    assert "below 3 sigma in 1 of 1 probing (a)" in text
+    assert "smaller than an element in 1 probing:" in text
     for text in (session_outlook(session, [enough]), session_outlook(session, [few, coarse])):
         assert "No standard deviations are given" not in text
     silent = replace(enough, signal_to_noise=np.nan, tangential_signal=np.nan)

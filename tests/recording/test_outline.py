@@ -1,5 +1,6 @@
 """What lies in a folder becomes the outline of a session that says what is still missing."""
 
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recording.bench_footage import write_recording
-from surfaces import box
+from surfaces import box, sphere
 
 from palpate.app.cli import main
 from palpate.errors import InputError, RecordError
@@ -134,14 +135,44 @@ def test_a_link_to_a_folder_makes_no_more_files(
     assert "1 mesh, 2 pictures" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("template", ["lab", "dic", "robot", "gauge"])
+@pytest.mark.parametrize("template", ["lab", "dic", "tension", "robot", "gauge"])
 def test_every_template_is_toml_for_a_mesh_alone(template: str, tmp_path: Path) -> None:
     write_mesh(tmp_path / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=2))
     name = 'it is "so"'
     assert main(["init", str(tmp_path), "--template", template, "--name", name]) == 0
     (file,) = tmp_path.glob("*.toml")
     assert _said(file)["name"] == name
-    assert "<- fill in" in file.read_text()
+    text = file.read_text()
+    assert "<- fill in" in text
+    # A comment does not touch what it is about; places are in the unit of the mesh.
+    assert not re.search(r"[^ #\n]#", text)
+    assert template != "gauge" or "[[0, 0, 0.04]]" in text
+
+
+def test_a_strip_is_pulled_at_its_ends(tmp_path: Path) -> None:
+    mesh = box(size=(100.0, 20.0, 4.0), cells=4)
+    write_mesh(tmp_path / "strip.ply", mesh)
+    rows = np.hstack([mesh.vertices, mesh.vertices * [0.01, 0.0, 0.0]])
+    head = "x,y,z,ux,uy,uz"
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=head, comments="")
+    assert main(["init", str(tmp_path), "--template", "tension", "--unit", "mm"]) == 0
+    file = tmp_path / "session.toml"
+    text = file.read_text()
+    file.write_text(text.replace("force = [0, 0, 0]", "force = [2, 0, 0]"))
+    session = read_session(tmp_path)
+    corners = session.mesh.vertices[session.mesh.triangles]
+    ends = [corners[support.triangles][:, :, 0] for support in session.supports]
+    assert sorted((end.min(), end.max()) for end in ends) == [(0.0, 0.0), (0.1, 0.1)]
+    assert session.supports[1].motion == "free"
+
+
+def test_a_sliver_as_support_is_marked(tmp_path: Path) -> None:
+    # A ball with a facet of one per cent.
+    ball = sphere(4, 0.03)
+    flat = np.maximum(ball.vertices, [-1.0, -1.0, -0.0295])
+    write_mesh(tmp_path / "ball.ply", TriangleMesh(flat, ball.triangles))
+    assert main(["init", str(tmp_path), "--template", "lab"]) == 0
+    assert "<- fill in: is this all that is held?" in (tmp_path / "session.toml").read_text()
 
 
 def test_sides_and_units() -> None:

@@ -7,7 +7,7 @@ from math import isfinite
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
-from cyclopts import App, CycloptsError, CycloptsPanel, Parameter, Token, convert
+from cyclopts import App, CycloptsError, CycloptsPanel, Group, Parameter, Token, convert
 from rich.console import Console
 
 from palpate.app.process import BAD_INPUT, Output, output_as, versions
@@ -136,6 +136,14 @@ _GROUPS = {
         },
     ),
 }
+# The help lists commands in this order: those of a measurement as one needs them, rare ones last.
+_HEADINGS = {
+    "Measure": "init calibrate scan mesh record import flow check plan",
+    "Estimate": "fit compression campaign report",
+    "Use": "view poke export",
+    "Laboratory": "lab",
+    "Also": "compile completion reproduce",
+}
 _HELP_WORDS = ("--help", "-h", "--version")
 # Said of every command, wherever they stand in the line.
 _JSON_WORDS, _VERBOSE_WORDS = ("--json",), ("-v", "--verbose")
@@ -171,15 +179,19 @@ def make_app() -> App:
         error_console=Console(stderr=True),
         suppress_keyboard_interrupt=False,
     )
+    placed = _places_in_help()
+    for flag in ("--help", "--version"):
+        app[flag].group = placed["completion"]["group"]
+        app[flag].sort_key = len(placed)
     for name, (location, text) in _COMMANDS.items():
-        app.command(f"palpate.app.commands.{location}", name=name, help=text)
+        app.command(f"palpate.app.commands.{location}", name=name, help=text, **placed[name])
     for group, (summary, commands) in _GROUPS.items():
-        inner = App(name=group, help=summary)
+        inner = App(name=group, help=summary, **placed[group])
         for name, (location, text) in commands.items():
             inner.command(f"palpate.app.commands.{location}", name=name, help=text)
         app.command(inner)
 
-    @app.command
+    @app.command(**placed["completion"])
     def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
         """Print what a shell needs to complete commands and options.
 
@@ -198,6 +210,16 @@ def make_app() -> App:
         return 0
 
     return app
+
+
+def _places_in_help() -> dict[str, dict[str, Any]]:
+    """Heading and rank of every command in the help."""
+    places = {}
+    for k, (heading, names) in enumerate(_HEADINGS.items()):
+        group = Group(heading, sort_key=k)
+        for rank, name in enumerate(names.split()):
+            places[name] = {"group": group, "sort_key": rank}
+    return places
 
 
 def _shown_default(default: Any) -> str | None:

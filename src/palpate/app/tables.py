@@ -16,8 +16,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from palpate.errors import visible
+from palpate.errors import counted, visible
 from palpate.estimation import Prediction
+from palpate.lab import Material
 from palpate.pipeline import MotionFigures
 from palpate.records import (
     BudgetEntry,
@@ -115,6 +116,28 @@ def constants_table(estimate: Estimate) -> Table:
     columns = ("constant", "value ± 1 sigma", "95 % interval", "unit")
     caption = " ".join(_captions(estimate))
     return terminal_table("Elastic constants", columns, rows, caption=caption)
+
+
+def truth_text(estimate: Estimate, true: Material) -> str:
+    """Constants of a virtual specimen, and whether the intervals hold them.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    true : Material
+    """
+    factor, unit = modulus_unit(true.young_modulus)
+    shown = (
+        f"G = {true.shear_modulus / factor:.4g} {unit}, nu = {true.poisson_ratio:.4g},"
+        f" E = {true.young_modulus / factor:.4g} {unit}"
+    )
+    outside = []
+    for name, label in _LABELS.items():
+        low, high = getattr(estimate, name).ci95
+        if not low <= getattr(true, name) <= high:
+            outside.append(label)
+    verdict = f"outside its interval: {', '.join(outside)}" if outside else "all within"
+    return f"The truth of this virtual bench: {shown}; {verdict}."
 
 
 def regions_table(estimate: Estimate) -> Table:
@@ -352,8 +375,8 @@ def _captions(estimate: Estimate) -> list[str]:
     if assumed := len(estimate.settings.get("assumed_forces", ())):
         fraction = estimate.settings["errors"]["force"]
         sentences.append(
-            f"The force of {assumed} of {len(estimate.probes)} probings is assumed known to"
-            f" {100 * fraction:.2g} % (no force_std given)."
+            f"The force of {assumed} of {counted(len(estimate.probes), 'probing')} is assumed known"
+            f" to {100 * fraction:.2g} % (no force_std given)."
         )
     lengths = estimate.settings.get("lengths", {})
     if "rig_covariance" in lengths.get("source", ""):

@@ -38,16 +38,24 @@ def _convert(
     return numbers if len(numbers) > 1 else numbers[0]
 
 
-Length = Annotated[float, Parameter(converter=partial(_convert, LENGTH_UNITS))]
-Modulus = Annotated[float, Parameter(converter=partial(_convert, MODULUS_UNITS))]
-Place = Annotated[
-    tuple[float, float, float],
-    Parameter(converter=partial(_convert, LENGTH_UNITS), allow_leading_hyphen=True),
+def _convert_places(_type: Any, tokens: Sequence[Token]) -> list[tuple[float, ...]]:
+    """Places in metres; an option that is given again adds one, and takes three words each time."""
+    numbers = [quantity(token.value, LENGTH_UNITS, token.keyword or "a place") for token in tokens]
+    return [tuple(numbers[k : k + 3]) for k in range(0, len(numbers), 3)]
+
+
+# What begins with a minus is a number for these, which they may refuse, and no option.
+_IN_METRES = Parameter(converter=partial(_convert, LENGTH_UNITS), allow_leading_hyphen=True)
+_IN_NEWTONS = Parameter(converter=partial(_convert, FORCE_UNITS), allow_leading_hyphen=True)
+_IN_PASCALS = Parameter(converter=partial(_convert, MODULUS_UNITS), allow_leading_hyphen=True)
+Length = Annotated[float, _IN_METRES]
+Modulus = Annotated[float, _IN_PASCALS]
+Place = Annotated[tuple[float, float, float], _IN_METRES]
+Places = Annotated[
+    list[tuple[float, float, float]],
+    Parameter(converter=_convert_places, allow_leading_hyphen=True),
 ]
-Force = Annotated[
-    tuple[float, float, float],
-    Parameter(converter=partial(_convert, FORCE_UNITS), allow_leading_hyphen=True),
-]
+Force = Annotated[tuple[float, float, float], _IN_NEWTONS]
 
 
 def print_tables(*tables: Table) -> None:

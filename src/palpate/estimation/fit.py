@@ -11,7 +11,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.optimize import minimize
 
-from palpate.errors import InputError
+from palpate.errors import InputError, counted
 from palpate.estimation.checks import (
     Contradiction,
     contradictions,
@@ -165,7 +165,7 @@ class FitResult:
         return self.model
 
     def __repr__(self) -> str:
-        return f"FitResult of {len(self.probes)} probings: {self.estimate!r}"
+        return f"FitResult of {counted(len(self.probes), 'probing')}: {self.estimate!r}"
 
 
 def fit(

@@ -3,8 +3,8 @@
 Purpose    : draw results with matplotlib in one style; compute only what a figure needs.
 Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`, `Recorded`.
 Gives      : matplotlib figures, PNG files, pixels.
-Depends on : `pipeline`, `calibration`, `scanning`, `recording`, `vision`, `estimation`, `records`,
-             `geometry`.
+Depends on : `pipeline`, `calibration`, `scanning`, `recording`, `vision`, `estimation`, `probe`,
+             `records`, `geometry`.
 Read first : `style.py`, then `estimate.py` and `flow.py`.
 """
 
@@ -16,6 +16,7 @@ from palpate.figures.calibration import (
     rig_figure as rig_figure,
     save_page as save_page,
 )
+from palpate.figures.compression import compression_figure as compression_figure
 from palpate.figures.displacement import (
     HELD as HELD,
     LENGTHS as LENGTHS,
@@ -26,6 +27,7 @@ from palpate.figures.displacement import (
     displacement_figure as displacement_figure,
     make_view as make_view,
     projected as projected,
+    rms_of_known as rms_of_known,
 )
 from palpate.figures.estimate import (
     budget_figure as budget_figure,

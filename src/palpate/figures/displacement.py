@@ -110,6 +110,8 @@ def displacement_figure(
     held = np.zeros(0, dtype=int) if held is None else held
     scene = _scene(mesh, probing, field.points[seen], normals, outlier, held)
     measured, predicted = field.displacement[seen], fit.predicted[seen]
+    # What one camera does not see is drawn as predicted.
+    measured = np.where(np.isnan(measured), predicted, measured)
     vectors = [
         1e3 * projected(scene.view, vector)
         for vector in (measured, predicted, measured - predicted)
@@ -120,7 +122,20 @@ def displacement_figure(
 
 def _sigmas(difference: Points, sigma: Points | None) -> PointScalars | None:
     """Rms over the components of residual over sigma, about 1 if model and sigmas are right."""
-    return None if sigma is None else np.sqrt(np.mean((difference / sigma) ** 2, axis=1))
+    return None if sigma is None else rms_of_known(difference / sigma)
+
+
+def rms_of_known(vectors: Points) -> PointScalars:
+    """Root mean square over the components that are known; NaN where none is.
+
+    Parameters
+    ----------
+    vectors : (n, 3) float          NaN where not known
+    """
+    known = np.isfinite(vectors)
+    squares = np.where(known, vectors, 0.0) ** 2
+    mean = squares.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return np.where(known.any(axis=1), np.sqrt(mean), np.nan)
 
 
 def _scene(

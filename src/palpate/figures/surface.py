@@ -10,6 +10,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgb, to_rgba
 from matplotlib.figure import Figure
 
+from palpate.errors import counted
 from palpate.figures.displacement import CLAY, SurfaceView, draw_body, make_view, projected
 from palpate.figures.style import (
     BLUE,
@@ -108,7 +109,7 @@ def scan_figure(name: str, surface: ScannedSurface) -> Figure:
     sigma[~known.any(axis=1)] = np.nan
     _coloured(figure, panels[2], mesh, direction, 1e3 * sigma, label="1 sigma (mm)")
     count = sum(len(view.points) for view in surface.views)
-    title_panel(panels[0], f"{count} points of {_counted(len(surface.views), 'view')}")
+    title_panel(panels[0], f"{count} points of {counted(len(surface.views), 'view')}")
     title_panel(panels[1], f"mesh: {len(mesh.vertices)} vertices")
     title_panel(panels[2], "its standard deviation")
     share = float((areas := triangle_areas(mesh))[surface.guessed].sum() / areas.sum())
@@ -127,10 +128,6 @@ def _panels_around(views: list[SurfaceView], *, margin: float) -> tuple[Figure, 
     for axes in panels:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     return figure, panels
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" + "s" * (count != 1)
 
 
 def _scan_direction(surface: ScannedSurface) -> Vector3:

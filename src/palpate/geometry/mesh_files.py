@@ -188,7 +188,7 @@ def _write_surface(path: Path, suffix: str, mesh: TriangleMesh) -> None:
         content = body.export(file_type=suffix[1:])
         write_bytes(path, content if isinstance(content, bytes) else content.encode())
     elif suffix in _MESHIO_SUFFIXES:
-        meshio = late_import("meshio", extra="mesh", purpose=f"writing {path.name}")
+        meshio = late_import("meshio", extra=None, purpose=f"writing {path.name}")
         content = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
         with atomic_replacement([path]) as (staged,):
             content.write(staged, file_format=_MESHIO_SUFFIXES[suffix])
@@ -304,7 +304,7 @@ def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
         )
         vertices, triangles = loaded.vertices, loaded.faces
     else:
-        meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
+        meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
         vertices, triangles = _surface_of_cells(
             meshio.read(path, file_format=_MESHIO_SUFFIXES[suffix])
         )

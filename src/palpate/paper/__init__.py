@@ -30,4 +30,4 @@ from palpate.paper.result import (
     write_page as write_page,
     write_result as write_result,
 )
-from palpate.paper.sessions import reduced as reduced
+from palpate.paper.sessions import reduced as reduced, true_material as true_material

@@ -65,6 +65,7 @@ from palpate.pipeline.observations import (
 from palpate.pipeline.planning import (
     MeasurementPlan as MeasurementPlan,
     NextProbings as NextProbings,
+    expected_precision as expected_precision,
     plan_measurement as plan_measurement,
     plan_next as plan_next,
 )

@@ -24,7 +24,7 @@ from palpate.geometry import (
     triangle_distances,
     unit_normals,
 )
-from palpate.records import Contact, DisplacementField, observed_rows
+from palpate.records import Contact, DisplacementField
 from palpate.shapes import PointIndices, Points, Vector3
 
 # Prior variance of the plane over that of the noise.
@@ -375,7 +375,7 @@ def patch_motion(
     -------
     PatchMotion
     """
-    measured = np.flatnonzero(observed_rows(field))
+    measured = np.flatnonzero(np.isfinite(field.displacement).all(axis=1))
     spacing = _spacing(field.points[measured])
     around = [_around(mesh, field, measured, patch, own, spacing) for patch in patches]
     parts, smooth = [], np.zeros((len(patches), 3, len(field.points)))

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, UInt
 from scipy.spatial import cKDTree
 
 from palpate.errors import InputError
-from palpate.estimation import Information, fisher_information
+from palpate.estimation import Information, ProbeObservations, fisher_information
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
@@ -39,6 +39,8 @@ from palpate.records import (
     Probing,
     Rig,
     Session,
+    lengths,
+    observed_rows,
     picture_size,
     read_rig,
     require_probings,
@@ -63,6 +65,8 @@ _CLEARANCE = 1.3
 _SHAFT_RADII, _SHAFT_STARTS, _FROM_BELOW = 1.5, 1.0, 0.3
 # The tool hides the surface within this distance, in contact radii.
 _HIDDEN_RADII = 2.0
+# Poisson's ratios that are tried where the constants are only to be known roughly.
+_RATIOS = (0.05, 0.2, 0.35, 0.48)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,6 +288,71 @@ def plan_next(
         after=tuple(information.bound(probings) for probings in sets),
         information=information,
     )  # fmt: skip
+
+
+def expected_precision(session: Session) -> dict[str, float]:
+    """Smallest standard deviations that measured displacements allow: the bound of `plan_next`, on
+    the mesh as it is, at constants that explain the displacements roughly.
+
+    Parameters
+    ----------
+    session : Session               with probings, all of them measured
+
+    Returns
+    -------
+    constant's name -> float        standard deviation of nu, those of G and E over their values;
+                                    infinite where not identifiable
+
+    Raises
+    ------
+    InputError                      a tool that pulls or is buried
+    SingularSystemError, NotConvergedError    as in `session_observations`
+    """
+    size, moved = bounding_diagonal(session.mesh), _lengths(session)
+    shear = max(float(np.linalg.norm(each.force)) for each in session.probings) / (size * moved)
+    has_tool = any(each.contact.radius is None for each in session.probings)
+    for _ in range(2 if has_tool else 1):
+        settled = with_contact_radii(session, shear_modulus=shear, poisson_ratio=_RATIOS[1])
+        observed = session_observations(settled, make_object_model(settled), shear_modulus=shear)
+        shear, ratio, rms = min(
+            (_explaining(observed, nu) for nu in _RATIOS), key=lambda found: found[2]
+        )
+    known = [
+        probe if probe.std is not None
+        else replace(probe, std=np.full(probe.displacement.shape, rms))
+        for probe in observed
+    ]  # fmt: skip
+    bound = fisher_information(known, poisson_ratio=ratio, shear_modulus=shear).bound(
+        range(len(known))
+    )
+    young = 2.0 * shear * (1.0 + ratio)
+    return bound | {
+        "shear_modulus": bound["shear_modulus"] / shear,
+        "young_modulus": bound["young_modulus"] / young,
+    }
+
+
+def _lengths(session: Session) -> float:
+    """Typical displacement of the measured points [m]."""
+    fields = [each.displacement for each in session.probings if each.displacement is not None]
+    length = [lengths(each.displacement[observed_rows(each)]) for each in fields]
+    return float(np.median(np.concatenate(length)))
+
+
+def _explaining(observed: Sequence[ProbeObservations], ratio: float) -> tuple[float, float, float]:
+    """Shear modulus [Pa] that explains displacements best by least squares at a Poisson's ratio,
+    that ratio, and the RMS of what is left [m]."""
+    parts = []
+    for probe in observed:
+        load = np.concatenate([probe.force, [1.0], probe.motion])
+        measured = probe.displacement.ravel()
+        rows = probe.response.value(ratio)[: len(measured), : len(load)] @ load
+        known = np.isfinite(measured)
+        parts.append((measured[known], rows[known]))
+    measured, unit = (np.concatenate(each) for each in zip(*parts, strict=True))
+    compliance = float(measured @ unit) / float(unit @ unit)
+    left = float(np.sqrt(np.mean((measured - compliance * unit) ** 2)))
+    return 1.0 / compliance, ratio, left
 
 
 def _check(session: Session, young: float, poisson: float) -> None:

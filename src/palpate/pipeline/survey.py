@@ -1,7 +1,7 @@
 """Survey of a measurement before any fit: counts, signal to noise, and what to expect; cameras and
 pictures; displacements measured by another program."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from palpate.arrays import known_median
 from palpate.bem import LARGEST_DENSE, memory_needed
-from palpate.errors import CalibrationError, PalpateError, RecordError
+from palpate.errors import CalibrationError, PalpateError, RecordError, counted
 from palpate.geometry import triangle_distances, unit_normals
 from palpate.pipeline.model.supports import compliant_supports
 from palpate.pipeline.motion.sequences import posed_rig
@@ -25,6 +25,7 @@ from palpate.records import (
     ProgramPoints,
     Rig,
     Session,
+    lengths,
     measured_rows,
     observed_rows,
     read_rig,
@@ -45,7 +46,9 @@ from palpate.vision import (
 
 # Within this many contact radii a push shows as an indentation, farther away only as bending.
 NEAR_RADII = 8.0
-_MIN_NEAR_POINTS = 20
+# Standard deviation of a Poisson's ratio, of which only 0 to 0.5 is known; and of a modulus, over
+# its value, whose interval reaches zero.
+_ANY_RATIO, _ANY_MODULUS = 0.5 / np.sqrt(12.0), 0.5
 _CLEAR_SIGNAL = 3.0
 # Meshes with more vertices than the first get a note; the second is the number it suggests.
 _LARGE, _USUAL = 3000, 2000
@@ -125,7 +128,7 @@ def survey_field(field: DisplacementField) -> FieldSurvey:
     FieldSurvey
     """
     measured = observed_rows(field)
-    length = np.linalg.norm(field.displacement[measured], axis=1)
+    length = lengths(field.displacement[measured])
     sigma = np.zeros(0) if field.std is None else field.std[measured]
     return FieldSurvey(
         int(measured.sum()),
@@ -158,7 +161,7 @@ def survey_probing(session: Session, probing: Probing) -> ProbingSurvey:
     if field is None:
         return ProbingSurvey(probing.name, len(patch), elements, 0, 0, np.nan, np.nan, np.nan, 0)
     counts, measured = survey_field(field), observed_rows(field)
-    displacement = field.displacement[measured]
+    displacement = np.nan_to_num(field.displacement[measured])
     normal = unit_normals(mesh)[field.surface.triangle[measured]]
     tangential = displacement - np.einsum("na,na->n", displacement, normal)[:, None] * normal
     sigma = np.nan if field.std is None else field.std[measured].mean(axis=1)
@@ -204,15 +207,18 @@ def size_notes(session: Session) -> list[str]:
     return [text]
 
 
-def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
+def session_outlook(
+    session: Session,
+    surveys: Sequence[ProbingSurvey],
+    precision: Mapping[str, float] | None = None,
+) -> str:
     """What to expect of the data, or how displacements are still to be measured, in words.
-
-    A guess from counts, not a computation.
 
     Parameters
     ----------
     session : Session
     surveys : sequence of ProbingSurvey     of all its probings; none where there are steps
+    precision : mapping or None     `expected_precision`; None: not computed
 
     Returns
     -------
@@ -226,26 +232,28 @@ def session_outlook(session: Session, surveys: Sequence[ProbingSurvey]) -> str:
     unread = [p.name for p in session.probings if p.displacement is None and p.images is not None]
     if len(unread) == len(surveys):
         return (
-            f"{len(unread)} probings have pictures and no displacements yet: `palpate flow` shows"
-            " what can be read from them, `palpate fit` reads them itself."
+            f"Pictures without displacements: {counted(len(unread), 'probing')}. `palpate flow`"
+            " shows what can be read from them, `palpate fit` reads them itself."
         )
-    sentences = [_expectation(sum(survey.near for survey in surveys))]
+    sentences = [] if precision is None else [_expectation(precision)]
     weak = [s.name for s in surveys if s.signal_to_noise < _CLEAR_SIGNAL]
     if weak:
         names = ", ".join(weak[:5]) + (", ..." if len(weak) > 5 else "")
         sentences.append(
             f"Half the vectors or more are below {_CLEAR_SIGNAL:g} sigma in {len(weak)} of"
-            f" {len(surveys)} probings ({names}): expect wide intervals from these alone."
+            f" {counted(len(surveys), 'probing')} ({names}): expect wide intervals from these"
+            " alone."
         )
     if not any(np.isfinite(survey.signal_to_noise) for survey in surveys):
         sentences.append("No standard deviations are given; the noise will be estimated.")
     coarse = [survey.name for survey in surveys if survey.elements_per_radius < 1.0]
     if coarse:
         sentences.append(
-            f"The contact is smaller than an element in {len(coarse)} probings: displacements next"
-            " to it will be inaccurate; refine the mesh there or leave near points out."
+            f"The contact is smaller than an element in {counted(len(coarse), 'probing')}:"
+            " displacements next to it will be inaccurate; refine the mesh there or leave near"
+            " points out."
         )
-    return " ".join([*sentences, "This is a guess by counting: `palpate fit` decides."])
+    return " ".join([*sentences, "`palpate fit` decides."])
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,7 +412,7 @@ def without_contradicted(measured: MeasuredPoints) -> MeasuredPoints:
     MeasuredPoints                  outliers are rows of NaN, and counted
     """
     valid = measured_rows(measured.displacement)
-    ratio = median_test(measured.points, measured.displacement, valid)
+    ratio = median_test(measured.points, np.nan_to_num(measured.displacement), valid)
     return measured.without(ratio > _MAX_DIFFERENCE)
 
 
@@ -440,19 +448,18 @@ def triangulated(tracks: PictureTracks, rig: Rig) -> ProgramPoints:
     return ProgramPoints(rest, loaded - rest, unit="m", notes=tracks.notes, score=tracks.score)
 
 
-def _expectation(near: int) -> str:
-    """What to expect from the number of measured points near the contacts."""
-    if near < _MIN_NEAR_POINTS:
-        return (
-            f"Only {near} measured points lie within {NEAR_RADII:g} contact radii of a contact:"
-            " such data show bending and stretching, which determine Young's modulus and say next"
-            " to nothing about Poisson's ratio."
-        )
-    return (
-        f"{near} measured vectors lie within {NEAR_RADII:g} contact radii of a contact: stiffness"
-        " should be identifiable, and so should Poisson's ratio if the vectors' parts along the"
-        " surface stand out of the noise."
-    )
+def _expectation(precision: Mapping[str, float]) -> str:
+    """What to expect of the constants at best."""
+    young, ratio = precision["young_modulus"], precision["poisson_ratio"]
+    stiffness = (
+        f"Young's modulus to about {100 * young:.2g} %" if young < _ANY_MODULUS
+        else "next to nothing about Young's modulus"
+    )  # fmt: skip
+    other = (
+        f"Poisson's ratio to about {ratio:.1g}" if ratio < _ANY_RATIO
+        else "next to nothing about Poisson's ratio"
+    )  # fmt: skip
+    return f"These data tell (1 sigma, Cramer-Rao bound on this mesh) {stiffness}, {other}."
 
 
 def _structure(

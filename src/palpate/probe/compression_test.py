@@ -60,6 +60,11 @@ class CompressionResult:
     source: str = ""
     notes: tuple[str, ...] = ()
 
+    @property
+    def area(self) -> float:
+        """Area of the cylinder's ends before loading [m^2]."""
+        return float(np.pi * self.diameter**2 / 4.0)
+
 
 @dataclass(frozen=True, slots=True)
 class CompressionSeries:
@@ -69,8 +74,8 @@ class CompressionSeries:
     ----------
     young_modulus : float [Pa]            mean over specimens
     spread : float [Pa]                   standard deviation from specimen to specimen; NaN for one
-    ci95 : (float, float) [Pa]            of the mean; for one specimen, of its fit
-    results : tuple of CompressionResult  one per specimen
+    ci95 : (float, float) [Pa]            of the mean; for one specimen, of its widest fit
+    results : tuple of CompressionResult  one per test
     """
 
     young_modulus: float
@@ -154,7 +159,9 @@ def compression_test(
     )
 
 
-def compression_series(results: Sequence[CompressionResult]) -> CompressionSeries:
+def compression_series(
+    results: Sequence[CompressionResult], specimens: Sequence[str] | None = None
+) -> CompressionSeries:
     """Mean Young's modulus over specimens with Student's 95 percent interval of that mean.
 
     The spread between specimens contains everything that differs from one to the next. It is
@@ -163,6 +170,7 @@ def compression_series(results: Sequence[CompressionResult]) -> CompressionSerie
     Parameters
     ----------
     results : one or more CompressionResult
+    specimens : sequence of str or None     which specimen each is a test of; None: of its own
 
     Raises
     ------
@@ -170,10 +178,15 @@ def compression_series(results: Sequence[CompressionResult]) -> CompressionSerie
     """
     if not results:
         raise InputError("no compression result given; give at least one")
-    values = np.array([result.young_modulus for result in results])
+    tests: dict[str, list[float]] = {}
+    names = [str(k) for k in range(len(results))] if specimens is None else specimens
+    for name, result in zip(names, results, strict=True):
+        tests.setdefault(name, []).append(result.young_modulus)
+    values = np.array([np.mean(each) for each in tests.values()])
     mean = float(values.mean())
     if len(values) == 1:
-        return CompressionSeries(mean, float("nan"), results[0].ci95, tuple(results))
+        half = max(result.ci95[1] - result.young_modulus for result in results)
+        return CompressionSeries(mean, float("nan"), (mean - half, mean + half), tuple(results))
     spread = float(values.std(ddof=1))
     half_width = float(stdtrit(len(values) - 1, 0.975)) * spread / np.sqrt(len(values))
     return CompressionSeries(

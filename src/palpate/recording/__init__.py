@@ -20,6 +20,7 @@ from palpate.recording.outline import (
     flat_sides as flat_sides,
     likely_template as likely_template,
     likely_unit as likely_unit,
+    opposite_side as opposite_side,
     outline_text as outline_text,
     read_surface as read_surface,
     survey_folder as survey_folder,

@@ -17,15 +17,16 @@ import numpy as np
 from palpate.errors import InputError, MeshError, PalpateError, RecordError, quoted
 from palpate.geometry import MESH_SUFFIXES, TriangleMesh, read_mesh, triangle_areas
 from palpate.recording.recording_file import RECORDING_FORMAT
-from palpate.records import SESSION_FORMAT, Rig, read_rig, read_text_table
+from palpate.records import FILE_LENGTH_UNITS, SESSION_FORMAT, Rig, read_rig, read_text_table
 from palpate.shapes import Vector3
 from palpate.vision import VIDEO_SUFFIXES
 
-Template = Literal["lab", "dic", "robot", "gauge"]
+Template = Literal["lab", "dic", "tension", "robot", "gauge"]
 # Purpose of each template, and the file that it makes.
 TEMPLATES: dict[str, tuple[str, str]] = {
     "lab": ("sorted pictures of calibrated cameras", "session.toml"),
     "dic": ("displacements from image correlation or another program", "session.toml"),
+    "tension": ("displacements of a specimen between grips that pull it", "session.toml"),
     "robot": ("videos, a force log and a log of the tool's pose", "recording.toml"),
     "gauge": ("videos and the log of a force gauge; the contact is found", "recording.toml"),
 }
@@ -40,6 +41,8 @@ _OWN_FILES = ("session.toml", "recording.toml", "truth.toml")
 _MAX_FILES = 20_000
 # Triangles of a flat side lie within this fraction of the object's size of its extreme plane.
 _FLATNESS = 1e-3
+# A flat side of a smaller share of the surface may be a facet of a round one.
+_SMALL_SIDE = 0.02
 _SIDES = {"x-": (0, -1.0), "x+": (0, 1.0), "y-": (1, -1.0), "y+": (1, 1.0), "z-": (2, -1.0),
           "z+": (2, 1.0)}  # fmt: skip
 SIDES = tuple(_SIDES)
@@ -82,6 +85,7 @@ class Outline:
     radius_known : bool             the radius was given, not guessed
     tool_radius : float or None     radius of a ball that presses, in that unit; the contact radius
                                     is then computed from it
+    pulled : Side or None           flat side that the other grip holds
     """
 
     template: Template
@@ -92,6 +96,7 @@ class Outline:
     radius: float
     radius_known: bool
     tool_radius: float | None = None
+    pulled: Side | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +161,13 @@ def outline_text(survey: FolderSurvey, outline: Outline) -> str:
         )
     recorded = TEMPLATES[outline.template][1] == "recording.toml"
     head = _head(outline, RECORDING_FORMAT if recorded else SESSION_FORMAT)
-    parts = [head, _object(outline), _support(outline)]
+    held = _support("[support]", outline.side)
+    if outline.template == "tension":
+        held = (
+            _support("[[support]]", outline.side) + "\n" + _support("[[support]]", outline.pulled)
+        )
+        held += _line('motion = "free"', "this grip moves, and nobody need know how")
+    parts = [head, _object(outline), held]
     if recorded:
         parts += [_rig(survey), _force(survey), _cameras(survey)]
         parts.append(_contact(survey, outline))
@@ -170,7 +181,7 @@ def outline_text(survey: FolderSurvey, outline: Outline) -> str:
 def _line(text: str, comment: str, *, fill: bool = False) -> str:
     """A line with a comment, marked if something is to be filled in."""
     mark = f"{_FILL_MARK}: " if fill else "# "
-    return f"{text:<30}{mark}{comment}\n" if comment else f"{text:<30}{mark}".rstrip(": ") + "\n"
+    return f"{text:<29} {mark}{comment}".rstrip(": ") + "\n"
 
 
 def _head(outline: Outline, form: str) -> str:
@@ -192,20 +203,21 @@ def _object(outline: Outline) -> str:
     )
 
 
-def _support(outline: Outline) -> str:
-    head = _line("[support]", "the part of the surface that does not move")
-    if outline.side is None:
+def _support(table: str, side: Side | None) -> str:
+    head = _line(table, "a part of the surface that is held")
+    if side is None:
         plane = "plane = { point = [0, 0, 0], normal = [0, 0, 1], tolerance = 0 }"
         what = "no side is flat along an axis: a plane, a box or triangles"
         return head + _line(f"{plane}   ", what, fill=True)
-    side = outline.side
+    small = side.area_fraction < _SMALL_SIDE
     point, normal = (
         "[" + ", ".join(f"{x:.6g}" for x in vector) + "]" for vector in (side.point, side.normal)
     )
     return (
-        f"{head}# the flat side at {side.name}, {100 * side.area_fraction:.0f} % of the surface:"
+        f"{head}# the flat side at {side.name}, {100 * side.area_fraction:.2g} % of the surface:"
         " all triangles this close to the plane\n"
-        f"plane = {{ point = {point}, normal = {normal}, tolerance = {side.tolerance:.3g} }}\n"
+        f"plane = {{ point = {point}, normal = {normal}, tolerance = {side.tolerance:.3g} }}"
+        + (f"   {_FILL_MARK}: is this all that is held?\n" if small else "\n")
     )
 
 
@@ -265,7 +277,8 @@ def _contact(survey: FolderSurvey, outline: Outline) -> str:
         poses = survey.poses[0] if survey.poses else "poses.csv"
         what = "time, x, y, z of the tip, in the mesh's frame"
         return text + _line(f"poses = {_quoted(poses)}", what, fill=not survey.poses)
-    return text + _line("# points = [[0, 0, 40]]", "one a press; else they are found")
+    place = 0.04 / FILE_LENGTH_UNITS[outline.unit]
+    return text + _line(f"# points = [[0, 0, {place:g}]]", "one a press; else they are found")
 
 
 def _pictured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
@@ -318,11 +331,13 @@ def _probe(name: str, outline: Outline) -> str:
     patch = f'radius = {outline.radius:g}, profile = "hertz"'
     if outline.tool_radius is not None:
         patch = f'tool = "sphere", tool_radius = {outline.tool_radius:g}'
-    contact = f"{{ point = [0, 0, 0], {patch} }}"
+    contact = _line(f"contact = {{ point = [0, 0, 0], {patch} }}", "", fill=True)
+    if outline.template == "tension":
+        contact = _line("contact = { support = 2 }", "the grip that pulls")
+    newtons = "N, what the tool exerts on the object; 100 g on a scale are 0.981 N"
     return (
-        f"[[probe]]\nname = {_quoted(name)}\n"
-        + _line(f"contact = {contact}   ", "", fill=True)
-        + _line("force = [0, 0, 0]", "N, what the tool exerts on the object", fill=True)
+        f"[[probe]]\nname = {_quoted(name)}\n{contact}"
+        + _line("force = [0, 0, 0]", newtons, fill=True)
         + _line("# force_std = 0.01", "N, 1 sigma")
     )
 
@@ -490,6 +505,21 @@ def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
             area_fraction = float(areas[on_side].sum() / areas.sum())
             found.append(Side(name, point, normal, _FLATNESS * size, area_fraction))
     return tuple(sorted(found, key=lambda side: (-round(side.area_fraction, 3), side.name != "z-")))
+
+
+def opposite_side(sides: tuple[Side, ...], side: Side | None) -> Side | None:
+    """The flat side across the object from another.
+
+    Parameters
+    ----------
+    sides : tuple of Side
+    side : Side or None
+
+    Returns
+    -------
+    Side or None                    None: there is none
+    """
+    return next((s for s in sides if side and np.array_equal(s.normal, -side.normal)), None)
 
 
 def chosen_side(sides: tuple[Side, ...], name: str | None) -> Side | None:

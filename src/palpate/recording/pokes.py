@@ -20,7 +20,7 @@ import tomlkit
 from jaxtyping import Float, Int
 from scipy.interpolate import RBFInterpolator
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, unit_normals, write_mesh
@@ -240,7 +240,8 @@ def _noise(curves: list[_Curve], power: float) -> float:
         solution, _, rank, _ = np.linalg.lstsq(terms, force, rcond=1e-10)
         if (free := len(depth) - int(rank)) > 0:
             left = float(np.square(force - terms @ solution).sum())
-            square.append(left / float(chi2.median(free)))
+            # The median of chi-squared; importing scipy.stats for it would take most of a second.
+            square.append(left / float(chdtri(free, 0.5)))
     return float(np.sqrt(np.median(square))) if square else 0.0
 
 

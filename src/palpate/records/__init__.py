@@ -96,6 +96,7 @@ from palpate.records.probing import (
     PointCorrelation as PointCorrelation,
     Probing as Probing,
     SurfaceAverage as SurfaceAverage,
+    lengths as lengths,
     measured_rows as measured_rows,
     observed_rows as observed_rows,
 )

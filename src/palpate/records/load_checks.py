@@ -15,7 +15,7 @@ from palpate.geometry import (
     unit_normals,
 )
 from palpate.records.contact import RIGID, Contact
-from palpate.records.probing import DisplacementField, Probing, observed_rows
+from palpate.records.probing import DisplacementField, Probing, lengths, observed_rows
 from palpate.records.quantities import HIGHEST_PRESSURE, MODULUS_RANGE, modulus_unit
 from palpate.shapes import Flags, Indices
 
@@ -187,13 +187,13 @@ def largest_displacement(probing: Probing) -> float:
     -------
     float [m]                       0 if nothing was measured
     """
-    lengths = [0.0]
+    largest = [0.0]
     if probing.displacement is not None:
         moved = probing.displacement.displacement[observed_rows(probing.displacement)]
-        lengths += [float(np.linalg.norm(moved, axis=1).max(initial=0.0))]
+        largest += [float(lengths(moved).max(initial=0.0))]
     if probing.tip_displacement is not None:
-        lengths.append(float(np.linalg.norm(probing.tip_displacement)))
-    return max(lengths)
+        largest.append(float(np.linalg.norm(probing.tip_displacement)))
+    return max(largest)
 
 
 def check_observed_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> None:
@@ -210,7 +210,7 @@ def check_observed_points(mesh: TriangleMesh, held: Indices, field: Displacement
     InputError                      the text says which of these it is
     """
     measured = observed_rows(field)
-    if not field.displacement[measured].any():
+    if not lengths(field.displacement[measured]).any():
         raise InputError(
             f"the displacement of all {int(measured.sum())} measured points of {field.source} is"
             " exactly zero: nothing moved, which says nothing about stiffness; were the pictures at"
@@ -249,8 +249,7 @@ def held_points(mesh: TriangleMesh, held: Indices, field: DisplacementField) -> 
 def _check_not_positions(mesh: TriangleMesh, field: DisplacementField, measured: Flags) -> None:
     """Refuse positions under load in place of displacements."""
     moved, rest = field.displacement[measured], field.points[measured]
-    length = float(np.sqrt((moved**2).sum(axis=1).mean()))
-    difference = float(np.sqrt(((moved - rest) ** 2).sum(axis=1).mean()))
+    length, difference = (float(np.sqrt((lengths(x) ** 2).mean())) for x in (moved, moved - rest))
     if (
         measured.sum() >= _MIN_POINTS
         and length > _MIN_LENGTH * bounding_diagonal(mesh)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError, quoted
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, mesh_quality
-from palpate.records.probing import DisplacementField, measured_rows
+from palpate.records.probing import DisplacementField, lengths, measured_rows
 from palpate.records.program import ProgramPoints, nearest_rotation
 from palpate.records.quantities import LENGTH_UNITS, unit_name
 from palpate.records.text.toml_table import TomlTable, read_toml
@@ -24,6 +24,8 @@ _MAX_SPAN, _MIN_SPAN = 3.0, 0.01
 # A rotation typed with four digits is this far from orthogonal; a larger error is a mistake.
 _MAX_TYPED_ERROR = 1e-3
 _MAX_ROUNDING_ERROR = 1e-9
+# An entry of a rotation matrix that is smaller carries nothing of one component into another.
+_NO_PART = 1e-9
 _EXAMPLE = 'length_unit = "mm", R = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], t = [0, 0, 0]'
 
 
@@ -174,7 +176,7 @@ def _check_measured(path: Path, moved: Points, failed: Flags, low_score_text: st
             f"{path}: not one of its {len(failed)} points was measured (failed or"
             f" NaN{low_score_text}); is it the right file and state? Evaluate it again"
         )
-    if not moved[~failed].any():
+    if not lengths(moved[~failed]).any():
         raise RecordError(
             f"{path}: every displacement is exactly zero: this is the reference state itself;"
             " give the file of the loaded state, or its number with --frame"
@@ -229,13 +231,26 @@ def in_object_frame(
     Returns
     -------
     MeasuredPoints
+
+    Raises
+    ------
+    RecordError                         displacements in a plane that lies across the axes
     """
     rotation = T_object_file[:3, :3]
-    std = measured.std
+    std, moved = measured.std, measured.displacement
+    turned = np.nan_to_num(moved) @ rotation.T
+    # A component is known where all that it is made of is.
+    made_of_unknown = np.isnan(moved).astype(float) @ (np.abs(rotation.T) > _NO_PART)
+    displacement = np.where(made_of_unknown > 0.0, np.nan, turned)
+    if measured_rows(moved).any() and not measured_rows(displacement).any():
+        raise RecordError(
+            f"{measured.source}: holds the displacement in a plane alone, which lies across the"
+            " axes of the object's frame; turn the mesh so that its axes are those of the picture"
+        )
     return replace(
         measured,
         points=measured.points @ rotation.T + T_object_file[:3, 3],
-        displacement=measured.displacement @ rotation.T,
+        displacement=displacement,
         std=None if std is None else np.sqrt(std**2 @ (rotation**2).T),
     )
 

@@ -22,7 +22,13 @@ from palpate.records.load_checks import (
     modulus_range,
     pascals,
 )
-from palpate.records.probing import LARGE_ROTATION, Probing, observed_rows, rigid_rotation_angle
+from palpate.records.probing import (
+    LARGE_ROTATION,
+    Probing,
+    lengths,
+    observed_rows,
+    rigid_rotation_angle,
+)
 from palpate.records.session import Session
 from palpate.records.support import FIXED
 from palpate.shapes import Vector3
@@ -172,12 +178,12 @@ def _slip_notes(session: Session) -> list[str]:
     held = np.concatenate([np.zeros(0, dtype=np.int64), *fixed])
     notes = []
     for probing in session.probings:
-        if probing.displacement is None:
+        field = probing.displacement
+        if field is None:
             continue
-        moved = np.linalg.norm(probing.displacement.displacement, axis=1)
-        motion = float(np.nanmedian(moved))
-        on_support = moved[held_points(session.mesh, held, probing.displacement)]
-        on_support = on_support[~np.isnan(on_support)]
+        moved, measured = lengths(field.displacement), observed_rows(field)
+        motion = float(np.median(moved[measured]))
+        on_support = moved[held_points(session.mesh, held, field) & measured]
         if len(on_support) >= _MIN_HELD_POINTS and np.median(on_support) > _SLIP_FRACTION * motion:
             notes.append(
                 f"Probing {probing.name}: {len(on_support)} points on the support moved by"
@@ -265,11 +271,12 @@ def _force_notes(mesh: TriangleMesh, probing: Probing, largest: float) -> list[s
             f" Young's modulus of about {pascals(modulus)},"
             f" {'softer' if modulus < 1e5 else 'stiffer'} than what is usually probed; is it in N?"
         )
-    if probing.force_std is not None and np.linalg.norm(probing.force_std) > force:
-        notes.append("force_std exceeds the force itself; check both.")
+    direction = probing.force / force
+    # Across the force it may be as large as one likes: a gauge of one axis does not see that.
+    if probing.force_std is not None and np.linalg.norm(probing.force_std * direction) > force:
+        notes.append("force_std exceeds the force itself, along it; check both.")
     if probing.contact.triangles is not None:
         return notes
-    direction = probing.force / force
     distance = triangle_distances(mesh, probing.contact.point)
     triangle, gap = int(distance.argmin()), float(distance.min())
     if probing.contact.radius is not None and gap > _MAX_OFF_SURFACE * probing.contact.radius:
@@ -299,7 +306,7 @@ def _counter_notes(probing: Probing, direction: Vector3) -> list[str]:
         return []
     near = observed_rows(field)
     near &= np.linalg.norm(field.points - probing.contact.point, axis=1) < _NEAR_RADII * radius
-    along = field.displacement[near] @ direction
+    along = np.nan_to_num(field.displacement[near]) @ direction
     counter = int((along < 0.0).sum())
     if len(along) < _MIN_POINTS or counter < _COUNTER_FRACTION * len(along):
         return []

@@ -15,7 +15,7 @@ from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
 from palpate.records.contact import RIGID, Contact
 from palpate.records.support import RigidMotion
-from palpate.shapes import Flags, Indices, PointIndices, Points, Vector3
+from palpate.shapes import Flags, Indices, PointIndices, Points, PointScalars, Vector3
 
 # Tolerance on the sum of some hundred weights in single precision.
 _ROUNDING = 1e-5
@@ -213,7 +213,8 @@ class DisplacementField:
         moved.setflags(write=False)
         object.__setattr__(self, "displacement", moved)
         if self.std is not None:
-            bad = np.flatnonzero(is_measured & ~(self.std > 0.0).all(axis=1))
+            known = (self.std > 0.0) | np.isnan(self.displacement)
+            bad = np.flatnonzero(is_measured & ~known.all(axis=1))
             if len(bad):
                 raise InputError(
                     f"std of {len(bad)} measured points is not positive, the first: row {bad[0]},"
@@ -228,13 +229,14 @@ class DisplacementField:
 
     def __repr__(self) -> str:
         measured = observed_rows(self)
-        length = np.linalg.norm(self.displacement[measured], axis=1)
+        length = lengths(self.displacement[measured])
         median = f", median {1e3 * np.median(length):.3g} mm" if len(length) else ""
         return f"DisplacementField: {len(measured)} points, {measured.sum()} measured{median}"
 
 
 def measured_rows(displacement: Points) -> Flags:
-    """True for the points that were measured, (n,) bool: no component is NaN.
+    """True for the points that were measured, (n,) bool: no component is NaN that any other point
+    has. One camera sees no depth: a component that no point has is not missing anywhere.
 
     Parameters
     ----------
@@ -244,7 +246,19 @@ def measured_rows(displacement: Points) -> Flags:
     -------
     (n,) bool
     """
-    return ~np.isnan(displacement).any(axis=1)
+    missing = np.isnan(displacement)
+    seen = ~missing.all(axis=0)
+    return np.asarray(~missing[:, seen].any(axis=1) & seen.any())
+
+
+def lengths(displacement: Points) -> PointScalars:
+    """Lengths of displacements by the components that were measured, (n,) float [m].
+
+    Parameters
+    ----------
+    displacement : (n, 3) float [m] NaN where not measured
+    """
+    return np.asarray(np.linalg.norm(np.nan_to_num(displacement), axis=1))
 
 
 def observed_rows(field: DisplacementField) -> Flags:
@@ -396,7 +410,7 @@ def check_rotation(
     Parameters
     ----------
     points : (n, 3) float [m]           at rest
-    displacement : (n, 3) float [m]     of each, finite
+    displacement : (n, 3) float [m]     of each
     place : str                         file or pictures they come from, for the message
 
     Raises
@@ -422,18 +436,18 @@ def rigid_rotation_angle(
     Parameters
     ----------
     points : (n, 3) float [m]           at rest
-    displacement : (n, 3) float [m]     finite
+    displacement : (n, 3) float [m]
 
     Returns
     -------
     float [rad]                         0 to pi; 0 if the motion is not mainly a rotation, or the
-                                        points are too few or collinear
+                                        points are too few or collinear, or seen by one camera
 
     Source
     ------
     Kabsch, Acta Cryst. A 32 (1976) 922, in scipy.
     """
-    if len(points) < 3:
+    if len(points) < 3 or np.isnan(displacement).any():
         return 0.0
     before = points - points.mean(axis=0)
     after = before + displacement - displacement.mean(axis=0)

@@ -166,7 +166,7 @@ def constant_row(estimate: Estimate, name: str) -> tuple[str, str, str]:
                                     `(0.00 to 0.50)`
     """
     constant: Constant = getattr(estimate, name)
-    factor, unit = _constant_unit(name, constant.value)
+    factor, unit = _constant_unit(estimate, name)
     interval = interval_text(constant, factor=factor)
     if not estimate.identifiable[name]:
         return NOT_DETERMINED, f"({interval})", unit
@@ -215,7 +215,7 @@ def verdict_text(estimate: Estimate) -> str:
     for name, symbol in _SYMBOLS.items():
         if estimate.identifiable[name]:
             _, interval, unit = constant_row(estimate, name)
-            factor, _ = _constant_unit(name, getattr(estimate, name).value)
+            factor, _ = _constant_unit(estimate, name)
             value = value_text(getattr(estimate, name), factor=factor)
             brackets = "" if interval == _NO_INTERVAL else f" ({interval})"
             known.append(f"{symbol} = {value}{unit and ' ' + unit}{brackets}")
@@ -233,20 +233,21 @@ def verdict_text(estimate: Estimate) -> str:
     return " ".join(sentences)
 
 
-def _constant_unit(name: str, value: float) -> tuple[float, str]:
-    """Unit in which a constant is shown.
+def _constant_unit(estimate: Estimate, name: str) -> tuple[float, str]:
+    """Unit in which a constant is shown; that of Young's modulus is also that of the shear modulus.
 
     Parameters
     ----------
+    estimate : Estimate
     name : str                      one of `CONSTANT_NAMES`
-    value : float                   [Pa] for moduli
 
     Returns
     -------
     (float, str)                    value of the unit in SI units, and its name; 1 and an empty name
                                     for Poisson's ratio
     """
-    return (1.0, "") if name == "poisson_ratio" else modulus_unit(value)
+    moduli = (estimate.young_modulus.value, estimate.shear_modulus.value)
+    return (1.0, "") if name == "poisson_ratio" else modulus_unit(np.fmax(*moduli))
 
 
 def _decimals(std: float, value: float) -> int:

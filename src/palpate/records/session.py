@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.arrays import fix_fields
-from palpate.errors import InputError, quoted
+from palpate.errors import InputError, counted, quoted
 from palpate.geometry import TriangleMesh
 from palpate.records.contact import CYLINDER, FLAT, RIGID, SPHERE
 from palpate.records.error_priors import ErrorPriors
@@ -128,10 +128,10 @@ class Session:
 
     def __repr__(self) -> str:
         names = [item.name for item in self.probings] or [item.name for item in self.steps]
-        kind = "steps" if self.steps else "probings"
+        count = counted(len(names), "step" if self.steps else "probing")
         more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
         return (
-            f"Session {self.name!r}: {len(names)} {kind} ({', '.join(names[:_MAX_NAMED])}{more}),"
+            f"Session {self.name!r}: {count} ({', '.join(names[:_MAX_NAMED])}{more}),"
             f" {len(self.mesh.vertices)} vertices, {len(self.held_triangles)} of"
             f" {len(self.mesh.triangles)} triangles held"
         )

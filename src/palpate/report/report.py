@@ -127,7 +127,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "reciprocity": "" if estimate.reciprocity is None else estimate.reciprocity.text,
         "field": estimate.field,
         "regions": [region_row(each) for each in estimate.regions],
-        "notes": (*estimate.notes, *estimate.details),
+        "notes": [_with_greek(note) for note in (*estimate.notes, *estimate.details)],
         "seconds": _second_rows(estimate),
         "settings": _setting_rows(estimate),
         "inputs": _input_rows(folder),
@@ -214,6 +214,11 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     return estimate
 
 
+def _with_greek(text: str) -> str:
+    """Poisson's ratio by the letter that the figures have, too."""
+    return re.sub(r"\bnu\b", "\N{GREEK SMALL LETTER NU}", text)
+
+
 def _verdict(estimate: Estimate) -> dict[str, Any]:
     """The head of a report: a word, a sentence, what to do, and whether all is determined."""
     status = estimate.status
@@ -221,7 +226,7 @@ def _verdict(estimate: Estimate) -> dict[str, Any]:
     sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
     return {
         "word": _WORDS.get(status, "Partly determined"),
-        "sentence": sentence,
+        "sentence": _with_greek(sentence),
         "cure": status.cure[:1].upper() + status.cure[1:] + "." if status.cure else "",
         "good": status is Status.OK,
     }

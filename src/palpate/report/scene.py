@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import to_hex
 
-from palpate.figures import MOST_SIGMAS, OUTLIER_WEIGHT, best_direction
+from palpate.figures import MOST_SIGMAS, OUTLIER_WEIGHT, best_direction, rms_of_known
 from palpate.geometry import TriangleMesh, closest_points, unit_normals
 from palpate.pipeline import FittedProbing, FittedSurface
 from palpate.shapes import Points, PointScalars, Vector3
@@ -71,25 +71,32 @@ def in_sigmas(probing: FittedProbing) -> PointScalars:
     -------
     (n,) float [-]                  NaN where not measured
     """
-    scaled = (probing.displacement - probing.predicted) / probing.sigma
-    return np.sqrt(np.mean(scaled**2, axis=1))
+    return rms_of_known((probing.displacement - probing.predicted) / probing.sigma)
+
+
+def _moved(probing: FittedProbing) -> Points:
+    """Measured displacements; what one camera does not see, as predicted."""
+    missing = np.isnan(probing.displacement)
+    unseen = missing & ~missing.all(axis=1, keepdims=True)
+    return np.where(unseen, probing.predicted, probing.displacement)
 
 
 def _direction(surface: FittedSurface, mesh: TriangleMesh) -> Vector3:
     """Direction toward the viewer from which most points of the first probing are visible."""
     normals, first = unit_normals(mesh), surface.probings[0]
-    seen = np.isfinite(first.displacement).all(axis=1)
+    seen = np.isfinite(_moved(first)).all(axis=1)
     places = closest_points(mesh, np.vstack([first.contact, first.points[seen]])).triangle
     return best_direction(normals[places[1:]], normals[places[0]])
 
 
 def _probing(probing: FittedProbing, centre: Vector3, mesh: TriangleMesh) -> dict[str, Any]:
     """One probing, without points that were not measured and without outliers."""
-    seen = np.isfinite(probing.displacement).all(axis=1)
+    moved = _moved(probing)
+    seen = np.isfinite(moved).all(axis=1)
     used = seen & (probing.weight.max(axis=1) >= OUTLIER_WEIGHT)
     seen, surface = used if used.any() else seen, probing.surface
     places = closest_points(mesh, probing.points[seen]).triangle
-    length = 1e3 * np.linalg.norm(probing.displacement[seen], axis=1)
+    length = 1e3 * np.linalg.norm(moved[seen], axis=1)
     return {
         "name": probing.name,
         # Upper end of the colour scale [mm].
@@ -99,7 +106,7 @@ def _probing(probing: FittedProbing, centre: Vector3, mesh: TriangleMesh) -> dic
         "rows": (np.flatnonzero(seen) + 1).tolist(),
         "points": _packed(1e3 * (probing.points[seen] - centre)),
         "normals": _packed(unit_normals(mesh)[places]),
-        "measured": _packed(1e3 * probing.displacement[seen]),
+        "measured": _packed(1e3 * moved[seen]),
         "predicted": _packed(1e3 * probing.predicted[seen]),
         "sigmas": _packed(in_sigmas(probing)[seen]),
         "surface": None if surface is None else _packed(1e3 * surface),

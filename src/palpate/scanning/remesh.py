@@ -122,9 +122,9 @@ def _check_near(near: Points, mesh: TriangleMesh) -> None:
     if far.any():
         k = int(gap.argmax())
         raise InputError(
-            f"{int(far.sum())} of {len(near)} points that the mesh is to be finer near are away"
-            f" from it, the farthest {place_text(near[k])} by {1e3 * gap[k]:.4g} mm; check their"
-            " unit and frame"
+            f"{int(far.sum())} of {len(near)} points that the mesh is to be finer near (--near) are"
+            f" away from it, the farthest {place_text(near[k])} by {1e3 * gap[k]:.4g} mm; check"
+            " their unit and frame"
         )
 
 

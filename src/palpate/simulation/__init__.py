@@ -30,6 +30,7 @@ from palpate.simulation.export import (
     FitSource as FitSource,
     export_fit as export_fit,
     read_fit as read_fit,
+    read_fitted as read_fitted,
 )
 from palpate.simulation.green_functions import (
     GreenFunctions as GreenFunctions,

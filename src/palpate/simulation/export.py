@@ -4,8 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from palpate.errors import InputError, RecordError
-from palpate.pipeline import read_modulus
+from palpate.pipeline import (
+    FittedSurface,
+    kept_motion,
+    read_fitted_surface,
+    read_modulus,
+    with_motions,
+)
 from palpate.progress import Progress, silent
 from palpate.records import (
     CONSTANT_NAMES,
@@ -100,6 +108,36 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
     return FitSource(
         read_session(place), read_estimate(file), files, _changes(result, place), modulus
     )
+
+
+def read_fitted(result: Path, session: Path | None = None) -> tuple[FitSource, FittedSurface]:
+    """Read a result of `palpate fit` with what its session's pictures gave, and its surface.
+
+    Parameters
+    ----------
+    result : Path
+    session : Path or None          present location of the session; None: unchanged
+
+    Returns
+    -------
+    FitSource
+    FittedSurface
+
+    Raises
+    ------
+    RecordError                     as of `read_fit`; a damaged surface, or the session has another
+                                    mesh now
+    """
+    source, surface = read_fit(result, session), read_fitted_surface(result)
+    found = source.session
+    same = np.array_equal(found.mesh.vertices, surface.vertices)
+    if not same or not np.array_equal(found.mesh.triangles, surface.triangles):
+        raise RecordError(
+            f"{result}: was fitted to another mesh than {found.path} names now; fit the session"
+            " again"
+        )
+    found = with_motions(found, kept_motion(found, result))
+    return replace(source, session=found), surface
 
 
 def _changes(result: Path, place: Path) -> tuple[str, ...]:

@@ -11,16 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.errors import PalpateError, RecordError
+from palpate.errors import PalpateError
 from palpate.estimation import Evaluation, FitResult
 from palpate.pipeline import (
     SURFACE_FILE,
     FittedProbing,
     FittedSurface,
     fit_session,
-    kept_motion,
-    read_fitted_surface,
-    with_motions,
 )
 from palpate.records import (
     Estimate,
@@ -37,7 +34,7 @@ from palpate.simulation import (
     estimated_material,
     exact_material,
     make_green_functions,
-    read_fit,
+    read_fitted,
 )
 
 # Largest size of the Green's functions [bytes]: a few seconds of work on a laptop.
@@ -86,14 +83,8 @@ def read_subject(path: Path, session: Path | None = None) -> Subject:
     if not (path / SURFACE_FILE).is_file() and not (path / "estimate.json").is_file():
         found = read_session(path)
         return Subject(found, None, None, _rig(found))
-    source, surface = read_fit(path, session), read_fitted_surface(path)
+    source, surface = read_fitted(path, session)
     found = source.session
-    same = np.array_equal(found.mesh.vertices, surface.vertices)
-    if not same or not np.array_equal(found.mesh.triangles, surface.triangles):
-        raise RecordError(
-            f"{path}: was fitted to another mesh than {found.path} names now; fit the session again"
-        )
-    found = with_motions(found, kept_motion(found, path))
     return Subject(found, source.estimate, surface, _rig(found), source.modulus)
 
 

@@ -34,6 +34,26 @@ def test_several_files_give_their_mean(palpate, record, tmp_path):
     assert "110 ± 14" in out
 
 
+def test_repeats_of_one_specimen_count_once(palpate, record, tmp_path):
+    table = np.loadtxt(record, delimiter=",")
+    files = [record]
+    for name, factor in (("b1", 1.2), ("b2", 1.4)):
+        files.append(tmp_path / f"{name}.csv")
+        np.savetxt(files[-1], table * [1.0, factor], delimiter=",")
+    options = ("--diameter", "50mm", "--height", "30mm", "--plot", "curves.png")
+    code, out, _ = palpate("compression", *files, *options, "--group", record.stem, "b")
+    assert code == 0
+    # Mean of 100 and 130, standard deviation 30 / sqrt(2).
+    assert "mean and spread of 2" in " ".join(out.split())
+    assert "115 ± 21" in out
+    assert (tmp_path / "curves.png").stat().st_size > 5000
+    code, _, err = palpate("compression", *files, *options[:4], "--group", "b1", "b")
+    assert (code, "its name holds 0 of --group b1 b" in err) == (2, True)
+    # Of one specimen nothing is known of how others differ.
+    code, out, _ = palpate("compression", *files, *options[:4], "--group", ".csv")
+    assert "mean and spread of 1" in " ".join(out.split())
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -39,7 +39,7 @@ def asked(monkeypatch):
 
 
 def test_displacement_and_stress_are_printed(palpate, asked, cube_session):
-    inside = ("--interior", 0.02, 0.02, 0.02, 0.01, 0.02, 0.03)
+    inside = ("--interior", 0.02, 0.02, 0.02, "--interior", "10mm", "2cm", "30mm")
     code, out, err = palpate("poke", cube_session, *PUSH, *MATERIAL, *inside)
     assert (code, err) == (0, "")
     rows = {line[:10].strip(): line.split() for line in out.splitlines()}
@@ -199,6 +199,12 @@ def test_an_export_to_another_simulator_is_left_alone(palpate, result):
     code, _, err = palpate("export", result, "--to", "genesis", "--out", "made")
     assert code == 2
     assert "is a result of `palpate export --to obj`" in err
+
+
+def test_a_negative_edge_is_refused_as_a_number(palpate, result):
+    code, _, err = palpate("export", result, "--to", "vtu", "--edge", "-1mm")
+    assert code == 2
+    assert "edge is -0.001 m; must be positive" in err
 
 
 def test_the_edge_may_have_a_unit(palpate, result):

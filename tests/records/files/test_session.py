@@ -455,6 +455,11 @@ def test_likely_mistakes_are_noted(edited, old, new, message):
     assert any("Probing n01" in note and message in note for note in notes)
 
 
+def test_what_a_gauge_of_one_axis_does_not_see_is_no_mistake(edited):
+    notes = read_session(edited("force_std = 0.012", "force_std = [10, 10, 0.012]")).notes
+    assert not any("force_std" in note for note in notes)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

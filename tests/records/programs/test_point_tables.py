@@ -13,11 +13,15 @@ from program_files import (
     check_four_points,
     write_table,
 )
+from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError, RecordError
-from palpate.records import measured_rows
+from palpate.records import in_object_frame, measured_rows
 from palpate.records.programs.registry import read_measured
 
+_PLANAR = np.array(
+    [[10, 20, 1, 2, 1, 2, 0.1, -0.2], [30, 40, 1, 2, 3, 4, np.nan, 0.1]], dtype=float
+)
 OPENCORR = (
     "x,y,u,v,w,r1r2 ZNCC,r1t1 ZNCC,r1t2 ZNCC,r2_x,r2_y,t1_x,t1_y,t2_x,t2_y,"
     "ref_x,ref_y,ref_z,tar_x,tar_y,tar_z"
@@ -209,7 +213,7 @@ def test_vtu_that_is_no_surface_or_none_at_all(tmp_path):
 def test_vtu_needs_its_package(tmp_path, monkeypatch):
     path = _write_vtu(tmp_path / "a.vtu", {"u": MOVE})
     monkeypatch.setitem(sys.modules, "meshio", None)
-    with pytest.raises(InputError, match=r"pip install 'palpate\[mesh\]'"):
+    with pytest.raises(InputError, match=r"pip install 'palpate'"):
         read_measured("vtu", path, length_unit="mm")
 
 
@@ -217,3 +221,31 @@ def test_vtu_needs_a_unit(tmp_path):
     path = _write_vtu(tmp_path / "a.vtu", {"u": MOVE})
     with pytest.raises(RecordError, match="does not say its unit of length; say it with --length"):
         read_measured("vtu", path)
+
+
+def test_one_camera_leaves_the_depth_unknown(tmp_path):
+    path = write_table(tmp_path / "a.csv", "x,y,u,v,X [mm],Y [mm],U [mm],V [mm]", _PLANAR)
+    measured = read_measured("planar", path)
+    np.testing.assert_allclose(measured.points, [[1e-3, 2e-3, 0.0], [3e-3, 4e-3, 0.0]])
+    np.testing.assert_array_equal(measured.displacement, [[1e-4, -2e-4, np.nan], [np.nan] * 3])
+    # Looking along y: what was y is z.
+    turn = np.eye(4)
+    turn[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    turned = in_object_frame(measured, turn)
+    np.testing.assert_allclose(turned.displacement[0], [1e-4, np.nan, -2e-4])
+    np.testing.assert_allclose(turned.points[1], [3e-3, 0.0, 4e-3])
+    turn[:3, :3] = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
+    # Of what lies along x everything is known still.
+    assert np.isfinite(in_object_frame(measured, turn).displacement[0]).tolist() == [1, 0, 0]
+    turn[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.0]).as_matrix()
+    with pytest.raises(RecordError, match="in a plane alone, which lies across the axes"):
+        in_object_frame(measured, turn)
+
+
+def test_pixels_of_one_camera_are_no_lengths(tmp_path):
+    path = write_table(tmp_path / "a.csv", "x,y,u,v", _PLANAR[:, :4])
+    with pytest.raises(RecordError, match="does not say its unit"):
+        read_measured("planar", path)
+    path = write_table(tmp_path / "b.csv", "x,y,u", _PLANAR[:, :3])
+    with pytest.raises(RecordError, match="the column 'v' is missing; export x, y, u, v"):
+        read_measured("planar", path, length_unit="mm")

@@ -51,7 +51,17 @@ t = [-100, 5, 500]
 
 
 def test_kinds_of_the_command():
-    kinds = ["dice", "vic3d", "matchid", "pyvale", "opencorr", "multidic", "duodic", "vtu"]
+    kinds = [
+        "dice",
+        "vic3d",
+        "matchid",
+        "pyvale",
+        "opencorr",
+        "multidic",
+        "duodic",
+        "vtu",
+        "planar",
+    ]
     assert list(import_kinds()) == kinds
     assert kinds_text().startswith("dice (.txt, .e), vic3d (.csv), ")
     assert "multidic or duodic (.mat)" in kinds_text()

@@ -15,6 +15,7 @@ from rich.table import Table
 from palpate.app.tables import terminal_table
 from palpate.app.terminal import print_file_notes, print_tables
 from palpate.errors import InputError
+from palpate.figures import compression_figure, save_figure
 from palpate.probe import (
     CompressionRecord,
     CompressionResult,
@@ -25,6 +26,7 @@ from palpate.probe import (
 )
 from palpate.records import (
     Constant,
+    check_free,
     constant_text,
     copied_rows,
     interval_text,
@@ -50,6 +52,8 @@ def compression(
     force_unit: str | None = None,
     displacement_column: str | None = None,
     force_column: str | None = None,
+    group: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    plot: Path | None = None,
     out: Path | None = None,
     force: bool = False,
 ) -> int:
@@ -77,15 +81,23 @@ def compression(
         Name of the column, or a part of it; default: compression, displacement, extension, ...
     force_column
         Name of the column, or a part of it; default: load or force.
+    group
+        Specimens, each by a part of the names of its files; default: every file is a specimen.
+    plot
+        Picture of the curves and their lines: .png.
     out
         JSON file for the result.
     force
-        Overwrite even if the target is not an unchanged result; the old content is kept as
-        NAME.old.
+        Replace a picture of that name, and overwrite even if the target is not an unchanged result;
+        the old content is kept as NAME.old.
     """
     strain_range = _strain_range(strain)
     if out is not None and any(out.exists() and out.samefile(f) for f in files if f.exists()):
         raise InputError(f"{out}: --out names one of the records; give the result its own name")
+    specimens = _specimens(files, group)
+    if plot is not None:
+        check_free(plot, force=force)
+    records: list[CompressionRecord] = []
     results: list[CompressionResult] = []
     earlier: list[tuple[Path, set[bytes]]] = []
     notes: list[tuple[str, str]] = []
@@ -109,13 +121,31 @@ def compression(
                 preload=preload,
                 source=str(file),
             )
+            records.append(record)
             results.append(result)
             notes += [(file.name, note) for note in (*record.notes, *result.notes)]
         if staged is not None:
-            write_text(staged, sealed(_content(results), files, folder=staged.parent))
-    print_tables(_table(results))
+            write_text(staged, sealed(_content(results, specimens), files, folder=staged.parent))
+    if plot is not None:
+        save_figure(compression_figure(records, results), plot)
+    print_tables(_table(results, specimens))
     print_file_notes(notes, files=len(files))
     return 0
+
+
+def _specimens(files: Sequence[Path], groups: Sequence[str] | None) -> list[str]:
+    """The specimen that each file is a test of."""
+    if groups is None:
+        return [str(file) for file in files]
+    found = []
+    for file in files:
+        of = [name for name in groups if name in file.name]
+        if len(of) != 1:
+            raise InputError(
+                f"{file}: its name holds {len(of)} of --group {' '.join(groups)}; must hold one"
+            )
+        found += of
+    return found
 
 
 def _checked_rows(
@@ -163,23 +193,23 @@ def _strain_range(text: str) -> tuple[float, float]:
     return (low / 100.0, high / 100.0) if match[4] else (low, high)
 
 
-def _content(results: list[CompressionResult]) -> dict[str, Any]:
-    """The series and each specimen, moduli in Pa."""
-    series = compression_series(results)
+def _content(results: list[CompressionResult], specimens: list[str]) -> dict[str, Any]:
+    """The series and each test, moduli in Pa."""
+    series = compression_series(results, specimens)
     return {
         "format": "palpate-compression/1",
         "young_modulus": {
             "value": series.young_modulus,
-            "spread": series.spread if len(results) > 1 else None,
+            "spread": None if math.isnan(series.spread) else series.spread,
             "ci95": list(series.ci95),
         },
         "specimens": [asdict(result) for result in results],
     }
 
 
-def _table(results: list[CompressionResult]) -> Table:
-    """One line per specimen, and their mean where there are several."""
-    series = compression_series(results)
+def _table(results: list[CompressionResult], specimens: list[str]) -> Table:
+    """One line per test, and the mean of the specimens where there are several tests."""
+    series = compression_series(results, specimens)
     factor, unit = modulus_unit(series.young_modulus)
     lines = [
         (
@@ -192,7 +222,7 @@ def _table(results: list[CompressionResult]) -> Table:
     ]
     if len(results) > 1:
         mean = Constant(series.young_modulus, series.spread, series.ci95)
-        lines.append((f"mean and spread of {len(results)}", mean, "", ""))
+        lines.append((f"mean and spread of {len(set(specimens))}", mean, "", ""))
     columns = (f"E ± 1 sigma ({unit})", f"95 % interval ({unit})", "readings", "off the line %")
     rows = [
         (name, constant_text(young, factor=factor), interval_text(young, factor=factor), *rest)

@@ -22,13 +22,15 @@ from palpate.app.tables import (
     probes_table,
     regions_table,
     terminal_table,
+    truth_text,
 )
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
-from palpate.errors import InputError, print_message
+from palpate.errors import InputError, counted, print_message
 from palpate.estimation import FitResult, FitSettings, Prediction
 from palpate.field import check_regions
 from palpate.geometry import mesh_quality, triangle_areas
+from palpate.paper import true_material
 from palpate.pipeline import (
     NEAR_RADII,
     CameraSurvey,
@@ -36,6 +38,7 @@ from palpate.pipeline import (
     PoseChoice,
     ProbingSurvey,
     ViewSurvey,
+    expected_precision,
     fit_session,
     keep_motion,
     kept_motion,
@@ -73,7 +76,7 @@ from palpate.records import (
     session_files,
     write_text,
 )
-from palpate.report import write_report, write_result_files
+from palpate.report import write_for_paper, write_report, write_result_files
 from palpate.shapes import Vector3
 
 # Fractions of the work that are done when the fit and when the drawing begin.
@@ -154,38 +157,38 @@ def fit(
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
-    with result_folder(target, kind="fit", force=force) as folder:
+    with result_folder(target, kind="fit", force=force) as folder, progress_bar() as bar:
+        bar("reading", 0.0)
         given = _read(session, probe, hold_out or [])
         given = replace(given, smooth=surface == "smooth")
         record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)
-        with progress_bar() as bar:
-            progress = log.logged(bar)
-            count = len(unread_probings(given))
-            # Shares of the work, about: pictures, where there are some, take as long as the rest.
-            fit_begins = _FIT_BEGINS if count else 0.0
-            measured, reused = _with_motion_measured(
-                given, target, folder, pose, part_of(progress, 0.0, fit_begins)
-            )
-            print_notes(measured.notes[len(given.notes) :])
-            before = {"loading": loading, "reading_and_motion": log.seconds - loading}
-            measured, held = _split(measured, hold_out or [])
-            result = fit_session(
-                measured,
-                settings=settings,
-                cache=cache,
-                finite_strain=strain == "finite",
-                material=Material(material),
-                progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
-            )
-            progress("tables and pictures", _DRAWING_BEGINS)
-            choices = (surface, strain, pose, material)
-            command = _command(session, probe, hold_out, settings, choices)
-            result = _with_provenance(result, before, log, command)
-            predictions = () if held is None else result.predict(held)
-            write_held_out(folder, predictions)
-            estimate = _write(folder, measured, result, log)
+        progress = log.logged(bar)
+        count = len(unread_probings(given))
+        # Shares of the work, about: pictures, where there are some, take as long as the rest.
+        fit_begins = _FIT_BEGINS if count else 0.0
+        measured, reused = _with_motion_measured(
+            given, target, folder, pose, part_of(progress, 0.0, fit_begins)
+        )
+        print_notes(measured.notes[len(given.notes) :])
+        before = {"loading": loading, "reading_and_motion": log.seconds - loading}
+        measured, held = _split(measured, hold_out or [])
+        result = fit_session(
+            measured,
+            settings=settings,
+            cache=cache,
+            finite_strain=strain == "finite",
+            material=Material(material),
+            progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
+        )
+        progress("tables and pictures", _DRAWING_BEGINS)
+        choices = (surface, strain, pose, material)
+        command = _command(session, probe, hold_out, settings, choices)
+        result = _with_provenance(result, before, log, command)
+        predictions = () if held is None else result.predict(held)
+        write_held_out(folder, predictions)
+        estimate = _write(folder, measured, result, log)
     _print(estimate, measured, predictions)
     if reused:
         print_text(f"Note: {_REUSED.format(reused, count, target)}.")
@@ -253,18 +256,30 @@ def check(session: Path, /) -> int:
         print_text(f"Note: {note}")
     if sum(probing.displacement is not None for probing in given.probings) > 1:
         print_text(reciprocity(given).text)
-    print_text(session_outlook(given, surveys))
+    print_text(session_outlook(given, surveys, _precision(given)))
     return 0
+
+
+def _precision(session: Session) -> dict[str, float] | None:
+    """What the constants can be known to at best; None where displacements are still to be measured
+    and where it would take minutes."""
+    unread = any(each.displacement is None for each in session.probings)
+    if unread or not session.probings or size_notes(session):
+        return None
+    with progress_bar() as progress:
+        progress("what the data can tell", 0.0)
+        return expected_precision(session)
 
 
 def report(
     result: Path,
     /,
     *,
+    for_: Annotated[Literal["screen", "paper"], Parameter(name="--for")] = "screen",
     out: Path | None = None,
     force: bool = False,
 ) -> int:
-    """Write a result's report again, as one self-contained HTML file.
+    """Write a result's report again, as one self-contained HTML file, or what a paper needs of it.
 
     `palpate fit` writes it along with its result, as report.html; this is for a copy elsewhere, or
     for a result whose report was removed.
@@ -273,10 +288,14 @@ def report(
     ----------
     result
         Result folder of `palpate fit`.
+    for_
+        Screen: the HTML file. Paper: a folder with a paragraph on methods, and the constants and
+        the probings as LaTeX and CSV tables.
     out
-        The file. Default: the result folder's name followed by -report.html, in the current folder.
+        The file or folder. Default: the result folder's name followed by -report.html, or by
+        -paper, in the current folder.
     force
-        Replace a file of that name.
+        Replace a file of that name; a folder that is not unchanged is kept as NAME.old.
 
     Returns
     -------
@@ -284,6 +303,12 @@ def report(
         0.
     """
     check_fit_result(result)
+    if for_ == "paper":
+        target = out or default_folder(result, "paper")
+        with result_folder(target, kind="report --for paper", force=force) as folder:
+            write_for_paper(folder, result)
+        print_text(f"Methods, constants and probings in {target}")
+        return 0
     target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
     if target.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{target}: a report is an HTML file; its name must end in .html")
@@ -375,6 +400,8 @@ def _print(estimate: Estimate, session: Session, predictions: Sequence[Predictio
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
     print_tables(constants_table(estimate))
+    if (session.path.parent / "truth.toml").is_file():
+        print_text(truth_text(estimate, true_material(session)))
     if estimate.regions:
         print_tables(regions_table(estimate))
     for note in estimate.notes:
@@ -447,23 +474,26 @@ def _acceleration(vector: Vector3) -> str:
 
 
 def _probings_table(surveys: list[ProbingSurvey]) -> Table:
+    """Contacts, and what was measured, where displacements are there already."""
+    columns = ["probing", "patch", "elem", "observed", "missing", "|u| mm", "snr", "along", "near"]
     rows = [
-        (
+        [
             s.name, str(s.patch_triangles), number_text(s.elements_per_radius, ".1f"),
             str(s.observed), str(s.missing), number_text(1e3 * s.median_displacement, ".3g"),
             number_text(s.signal_to_noise, ".1f"), number_text(s.tangential_signal, ".1f"),
             str(s.near),
-        )
+        ]
         for s in surveys
     ]  # fmt: skip
-    return terminal_table(
-        f"{len(surveys)} probings",
-        ("probing", "patch", "elem", "observed", "missing", "|u| mm", "snr", "along", "near"),
-        rows,
-        caption="patch: triangles under the tool; elem: elements per contact radius; snr: median"
-        " |u| over sigma; along: the same along the surface; near: measured points within"
-        f" {NEAR_RADII:g} contact radii",
+    caption = "patch: triangles under the tool; elem: elements per contact radius"
+    measured = (
+        "; snr: median |u| over sigma; along: the same along the surface; near: measured points"
+        f" within {NEAR_RADII:g} contact radii"
     )
+    if not any(s.observed + s.missing for s in surveys):
+        columns, rows, measured = columns[:3], [row[:3] for row in rows], ""
+    title = counted(len(surveys), "probing")
+    return terminal_table(title, columns, rows, caption=caption + measured)
 
 
 def _cameras_table(surveys: tuple[CameraSurvey, ...]) -> Table:
@@ -481,7 +511,7 @@ def _cameras_table(surveys: tuple[CameraSurvey, ...]) -> Table:
             )
         )  # fmt: skip
     return terminal_table(
-        f"{len(surveys)} cameras",
+        counted(len(surveys), "camera"),
         ("camera", "pictures", "size px", "grey", "white %", "sees %"),
         rows,
         caption="grey: 1st to 99th percentile over all pictures, 255 is white; white: pixels at the"

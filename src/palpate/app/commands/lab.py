@@ -108,7 +108,6 @@ def lab(
     with result_folder(out, kind="lab", force=force) as folder:
         record_inputs(folder, session_files(file))
         variant = choose_variant()
-        print_notes([variant.why])
         with (
             progress_bar() as progress,
             distribution(scheduler, workers, insecure=insecure) as distribute,
@@ -122,6 +121,7 @@ def lab(
                 parts=parts_folder(folder),
                 distribute=distribute,
             )
+    print_notes([variant.why])
     print_text(_closing_text(plan, out), wrapped=False)
     return 0
 
@@ -149,9 +149,9 @@ def tutorial(
     """
     with result_folder(out, kind="lab", force=force) as folder:
         variant = choose_variant()
-        print_notes([variant.why])
         with progress_bar() as progress:
             make_tutorial(folder, printed_board(), variant=variant, progress=progress)
+    print_notes([variant.why])
     print_text(
         f"Pictures of boards, of a turntable and films of presses in {out}; next, in that folder:\n"
         "  palpate calibrate boards --columns 7 --rows 5 --square 16mm --marker 12mm --table 00"
@@ -220,7 +220,6 @@ def reproduce(
     subfolder = {name: name if len(names) > 1 else "" for name in names}
     with result_folder(target, kind="reproduce", force=force) as folder:
         variant = choose_variant()
-        print_notes([variant.why])
         with (
             progress_bar() as progress,
             distribution(scheduler, workers, insecure=insecure, by_default=True) as distribute,
@@ -231,6 +230,7 @@ def reproduce(
         for name, result in results.items():
             (folder / subfolder[name]).mkdir(exist_ok=True)
             write_result(folder / subfolder[name], result)
+    print_notes([variant.why])
     for result in results.values():
         summary = result.summary
         print_tables(terminal_table(summary.title, summary.columns, shown_rows(summary)))

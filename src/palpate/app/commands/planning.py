@@ -152,7 +152,9 @@ def _table(found: NextProbings) -> Table:
     rows = [("now", "", "", *_deviations(found.now, factor))]
     for number, (k, after) in enumerate(zip(found.chosen, found.after, strict=True), start=1):
         place = ", ".join(f"{1e3 * x:.1f}" for x in found.point[k])
-        force = ", ".join(f"{found.force * x:.2g}" for x in found.inward[k])
+        # What is rounded to zero has no sign.
+        parts = np.round(found.force * found.inward[k], 12) + 0.0
+        force = ", ".join(f"{x:.2g}" for x in parts)
         rows.append((f"+ {number}", place, force, *_deviations(after, factor)))
     return terminal_table(
         f"Where to push next, with a radius of {1e3 * found.radius:.3g} mm",

@@ -30,6 +30,7 @@ from palpate.recording import (
     hysteresis,
     likely_template,
     likely_unit,
+    opposite_side,
     outline_text,
     read_recording,
     read_surface,
@@ -73,9 +74,9 @@ def init(
     folder
         Folder with the mesh and whatever else there is: rig, pictures, videos, tables.
     template
-        lab: sorted pictures of calibrated cameras. dic: displacements of another program. robot:
-        videos, force log and log of poses. gauge: videos and force log. Default: what the files
-        look like.
+        lab: sorted pictures of calibrated cameras. dic: displacements of another program. tension:
+        the same, of a specimen between two grips. robot: videos, force log and log of poses. gauge:
+        videos and force log. Default: what the files look like.
     name
         Of the session. Default: the folder's.
     mesh
@@ -86,7 +87,8 @@ def init(
     unit
         Of the mesh and all lengths. Default: the one in which the object can stand on a bench.
     held
-        Flat face of the object that does not move. Default: the largest.
+        Flat face of the object that does not move. Default: the largest; the smallest, where grips
+        pull.
     radius
         Radius of the contact patch, in that unit.
     tool_radius
@@ -121,11 +123,13 @@ def init(
     )
     flat = [side.name for side in sides]
     if held is None and flat:
-        held = _choose("side that is held", flat[0], flat, interactive=interactive)  # type: ignore[assignment]
+        likely = flat[-1 if kind == "tension" else 0]
+        held = _choose("side that is held", likely, flat, interactive=interactive)  # type: ignore[assignment]
+    side = chosen_side(sides, held)
     outline = Outline(
         cast(Template, kind), _checked_name(name) or folder.resolve().name, file, length,
-        chosen_side(sides, held), _checked_radius("radius", radius) or default_radius(surface),
-        radius is not None, _checked_radius("tool-radius", tool_radius),
+        side, _checked_radius("radius", radius) or default_radius(surface), radius is not None,
+        _checked_radius("tool-radius", tool_radius), opposite_side(sides, side),
     )  # fmt: skip
     write_text(target, outline_text(survey, outline))
     print_text(f"{_found_text(survey)}\n{target} is written; {_next_step(kind, target)}")

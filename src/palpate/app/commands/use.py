@@ -6,10 +6,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import Float
 from rich.table import Table
 
@@ -20,6 +19,7 @@ from palpate.app.terminal import (
     Length,
     Modulus,
     Place,
+    Places,
     print_notes,
     print_tables,
     print_text,
@@ -51,7 +51,6 @@ from palpate.shapes import Points
 from palpate.simulation import FORMATS, export_fit, read_fit
 from palpate.viewer import Viewer, read_subject, write_screenshot, write_turntable
 
-_Triple = tuple[float, float, float]
 # Newtons that no tool has; and of the object's size, what is no small deformation.
 _LARGEST_FORCE, _SMALL_DEFORMATION = 1e9, 0.1
 # Rows and columns of the stress that are shown, by their names.
@@ -69,7 +68,7 @@ def poke(
     *,
     force: Force,
     at: Place,
-    interior: Annotated[list[_Triple] | None, Parameter(consume_multiple=True)] = None,
+    interior: Places | None = None,
     radius: Length | None = None,
     result: Path | None = None,
     young_modulus: Modulus | None = None,
@@ -94,7 +93,8 @@ def poke(
     at
         Centre of the contact on the surface, m, or with its unit: --at 0mm 0mm 30mm.
     interior
-        Points inside the object, m, three numbers each: displacement and stress are shown there.
+        A point inside the object, m or with its unit, where displacement and stress are shown; may
+        be given several times.
     radius
         Radius of the contact, m, or with its unit: 3mm. Default: that of the session's first
         probing, or the contact its tool makes under the force.

@@ -35,7 +35,6 @@ from palpate.records import (
     Load,
     Probing,
     Session,
-    observed_rows,
 )
 from palpate.shapes import Points, Vector3
 
@@ -493,7 +492,8 @@ def _box_centre(points: Points) -> Vector3:
 
 def _fitted_motion(field: DisplacementField, name: str, support: MovingSupport) -> GivenMotion:
     """Robust rigid motion of the points on a support, and a uniform strain fitted to the rest."""
-    chosen = observed_rows(field) & np.isin(field.surface.triangle, support.triangles)
+    on_support = np.isin(field.surface.triangle, support.triangles)
+    chosen = on_support & np.isfinite(field.displacement).all(axis=1)
     points, moved = field.points[chosen], field.displacement[chosen]
     where = f"probing '{name}': {field.source}: support {support.number}"
     if len(points) < 3:

@@ -77,7 +77,7 @@ def read_displacement(
             f"{path}: line {table.numbers[row]}: {_DISPLACEMENT_COLUMNS[k]} is infinite; must be a"
             " number, or NaN where it was not measured"
         )
-    if np.isnan(moved).any(axis=1).all():
+    if not measured_rows(moved).any():
         raise RecordError(
             f"{path}: not one of its {len(moved)} rows has a displacement (all NaN);"
             " leave the probing out, or export the displacements again"
@@ -203,7 +203,8 @@ def _check_distance(table: TextTable, mesh: TriangleMesh, distance: np.ndarray) 
 def _check_std(table: TextTable, std: np.ndarray, moved: np.ndarray, mesh: TriangleMesh) -> None:
     """Refuse impossible standard deviations of measured points."""
     size = bounding_diagonal(mesh)
-    bad = ~((std >= _SMALLEST_STD * size) & (std <= _LARGEST_STD * size)).all(axis=1)
+    possible = (std >= _SMALLEST_STD * size) & (std <= _LARGEST_STD * size)
+    bad = ~(possible | np.isnan(moved)).all(axis=1)
     bad &= measured_rows(moved)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])

@@ -1,5 +1,5 @@
-"""Displacements of points from programs whose calibration is not read: OpenCorr, pyvale, and VTK
-unstructured grids of any program.
+"""Displacements of points from programs whose calibration is not read: OpenCorr, pyvale, VTK
+unstructured grids of any program, and planar results of any program.
 """
 
 from collections.abc import Mapping, Sequence
@@ -122,6 +122,42 @@ OPENCORR = Program(
 )
 
 
+def _read_planar_points(path: Path, frame: int | None) -> ProgramPoints:
+    """Points of one camera that looks square at a flat face, as a table x, y, u, v of lengths.
+
+    Where there are columns X, Y, U, V in capitals, small letters are pixels and are ignored. The
+    face is the plane z = 0 of the file's frame; the displacement along z is not known.
+
+    Parameters
+    ----------
+    path : Path
+    frame : int or None             a file holds one state: only 0 or None
+
+    Raises
+    ------
+    RecordError                     a missing column, text in a cell, no rows
+    """
+    chosen_frame(path, frame)
+    table = read_text_table(path, cure="export the points again, as text")
+    capitals = all(table.find([name], normalise=str) for name in "XYUV")
+    wanted = table.require(
+        {name: (name.upper() if capitals else name,) for name in "xyuv"},
+        normalise=str if capitals else str.lower,
+        reason=lambda _: "export x, y, u, v as lengths",
+    )
+    values = table.values(wanted)
+    points, displacement = np.zeros((2, len(values), 3))
+    points[:, :2], displacement[:, :2], displacement[:, 2] = values[:, :2], values[:, 2:], np.nan
+    return ProgramPoints(points, displacement, unit=table.unit(wanted))
+
+
+PLANAR = Program(
+    kinds=("planar",),
+    results=".csv, .txt",
+    read_points=_read_planar_points,
+)
+
+
 def _read_pyvale_points(path: Path, frame: int | None) -> ProgramPoints:
     """Points of one stereo result of pyvale, as text or binary, in mm.
 
@@ -202,7 +238,7 @@ def _read_vtu_points(path: Path, frame: int | None) -> ProgramPoints:
     Raises
     ------
     RecordError                     no such data, a 2-D vector, volume cells, unreadable
-    InputError                      the optional package meshio is missing
+    InputError                      meshio is missing
 
     Source
     ------
@@ -231,7 +267,7 @@ def _vtk_content(path: Path) -> Any:
             f"{path}: is no .vtu file; save it as an unstructured grid of VTK (.vtu or .vtk)"
         )
     content = read_bytes(path, max_bytes=_MOST_VTK_BYTES)
-    meshio = late_import("meshio", extra="mesh", purpose=f"reading {path.name}")
+    meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
     what = f"cannot be read as {path.suffix[1:].upper()}"
     with read_errors(path, "open it in ParaView and save it again", what=what):
         if path.suffix.lower() == ".vtu":

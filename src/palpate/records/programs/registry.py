@@ -22,7 +22,7 @@ from palpate.records.programs.dice import DICE
 from palpate.records.programs.matlab import MATLAB
 from palpate.records.programs.multidic import MULTIDIC
 from palpate.records.programs.opencv import KALIBR, OPENCV, TOML_CAMERAS, holds_camera_tables
-from palpate.records.programs.point_tables import OPENCORR, PYVALE, VTU
+from palpate.records.programs.point_tables import OPENCORR, PLANAR, PYVALE, VTU
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import Camera, PictureTracks, Rig, check_baselines, check_cameras
 from palpate.records.text.text_file import check_file_names, write_text
@@ -38,6 +38,7 @@ PROGRAMS: tuple[Program, ...] = (
     MATLAB,
     MULTIDIC,
     VTU,
+    PLANAR,
     KALIBR,
     TOML_CAMERAS,
     OPENCV,

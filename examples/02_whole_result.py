@@ -1,6 +1,6 @@
-"""What `import palpate` offers: a fit in one call; its picture, a poke, the report.
+"""What `import palpate` offers: a fit in one call; its picture, a poke, its files, the report.
 
-python examples/14_whole_result.py
+python examples/02_whole_result.py
 """
 
 import tempfile
@@ -26,7 +26,9 @@ def _shown(folder: Path) -> float:
     poked = result.poke(at=("-1 mm", "15 mm", "3 cm"), force=(0, 0, "-20 gf"))
     print(poked)
     result.plot("load52_a").savefig(folder / "beam.png")
-    report = result.report(folder / "beam.html")
+    # Written once, a result is opened again without a fit.
+    opened = palpate.read_result(result.save(folder / "beam-result"))
+    report = opened.report(folder / "beam.html")
     print(f"a report of {report.stat().st_size / 1e6:.1f} MB")
     return float(-poked.displacement[2])
 

@@ -1,6 +1,6 @@
 """A rigid ball pressed into a fitted object and dragged along it, as a haptic device would.
 
-python examples/15_touch_in_real_time.py
+python examples/14_touch_in_real_time.py
 """
 
 import time

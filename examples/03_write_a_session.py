@@ -1,6 +1,6 @@
 """Write a session folder by hand: mesh, support, one probing, one table of displacements.
 
-python examples/05_write_a_session.py
+python examples/03_write_a_session.py
 
 A body of your own in such a folder, fitted: docs/notebooks/own_mesh.py.
 """
@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.geometry import TriangleMesh, write_mesh
-from palpate.records import read_session
+import palpate
 
 SESSION = """\
 format = "palpate-session/1"
@@ -41,22 +40,22 @@ x,y,z,ux,uy,uz
 """
 
 
-def block(size: tuple[float, float, float]) -> TriangleMesh:
+def block(size: tuple[float, float, float]) -> palpate.TriangleMesh:
     """A block from the origin to `size`: eight corners, twelve triangles seen from outside."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * size
     faces = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     halves = [half for a, b, c, d in faces for half in ((a, b, c), (a, c, d))]
-    return TriangleMesh(corners, np.array(halves))
+    return palpate.TriangleMesh(corners, np.array(halves))
 
 
 def main() -> int:
     """Write the folder and read it back; gives the number of points that were measured."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_mesh(folder / "mesh.ply", block((40.0, 20.0, 12.0)))
+        palpate.write_mesh(folder / "mesh.ply", block((40.0, 20.0, 12.0)))
         (folder / "session.toml").write_text(SESSION, encoding="utf-8")
         (folder / "top.csv").write_text(TABLE, encoding="utf-8")
-        session = read_session(folder)
+        session = palpate.read_session(folder)
     print(f"{session.name}: {len(session.held_triangles)} triangles held")
     measured = np.isfinite(session.probings[0].displacement.displacement).all(axis=1)
     print(f"{measured.sum()} of {len(measured)} points measured")
