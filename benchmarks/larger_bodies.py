@@ -141,9 +141,9 @@ def _parts(system: BoundarySystem) -> dict[str, int]:
         return {"matrix": 8 * system.size**2}
     near, far = system.operator.near, system.operator.far
     return {
-        "near": sum(_kernel_bytes(one) for one in near.blocks),
+        "near": sum(_kernel_bytes(one) for one in near),
         "far": sum(_kernel_bytes(one) for one in far.moments.values())
-        + sum(one.nbytes for one in far.receivers.interpolation),
+        + sum(one.nbytes for one in far.interpolation),
     }
 
 

@@ -11,7 +11,6 @@ from palpate.bem import (
     BoundarySystem,
     Quadrature,
     SurfaceLoad,
-    SurfaceSettings,
     boundary_system,
     factorise,
     make_surface,
@@ -119,7 +118,7 @@ def held_part(mesh: TriangleMesh, chosen: np.ndarray, **options) -> BoundarySyst
     """System of a mesh held at the chosen triangles (flags or numbers)."""
     quadrature = options.pop("quadrature", Quadrature())
     held = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
-    surface = make_surface(mesh, held, settings=SurfaceSettings(**options))
+    surface = make_surface(mesh, held, **options)
     return boundary_system(surface, quadrature=quadrature)
 
 

@@ -9,7 +9,6 @@ Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
 
-from palpate.bem.compressed.operator import Compression as Compression
 from palpate.bem.compressed.system import (
     LARGEST_DENSE as LARGEST_DENSE,
     CompressedSystem as CompressedSystem,
@@ -26,7 +25,6 @@ from palpate.bem.elastic_map import (
 from palpate.bem.integrals.surface import (
     BoundarySurface as BoundarySurface,
     Quadrature as Quadrature,
-    SurfaceSettings as SurfaceSettings,
     integral_weights as integral_weights,
     make_surface as make_surface,
 )

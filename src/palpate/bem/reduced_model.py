@@ -247,16 +247,12 @@ class ReducedBasis:
     constant, slope : (c, m, j) float constant and slope of the matrix times these, in a basis of
                                       the preconditioned residuals
     right : (3, c, m) float           right-hand sides in that basis: constant, slope, curvature
-    ratios : (j,) float               Poisson's ratios of the snapshots
-    iterations : (j,) int             products with the matrix that each took
     """
 
     directions: tuple[Float[np.ndarray, "k c"], ...]
     constant: Float[np.ndarray, "c m j"]
     slope: Float[np.ndarray, "c m j"]
     right: Float[np.ndarray, "3 c m"]
-    ratios: tuple[float, ...]
-    iterations: tuple[int, ...]
 
     def coefficients(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "j c"], float]:
         """Coefficients of the basis vectors for the solution at one Poisson's ratio.
@@ -437,7 +433,6 @@ class _Snapshots:
         # For each: the matrix at a ratio of zero times it, and the slope of the matrix times it.
         self._products: list[tuple[np.ndarray, np.ndarray]] = []
         self.ratios: list[float] = []
-        self._iterations: list[int] = []
         # Preconditioned, residuals are approximate errors of the unknowns.
         self._preconditioned = [inverse.solve(term) for term in right]
 
@@ -461,7 +456,6 @@ class _Snapshots:
         self.directions.append(direction)
         self._products.append(products)
         self.ratios.append(ratio)
-        self._iterations.append(snapshot.iterations)
         self._preconditioned += [self._inverse.solve(one) for one in products]
 
     def basis(self) -> ReducedBasis:
@@ -479,8 +473,6 @@ class _Snapshots:
             upper[:, :, 3::2],
             upper[:, :, 4::2],
             upper[:, :, :3].transpose(2, 0, 1),
-            tuple(self.ratios),
-            tuple(self._iterations),
         )
 
     def _products_of_direction(

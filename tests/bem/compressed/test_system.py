@@ -9,9 +9,7 @@ import pytest
 
 from benchmarks.meshes import cube
 from palpate.bem import (
-    Compression,
     Quadrature,
-    SurfaceSettings,
     boundary_system,
     check_memory,
     compressed_system,
@@ -103,7 +101,7 @@ def test_the_residual_that_is_asked_for_decides_how_many_solutions_are_made(comp
         make_reduced_model(compressed, right, poisson_range=(0.1, 0.45), tolerance=residual)
         for residual in (1e-3, 1e-6)
     )
-    assert len(loose.ratios) < len(tight.ratios)
+    assert len(loose.directions) < len(tight.directions)
     assert max(loose.coefficients(nu)[1] for nu in np.linspace(0.1, 0.45, 9)) <= 1e-3
 
 
@@ -111,9 +109,10 @@ def test_linear_elements_on_flat_facets_are_served_too(long_surface):
     flat = make_surface(
         long_surface.mesh,
         np.flatnonzero(long_surface.held),
-        settings=SurfaceSettings(smooth=False, quadratic=False),
+        smooth=False,
+        quadratic=False,
     )
-    found = compressed_system(flat, compression=Compression(leaf_size=(32, 64)))
+    found = compressed_system(flat, leaf_size=(32, 64))
     wanted = boundary_system(flat)
     x = unknown_vectors(wanted)
     product = system_matrix(wanted, 0.3) @ x
@@ -124,9 +123,7 @@ def test_linear_elements_on_flat_facets_are_served_too(long_surface):
 def test_rules_of_low_degree_alone_serve_too(long_surface):
     """The far field has a rule of its own, whichever are those of the near field."""
     low = Quadrature(tolerance=1e-4, degrees=(2, 4))
-    found = compressed_system(
-        long_surface, compression=Compression(leaf_size=(32, 64)), quadrature=low
-    )
+    found = compressed_system(long_surface, leaf_size=(32, 64), quadrature=low)
     wanted = boundary_system(long_surface, quadrature=low)
     x = unknown_vectors(wanted)
     product = system_matrix(wanted, 0.3) @ x

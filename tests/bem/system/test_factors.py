@@ -11,7 +11,6 @@ from surfaces import box, sphere
 from palpate.bem import (
     CentredSystem,
     Quadrature,
-    SurfaceSettings,
     body_force_columns,
     boundary_system,
     dilation_factor,
@@ -291,7 +290,7 @@ def test_a_file_that_is_not_as_it_was_written_is_computed_anew(ball, tmp_path, d
 
 def test_all_that_matters_makes_another_file(ball, tmp_path):
     mesh, held = ball.mesh, low_part(ball.mesh)
-    flat = make_surface(mesh, held, settings=SurfaceSettings(smooth=False))
+    flat = make_surface(mesh, held, smooth=False)
     bodies = [ball, flat, make_surface(mesh, held[1:]), on_rollers(mesh)]
     for count, body in enumerate(bodies):
         found = factor_values(body, tmp_path)

@@ -5,7 +5,7 @@ import pytest
 from elastic_bodies import Material, cube_with_faces, held_part, linear_field, solve_known
 from surfaces import box, joined
 
-from palpate.bem import Quadrature, SurfaceSettings, factorise, make_surface, system_slope
+from palpate.bem import Quadrature, factorise, make_surface, system_slope
 from palpate.bem.system.matrix import matrix_and_slope, system_matrix
 from palpate.bem.system.system import (
     boundary_system,
@@ -215,7 +215,7 @@ def test_rim_vertices_have_one_unknown_side():
 
 def test_flat_facets_have_flat_midpoints():
     mesh, face = cube_with_faces(2)
-    surface = make_surface(mesh, np.flatnonzero(face == 4), settings=SurfaceSettings(smooth=False))
+    surface = make_surface(mesh, np.flatnonzero(face == 4), smooth=False)
     corner = mesh.vertices[mesh.triangles]
     middle = 0.5 * (corner + np.roll(corner, -1, axis=1))
     np.testing.assert_allclose(surface.element_nodes[:, 3:], middle, atol=1e-15)

@@ -60,7 +60,6 @@ class LoadCells:
 
 # Unless others are asked for.
 LOAD_CELLS = LoadCells(degree=5, rim_points=4, polar_points=8, coarsest=1, finest=1)
-_N_FIELDS = DISPLACEMENT.count
 # Sources whose fields are computed before they are summed: they fit into the L1 cache.
 _AT_ONCE = 16
 # Largest relative error of a row's own integral of the density, above which its points do not
@@ -197,10 +196,10 @@ def integrate_load(
     n_rows = collocation.point.shape[0]
     order = rows.ravel()[:n_rows]
     sources = _as_sources(points.position, points.weight)
-    out = np.zeros((rows.shape[0], DISPLACEMENT.count * LANES))
+    out = np.zeros((rows.shape[0], DISPLACEMENT * LANES))
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
-    fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
-    fields = fields.reshape(-1, DISPLACEMENT.count)[:n_rows].copy()
+    fields = out.reshape(-1, DISPLACEMENT, LANES).transpose(0, 2, 1)
+    fields = fields.reshape(-1, DISPLACEMENT)[:n_rows].copy()
     _recompute_rows_on_patch(
         surface, load, points, sources, collocation, order, fields, cells.polar_points
     )
@@ -337,7 +336,7 @@ def _cell_points(
     cells: LoadCells,
 ) -> Iterator[tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k q 3"], Float[np.ndarray, "k q"]]]:
     """Triangle, points and weights of the cells within a load, then of those across its rim."""
-    rim, rule = np.zeros(triangle.size, dtype=bool), triangle_rule(cells.degree)
+    rim = np.zeros(triangle.size, dtype=bool)
     if load.disc is not None:
         place = _corner_places(surface, triangle, corners)
         away = np.linalg.norm(place - load.disc.centre, axis=2)
@@ -345,10 +344,11 @@ def _cell_points(
         barycentric, weight = polar_points(place[rim], corners[rim], load.disc, cells.rim_points)
         position, area, density = _traction_at(surface, load, triangle[rim], barycentric)
         yield triangle[rim], position, density * area * weight
-    barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners[~rim])
+    within, weight = triangle_rule(cells.degree)
+    barycentric = np.einsum("qk,ckj->cqj", within, corners[~rim])
     position, area, density = _traction_at(surface, load, triangle[~rim], barycentric)
     size = np.abs(np.linalg.det(corners[~rim]))[:, None]
-    yield triangle[~rim], position, density * area * size * rule.weight
+    yield triangle[~rim], position, density * area * size * weight
 
 
 def _traction_at(
@@ -414,7 +414,7 @@ def _recompute_rows_on_patch(
     around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
     by_row = np.argsort(row, kind="stable")
     rows, start = np.unique(row[by_row], return_index=True)
-    recomputed = np.zeros((rows.size, 1, DISPLACEMENT.count))
+    recomputed = np.zeros((rows.size, 1, DISPLACEMENT))
     total = np.bincount(row, weight.sum(axis=1))[rows]
     of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
     pairs = np.unique(np.stack([row, triangle]), axis=1)
@@ -461,13 +461,13 @@ def _subtriangles_on_patch(
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _sum_points(begin, end, lanes, sources, out):
     """Displacement fields of some blocks of load points, summed over the sources."""
-    width = _N_FIELDS * LANES
+    width = DISPLACEMENT * LANES
     buffer = np.empty(_AT_ONCE * width)
     for b in range(begin, end):
         total = out[b]
         for first in range(0, sources.shape[0], _AT_ONCE):
             last = min(first + _AT_ONCE, sources.shape[0])
-            lane_fields(_N_FIELDS, lanes[b], sources[first:last], buffer)
+            lane_fields(DISPLACEMENT, lanes[b], sources[first:last], buffer)
             for q in range(last - first):
                 for i in range(width):
                     total[i] += buffer[q * width + i]
@@ -483,10 +483,10 @@ def _sum_around(begin, end, points, around, triangle, start, sources, loaded, ou
             for q in range(around.shape[1]):
                 # Where a patch covers none of a part, its points may coincide with the point.
                 if around[part, q, 3] > 0.0:
-                    add_point_fields(_N_FIELDS, points[i], around[part, q], 1.0, factor, out[i])
+                    add_point_fields(DISPLACEMENT, points[i], around[part, q], 1.0, factor, out[i])
         for q in range(sources.shape[0]):
             counts = True
             for part in range(start[i], start[i + 1]):
                 counts = counts and loaded[q] != triangle[part]
             if counts:
-                add_point_fields(_N_FIELDS, points[i], sources[q], 1.0, factor, out[i])
+                add_point_fields(DISPLACEMENT, points[i], sources[q], 1.0, factor, out[i])
