@@ -187,10 +187,10 @@ class SupportEstimate:
     """
 
     support: int
-    translation: tuple[float, ...]
-    translation_std: tuple[float, ...]
-    rotation: tuple[float, ...]
-    rotation_std: tuple[float, ...]
+    translation: tuple[float, float, float]
+    translation_std: tuple[float, float, float]
+    rotation: tuple[float, float, float]
+    rotation_std: tuple[float, float, float]
 
     def __post_init__(self) -> None:
         for std in (*self.translation_std, *self.rotation_std):
