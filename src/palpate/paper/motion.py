@@ -35,7 +35,6 @@ from palpate.paper.sessions import (
     Method,
     MotionRow,
     PaperSession,
-    RigidStep,
     Spread,
     rigid_displacement,
     rigid_steps,
@@ -79,10 +78,10 @@ def flow_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
     axis = rig.cameras[rig.reference].T_camera_object[2, :3]
     return tuple(
         flow_row(
-            motion.flow, axis, step=step, encoder=true.encoder,
-            command=float(np.linalg.norm(true.motion[:3, 3])),
+            motion.flow, axis, step=step, encoder=encoder,
+            command=float(np.linalg.norm(true[:3, 3])),
         )
-        for step, (motion, true) in enumerate(_instants(measured, method), start=1)
+        for step, (motion, (true, encoder)) in enumerate(_instants(measured, method), start=1)
     )  # fmt: skip
 
 
@@ -126,8 +125,8 @@ def vertex_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]
     """
     vertices = measured.session.mesh.vertices
     return tuple(
-        vertex_row(motion.vertices, vertices, true.motion, step=step)
-        for step, (motion, true) in enumerate(_instants(measured, method), start=1)
+        vertex_row(motion.vertices, vertices, true, step=step)
+        for step, (motion, (true, _)) in enumerate(_instants(measured, method), start=1)
     )
 
 
@@ -279,8 +278,10 @@ def _length_bias(row: MotionRow) -> float:
     return row.length.mean - true
 
 
-def _instants(measured: PaperSession, method: Method) -> list[tuple[MeasuredMotion, RigidStep]]:
-    """Measured and true motion of each step after the first."""
+def _instants(
+    measured: PaperSession, method: Method
+) -> list[tuple[MeasuredMotion, tuple[Float[np.ndarray, "4 4"], float]]]:
+    """Measured motion, and true motion and travel, of each step after the first."""
     return list(zip(measured.found[method].motions, rigid_steps(measured.session), strict=True))
 
 
