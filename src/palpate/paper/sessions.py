@@ -58,15 +58,8 @@ class PaperSession:
         Returns
         -------
         MeasuredMotion
-
-        Raises
-        ------
-        InputError                  no motion of that name
         """
-        motions = {motion.name: motion for motion in self.found[method].motions}
-        if name not in motions:
-            raise InputError(f"there is no motion '{name}'; there are {', '.join(motions)}")
-        return motions[name]
+        return next(each for each in self.found[method].motions if each.name == name)
 
 
 def reduced(config: LabConfig) -> LabConfig:
@@ -211,14 +204,11 @@ def true_displacement(session: Session, name: str, flow: RangeFlow) -> Points:
 
     Raises
     ------
-    InputError                      no such step or probing
     RecordError                     the truth cannot be read
     """
     if not session.steps:
         return _by_map(session, name, flow)
     names = [step.name for step in session.steps[1:]]
-    if name not in names:
-        raise InputError(f"there is no step '{name}' after the first; there are {', '.join(names)}")
     motion, _ = rigid_steps(session)[names.index(name)]
     return rigid_displacement(motion, flow.point)
 
@@ -240,9 +230,6 @@ def rigid_displacement(motion: Float[np.ndarray, "4 4"], points: Points) -> Poin
 
 def _by_map(session: Session, name: str, flow: RangeFlow) -> Points:
     """True displacement from the truth map of a probing."""
-    known = [probing.name for probing in session.probings]
-    if name not in known:
-        raise InputError(f"there is no probing '{name}'; there are {', '.join(known)}")
     file = session.path.parent / f"truth_{name}.npz"
     cure = "make the session anew with `palpate lab`"
     with stored_arrays(file, cure, what="cannot be read as a truth map") as content:
