@@ -279,7 +279,8 @@ class ProbeEstimate:
 
     Raises
     ------
-    InputError                      a negative residual; inconsistent or impossible constants
+    InputError                      a blank name, a negative residual; inconsistent or impossible
+                                    constants
     """
 
     name: str
@@ -296,6 +297,8 @@ class ProbeEstimate:
     identifiable: Mapping[str, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not self.name.strip():
+            raise InputError("name is blank; must be a text")
         _check_not_negative(
             rms_residual=self.rms_residual, prediction_error=self.prediction_error or 0.0
         )

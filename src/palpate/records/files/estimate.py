@@ -139,7 +139,11 @@ def _read_value(table: TomlTable, key: str, hint: Any) -> Any:
         return None if table.get(key) is None else _read_value(table, key, parts[0])
     if kind in (dict, Mapping):
         inner = table.table(key)
-        return {name: _read_value(inner, name, parts[1]) for name in inner.values}
+        found = {name: _read_value(inner, name, parts[1]) for name in inner.values}
+        for name, value in found.items():
+            if parts[1] is float and value < 0.0:
+                inner.fail(name, f"is {value:g}; must not be negative")
+        return found
     if kind is tuple and is_dataclass(parts[0]):
         return tuple(_read_record(each, parts[0]) for each in table.tables(key))  # type: ignore[arg-type]
     if kind is tuple and parts[0] is float:
