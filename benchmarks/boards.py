@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palpate.calibration import Sightings, Target
+from palpate.calibration import Target
 from palpate.calibration.adjustment import Bundle, Corners, seen_points
+from palpate.calibration.sightings import Sightings
 from palpate.lab.head import board_picture
 from palpate.records import Camera, camera_matrix
 

@@ -6,7 +6,8 @@ from benchmarks.figure import BEM, Figure
 from benchmarks.manufactured import Outcome, flat_normals, linear_field, solved
 from benchmarks.meshes import cube
 from benchmarks.options import Options
-from palpate.bem import Quadrature, make_surface
+from palpate.bem import make_surface
+from palpate.bem.integrals.surface import Quadrature
 
 SHEAR_MODULUS = 2.5
 RATIOS = (0.0, 0.25, 0.45, 0.499)

@@ -9,15 +9,15 @@ from surfaces import box
 from palpate.bem import (
     BoundarySurface,
     BoundarySystem,
-    Quadrature,
     SurfaceLoad,
     boundary_system,
     factorise,
     make_surface,
     solve,
     support_columns,
-    traction_column,
 )
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.loads.right_hand import traction_column
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.geometry.midside_nodes import ELEMENT_NODES, element_points
 

@@ -18,7 +18,6 @@ from benchmarks.boards import (
 from palpate.calibration import (
     Charuco,
     Chessboard,
-    Sightings,
     baseline_text,
     calibrate,
     find_boards,
@@ -26,6 +25,7 @@ from palpate.calibration import (
     timing_note,
 )
 from palpate.calibration.adjustment import Bundle, seen_points
+from palpate.calibration.sightings import Sightings
 from palpate.errors import CalibrationError, RecordError
 
 _BOARD = Chessboard(9, 7, 0.012)

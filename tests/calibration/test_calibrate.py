@@ -14,7 +14,6 @@ from palpate.calibration import (
     Charuco,
     Chessboard,
     Circles,
-    Sightings,
     board_frame,
     calibrate,
     camera_quality,
@@ -27,6 +26,7 @@ from palpate.calibration import (
 )
 from palpate.calibration.adjustment import Bundle
 from palpate.calibration.calibrate import cameras_of
+from palpate.calibration.sightings import Sightings
 from palpate.errors import CalibrationError
 from palpate.records import Rig, read_rig
 from palpate.vision import project, triangulate

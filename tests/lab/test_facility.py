@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from palpate.errors import InputError, MeshError
 from palpate.lab import (
     Sensor,
-    Stage,
     choose_variant,
     facility,
     make_session,
     make_sessions,
     read_lab_config,
 )
+from palpate.lab.config import Stage
 from palpate.lab.facility import probe_tables, step_tables, write_session
 from palpate.records import read_rig, read_session
 from palpate.solids import TIPS, Press

@@ -24,7 +24,8 @@ from palpate.lab.render_mesh import make_render_mesh, speckle
 from palpate.lab.scene import DrawnBody, Lamp, Light, choose_variant, render
 from palpate.lab.studio import exposure_gain, grey_picture
 from palpate.records import Camera, Rig, read_rig
-from palpate.vision import normalised, project, rays
+from palpate.vision import normalised, project
+from palpate.vision.projection import rays
 
 SIZE = (120, 90)
 RADIUS = 0.04

@@ -28,7 +28,7 @@ from palpate.lab.scene import (
     load_mitsuba,
     render,
 )
-from palpate.vision import rays
+from palpate.vision.projection import rays
 
 # The scalar variant runs everywhere.
 SCALAR = choose_variant(folders=(), environment={})

@@ -24,7 +24,8 @@ from palpate.paper.motion import (
 )
 from palpate.paper.sessions import MotionRow, PaperSession, Spread
 from palpate.pipeline import MeasuredMotion, SessionFlow
-from palpate.records import Session, Step
+from palpate.records import Session
+from palpate.records.session import Step
 from palpate.vision import Outcome, VertexDisplacement
 
 # Rounding of sums over a thousand points.

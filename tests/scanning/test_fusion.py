@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from palpate.geometry import TriangleMesh, triangle_areas
-from palpate.scanning import Plane
 from palpate.scanning.fusion import fitted, fused
+from palpate.scanning.plane import Plane
 from palpate.scanning.solid import above
 
 TABLE = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))

@@ -6,8 +6,8 @@ from broken_surfaces import Broken, ball, box, broken_surfaces, made, together, 
 
 from palpate.errors import MeshError
 from palpate.geometry import TriangleMesh, checked_mesh, enclosed_volume, triangle_areas
-from palpate.scanning import distances, mend, plane_from_text
-from palpate.scanning.mend import rims
+from palpate.scanning import distances, plane_from_text
+from palpate.scanning.mend import mend, rims
 
 TABLE = broken_surfaces()
 

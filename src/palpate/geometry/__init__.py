@@ -24,7 +24,6 @@ from palpate.geometry.mesh_files import (
 from palpate.geometry.mesh_quality import (
     MeshQuality as MeshQuality,
     checked_mesh as checked_mesh,
-    intersecting_pairs as intersecting_pairs,
     mesh_quality as mesh_quality,
     wall_thickness as wall_thickness,
 )

@@ -29,7 +29,6 @@ from palpate.vision.projection import (
     pixel_grid as pixel_grid,
     project as project,
     project_jacobian as project_jacobian,
-    rays as rays,
 )
 from palpate.vision.range_flow import (
     CAUSES as CAUSES,
@@ -42,7 +41,7 @@ from palpate.vision.range_flow import (
     is_valid as is_valid,
     measured_vertices as measured_vertices,
 )
-from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
+from palpate.vision.stereo.rig_check import check_rig as check_rig
 from palpate.vision.stereo.stereo import (
     MIN_POSE_POINTS as MIN_POSE_POINTS,
     StereoMatches as StereoMatches,
@@ -62,7 +61,6 @@ from palpate.vision.surface_map import (
     visible as visible,
 )
 from palpate.vision.triangulation import (
-    Triangulation as Triangulation,
     calibration_numbers as calibration_numbers,
     moved_rig as moved_rig,
     space_strains as space_strains,

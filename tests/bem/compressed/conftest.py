@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.meshes import sheet
-from palpate.bem import boundary_system, compressed_system, make_surface
+from palpate.bem import boundary_system, make_surface
+from palpate.bem.compressed.system import compressed_system
 
 SIZE, CELLS = np.array([5.0, 1.0, 1.0]), (20, 4, 4)
 # Small clusters, close together: as much as can be is far at this size.

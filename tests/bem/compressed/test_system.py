@@ -9,27 +9,25 @@ import pytest
 
 from benchmarks.meshes import cube
 from palpate.bem import (
-    Quadrature,
     boundary_system,
     check_memory,
-    compressed_system,
     face_columns,
     factorise,
     held_system,
-    joined,
     make_elastic_map,
     make_reduced_model,
     make_springs,
     make_surface,
-    reduced_basis,
     solve,
     support_columns,
-    system_slope,
 )
 from palpate.bem.compressed import system as compressed
 from palpate.bem.compressed.iterative import cluster_inverse, solve_compressed
-from palpate.bem.compressed.system import CompressedSystem, memory_needed
-from palpate.bem.system.matrix import system_matrix
+from palpate.bem.compressed.system import CompressedSystem, compressed_system, memory_needed
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.loads.right_hand import joined
+from palpate.bem.reduced_model import reduced_basis
+from palpate.bem.system.matrix import system_matrix, system_slope
 from palpate.errors import InputError
 
 # The operator's own error of 1e-7, made larger by the condition of a beam that bends, some tens.

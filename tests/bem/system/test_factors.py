@@ -10,7 +10,6 @@ from surfaces import box, sphere
 
 from palpate.bem import (
     CentredSystem,
-    Quadrature,
     body_force_columns,
     boundary_system,
     dilation_factor,
@@ -19,13 +18,13 @@ from palpate.bem import (
     make_surface,
     solve,
     support_columns,
-    system_slope,
-    traction_column,
     unrestrained_motions,
 )
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.loads.right_hand import traction_column
 from palpate.bem.system import factors
 from palpate.bem.system.factors import lu_by_panels
-from palpate.bem.system.matrix import system_matrix
+from palpate.bem.system.matrix import system_matrix, system_slope
 
 FINE = Quadrature(tolerance=1e-9)
 MESH, FACE = cube_with_faces(2)

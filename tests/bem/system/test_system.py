@@ -5,8 +5,9 @@ import pytest
 from elastic_bodies import Material, cube_with_faces, held_part, linear_field, solve_known
 from surfaces import box, joined
 
-from palpate.bem import Quadrature, factorise, make_surface, system_slope
-from palpate.bem.system.matrix import matrix_and_slope, system_matrix
+from palpate.bem import factorise, make_surface
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.system.matrix import matrix_and_slope, system_matrix, system_slope
 from palpate.bem.system.system import (
     boundary_system,
     equations_at,
