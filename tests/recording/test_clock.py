@@ -49,12 +49,12 @@ def _ramps(
         share = _law(size, touch.peak) + noise * rng.standard_normal(near.sum())
         # In the air the tool is seen to move, and nothing is felt.
         air = np.clip((touch.begin - own[near] - _OFFSET) / 0.5, 0.0, 1.0)
-        found.append(Ramp(own[near], share - 2.0 * air))
+        found.append((own[near], share - 2.0 * air))
     return found
 
 
 def _thinned(ramps: list[Ramp], step: int) -> list[Ramp]:
-    return [Ramp(one.time[::step], one.progress[::step]) for one in ramps]
+    return [(time[::step], progress[::step]) for time, progress in ramps]
 
 
 def test_pictures_that_are_far_apart_are_told_from_those_that_are_too_far() -> None:
@@ -147,7 +147,7 @@ def test_presses_in_a_row_leave_a_doubt_and_uneven_ones_none() -> None:
         ramps = []
         for touch in touches:
             mine = own[(own > touch.begin - 1.0) & (own < touch.end + 1.0)]
-            ramps.append(Ramp(mine, size(mine, starts)))
+            ramps.append((mine, size(mine, starts)))
         found = fine_clock((0.0, 0.9, 2.6), force, touches, ramps, "c0")
         assert (found.rival_offset is not None) == doubtful
         assert len(found.notes) == doubtful

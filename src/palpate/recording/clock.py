@@ -22,6 +22,7 @@ from palpate.recording.footage import (
     Footage,
     Ramp,
     RampTimes,
+    Span,
     camera_motion,
     camera_ramps,
     still_frames,
@@ -62,7 +63,6 @@ _MAX_SCATTER = 1.0
 # A given offset may differ from the estimated one by the largest of: so many standard deviations,
 # frames, and fractions of a ramp's duration (the bias that a hysteresis of 30 % causes).
 _OFFSET_SIGMAS, _OFFSET_FRAMES, _OFFSET_RAMPS = 5.0, 1.0, 0.15
-Span = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,10 +264,10 @@ def _in_contact(
     min_force: float = _CONTACT_FORCE,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, displacement fractions and forces of the frames with certain contact."""
-    time = ramp.time + offset
+    time = ramp[0] + offset
     magnitude = force.at(time)
     inside = (time > touch.begin) & (time < touch.end) & (magnitude > min_force * touch.peak)
-    return time[inside], ramp.progress[inside], magnitude[inside]
+    return time[inside], ramp[1][inside], magnitude[inside]
 
 
 def _unexplained(force: ForceMagnitude, touch: Touch, ramp: Ramp, offset: float) -> float:
