@@ -426,8 +426,8 @@ def write_moments(
     ----------
     folder : Path                   an existing folder
     footage : Footage
-    moments : mapping               file name, with `{camera}` for the camera's name -> begin and end
-                                    of the time span at rest [s], camera's clock; they do not
+    moments : mapping               file name, with `{camera}` for the camera's name -> begin and
+                                    end of the time span at rest [s], camera's clock; they do not
                                     overlap, and come in any order
     progress : callable             called with the current step (text) and the fraction done, 0..1
 
