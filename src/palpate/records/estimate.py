@@ -228,11 +228,6 @@ class ErrorEstimate:
         """True where it exceeds three prior standard deviations."""
         return abs(self.value) > SURPRISING * self.prior_std
 
-    @property
-    def is_impossible(self) -> bool:
-        """True where it exceeds five prior standard deviations, which chance does not explain."""
-        return abs(self.value) > IMPOSSIBLE * self.prior_std
-
 
 @dataclass(frozen=True, slots=True)
 class BudgetEntry:

@@ -24,7 +24,7 @@ from palpate.bem.integrals.surface import Quadrature
 from palpate.bem.loads.right_hand import traction_column
 from palpate.bem.system import factors
 from palpate.bem.system.factors import lu_by_panels
-from palpate.bem.system.matrix import system_matrix, system_slope
+from palpate.bem.system.matrix import matrix_and_slope, system_matrix
 
 FINE = Quadrature(tolerance=1e-9)
 MESH, FACE = cube_with_faces(2)
@@ -146,7 +146,7 @@ def test_the_slope_of_the_solution(rolling):
     right = boundary_data(system, linear_field(GENERAL, Material(2.5, 0.3)), Material(2.5, 0.3))
     factorised = factorise(system, 0.3)
     x = solve(factorised, right)
-    slope = solve(factorised, -system_slope(system).apply(x))
+    slope = solve(factorised, -matrix_and_slope(system, 0.3)[1].apply(x))
     step = 1e-4
     higher, lower = (solve(factorise(system, 0.3 + d), right) for d in (step, -step))
     # The central difference leaves the third derivative times 1e-8 / 6.
@@ -268,7 +268,7 @@ def test_factors_are_read_by_the_next_system_of_the_same_body(ball, rolls, tmp_p
     monkeypatch.setattr(factors, "_factorise_with_slope", None)
     again = CentredSystem(boundary_system(body, cache=tmp_path), NU)
     vector = np.random.default_rng(0).normal(size=(first.system.size, 3))
-    moved = system_slope(first.system).apply(vector)
+    moved = matrix_and_slope(first.system, 0.3)[1].apply(vector)
     solved = solve(factorise(first.system, NU), moved)
     for one in (first, again):
         np.testing.assert_array_equal(one.slope.apply(vector), moved)

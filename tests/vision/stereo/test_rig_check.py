@@ -9,7 +9,7 @@ from vision.scenes import LENS, SHAPE, example, example_views, noisy_views
 from palpate.errors import CalibrationError, InputError
 from palpate.records.programs.registry import read_rig
 from palpate.records.rig import Camera, Rig
-from palpate.vision.matching.features import Matches, prepare_pictures
+from palpate.vision.matching.features import Samples, prepare_pictures
 from palpate.vision.pictures import read_pictures
 from palpate.vision.projection import project
 from palpate.vision.stereo.rig_check import (
@@ -23,6 +23,10 @@ from palpate.vision.stereo.rig_check import (
 
 def _views(count: int = 3, lens: tuple[float, ...] = ()) -> list[np.ndarray]:
     return noisy_views(example_views("still", count, lens), 1.5, seed=count)
+
+
+def _matches(first: np.ndarray, second: np.ndarray) -> Samples:
+    return Samples(first, second - first)
 
 
 def _checked(rig: Rig, views) -> RigCheck:
@@ -129,7 +133,7 @@ def test_distance_from_epipolar_lines_is_the_offset_across_them():
         for name, f, pose in zip("ab", focal, poses, strict=True)
     )  # fmt: skip
     points = np.random.default_rng(1).uniform((-0.1, -0.1, 0.7), (0.1, 0.1, 0.9), (40, 3))
-    seen = Matches(project(first, points), project(second, points) + np.array([7.0, 3.0]))
+    seen = _matches(project(first, points), project(second, points) + np.array([7.0, 3.0]))
     # 3 px in the second picture; in the first the same angle.
     expected = 0.5 * (3.0 + 3.0 * focal[0] / focal[1])
     np.testing.assert_allclose(_epipolar_distance(first, second, seen), expected, rtol=1e-9)
@@ -143,7 +147,7 @@ def test_own_error_of_features_is_not_that_of_the_rig():
     first, second = (project(camera, points) for camera in rig.cameras)
     noise = 0.1
     second += rng.normal((0.0, 3.0), noise, size=second.shape)
-    pairs = {(0, 1): Matches(first, second)}
+    pairs = {(0, 1): _matches(first, second)}
     error = _feature_error(rig, pairs, (0, 1))
     # The median of a normal distribution's absolute values is 0.67 sigma; a fit of seven of 200
     # numbers takes little of it.
@@ -155,8 +159,8 @@ def test_matches_by_chance_are_none():
     rng = np.random.default_rng(3)
     rig = example(2).rig
     place = rng.uniform(0.0, 150.0, size=(2, 300, 2))
-    chance = _consistent(rig.cameras[0], rig.cameras[1], Matches(place[0], place[1]))
-    assert len(chance.first) == 0
+    chance = _consistent(rig.cameras[0], rig.cameras[1], _matches(place[0], place[1]))
+    assert len(chance.point) == 0
 
 
 def test_no_texture_is_told_with_the_camera():

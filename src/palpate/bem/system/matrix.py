@@ -101,7 +101,7 @@ class SystemSlope:
 def matrix_and_slope(
     system: BoundarySystem, poisson_ratio: float, *, precision: Precision = np.float64
 ) -> tuple[Float[np.ndarray, "r k"], SystemSlope]:
-    """`system_matrix` and its derivative (`system_slope`), from the same integrals.
+    """`system_matrix` and its derivative with respect to Poisson's ratio, from the same integrals.
 
     Parameters
     ----------
@@ -152,23 +152,6 @@ def held_columns(
 
     for_each_block(system, add)
     return terms
-
-
-def system_slope(system: BoundarySystem, *, precision: Precision = np.float64) -> SystemSlope:
-    """Gather the fields that depend on Poisson's ratio.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    precision : type          of the entries
-
-    Returns
-    -------
-    SystemSlope
-    """
-    slope, fill = _slope_to_fill(system, precision)
-    for_each_block(system, fill)
-    return slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,7 +275,7 @@ def _slope_to_fill(
 
     Parameters
     ----------
-    system, precision         as in `system_slope`
+    system, precision         as in `matrix_and_slope`
 
     Returns
     -------

@@ -125,8 +125,8 @@ def stereo_start(
     rows, columns = np.max([image.levels.shape for image in images], axis=0).tolist()
     rectified = rectify((first, second), (rows, columns))
     matches = match_features(*(pictures.features[k] for k in which))
-    place = _seen_by(rectified.cameras[0], first, matches.first)
-    other = _seen_by(rectified.cameras[1], second, matches.second)
+    place = _seen_by(rectified.cameras[0], first, matches.point)
+    other = _seen_by(rectified.cameras[1], second, matches.moved)
     offset, agree = _row_offset(place, other)
     if agree.sum() < _MIN_FEATURES:
         raise InputError(
