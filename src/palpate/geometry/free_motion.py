@@ -36,24 +36,22 @@ from palpate.shapes import Flags, Points, PointScalars, Vector3
 _TRIED_STDS = 10.0
 # Components below this fraction of the points' motion are not mentioned.
 _MIN_NAMED = 0.1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceEdges:
-    """Edges of an object: where its faces, or its surface, end.
-
-    Attributes
-    ----------
-    side : (m, 3) bool              whether the side from corner k to k + 1 of a triangle is an edge
-    corner : (m, 3) bool            whether corner k lies on an edge
-    """
-
-    side: Bool[np.ndarray, "m 3"]
-    corner: Bool[np.ndarray, "m 3"]
+# Which sides and corners of the triangles are edges of the object (`surface_edges`).
+SurfaceEdges = tuple[Bool[np.ndarray, "m 3"], Bool[np.ndarray, "m 3"]]
 
 
 def surface_edges(mesh: TriangleMesh) -> SurfaceEdges:
-    """Edges of a mesh, open or closed: its boundaries, and its creases."""
+    """Edges of a mesh, open or closed: its boundaries, and its creases.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    side : (m, 3) bool              whether the side from corner k to k + 1 of a triangle is an edge
+    corner : (m, 3) bool            whether corner k lies on an edge
+    """
     # Coinciding vertices are merged: those of a refined surface come separately.
     grain = 1e-9 * bounding_diagonal(mesh)
     _, vertex = np.unique(np.round(mesh.vertices / grain), axis=0, return_inverse=True)
@@ -64,7 +62,7 @@ def surface_edges(mesh: TriangleMesh) -> SurfaceEdges:
     inner[pairs[np.einsum("ea,ea->e", a, b) > np.cos(CREASE_ANGLE)]] = True
     at_edge = np.zeros(len(mesh.vertices), dtype=bool)
     at_edge[halves.ends[halves.edge[~inner]]] = True
-    return SurfaceEdges(~inner.reshape(-1, 3), at_edge[halves.tail].reshape(-1, 3))
+    return ~inner.reshape(-1, 3), at_edge[halves.tail].reshape(-1, 3)
 
 
 def near_edges(
@@ -78,7 +76,7 @@ def near_edges(
     ----------
     mesh : TriangleMesh
     linearisation : Linearised      n points
-    edges : SurfaceEdges            of the mesh
+    edges : pair of (m, 3) bool     `surface_edges` of the mesh
     reach : (n,) float [m]          by how much noise may have displaced each
 
     Returns
@@ -93,8 +91,8 @@ def near_edges(
     height = np.roll(linearisation.barycentric, -2, axis=1) * double_area[:, None] / length
     position = np.einsum("nk,nka->na", linearisation.barycentric, corner)
     away = np.linalg.norm(corner - position[:, None], axis=2)
-    close = (height <= reach[:, None]) & edges.side[linearisation.triangle]
-    close |= (away <= reach[:, None]) & edges.corner[linearisation.triangle]
+    close = (height <= reach[:, None]) & edges[0][linearisation.triangle]
+    close |= (away <= reach[:, None]) & edges[1][linearisation.triangle]
     return close.any(axis=1)
 
 
@@ -105,7 +103,7 @@ class Trial:
     Attributes
     ----------
     search : SurfaceSearch          of the surface
-    edges : SurfaceEdges            of the surface
+    edges : pair of (m, 3) bool     `surface_edges`
     points : MeasuredPoints         k points
     pose : (4, 4) float             their fitted pose
     linearisation : Linearised      at this pose

@@ -71,22 +71,6 @@ class _ContactPoints:
     stiffness: PointScalars
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Springs:
-    """Energy and forces of the penalty springs in one configuration of tip and body.
-
-    Attributes
-    ----------
-    energy : float [J]
-    force : (n, 3) float [N]        on the nodes
-    push : float [N]                force of the tip along its motion
-    """
-
-    energy: float
-    force: Float[np.ndarray, "n 3"]
-    push: float
-
-
 def press_finite(
     body: Body,
     tip: Tip,
@@ -149,15 +133,15 @@ class _ContactPotential:
     def value(self, at: Unknowns) -> float:
         """Stored energy of body and springs minus the work of the force on the tip [J]."""
         stored = energy(self.law, self.basis, at[:-1].reshape(-1, 3))
-        return stored + self.springs(at).energy - self.force * float(at[-1])
+        return stored + self.springs(at)[0] - self.force * float(at[-1])
 
     def forces(self, at: Unknowns) -> Unknowns:
         """Residual: spring forces minus internal forces at the nodes; then the tip's force minus
         the push of the springs [N]."""
-        springs = self.springs(at)
-        missing = springs.force - internal_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
+        _, force, push = self.springs(at)
+        missing = force - internal_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
         missing[self.body.held] = 0.0
-        return np.append(missing, self.force - springs.push)
+        return np.append(missing, self.force - push)
 
     def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
         """Newton's step by block elimination; the tip's travel is eliminated last."""
@@ -180,11 +164,12 @@ class _ContactPotential:
         travel = (forces[-1] + float(coupling @ both[:, 0])) / pivot
         return np.append(both[:, 0] + travel * both[:, 1], travel)
 
-    def springs(self, at: Unknowns) -> _Springs:
-        """Energy and forces of the penalty springs."""
+    def springs(self, at: Unknowns) -> tuple[float, Float[np.ndarray, "n 3"], float]:
+        """Energy of the penalty springs [J], their force on the nodes, (n, 3) [N], and that of the
+        tip along its motion [N]."""
         penetration, normal = self.penetration(at)
         force_size = self.contact_points.stiffness * penetration
-        return _Springs(
+        return (
             0.5 * float(force_size @ penetration),
             self.contact_points.shape.T @ (force_size[:, None] * normal),
             float(force_size @ (normal @ self.tip.direction)),
@@ -224,7 +209,7 @@ class _ContactPotential:
         exceeds half the tip's radius."""
 
         def excess(depth: float) -> float:
-            return self.springs(np.append(at[:-1], at[-1] + depth)).push - self.force
+            return self.springs(np.append(at[:-1], at[-1] + depth))[2] - self.force
 
         deepest = 0.5 * self.tip.radius
         if excess(deepest) < 0.0:

@@ -87,24 +87,9 @@ class SurfaceLoad:
     disc: PressureDisc | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Foot:
-    """The point of the surface nearest to the centre of a round patch.
-
-    Attributes
-    ----------
-    flat : (3,) float [m]         on the flat triangle
-    curved : (3,) float [m]       on its curved element
-    normal : (3,) float [-]       outward, of the curved element: unlike that of the flat triangle,
-                                  it varies continuously within an element
-    """
-
-    flat: Vector3
-    curved: Vector3
-    normal: Vector3
-
-
-def find_foot(surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre: Vector3) -> Foot:
+def find_foot(
+    surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre: Vector3
+) -> tuple[Vector3, Vector3, Vector3]:
     """The point of some triangles nearest to the centre of a patch.
 
     Parameters
@@ -115,13 +100,16 @@ def find_foot(surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre
 
     Returns
     -------
-    Foot
+    flat : (3,) float [m]         on the flat triangle
+    curved : (3,) float [m]       on its curved element
+    normal : (3,) float [-]       outward, of the curved element: unlike that of the flat triangle,
+                                  it varies continuously within an element
     """
     near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
     nearest = closest_points(near, centre[None])
     element = surface.element_nodes[triangles[nearest.triangle]]
     point = element_points(element, nearest.barycentric)[0, 0]
-    return Foot(nearest.position[0], point[:3], point[3:] / np.linalg.norm(point[3:]))
+    return nearest.position[0], point[:3], point[3:] / np.linalg.norm(point[3:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,8 +209,8 @@ def _placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     """
     if load.disc is None:
         return load
-    foot = find_foot(surface, load.triangles, load.disc.centre)
-    shift = foot.curved - load.disc.centre
+    flat, curved, _ = find_foot(surface, load.triangles, load.disc.centre)
+    shift = curved - load.disc.centre
 
     def density(
         triangle: Int[np.ndarray, " n"],
@@ -231,7 +219,7 @@ def _placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     ) -> Float[np.ndarray, " n"]:
         return load.density(triangle, barycentric, position - shift)
 
-    return replace(load, density=density, disc=replace(load.disc, centre=foot.flat))
+    return replace(load, density=density, disc=replace(load.disc, centre=flat))
 
 
 def _placed_points(
