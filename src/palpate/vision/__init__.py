@@ -4,7 +4,7 @@ Purpose    : range flow, i.e. the 3-D displacement of surface points with its co
              it the displacement of the mesh's vertices.
 Takes      : a `Rig`, grey pictures, a triangle surface.
 Gives      : `FlowMethod` with `JointFlow` and `LangPaiFlow`; `RangeFlow`, `VertexDisplacement`;
-             `StereoPoints` and `RigCheck` from a rig's pictures at rest.
+             `StereoPoints`, and a check of the rig, from its pictures at rest.
 Depends on : `geometry`, `records`.
 Read first : `range_flow.py`, `projection.py`, `joint/flow.py`, then `lang_pai/flow.py`.
 """

@@ -4,7 +4,6 @@ The match of a feature must lie on its epipolar line, and the triangulated point
 cameras. Otherwise, other assignments of pictures to cameras are tried.
 """
 
-from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import cv2
@@ -32,24 +31,9 @@ _MAX_REORDERED_CAMERAS = 4
 _Pairs = dict[tuple[int, int], Samples]
 
 
-@dataclass(frozen=True, slots=True)
-class RigCheck:
-    """Agreement of the cameras' pictures with the rig.
-
-    Attributes
-    ----------
-    residual : tuple of float [px]      median distance of features from their epipolar lines, for
-                                        each camera except the reference; NaN with too few matches
-    matches : tuple of int              number of feature matches behind each residual
-    notes : tuple of str                what could not be checked, or fits badly
-    """
-
-    residual: tuple[float, ...]
-    matches: tuple[int, ...]
-    notes: tuple[str, ...]
-
-
-def check_rig(pictures: PreparedPictures) -> RigCheck:
+def check_rig(
+    pictures: PreparedPictures,
+) -> tuple[tuple[float, ...], tuple[int, ...], tuple[str, ...]]:
     """Check the rig against the pictures of one instant.
 
     Parameters
@@ -58,7 +42,10 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
 
     Returns
     -------
-    RigCheck
+    residual : tuple of float [px]  median distance of features from their epipolar lines, for each
+                                    camera except the reference; NaN with too few matches
+    matches : tuple of int          number of feature matches behind each residual
+    notes : tuple of str            what could not be checked, or fits badly
 
     Raises
     ------
@@ -96,7 +83,7 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
             )
     if worst > 0.0:
         raise CalibrationError(_explanation(rig, pairs, worst, whose))
-    return RigCheck(tuple(residual), tuple(count), tuple(notes))
+    return tuple(residual), tuple(count), tuple(notes)
 
 
 def _all_matches(pictures: PreparedPictures) -> _Pairs:
