@@ -206,7 +206,6 @@ def make_spring_model(
     *,
     known_traction: Float[np.ndarray, "e c"] | None = None,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    tolerance: float = DENSE_RESIDUAL,
 ) -> ReducedModel:
     """A reduced model of an object on springs, with derivatives of its solutions (`SpringSystem`).
 
@@ -220,7 +219,6 @@ def make_spring_model(
     known_traction : (e, c) float or None    known part of the traction on each spring, times
                                       `traction_length`; None: there is none
     poisson_range : (float, float)
-    tolerance : float
 
     Returns
     -------
@@ -234,7 +232,7 @@ def make_spring_model(
     solver = make_spring_system(factors, compliance, changes)
     on_springs = SpringSlope(slope, factors.columns[1], 1 + len(changes))
     right = right.on_springs(compliance, changes, known_traction)
-    return _krylov_model(solver.solve, on_springs.apply, right, poisson_range, tolerance)
+    return _krylov_model(solver.solve, on_springs.apply, right, poisson_range, DENSE_RESIDUAL)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
