@@ -15,12 +15,11 @@ from palpate.paper.motion import (
     flow_row,
     flow_rows,
     flow_summary,
-    flow_table,
+    motion_table,
     vertex_curves,
     vertex_row,
     vertex_rows,
     vertex_summary,
-    vertex_table,
 )
 from palpate.paper.sessions import MotionRow, PaperSession, Spread
 from palpate.pipeline import MeasuredMotion, SessionFlow
@@ -179,7 +178,7 @@ def direction(step, error, *, length=None):
 
 def test_steps_are_grouped_and_in_the_units_of_the_head():
     rows = {PAPER: (flow(1, count=None), flow(2, count=None)), "joint": (flow(1), flow(2))}
-    table = flow_table("t", rows)
+    table = motion_table("t", rows, of_flow=True)
     assert [(row[0], row[1]) for row in table.rows] == [
         (1, PAPER), (1, "joint"), (2, PAPER), (2, "joint"),
     ]  # fmt: skip
@@ -211,9 +210,8 @@ def test_a_step_without_points_is_not_hidden():
 
 
 def test_directions_have_lengths_only_where_they_are_printed():
-    table = vertex_table(
-        "t", {PAPER: (direction(1, 10.0),), "joint": (direction(1, 1.0, length=4e-3),)}
-    )
+    rows = {PAPER: (direction(1, 10.0),), "joint": (direction(1, 1.0, length=4e-3),)}
+    table = motion_table("t", rows, of_flow=False)
     assert table.rows[0][2:4] == pytest.approx((10.0, 20.0))
     assert table.rows[0][4:] == (None, None, None, None)
     assert table.rows[1][2:7] == pytest.approx((1.0, 2.0, 4.0, 2.0, 4.0))

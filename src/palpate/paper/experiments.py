@@ -23,11 +23,10 @@ from palpate.paper.motion import (
     flow_picture,
     flow_rows,
     flow_summary,
-    flow_table,
+    motion_table,
     vertex_curves,
     vertex_rows,
     vertex_summary,
-    vertex_table,
 )
 from palpate.paper.result import Cell, PaperResult, ResultTable
 from palpate.paper.sessions import (
@@ -162,7 +161,7 @@ def _table1(measured: Measured, _work: Workplace) -> PaperResult:
         " one along y; the angles themselves are those of other directions. The length's bias is"
         " against the encoder for the paper, against the true path for the virtual bench.",
         flow_summary("Table 1, the worst of it", tests),
-        tuple(flow_table(f"Table 1, {name}", rows) for name, rows in tests.items()),
+        tuple(motion_table(f"Table 1, {name}", rows, of_flow=True) for name, rows in tests.items()),
         {"table1": flow_curves(tests)},
     )
 
@@ -184,7 +183,9 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
         " rotation vertices hardly move, and any method has trouble with their directions. The"
         " paper's errors hold those of the registration of its mesh, too; here the pose is given.",
         vertex_summary("Table 2, its first and last steps", tests),
-        tuple(vertex_table(f"Table 2, {name}", rows) for name, rows in tests.items()),
+        tuple(
+            motion_table(f"Table 2, {name}", rows, of_flow=False) for name, rows in tests.items()
+        ),
         {"table2": vertex_curves(tests)},
     )
 
