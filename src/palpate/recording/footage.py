@@ -40,8 +40,8 @@ _SCALE_TO_16_BITS = 257.0
 Span = tuple[float, float]
 # Number, time and grey levels of a frame.
 Frame = tuple[int, float, Shaped[np.ndarray, "_ _"]]
-# Times and progress of one press in the frames of its ramps.
-Ramp = tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"]]
+# Times, and what was measured then.
+Signal = tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -351,7 +351,7 @@ class RampTimes:
         return loading or self.plateau_end - MARGIN <= time <= self.end + MARGIN
 
 
-def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | None]:
+def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Signal | None]:
     """Progress of each press in the frames of its ramps.
 
     Only one press is in memory at a time.
@@ -373,7 +373,7 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | 
     ------
     RecordError                     as in `read_frames`
     """
-    found: list[Ramp | None] = []
+    found: list[Signal | None] = []
     kept: list[tuple[float, np.ndarray]] = []
     waiting = list(presses)
     for _, time, grey in read_frames(footage):
@@ -394,7 +394,7 @@ def _thinned(kept: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarr
     return kept[::2] if len(kept) >= _MAX_FRAMES else kept
 
 
-def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None:
+def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Signal | None:
     """Projection of each frame's change on the change from first contact to full load."""
     if len(kept) < 8:
         return None
