@@ -16,7 +16,7 @@ from palpate.errors import CalibrationError, InputError
 from palpate.geometry.closest_point import SurfaceSearch, surface_search
 from palpate.geometry.free_motion import (
     SurfaceEdges,
-    Trial,
+    confirmed_information,
     motion_constraints,
     motion_texts,
     near_edges,
@@ -260,11 +260,12 @@ def _observability(
     motions = (linearisation.scale @ vectors).T
     rows = even_sample(points.point, _NEAR_POINTS)
     rows = rows[used[rows]]
-    trial = Trial(search, edges, points.chosen(rows), pose, linearisation.chosen(rows), reach[rows])
+    tried = search, edges, points.chosen(rows), linearisation.chosen(rows), reach[rows]
     least = (_MAX_RELATIVE_STD * search.diagonal) ** -2
     std = 1.0 / np.sqrt(np.maximum(values, least))
     confirmed = [
-        trial.confirmed_information(motion, one) for motion, one in zip(motions, std, strict=True)
+        confirmed_information(*tried, pose=pose, motion=motion, std=one)
+        for motion, one in zip(motions, std, strict=True)
     ]
     # The unconfirmed share is subtracted twice: chance hides part of it at the minimum of the fit.
     values = values * (2.0 * np.array(confirmed) - 1.0)
