@@ -50,7 +50,7 @@ def together(tmp_path_factory):
         return bodies[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(facility, "make_body", counted)
+        patch.setattr("palpate.lab.arm.make_body", counted)
         wanted = [(config, folders[name]) for name, config in configs.items()]
         make_sessions(wanted, variant=choose_variant())
     return folders, len(bodies), configs
