@@ -321,7 +321,14 @@ def _linearised(bundle: Bundle, corners: Corners) -> _Equations:
     place = turned + board[:, :3, 3]
     pose = bundle.camera[c]
     rotated = np.einsum("mij,mj->mi", pose[:, :3, :3], place)
-    pixel, by_intrinsics, by_point = seen_points(bundle.intrinsics[c], rotated + pose[:, :3, 3])
+    in_camera = rotated + pose[:, :3, 3]
+    pixel, by_point = np.empty((len(c), 2)), np.empty((len(c), 2, 3))
+    by_intrinsics = np.empty((len(c), 2, _LENS))
+    for k in np.unique(c):
+        own = c == k
+        pixel[own], by_intrinsics[own], by_point[own] = seen_points(
+            bundle.intrinsics[k], in_camera[own]
+        )
     by_camera = np.concatenate([by_point @ _skew_matrices(-rotated), by_point], axis=2)
     by_place = by_point @ pose[:, :3, :3]
     by_view = np.concatenate([by_place @ _skew_matrices(-turned), by_place], axis=2)
@@ -386,33 +393,26 @@ def _turned(pose: Float[np.ndarray, "k 4 4"], step: Float[np.ndarray, "k 6"]) ->
 
 
 def seen_points(
-    intrinsics: Float[np.ndarray, "n 9"], points: Points
+    intrinsics: Float[np.ndarray, "9"], points: Points
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 9"], Float[np.ndarray, "n 2 3"]]:
-    """Project points, with derivatives with respect to lens terms and points.
+    """Project points into one camera, with derivatives with respect to lens terms and points.
 
     Parameters
     ----------
-    intrinsics : (n, 9) float       `LENS_TERMS` of the camera that sees each point
-    points : (n, 3) float [m]       frame of that camera, in front of it
+    intrinsics : (9,) float         `LENS_TERMS` of the camera
+    points : (n, 3) float [m]       frame of the camera, in front of it; at least one
 
     Returns
     -------
     pixel : (n, 2) float [px]
     by_intrinsics : (n, 2, 9) float  derivative with respect to `LENS_TERMS`
     by_point : (n, 2, 3) float [px/m]   derivative with respect to the point
-
-    Source
-    ------
-    OpenCV, Camera calibration and 3D reconstruction, detailed description.
     """
-    pixel, jacobian = np.empty((len(points), 2)), np.empty((len(points), 2, 15))
-    lenses, lens = np.unique(intrinsics, axis=0, return_inverse=True)
-    for k, (fx, fy, cx, cy, *distortion) in enumerate(lenses):
-        own = lens.ravel() == k
-        matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        seen, derivatives = cv2.projectPoints(
-            points[own], np.zeros(3), np.zeros(3), matrix, np.array(distortion)
-        )
-        pixel[own], jacobian[own] = seen[:, 0], derivatives.reshape(-1, 2, 15)
+    fx, fy, cx, cy, *distortion = intrinsics
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    pixel, jacobian = cv2.projectPoints(
+        points, np.zeros(3), np.zeros(3), matrix, np.array(distortion)
+    )
     # OpenCV's order: rotation, shift, focal lengths, principal point, distortion.
-    return pixel, jacobian[:, :, 6:], jacobian[:, :, 3:6]
+    jacobian = jacobian.reshape(-1, 2, 15)
+    return pixel[:, 0], jacobian[:, :, 6:], jacobian[:, :, 3:6]
