@@ -11,18 +11,9 @@ from palpate.records.quantities import ANGLE_UNITS, COMPLIANCE_UNITS, LENGTH_UNI
 from palpate.records.text.toml_table import TomlTable
 
 _FRACTION_UNITS = {"%": 0.01}
-# Keys of [errors], and of its table "pose", with the units in which they may be given.
-_UNITS: dict[str, Mapping[str, float]] = {
-    **dict.fromkeys(
-        ("force_gain", "force", "contact_radius", "touched_radius", "length_scale"),
-        _FRACTION_UNITS,
-    ),
-    "force_direction": ANGLE_UNITS,
-    "contact_point": LENGTH_UNITS,
-    "support_compliance": COMPLIANCE_UNITS,
-    "tool_compliance": {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6},
-}
-_POSE_UNITS = {"translation": LENGTH_UNITS, "rotation": ANGLE_UNITS}
+_FRACTION_KEYS = ("force_gain", "force", "contact_radius", "touched_radius", "length_scale")
+_COMPLIANCE_KEYS = ("support_compliance", "tool_compliance")
+_TOOL_UNITS = {"m/N": 1.0, "mm/N": 1e-3, "um/N": 1e-6}
 
 _LARGEST_FRACTION, _LARGEST_ANGLE, _LARGEST_LENGTH = 0.5, 0.5, 1.0
 # One metre per pascal, or per newton: in effect no support.
@@ -138,25 +129,25 @@ def read_error_priors(
     found: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
     found["contact_points"] = _contact_points(root, metres_per_unit)
     table = root.optional("errors", root.table) or TomlTable(root.file, "", {})
-    table.check_keys((*_UNITS, "pose"))
-    plain = {key: value for key, value in table.values.items() if key != "pose"}
-    if isinstance(plain.get("force_gain"), dict):
-        plain.pop("force_gain")
+    table.check_keys(
+        (*_FRACTION_KEYS, "force_direction", "contact_point", "pose", *_COMPLIANCE_KEYS)
+    )
+    fractions = [key for key in _FRACTION_KEYS if key in table.values]
+    if isinstance(table.values.get("force_gain"), dict):
+        fractions.remove("force_gain")
         found["force_gains"] = _force_gains(root, table)
-    found |= {key: _std(table, key, _UNITS[key], metres_per_unit) for key in plain}
-    if pose := table.optional("pose", lambda key: table.table(key, "[errors] pose")):
-        pose.check_keys(tuple(_POSE_UNITS))
-        for key in pose.values:
-            found[f"pose_{key}"] = _std(pose, key, _POSE_UNITS[key], metres_per_unit)
+    found |= {key: table.quantity(key, _FRACTION_UNITS, 1.0) for key in fractions}
+    if "force_direction" in table.values:
+        found["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
+    if "contact_point" in table.values:
+        found["contact_point"] = table.quantity("contact_point", LENGTH_UNITS, metres_per_unit)
+    if "support_compliance" in table.values:
+        found["support_compliance"] = table.quantity("support_compliance", COMPLIANCE_UNITS, 1.0)
+    if "tool_compliance" in table.values:
+        found["tool_compliance"] = table.quantity("tool_compliance", _TOOL_UNITS, 1.0)
+    found |= _pose(table, metres_per_unit)
     with table.error_context():
         return ErrorPriors(**found)
-
-
-def _std(table: TomlTable, key: str, units: Mapping[str, float], metres_per_unit: float) -> float:
-    """A standard deviation; angles need a unit, lengths without one are in the session's."""
-    if units is ANGLE_UNITS:
-        return table.quantity(key, units)
-    return table.quantity(key, units, metres_per_unit if units is LENGTH_UNITS else 1.0)
 
 
 def _force_gains(root: TomlTable, errors: TomlTable) -> dict[str, float]:
@@ -185,4 +176,17 @@ def _contact_points(root: TomlTable, metres_per_unit: float) -> dict[str, float]
             name = probe.text("name")
             table = TomlTable(root.file, f"[[probe]] '{name}' contact", contact)
             found[name] = table.quantity("point_std", LENGTH_UNITS, metres_per_unit)
+    return found
+
+
+def _pose(table: TomlTable, metres_per_unit: float) -> Mapping[str, float]:
+    pose = table.optional("pose", lambda key: table.table(key, "[errors] pose"))
+    if pose is None:
+        return {}
+    pose.check_keys(("translation", "rotation"))
+    found = {}
+    if "translation" in pose.values:
+        found["pose_translation"] = pose.quantity("translation", LENGTH_UNITS, metres_per_unit)
+    if "rotation" in pose.values:
+        found["pose_rotation"] = pose.quantity("rotation", ANGLE_UNITS)
     return found
