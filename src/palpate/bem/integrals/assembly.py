@@ -59,8 +59,8 @@ class FieldBlocks:
 
     Attributes
     ----------
-    values : (blocks, n_nodes, fields, LANES) float     the fields in the order of their
-                                                        `FieldLayout`
+    values : (blocks, n_nodes, fields, LANES) float     the fields in the order of
+                                                        `kelvin.TRACTION`, or `DISPLACEMENT`
     rows : (blocks, LANES) int                          collocation point of each lane; the last
                                                         block is padded with its last point
     n_rows : int                                        number of collocation points
