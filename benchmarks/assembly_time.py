@@ -12,7 +12,7 @@ from benchmarks.options import Options
 from benchmarks.peers import laplace_times
 from palpate.bem import BoundarySurface, make_surface
 from palpate.bem.integrals.assembly import Collocation, KernelIntegrals, kernel_integrals
-from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION, FieldLayout
+from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION
 from palpate.geometry import TriangleMesh
 
 REPEATS = 3
@@ -84,17 +84,17 @@ def lu_time(size: int, *, repeats: int = REPEATS) -> float:
     return shortest(lambda: lu_factor(matrix, check_finite=False), repeats=repeats, warm=False)
 
 
-def _prepared(surface: BoundarySurface, kernel: FieldLayout) -> KernelIntegrals:
+def _prepared(surface: BoundarySurface, kernel: int) -> KernelIntegrals:
     """One kernel from every vertex over every triangle, against the nodes it is used with."""
     vertices = surface.mesh.vertices
     n = len(vertices)
     nowhere = np.full(n, -1)
     collocation = Collocation(vertices, np.arange(n), nowhere, np.zeros((n, 3)))
-    nodes = surface.displacement if kernel is TRACTION else surface.traction
+    nodes = surface.displacement if kernel == TRACTION else surface.traction
     return kernel_integrals(surface, collocation, nodes, kernel)
 
 
-def _fields(surface: BoundarySurface, kernel: FieldLayout) -> None:
+def _fields(surface: BoundarySurface, kernel: int) -> None:
     _prepared(surface, kernel).all_blocks()
 
 

@@ -33,17 +33,8 @@ from benchmarks.coverage_of_bodies import MESHES, NOISE, constants, errors_of, h
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.lab import half_ball
 from palpate.pipeline import fit_session
-from palpate.records import (
-    EXACT,
-    SLIDES,
-    SPHERE,
-    STICKS,
-    DisplacementField,
-    ErrorPriors,
-    Probing,
-    Session,
-    Tool,
-)
+from palpate.records import EXACT, SLIDES, SPHERE, STICKS, DisplacementField, Probing, Session, Tool
+from palpate.records.error_priors import ErrorPriors
 from palpate.solids.contact import Press, press, press_to_force
 from palpate.solids.tips import Sphere
 

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palpate.calibration import Sightings, Target
+from palpate.calibration import Target
 from palpate.calibration.adjustment import Bundle, Corners, seen_points
+from palpate.calibration.sightings import Sightings
 from palpate.lab.head import board_picture
 from palpate.records import Camera, camera_matrix
 
@@ -43,7 +44,7 @@ def seen_corners(
         for v, view in enumerate(bundle.view):
             whole = pose @ view
             place = points @ whole[:3, :3].T + whole[:3, 3]
-            pixel, _, _ = seen_points(np.tile(intrinsics, (len(place), 1)), place)
+            pixel, _, _ = seen_points(intrinsics, place)
             inside = ((pixel > 5.0) & (pixel < np.array(SIZE) - 6.0)).all(axis=1)
             if inside.sum() < 12:
                 continue

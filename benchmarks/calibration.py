@@ -32,8 +32,9 @@ from benchmarks.options import Options
 from benchmarks.real_calibration import real_figures
 from benchmarks.report import with_notes
 from palpate.app.cli import main as palpate
-from palpate.calibration import Charuco, Sightings, calibrate, find_boards, find_pictures
+from palpate.calibration import Charuco, calibrate, find_boards, find_pictures
 from palpate.calibration.adjustment import Bundle, adjust
+from palpate.calibration.sightings import Sightings
 
 BOARD = Charuco(12, 9, 0.02, 0.015)
 _NOISE = 0.1

@@ -31,21 +31,11 @@ from benchmarks.figure import CAMPAIGN, Figure
 from benchmarks.machine import ROOT
 from benchmarks.options import Options
 from benchmarks.report import with_notes
-from palpate.campaign import (
-    DONE,
-    CampaignItem,
-    Engine,
-    FitOptions,
-    Store,
-    Work,
-    do_work,
-    pack_session,
-    read_items,
-    run_campaign,
-    started_engine,
-    work_on_worker,
-)
-from palpate.campaign.work import pack_files
+from palpate.campaign import DONE, FitOptions, Store, read_items, run_campaign, started_engine
+from palpate.campaign.campaign import work_on_worker
+from palpate.campaign.engine import Engine
+from palpate.campaign.store import CampaignItem
+from palpate.campaign.work import Work, do_work, pack_files, pack_session
 from palpate.errors import PalpateError
 
 START = "import sys; from palpate.app.cli import main; sys.exit(main())"

@@ -9,7 +9,8 @@ from benchmarks.figure import BEM, Figure
 from benchmarks.manufactured import flat_normals, kelvin_field, solved
 from benchmarks.meshes import ball, cap, cube
 from benchmarks.options import Options
-from palpate.bem import Quadrature, make_surface
+from palpate.bem import make_surface
+from palpate.bem.integrals.surface import Quadrature
 
 FORCE = np.array([1.0, -0.5, 2.0])
 RATIO = 0.3

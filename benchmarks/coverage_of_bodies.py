@@ -33,15 +33,8 @@ from benchmarks.body_truth import (
 from benchmarks.drawn_bodies import DRAWN_BODIES
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session
-from palpate.records import (
-    EXACT,
-    Contact,
-    DisplacementField,
-    ErrorPriors,
-    Estimate,
-    Probing,
-    Session,
-)
+from palpate.records import EXACT, Contact, DisplacementField, Estimate, Probing, Session
+from palpate.records.error_priors import ErrorPriors
 
 NOISE = 0.01
 EVERY = BODIES | DRAWN_BODIES

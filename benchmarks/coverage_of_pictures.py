@@ -18,7 +18,8 @@ import numpy as np
 from benchmarks.coverage_of_bodies import NAMES, held
 from palpate.lab import LabConfig, choose_variant, make_sessions, read_lab_config
 from palpate.pipeline import fit_session, with_pictures_measured
-from palpate.records import ErrorPriors, Session, read_session
+from palpate.records import Session, read_session
+from palpate.records.error_priors import ErrorPriors
 
 BENCHES = sorted((Path(__file__).parent / "benches").glob("*.toml"))
 SESSIONS = 24

@@ -26,7 +26,8 @@ from benchmarks.coverage_of_bodies import (
     session,
 )
 from palpate.pipeline import fit_session
-from palpate.records import EXACT, ErrorPriors, Estimate, Session, Support
+from palpate.records import EXACT, Estimate, Session, Support
+from palpate.records.error_priors import ErrorPriors
 
 # Traction over displacement [N/m^3]: of rubber of 0.1 MPa, 30 mm thick.
 STIFFNESS = 3e6

@@ -6,7 +6,8 @@ from benchmarks.figure import BEM, Figure
 from benchmarks.manufactured import Outcome, flat_normals, linear_field, solved
 from benchmarks.meshes import cube
 from benchmarks.options import Options
-from palpate.bem import Quadrature, SurfaceSettings, make_surface
+from palpate.bem import make_surface
+from palpate.bem.integrals.surface import Quadrature
 
 SHEAR_MODULUS = 2.5
 RATIOS = (0.0, 0.25, 0.45, 0.499)
@@ -44,7 +45,7 @@ def _worst(cells: int, tolerance: float) -> tuple[float, float, str]:
     found = []
     for name, faces in SUPPORTS.items():
         held = np.flatnonzero(np.isin(face, faces))
-        surface = make_surface(mesh, held, settings=SurfaceSettings())
+        surface = make_surface(mesh, held)
         for nu in RATIOS:
             tension = np.diag([-nu, -nu, 1.0])
             for kind, strain in (("tension", tension), ("shear", SHEAR)):

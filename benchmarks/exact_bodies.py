@@ -21,7 +21,8 @@ import numpy as np
 from benchmarks.bodies import BODIES
 from benchmarks.coverage_of_bodies import Measured, errors_of, held, measured_body, session
 from palpate.pipeline import fit_session
-from palpate.records import EXACT, ErrorPriors, Estimate, Session, Status
+from palpate.records import EXACT, Estimate, Session, Status
+from palpate.records.error_priors import ErrorPriors
 
 # Told standard deviation of displacements, over their root mean square.
 TOLD = (0.001, 0.01)

@@ -10,7 +10,6 @@ from benchmarks.options import Options
 from palpate.bem import (
     PressureDisc,
     SurfaceLoad,
-    SurfaceSettings,
     boundary_system,
     make_elastic_map,
     make_surface,
@@ -61,8 +60,7 @@ def facet_error(case: str, *, quadratic: bool = True) -> float:
     data = np.load(SHARED / "halfball_facets" / f"{case}.npz")
     mesh = TriangleMesh(data["V"].astype(float), data["F"].astype(np.int64))
     held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] <= 1e-6).all(axis=1))
-    settings = SurfaceSettings(smooth=False, quadratic=quadratic)
-    surface = make_surface(mesh, held, settings=settings)
+    surface = make_surface(mesh, held, smooth=False, quadratic=quadratic)
     pressure = _Pressure(data["load_point"], float(data["patch_radius"]))
     centre = mesh.vertices[mesh.triangles].mean(axis=1)
     near = np.linalg.norm(centre - pressure.centre, axis=1) < 1.6 * pressure.radius

@@ -25,16 +25,8 @@ from benchmarks.bodies import box_mesh
 from benchmarks.calculix_press import BALL, DEPTHS, SHEAR_MODULUS, pressed_body, session_mesh
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session
-from palpate.records import (
-    EXACT,
-    PRESSURES,
-    SPHERE,
-    Contact,
-    DisplacementField,
-    Probing,
-    Session,
-    Tool,
-)
+from palpate.records import EXACT, SPHERE, Contact, DisplacementField, Probing, Session, Tool
+from palpate.records.contact import PRESSURES
 from palpate.solids import (
     held_nodes,
     make_body,

@@ -21,7 +21,7 @@ _STREAM = 32_000_000  # doubles of each array that is added: no cache holds them
 _WINDOW, _WINDOWS = 31, 2000  # px; how many are interpolated
 # Floating-point operations for one load point and one quadrature point, counted in
 # `integrals/kelvin.py`, the reciprocal square root as eight: its fields, and six sums of each.
-_FIELD_OPERATIONS = {TRACTION.count: 51 + 12 * 9, 6: 31 + 12 * 6}
+_FIELD_OPERATIONS = {TRACTION: 51 + 12 * 9, 6: 31 + 12 * 6}
 
 
 @cache

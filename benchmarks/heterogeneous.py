@@ -23,17 +23,9 @@ from palpate import records
 from palpate.estimation import Prediction
 from palpate.geometry import TriangleMesh, closest_points, unit_normals
 from palpate.pipeline import Material, fit_session
-from palpate.records import (
-    Contact,
-    DisplacementField,
-    ErrorPriors,
-    Layer,
-    Probing,
-    Region,
-    Session,
-    Skin,
-)
+from palpate.records import Contact, DisplacementField, Layer, Probing, Region, Session, Skin
 from palpate.records.contact import smooth_pressure
+from palpate.records.error_priors import ErrorPriors
 from palpate.shapes import Points
 from palpate.solids.finite_elements import (
     free_part,

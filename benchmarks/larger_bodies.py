@@ -30,10 +30,8 @@ from palpate.bem import (
     CompressedSystem,
     RightHand,
     boundary_system,
-    compressed_system,
     face_columns,
     factorise,
-    joined,
     make_elastic_map,
     make_surface,
     solve,
@@ -42,7 +40,8 @@ from palpate.bem.compressed import system as compressed
 from palpate.bem.compressed.far_field import LeafMoments
 from palpate.bem.compressed.iterative import cluster_inverse, solve_compressed
 from palpate.bem.compressed.operator import NearBlock
-from palpate.bem.compressed.system import LARGEST_DENSE as SIZE_CHOOSES
+from palpate.bem.compressed.system import LARGEST_DENSE as SIZE_CHOOSES, compressed_system
+from palpate.bem.loads.right_hand import joined
 from palpate.figures.style import BLUE, GREY, ORANGE, STYLE, open_frame, save_figure
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session, make_object_model
@@ -141,9 +140,9 @@ def _parts(system: BoundarySystem) -> dict[str, int]:
         return {"matrix": 8 * system.size**2}
     near, far = system.operator.near, system.operator.far
     return {
-        "near": sum(_kernel_bytes(one) for one in near.blocks),
+        "near": sum(_kernel_bytes(one) for one in near),
         "far": sum(_kernel_bytes(one) for one in far.moments.values())
-        + sum(one.nbytes for one in far.receivers.interpolation),
+        + sum(one.nbytes for one in far.interpolation),
     }
 
 

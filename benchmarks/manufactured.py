@@ -6,16 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.bem import (
-    BoundarySurface,
-    Quadrature,
-    boundary_system,
-    factorise,
-    solve,
-    support_columns,
-    traction_column,
-)
+from palpate.bem import BoundarySurface, boundary_system, factorise, solve, support_columns
 from palpate.bem.elastic_map import sorted_state
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.loads.right_hand import traction_column
 from palpate.geometry import TriangleMesh
 
 Normals = Callable[[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]], Float[np.ndarray, "k 3"]]

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.coverage_of_bodies import NOISE, measured_body, session
 from palpate.estimation import Information
 from palpate.pipeline import plan_next
-from palpate.records import ErrorPriors
+from palpate.records.error_priors import ErrorPriors
 
 FIVE = ("slab", "block", "egg", "bracket", "plate")
 DRAWS, COUNT = 50, 3

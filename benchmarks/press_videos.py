@@ -14,21 +14,18 @@ import tomlkit
 
 from palpate.disk import write_bytes
 from palpate.geometry import write_mesh
-from palpate.lab import (
+from palpate.lab import LabConfig, built_in, choose_variant, read_lab_config
+from palpate.lab.arm import aim
+from palpate.lab.head import make_head
+from palpate.lab.press_film import (
     Film,
-    LabConfig,
     SolvedPress,
-    built_in,
-    choose_variant,
     film_frames,
     gauge_readings,
-    read_lab_config,
     rest_pictures,
     solve_press,
     write_film,
 )
-from palpate.lab.arm import aim
-from palpate.lab.head import make_head
 from palpate.records import Rig, write_rig, write_text
 
 FILM = Film(presses=10)

@@ -19,7 +19,8 @@ import numpy as np
 from benchmarks.bodies import BODIES
 from benchmarks.coverage_of_bodies import measured_body, session
 from palpate.pipeline import reciprocity
-from palpate.records import ErrorPriors, Session
+from palpate.records import Session
+from palpate.records.error_priors import ErrorPriors
 
 NOISE = 0.01
 GAIN = 0.05

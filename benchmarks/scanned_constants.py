@@ -26,16 +26,11 @@ from benchmarks.scanning import RADIUS, turntable
 from palpate.geometry import TriangleMesh, closest_points, read_mesh, write_mesh
 from palpate.lab import SHAPES
 from palpate.pipeline import fit_session
-from palpate.records import (
-    EXACT,
-    Contact,
-    DisplacementField,
-    ErrorPriors,
-    Estimate,
-    Probing,
-    Session,
-)
-from palpate.scanning import Plane, read_scan, remeshed, scan_surface
+from palpate.records import EXACT, Contact, DisplacementField, Estimate, Probing, Session
+from palpate.records.error_priors import ErrorPriors
+from palpate.scanning import read_scan, scan_surface
+from palpate.scanning.plane import Plane
+from palpate.scanning.remesh import remeshed
 from palpate.scanning.solid import above
 from palpate.shapes import Points
 from palpate.solids import make_body, make_solid

@@ -21,12 +21,17 @@ from benchmarks.figure import DOOR, Figure
 from benchmarks.machine import MADE
 from benchmarks.options import Options
 from benchmarks.report import with_notes
-from palpate.geometry import TriangleMesh, checked_mesh, enclosed_volume, refined_surface
+from palpate.geometry import (
+    TriangleMesh,
+    checked_mesh,
+    enclosed_volume,
+    random_points,
+    refined_surface,
+)
 from palpate.lab import SHAPES, choose_variant, make_session, read_lab_config
 from palpate.records import read_rig
 from palpate.scanning import ScannedSurface, distances, read_scan, scan_surface
 from palpate.scanning.poses import posed
-from palpate.scanning.remesh import surface_samples
 from palpate.vision import prepare_pictures, read_pictures, stereo_points
 
 RADIUS = {"toy": 0.035, "half-ball": 0.05}
@@ -105,9 +110,10 @@ def turntable(folder: Path, shape: str) -> Path:
 def compared(shape: str, made: ScannedSurface) -> Row:
     """A scan against the exact shape."""
     true = SHAPES[shape].make(radius=RADIUS[shape], edge=_TRUE_EDGE)
-    on_scan = surface_samples(made.mesh, 20_000)
+    rng = np.random.default_rng(1)
+    on_scan = random_points(made.mesh, 20_000, rng)
     out = distances(on_scan, true)
-    back_points = surface_samples(true, 20_000)
+    back_points = random_points(true, 20_000, rng)
     back = distances(back_points, made.mesh)
     hidden = TriangleMesh(vertices=made.mesh.vertices, triangles=made.mesh.triangles[made.guessed])
     seen_out = distances(on_scan, hidden) > 1e-6

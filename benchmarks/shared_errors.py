@@ -29,7 +29,8 @@ from benchmarks.bodies import BODIES
 from benchmarks.coverage_of_bodies import NOISE, Measured, errors_of, held, measured_body, session
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
-from palpate.records import EXACT, ErrorPriors, Estimate, Session
+from palpate.records import EXACT, Estimate, Session
+from palpate.records.error_priors import ErrorPriors
 
 # Beside the place that is told [m], and the gain of a sensor.
 BESIDE, GAIN = 1.5e-3, 1.02

@@ -30,7 +30,8 @@ from benchmarks.tension import (
 )
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
-from palpate.records import Camera, DisplacementField, ErrorPriors, Estimate, Rig, Session
+from palpate.records import Camera, DisplacementField, Estimate, Rig, Session
+from palpate.records.error_priors import ErrorPriors
 from palpate.vision import JointFlow, RangeFlow, is_valid
 
 # Columns and rows; a pixel is 0.07 mm on the sheet.

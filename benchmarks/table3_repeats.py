@@ -16,24 +16,12 @@ from jaxtyping import Float
 from benchmarks.figure import FACILITY, Figure
 from benchmarks.machine import CORES
 from benchmarks.options import Options
-from palpate.campaign import (
-    DONE,
-    CampaignItem,
-    FitOptions,
-    Store,
-    run_campaign,
-    started_engine,
-)
+from palpate.campaign import DONE, FitOptions, Store, run_campaign, started_engine
+from palpate.campaign.store import CampaignItem
 from palpate.lab import Material, built_in, choose_variant, make_sessions, read_lab_config
-from palpate.paper import (
-    CALIBRATION,
-    CONSTANTS,
-    REGISTRATION,
-    constant_errors,
-    intervals_hold,
-    reduced,
-    with_misjudged_rig,
-)
+from palpate.paper.budget import CALIBRATION, REGISTRATION, with_misjudged_rig
+from palpate.paper.constants import CONSTANTS, constant_errors, intervals_hold
+from palpate.paper.sessions import reduced
 from palpate.records import Estimate, ProbeEstimate, read_estimate, read_session
 
 REPEATS = 20

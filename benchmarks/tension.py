@@ -27,11 +27,11 @@ from palpate.records import (
     RIGID,
     Contact,
     DisplacementField,
-    ErrorPriors,
     Probing,
     Session,
     Support,
 )
+from palpate.records.error_priors import ErrorPriors
 from palpate.shapes import Points
 
 SIZE = np.array([0.1, 0.02, 0.001])

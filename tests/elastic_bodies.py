@@ -9,16 +9,15 @@ from surfaces import box
 from palpate.bem import (
     BoundarySurface,
     BoundarySystem,
-    Quadrature,
     SurfaceLoad,
-    SurfaceSettings,
     boundary_system,
     factorise,
     make_surface,
     solve,
     support_columns,
-    traction_column,
 )
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.loads.right_hand import traction_column
 from palpate.geometry import TriangleMesh, unit_normals
 from palpate.geometry.midside_nodes import ELEMENT_NODES, element_points
 
@@ -119,7 +118,7 @@ def held_part(mesh: TriangleMesh, chosen: np.ndarray, **options) -> BoundarySyst
     """System of a mesh held at the chosen triangles (flags or numbers)."""
     quadrature = options.pop("quadrature", Quadrature())
     held = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else np.asarray(chosen)
-    surface = make_surface(mesh, held, settings=SurfaceSettings(**options))
+    surface = make_surface(mesh, held, **options)
     return boundary_system(surface, quadrature=quadrature)
 
 

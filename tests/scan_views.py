@@ -7,7 +7,7 @@ import numpy as np
 from palpate.geometry import TriangleMesh
 from palpate.lab import SHAPES
 from palpate.records import Camera
-from palpate.scanning import View, make_view
+from palpate.scanning.scan_file import View, make_view
 from palpate.vision import surface_map
 
 NOISE = 5e-5

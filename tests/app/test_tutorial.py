@@ -12,7 +12,8 @@ import pytest
 
 from palpate.app.cli import main
 from palpate.app.commands.lab import printed_board
-from palpate.lab import TutorialSize, choose_variant, make_tutorial
+from palpate.lab import choose_variant, make_tutorial
+from palpate.lab.tutorial import TutorialSize
 from palpate.records import read_rig, read_session
 
 SMALL = TutorialSize(

@@ -14,7 +14,7 @@ from elastic_bodies import (
 from surfaces import sphere
 
 from palpate.bem import PressureDisc, SurfaceLoad, make_elastic_map, make_surface
-from palpate.bem.interior import VALUES, BoundaryFields, interior_state, interior_values, sum_forces
+from palpate.bem.interior import VALUES, interior_state, interior_values, sum_forces
 from palpate.errors import InputError
 
 GRADIENT = np.array([[0.1, 0.4, -0.2], [-0.3, 0.2, 0.5], [0.6, 0.0, -0.1]])
@@ -24,7 +24,7 @@ TOP = np.array([0.5, 0.5, 1.0])
 
 def known(surface, field):
     everywhere = np.arange(surface.held.size)
-    return BoundaryFields(
+    return (
         surface.element_nodes,
         field.displacement(surface.element_nodes),
         element_traction(surface, everywhere, field),
@@ -33,7 +33,7 @@ def known(surface, field):
 
 def values(surface, field, material, points):
     return interior_values(
-        known(surface, field), points, shear_modulus=material.shear, poisson_ratio=material.poisson
+        *known(surface, field), points, shear_modulus=material.shear, poisson_ratio=material.poisson
     )
 
 

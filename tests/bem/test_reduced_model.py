@@ -15,13 +15,13 @@ from palpate.bem import (
     SurfaceLoad,
     body_force_columns,
     factorise,
-    joined,
     load_right_hand,
     make_reduced_model,
     reduced_model as module,
     solve,
     support_columns,
 )
+from palpate.bem.loads.right_hand import joined
 from palpate.errors import NotConvergedError, SingularSystemError
 from palpate.geometry import TriangleMesh
 from palpate.parts import Parts

@@ -18,7 +18,6 @@ from benchmarks.boards import (
 from palpate.calibration import (
     Charuco,
     Chessboard,
-    Sightings,
     baseline_text,
     calibrate,
     find_boards,
@@ -26,6 +25,7 @@ from palpate.calibration import (
     timing_note,
 )
 from palpate.calibration.adjustment import Bundle, seen_points
+from palpate.calibration.sightings import Sightings
 from palpate.errors import CalibrationError, RecordError
 
 _BOARD = Chessboard(9, 7, 0.012)
@@ -128,15 +128,18 @@ def test_a_board_of_another_size_is_told_by_the_baseline() -> None:
 
 def _shifted(found: Sightings, truth: Bundle, shift: np.ndarray) -> np.ndarray:
     """How far pixels move when marks do, (m, 2) [px]; the shift is in the board's frame."""
-    corners, intrinsics = found.corners, truth.intrinsics[found.corners.camera]
+    corners = found.corners
     whole = truth.camera[corners.camera] @ truth.view[corners.view]
-    ends = [
-        seen_points(intrinsics, np.einsum("nij,nj->ni", whole[:, :3, :3], mark) + whole[:, :3, 3])[
-            0
+    moved = np.empty((len(corners.camera), 2))
+    for c, intrinsics in enumerate(truth.intrinsics):
+        own = corners.camera == c
+        turn, place = whole[own, :3, :3], whole[own, :3, 3]
+        ends = [
+            seen_points(intrinsics, np.einsum("nij,nj->ni", turn, mark[own]) + place)[0]
+            for mark in (corners.point, corners.point + shift)
         ]
-        for mark in (corners.point, corners.point + shift)
-    ]
-    return ends[1] - ends[0]
+        moved[own] = ends[1] - ends[0]
+    return moved
 
 
 def _moving(found: Sightings, truth: Bundle, late: np.ndarray) -> Sightings:

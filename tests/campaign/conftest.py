@@ -13,8 +13,7 @@ from cube_session import cube_session as cube_session, write_cube_session
 from surfaces import box
 
 from palpate.bem import make_elastic_map, solve
-from palpate.campaign import pack_session
-from palpate.campaign.work import PackedSession
+from palpate.campaign.work import PackedSession, pack_session
 from palpate.geometry import write_mesh
 from palpate.pipeline import make_object_model
 from palpate.records import read_session

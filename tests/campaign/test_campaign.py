@@ -19,10 +19,7 @@ from surfaces import box
 from palpate.campaign import (
     FitOptions,
     Store,
-    Work,
     campaign,
-    do_work,
-    pack_session,
     read_items,
     run_campaign,
     work,
@@ -30,6 +27,7 @@ from palpate.campaign import (
 )
 from palpate.campaign.campaign import _pieces, _Run, body_work, motion_works, shared_meshes
 from palpate.campaign.engine import Engine
+from palpate.campaign.work import Work, do_work, pack_session
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError, InUseError, RecordError
 from palpate.geometry import write_mesh

@@ -11,8 +11,8 @@ import pytest
 import palpate
 from palpate.bem import check_memory
 from palpate.bem.compressed import system as compressed
-from palpate.campaign import FitOptions, Work, do_work, pack_session
-from palpate.campaign.work import Package, pack_files, unpack
+from palpate.campaign import FitOptions
+from palpate.campaign.work import Package, Work, do_work, pack_files, pack_session, unpack
 from palpate.errors import InputError, RecordError
 from palpate.pipeline import fit_session
 from palpate.records import read_estimate, read_session

@@ -56,13 +56,10 @@ from palpate.records import (
     write_estimate,
     write_rig,
 )
-from palpate.scanning import depth_points, read_points, read_scan
-from palpate.simulation import (
-    GreenFunctions,
-    exact_material,
-    read_green_functions,
-    write_green_functions,
-)
+from palpate.scanning import read_points, read_scan
+from palpate.scanning.scan_file import depth_points
+from palpate.simulation import GreenFunctions, exact_material
+from palpate.simulation.green_functions import read_green_functions, write_green_functions
 from palpate.vision import read_grey, read_pictures
 
 GREY = np.random.default_rng(1).integers(0, 255, (48, 64), dtype=np.uint8)

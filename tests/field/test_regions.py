@@ -16,7 +16,6 @@ from palpate.field.field_responses import at_points, push_model
 from palpate.field.regions import check_regions, fit_regions, make_region_model
 from palpate.records import (
     RATIO,
-    SHEAR,
     YOUNG,
     Box,
     Contact,
@@ -27,6 +26,7 @@ from palpate.records import (
     Session,
     Skin,
 )
+from palpate.records.region import SHEAR
 from palpate.solids.tetrahedra import quadratic_solid
 
 SIDE, NU, MODULUS, NOISE = 0.04, 0.3, 2e4, 2e-6

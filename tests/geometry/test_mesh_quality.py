@@ -11,12 +11,12 @@ from palpate.geometry import (
     TriangleMesh,
     checked_mesh,
     enclosed_volume,
-    intersecting_pairs,
     mesh_quality,
     unit_normals,
     wall_thickness,
     welded,
 )
+from palpate.geometry.mesh_quality import intersecting_pairs
 
 
 @pytest.mark.parametrize("mesh", [box(cells=1), box(cells=4), sphere(0), sphere(3)])

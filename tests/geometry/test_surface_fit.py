@@ -92,14 +92,14 @@ def test_a_step_is_a_tenth_of_the_object_at_most():
     mesh = box((0.01, 0.02, 0.02))
     points = np.random.default_rng(3).normal(size=(200, 3))
     points = 0.01 * points / np.abs(points).max(axis=1, keepdims=True) + [0.04, 0.01, 0.01]
-    fit = fit_pose(
+    pose, _, _ = fit_pose(
         surface_search(mesh),
         _measured(points),
         np.eye(4),
         constraints=np.zeros((0, 6)),
         iterations=1,
     )
-    moved = placed(fit.pose, points) - points
+    moved = placed(pose, points) - points
     # The scaled motions move the points by their length, but for the square of the turn.
     rms = np.sqrt((moved**2).sum(axis=1).mean())
     np.testing.assert_allclose(rms, 0.1 * 0.03, rtol=0.02)

@@ -10,7 +10,8 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.geometry import enclosed_volume
 from palpate.machine import check_disk_for, check_memory_for, free_disk, machine_memory
-from palpate.solids import body_memory, check_solid_size, make_solid, node_count, solid_memory
+from palpate.solids import body_memory, check_solid_size, make_solid, node_count
+from palpate.solids.sizes import solid_memory
 
 # Peak memory [bytes] of filling a cube and of factorising its stiffness, in a process of its own.
 _MEASURE = """

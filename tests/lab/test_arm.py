@@ -7,9 +7,9 @@ import pytest
 
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
-from palpate.lab import Arm, Head, Material, Probe, built_in, read_lab_config
+from palpate.lab import Arm, Head, Material, built_in, read_lab_config
 from palpate.lab.arm import aim, fine_place, probe_body, rod_at, solid_under
-from palpate.lab.config import Specimen
+from palpate.lab.config import Probe, Specimen
 from palpate.lab.facility import probe_tables
 from palpate.lab.head import make_head
 from palpate.lab.specimens import block, half_ball, toy

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from palpate.errors import InputError, MeshError
 from palpate.lab import (
     Sensor,
-    Stage,
     choose_variant,
     facility,
     make_session,
     make_sessions,
     read_lab_config,
 )
+from palpate.lab.config import Stage
 from palpate.lab.facility import probe_tables, step_tables, write_session
 from palpate.records import read_rig, read_session
 from palpate.solids import TIPS, Press
@@ -50,7 +50,7 @@ def together(tmp_path_factory):
         return bodies[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(facility, "make_body", counted)
+        patch.setattr("palpate.lab.arm.make_body", counted)
         wanted = [(config, folders[name]) for name, config in configs.items()]
         make_sessions(wanted, variant=choose_variant())
     return folders, len(bodies), configs

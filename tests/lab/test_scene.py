@@ -28,7 +28,7 @@ from palpate.lab.scene import (
     load_mitsuba,
     render,
 )
-from palpate.vision import rays
+from palpate.vision.projection import rays
 
 # The scalar variant runs everywhere.
 SCALAR = choose_variant(folders=(), environment={})
@@ -247,50 +247,6 @@ def _ball():
     """A ball with smooth normals."""
     mesh = sphere(5, 0.05)
     return DrawnBody(mesh, np.full(len(mesh.vertices), 0.5))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"grey": np.array([0.0, 0.5, 1.0, 1.2])}, "grey of a body is 0 to 1.2"),
-    ],
-)
-def test_a_body_that_cannot_be_is_refused(change, message):
-    with pytest.raises(InputError, match=message):
-        replace(_square(0.1), **change)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"radiance": -1.0}, "radiance of a lamp is -1"),
-        ({"target": np.array([0.0, 0.0, 1.0])}, "stands at its target"),
-    ],
-)
-def test_a_lamp_that_cannot_be_is_refused(change, message):
-    with pytest.raises(InputError, match=message):
-        replace(Lamp(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.1, 1.0), **change)
-
-
-@pytest.mark.parametrize(
-    ("ambient", "message"), [(-1.0, "ambient light is -1"), (0.0, "nothing shines")]
-)
-def test_light_that_cannot_be_is_refused(ambient, message):
-    with pytest.raises(InputError, match=message):
-        Light(ambient)
-
-
-@pytest.mark.parametrize(
-    ("bodies", "options", "message"),
-    [
-        ([], {}, "no body"),
-    ],
-)
-def test_what_cannot_be_rendered_is_refused(bodies, options, message):
-    with pytest.raises(InputError, match=message):
-        render(
-            bodies, [_above()], AMBIENT, **({"variant": SCALAR, "samples": 4, "seed": 0} | options)
-        )
 
 
 def test_cameras_that_cannot_see_are_refused():

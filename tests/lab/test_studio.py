@@ -285,10 +285,6 @@ def test_counting_noise_is_that_of_the_pictures():
     assert shot_noise(PLAIN, 127.5) == 0.0
 
 
-def test_calls_that_cannot_be_are_refused():
+def test_black_pictures_are_refused():
     with pytest.raises(InputError, match="pictures are black"):
         exposure_gain([_even(0.0)])
-    with pytest.raises(InputError, match="radius of blur is -1 px"):
-        defocused(_even(1.0), -1.0)
-    with pytest.raises(InputError, match="aperture 0 m"):
-        blur_radius(np.ones((2, 2)), focus=1.0, aperture=0.0, focal=1000.0)

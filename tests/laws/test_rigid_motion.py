@@ -16,7 +16,8 @@ from palpate.geometry import (
     vertex_normals,
 )
 from palpate.records import Rig
-from palpate.vision import project, project_jacobian, rays, triangulate
+from palpate.vision import project, project_jacobian, triangulate
+from palpate.vision.projection import rays
 
 # Deadlines are for the machine; compiling a kernel for the first time takes seconds.
 quick = settings(max_examples=25, deadline=None, derandomize=True)

@@ -52,8 +52,8 @@ from palpate.records import (
     Probing,
     Session,
     Tool,
-    mesh_tool,
 )
+from palpate.records.contact import mesh_tool
 
 SHEAR, NU, BALL = 2e4, 0.3, 6e-3
 # In the middle, the cube does not move sideways under a tool.

@@ -22,7 +22,8 @@ from palpate.pipeline.result_files import (
     write_flow_vtp,
     write_vertices,
 )
-from palpate.records import observed_rows, read_displacement
+from palpate.records import observed_rows
+from palpate.records.files.displacement import read_displacement
 from palpate.records.quantities import length_unit
 from palpate.vision import Outcome, SurfaceMap, dense_maps, is_valid
 from palpate.vision.projection import camera_sigma

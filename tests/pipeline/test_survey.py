@@ -30,12 +30,12 @@ from palpate.records import (
     Probing,
     Rig,
     Session,
-    Step,
     read_measured,
     read_rig,
     read_session,
     write_rig,
 )
+from palpate.records.session import Step
 from palpate.vision import JointFlow, project
 
 # Wave number of the painted texture [1 / px].

@@ -12,9 +12,10 @@ from surfaces import ball_mesh, box, hull_mesh, sphere
 from palpate.bem import PressureDisc, disc_displacement, disc_potentials
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.probe import ConvexContact, LocalSurface, contact_circle, convex_contact, local_surface
-from palpate.records import CONE, CYLINDER, FLAT, SLIDES, SPHERE, STICKS, Tool, mesh_tool
-from palpate.records.contact import cone_pressure
+from palpate.probe import LocalSurface, contact_circle, convex_contact, local_surface
+from palpate.probe.contact_circle import ConvexContact
+from palpate.records import CONE, CYLINDER, FLAT, SLIDES, SPHERE, STICKS, Tool
+from palpate.records.contact import cone_pressure, mesh_tool
 
 SHEAR, NU = 2e4, 0.3
 REDUCED = 2.0 * SHEAR / (1.0 - NU)

@@ -7,7 +7,8 @@ from surfaces import box, joined, sphere
 from palpate.errors import InputError
 from palpate.geometry import triangle_areas
 from palpate.probe import find_contact_patch
-from palpate.records import PRESSURES, Contact
+from palpate.records import Contact
+from palpate.records.contact import PRESSURES
 
 NOBODY = np.array([], dtype=np.int64)
 TOP = np.array([0.5, 0.5, 1.0])

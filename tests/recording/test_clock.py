@@ -6,24 +6,23 @@ from recording.bench_signals import HOLD, PEAKS, RAMP, begins, duration, push
 
 from palpate.errors import RecordError
 from palpate.recording.clock import (
-    ForceMagnitude,
     coarse_offset,
     fine_clock,
     hysteresis_of,
 )
-from palpate.recording.footage import CameraMotion, Ramp
+from palpate.recording.footage import CameraMotion, Signal
 from palpate.recording.touches import Touch
 
 _OFFSET, _FRAME = 0.4137, 1.0 / 30.0
 
 
-def _force(peaks: np.ndarray = PEAKS) -> tuple[ForceMagnitude, list[Touch]]:
+def _force(peaks: np.ndarray = PEAKS) -> tuple[Signal, list[Touch]]:
     time = np.arange(0.0, duration(len(peaks)), 0.02)
     touches = [
         Touch(begin, begin + 2.0 * RAMP + HOLD, peak, True)
         for begin, peak in zip(begins(len(peaks)), peaks, strict=True)
     ]
-    return ForceMagnitude(time, push(time, peaks)), touches
+    return (time, push(time, peaks)), touches
 
 
 def _law(size: np.ndarray, peak: float) -> np.ndarray:
@@ -38,7 +37,7 @@ def _motion(change: np.ndarray, time: np.ndarray) -> CameraMotion:
 
 def _ramps(
     touches: list[Touch], *, noise: float = 0.0, late: float = 0.0, seed: int = 1
-) -> list[Ramp]:
+) -> list[Signal]:
     """What a camera makes of each press; `late`: in seconds, of the motion behind the force."""
     rng = np.random.default_rng(seed)
     own = np.arange(0.0, duration(len(touches)) - _OFFSET, _FRAME)
@@ -49,12 +48,12 @@ def _ramps(
         share = _law(size, touch.peak) + noise * rng.standard_normal(near.sum())
         # In the air the tool is seen to move, and nothing is felt.
         air = np.clip((touch.begin - own[near] - _OFFSET) / 0.5, 0.0, 1.0)
-        found.append(Ramp(own[near], share - 2.0 * air))
+        found.append((own[near], share - 2.0 * air))
     return found
 
 
-def _thinned(ramps: list[Ramp], step: int) -> list[Ramp]:
-    return [Ramp(one.time[::step], one.progress[::step]) for one in ramps]
+def _thinned(ramps: list[Signal], step: int) -> list[Signal]:
+    return [(time[::step], progress[::step]) for time, progress in ramps]
 
 
 def test_pictures_that_are_far_apart_are_told_from_those_that_are_too_far() -> None:
@@ -97,15 +96,15 @@ def test_a_lag_between_force_and_motion_is_an_offset() -> None:
 
 def test_hysteresis_is_the_force_in_less_out_at_the_same_picture() -> None:
     force, touches = _force()
-    size = force.magnitude.copy()
+    size = force[1].copy()
     middles = np.array([0.5 * (touch.begin + touch.end) for touch in touches])
-    nearest = np.abs(force.time[:, None] - middles).argmin(axis=1)
+    nearest = np.abs(force[0][:, None] - middles).argmin(axis=1)
     peak = np.array([touch.peak for touch in touches])[nearest]
     # Going out, the force is less by a tenth of its peak at half load, by nothing at none and full.
-    out = force.time > middles[nearest]
+    out = force[0] > middles[nearest]
     share = _law(size, 1.0) / _law(peak, 1.0)
     size[out] -= (0.4 * peak * share * (1.0 - share))[out]
-    turned, ramps = ForceMagnitude(force.time, size), _ramps(touches)
+    turned, ramps = (force[0], size), _ramps(touches)
     pairs = list(zip(touches, ramps, strict=True))
     compared = np.linspace(0.3, 0.9, 7)
     truth = float((0.4 * compared * (1.0 - compared)).mean())
@@ -126,7 +125,8 @@ def test_the_first_guess_is_good_to_a_fraction_of_a_second() -> None:
     force, _ = _force()
     own = np.arange(0.0, duration(10) - 3.0, _FRAME)
     # The tool is seen from half a second before it touches until half a second after.
-    near = np.array([force.at(own + 2.0 + lag) for lag in np.linspace(-0.5, 0.5, 21)]).max(axis=0)
+    lags = np.linspace(-0.5, 0.5, 21)
+    near = np.array([np.interp(own + 2.0 + lag, *force) for lag in lags]).max(axis=0)
     offset, correlation, _ = coarse_offset(force, _motion(1.0 + 5.0 * (near > 0.01), own))
     # Anywhere within that half second it goes as well with the force; 1.2 s are enough.
     assert abs(offset - 2.0) < 0.6
@@ -141,13 +141,13 @@ def test_presses_in_a_row_leave_a_doubt_and_uneven_ones_none() -> None:
 
     for steps, doubtful in ((np.full(20, 2.6), True), (2.6 + 0.3 * (np.arange(20) % 3), False)):
         starts = 2.0 + np.cumsum(steps)
-        force = ForceMagnitude(np.arange(0.0, 62.0, 0.02), np.zeros(3100))
-        force = ForceMagnitude(force.time, size(force.time, starts))
+        time = np.arange(0.0, 62.0, 0.02)
+        force = time, size(time, starts)
         touches = [Touch(s, s + 2.0, 1.0, True) for s in starts if s < 58.0]
         ramps = []
         for touch in touches:
             mine = own[(own > touch.begin - 1.0) & (own < touch.end + 1.0)]
-            ramps.append(Ramp(mine, size(mine, starts)))
+            ramps.append((mine, size(mine, starts)))
         found = fine_clock((0.0, 0.9, 2.6), force, touches, ramps, "c0")
         assert (found.rival_offset is not None) == doubtful
         assert len(found.notes) == doubtful

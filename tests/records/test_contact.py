@@ -7,8 +7,8 @@ from surfaces import box, hull_mesh
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, write_mesh
-from palpate.records import MESH, PRESSURES, Contact, Tool, read_session
-from palpate.records.contact import contact_profiles
+from palpate.records import MESH, Contact, Tool, read_session
+from palpate.records.contact import PRESSURES, contact_profiles
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.errors import InputError, RecordError
-from palpate.records import EXACT, ErrorPriors
-from palpate.records.error_priors import read_error_priors
+from palpate.records import EXACT
+from palpate.records.error_priors import ErrorPriors, read_error_priors
 from palpate.records.text.toml_table import read_toml
 
 

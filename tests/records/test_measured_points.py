@@ -7,7 +7,8 @@ import pytest
 from surfaces import box
 
 from palpate.errors import RecordError
-from palpate.records import observed_rows, read_displacement, write_displacement
+from palpate.records import observed_rows, write_displacement
+from palpate.records.files.displacement import read_displacement
 from palpate.records.measured_points import (
     MeasuredPoints,
     in_object_frame,

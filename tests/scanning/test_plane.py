@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.errors import InputError
-from palpate.scanning import Plane, plane_from_text, plane_text
+from palpate.scanning import plane_from_text
+from palpate.scanning.plane import Plane, plane_text
 
 
 @pytest.mark.parametrize("text", ["z=12", "Z = 12.0", "5,-3,12, 0,0,7", "5 -3 12 0 0 1"])

@@ -7,7 +7,8 @@ from broken_surfaces import ball, box, made
 from palpate.errors import InputError, MeshError
 from palpate.geometry import checked_mesh, enclosed_volume, half_edges, mesh_quality
 from palpate.lab import SHAPES
-from palpate.scanning import deviation, distances, remeshed
+from palpate.scanning import distances
+from palpate.scanning.remesh import deviation, remeshed
 
 
 @pytest.mark.parametrize("vertices", [300, 2000])

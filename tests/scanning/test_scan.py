@@ -9,7 +9,10 @@ from scan_views import NOISE, toy, views_around
 
 from palpate.errors import InputError, MeshError
 from palpate.geometry import checked_mesh, mesh_quality
-from palpate.scanning import Plane, deviation, distances, fusion, make_view, scan_surface
+from palpate.scanning import distances, fusion, scan_surface
+from palpate.scanning.plane import Plane
+from palpate.scanning.remesh import deviation
+from palpate.scanning.scan_file import make_view
 
 TABLE = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 

@@ -10,7 +10,8 @@ import trimesh
 
 from palpate.errors import RecordError
 from palpate.records import Camera
-from palpate.scanning import depth_points, read_points
+from palpate.scanning import read_points
+from palpate.scanning.scan_file import depth_points
 
 POINTS = np.random.default_rng(0).normal(size=(40, 3))
 LEVELS = np.full((12, 16), 800, dtype=np.uint16)

@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from palpate.geometry import TriangleMesh, half_edges
-from palpate.scanning import Plane
+from palpate.scanning.plane import Plane
 from palpate.scanning.solid import above
 
 

@@ -10,16 +10,8 @@ from palpate.bem.system.matrix import system_matrix
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import held_object
-from palpate.simulation import (
-    Material,
-    PlacedTool,
-    Sphere,
-    convex_tool,
-    flat_punch,
-    force_covariance,
-    start_contact,
-    touch,
-)
+from palpate.simulation import Material, PlacedTool, Sphere, force_covariance, start_contact, touch
+from palpate.simulation.contact import convex_tool, flat_punch
 from palpate.simulation.contact_response import BY_FORCE, STICKS
 from palpate.simulation.green_functions import hat_load
 

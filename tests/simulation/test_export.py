@@ -16,12 +16,13 @@ from exported_result import RADIUS, SIDE, written_result
 from palpate.errors import InputError, RecordError
 from palpate.geometry import enclosed_volume, read_mesh, unit_normals
 from palpate.records import Constant, Status
-from palpate.simulation import FORMATS, export_fit, read_fit, read_green_functions, surface_formats
+from palpate.simulation import FORMATS, export_fit, read_fit, surface_formats
 from palpate.simulation.estimated_object import (
     exact_material,
     make_estimated_object,
     make_solid_model,
 )
+from palpate.simulation.green_functions import read_green_functions
 from palpate.solids import make_body, solve_load
 
 

@@ -18,9 +18,8 @@ from palpate.simulation import (
     estimated_material,
     exact_material,
     make_green_functions,
-    read_green_functions,
-    write_green_functions,
 )
+from palpate.simulation.green_functions import read_green_functions, write_green_functions
 
 
 def test_a_force_on_a_vertex_moves_the_surface_as_a_poke_there(session, green):

@@ -219,11 +219,6 @@ def test_any_number_of_threads_gives_the_same():
 def test_bad_input_is_refused():
     rig = _rig(2)
     pixels = _seen(rig, _points(3))
-    with pytest.raises(InputError, match=r"pixels are of 1 cameras; the rig has 2 \(c0, c1\)"):
-        triangulate(rig, pixels[:1], 0.1)
-    for sigma in (0.0, -1.0, np.nan):
-        with pytest.raises(InputError, match=r"standard deviation .* must be positive"):
-            triangulate(rig, pixels, sigma)
     covariance = np.broadcast_to(np.eye(2), (2, 3, 2, 2)).copy()
     covariance[1, 2] = [[1.0, 2.0], [2.0, 1.0]]
     with pytest.raises(InputError, match=r"point 2 in camera 1 .* must be positive definite"):
@@ -233,8 +228,6 @@ def test_bad_input_is_refused():
         triangulate(rig, pixels, covariance)
     pixels[1, 2] = np.nan
     assert np.isnan(triangulate(rig, pixels, covariance).point[2]).all()
-    with pytest.raises(InputError, match=r"must be \(2, 2, 2, 2\)"):
-        triangulate(rig, pixels[:, :2], covariance)
 
 
 def _pair(turned: np.ndarray | None = None) -> Rig:

@@ -9,24 +9,18 @@ Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
 
-from palpate.bem.compressed.operator import Compression as Compression
 from palpate.bem.compressed.system import (
     LARGEST_DENSE as LARGEST_DENSE,
     CompressedSystem as CompressedSystem,
     check_memory as check_memory,
-    compressed_system as compressed_system,
     held_system as held_system,
     memory_needed as memory_needed,
 )
 from palpate.bem.elastic_map import (
-    ElasticMap as ElasticMap,
-    ElasticState as ElasticState,
     make_elastic_map as make_elastic_map,
 )
 from palpate.bem.integrals.surface import (
     BoundarySurface as BoundarySurface,
-    Quadrature as Quadrature,
-    SurfaceSettings as SurfaceSettings,
     integral_weights as integral_weights,
     make_surface as make_surface,
 )
@@ -51,10 +45,8 @@ from palpate.bem.loads.right_hand import (
     body_force_columns as body_force_columns,
     dilation_factor as dilation_factor,
     face_columns as face_columns,
-    joined as joined,
     pressure_column as pressure_column,
     support_columns as support_columns,
-    traction_column as traction_column,
 )
 from palpate.bem.loads.surface_load import (
     LOAD_CELLS as LOAD_CELLS,
@@ -64,13 +56,9 @@ from palpate.bem.loads.surface_load import (
 from palpate.bem.reduced_model import (
     CENTRE as CENTRE,
     DENSE_RESIDUAL as DENSE_RESIDUAL,
-    ReducedBasis as ReducedBasis,
-    ReducedModel as ReducedModel,
     SolutionModel as SolutionModel,
     make_reduced_model as make_reduced_model,
     make_spring_model as make_spring_model,
-    orthogonalised as orthogonalised,
-    reduced_basis as reduced_basis,
 )
 from palpate.bem.system.factors import (
     CentredSystem as CentredSystem,
@@ -81,15 +69,10 @@ from palpate.bem.system.factors import (
 )
 from palpate.bem.system.matrix import (
     PointEquations as PointEquations,
-    SystemSlope as SystemSlope,
     point_equations as point_equations,
-    system_slope as system_slope,
 )
 from palpate.bem.system.springs import (
-    SpringFactors as SpringFactors,
     Springs as Springs,
-    SpringSlope as SpringSlope,
-    SpringSystem as SpringSystem,
     make_spring_factors as make_spring_factors,
     make_spring_system as make_spring_system,
     make_springs as make_springs,

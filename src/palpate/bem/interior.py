@@ -42,24 +42,6 @@ VALUES = 13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoundaryFields:
-    """Displacement and traction of a closed surface, quadratic on each triangle.
-
-    The traction may jump between triangles.
-
-    Attributes
-    ----------
-    element_nodes : (m, 6, 3) float [m]   corners, then midpoints of edges 01, 12, 20
-    displacement : (m, 6, 3) float [m]    at these nodes
-    traction : (m, 6, 3) float [Pa]       at these nodes
-    """
-
-    element_nodes: Float[np.ndarray, "m 6 3"]
-    displacement: Float[np.ndarray, "m 6 3"]
-    traction: Float[np.ndarray, "m 6 3"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class InteriorState:
     """Displacement and stress at points inside an object.
 
@@ -106,7 +88,7 @@ def interior_state(
     (state,) = elastic_map.respond([load], force[None])
     modulus, nu = elastic_map.shear_modulus, elastic_map.poisson_ratio
     fields = _solved_fields(elastic_map, state, load, force)
-    inside = interior_values(fields, points, shear_modulus=modulus, poisson_ratio=nu)
+    inside = interior_values(*fields, points, shear_modulus=modulus, poisson_ratio=nu)
     load_samples = load_points(elastic_map.system.surface, load, cells=_LOAD_CELLS, near=points)
     forces = load_samples.weight[:, None] * force
     out = np.zeros((len(points), VALUES))
@@ -118,7 +100,9 @@ def interior_state(
 
 
 def interior_values(
-    fields: BoundaryFields,
+    element_nodes: Float[np.ndarray, "m 6 3"],
+    displacement: Float[np.ndarray, "m 6 3"],
+    traction: Float[np.ndarray, "m 6 3"],
     points: Float[np.ndarray, "n 3"],
     *,
     shear_modulus: float,
@@ -128,7 +112,9 @@ def interior_values(
 
     Parameters
     ----------
-    fields : BoundaryFields
+    element_nodes : (m, 6, 3) float [m]    corners, then midpoints of edges 01, 12, 20
+    displacement : (m, 6, 3) float [m]     at these nodes, quadratic on each triangle
+    traction : (m, 6, 3) float [Pa]        likewise; it may jump between triangles
     points : (n, 3) float [m]         inside, at least 5 % of a triangle's radius from the surface
     shear_modulus : float [Pa]
     poisson_ratio : float [-]         -1 < nu <= 0.5
@@ -142,11 +128,11 @@ def interior_values(
     InputError                        a point is outside the object, or too close to its surface
     """
     out, clearance = np.zeros((len(points), VALUES)), np.full(len(points), np.inf)
-    values = np.concatenate([fields.displacement, fields.traction], axis=2)
+    values = np.concatenate([displacement, traction], axis=2)
     # NaN counts as outside; the kernels would subdivide every triangle to the last level for it.
     positions = np.where(np.isfinite(points).all(axis=1)[:, None], points, _FAR_AWAY)
     in_threads(
-        _sum_surface, len(points), positions, np.array(fields.element_nodes), values,
+        _sum_surface, len(points), positions, np.array(element_nodes), values,
         all_rules(_QUADRATURE), shear_modulus, poisson_ratio, out, clearance,
     )  # fmt: skip
     angle = out[:, 12] / (4 * np.pi)
@@ -253,8 +239,9 @@ def _refuse(
 
 def _solved_fields(
     elastic_map: ElasticMap, state: ElasticState, load: SurfaceLoad, force: Float[np.ndarray, "3"]
-) -> BoundaryFields:
-    """Displacement of all elements and traction of the support, as interpolated in the solution."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes and displacement of all elements and traction of the support, as interpolated in the
+    solution."""
     system, nu = elastic_map.system, elastic_map.poisson_ratio
     surface = system.surface
     displacement = _with_midside_values(surface.displacement, state.displacement)
@@ -267,7 +254,7 @@ def _solved_fields(
     traction = np.zeros((surface.traction.n_nodes, 3))
     traction[system.unknowns.held_sides] = state.support_traction
     traction = _with_midside_values(surface.traction, traction)
-    return BoundaryFields(
+    return (
         surface.element_nodes,
         displacement[surface.displacement.element],
         traction[surface.traction.element],

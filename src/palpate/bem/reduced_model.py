@@ -206,7 +206,6 @@ def make_spring_model(
     *,
     known_traction: Float[np.ndarray, "e c"] | None = None,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
-    tolerance: float = DENSE_RESIDUAL,
 ) -> ReducedModel:
     """A reduced model of an object on springs, with derivatives of its solutions (`SpringSystem`).
 
@@ -220,7 +219,6 @@ def make_spring_model(
     known_traction : (e, c) float or None    known part of the traction on each spring, times
                                       `traction_length`; None: there is none
     poisson_range : (float, float)
-    tolerance : float
 
     Returns
     -------
@@ -234,7 +232,7 @@ def make_spring_model(
     solver = make_spring_system(factors, compliance, changes)
     on_springs = SpringSlope(slope, factors.columns[1], 1 + len(changes))
     right = right.on_springs(compliance, changes, known_traction)
-    return _krylov_model(solver.solve, on_springs.apply, right, poisson_range, tolerance)
+    return _krylov_model(solver.solve, on_springs.apply, right, poisson_range, DENSE_RESIDUAL)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,16 +245,12 @@ class ReducedBasis:
     constant, slope : (c, m, j) float constant and slope of the matrix times these, in a basis of
                                       the preconditioned residuals
     right : (3, c, m) float           right-hand sides in that basis: constant, slope, curvature
-    ratios : (j,) float               Poisson's ratios of the snapshots
-    iterations : (j,) int             products with the matrix that each took
     """
 
     directions: tuple[Float[np.ndarray, "k c"], ...]
     constant: Float[np.ndarray, "c m j"]
     slope: Float[np.ndarray, "c m j"]
     right: Float[np.ndarray, "3 c m"]
-    ratios: tuple[float, ...]
-    iterations: tuple[int, ...]
 
     def coefficients(self, poisson_ratio: float) -> tuple[Float[np.ndarray, "j c"], float]:
         """Coefficients of the basis vectors for the solution at one Poisson's ratio.
@@ -437,7 +431,6 @@ class _Snapshots:
         # For each: the matrix at a ratio of zero times it, and the slope of the matrix times it.
         self._products: list[tuple[np.ndarray, np.ndarray]] = []
         self.ratios: list[float] = []
-        self._iterations: list[int] = []
         # Preconditioned, residuals are approximate errors of the unknowns.
         self._preconditioned = [inverse.solve(term) for term in right]
 
@@ -461,7 +454,6 @@ class _Snapshots:
         self.directions.append(direction)
         self._products.append(products)
         self.ratios.append(ratio)
-        self._iterations.append(snapshot.iterations)
         self._preconditioned += [self._inverse.solve(one) for one in products]
 
     def basis(self) -> ReducedBasis:
@@ -479,8 +471,6 @@ class _Snapshots:
             upper[:, :, 3::2],
             upper[:, :, 4::2],
             upper[:, :, :3].transpose(2, 0, 1),
-            tuple(self.ratios),
-            tuple(self._iterations),
         )
 
     def _products_of_direction(

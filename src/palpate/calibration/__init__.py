@@ -10,7 +10,6 @@ Read first : `targets.py`, then `calibrate.py` and `adjustment.py`; `object_view
              `refinement.py`.
 """
 
-from palpate.calibration.adjustment import Adjusted as Adjusted, Corners as Corners
 from palpate.calibration.calibrate import (
     Calibration as Calibration,
     board_frame as board_frame,
@@ -25,7 +24,6 @@ from palpate.calibration.object_view import (
 from palpate.calibration.quality import (
     REGIONS as REGIONS,
     CameraQuality as CameraQuality,
-    LengthCheck as LengthCheck,
     PictureError as PictureError,
     baseline_text as baseline_text,
     camera_quality as camera_quality,
@@ -35,9 +33,7 @@ from palpate.calibration.quality import (
     timing_note as timing_note,
     write_calibration as write_calibration,
 )
-from palpate.calibration.refinement import Refined as Refined, refined_rig as refined_rig
 from palpate.calibration.sightings import (
-    Sightings as Sightings,
     find_boards as find_boards,
     find_pictures as find_pictures,
     find_videos as find_videos,

@@ -166,7 +166,7 @@ def view_object(
         grey.append(read.grey)
         prepared = prepare_pictures(rig, read.grey)
         # With `refine`, a moved camera is to be corrected, not rejected.
-        notes += [] if refine else check_rig(prepared).notes
+        notes += [] if refine else check_rig(prepared)[2]
         found.append(stereo_matches(prepared, settings=_SETTINGS))
     progress("registration", 0.8)
     registration, points = _registered(rig, mesh, found[0])

@@ -169,23 +169,7 @@ def picture_errors(calibration: Calibration) -> tuple[PictureError, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
-class LengthCheck:
-    """Lengths on boards held out from the calibration that measures them.
-
-    Attributes
-    ----------
-    views : int                     number of board views measured
-    error : float [-]               mean ratio of measured to true size, minus one
-    scatter : float [-]             standard deviation of a single ratio
-    """
-
-    views: int
-    error: float
-    scatter: float
-
-
-def length_check(calibration: Calibration) -> LengthCheck | None:
+def length_check(calibration: Calibration) -> tuple[int, float, float] | None:
     """Calibrate without a quarter of the views, and measure the size of the board in those.
 
     Parameters
@@ -194,7 +178,11 @@ def length_check(calibration: Calibration) -> LengthCheck | None:
 
     Returns
     -------
-    LengthCheck or None             None for a single camera, fewer than 12 views, or fewer than two
+    views : int                     number of board views measured, none of which the calibration
+                                    that measures them has seen
+    error : float [-]               mean ratio of measured to true size, minus one
+    scatter : float [-]             standard deviation of a single ratio
+                                    None for a single camera, fewer than 12 views, or fewer than two
                                     held-out ones that two cameras share; None, too, if the
                                     calibration of the others fails
     """
@@ -213,7 +201,7 @@ def length_check(calibration: Calibration) -> LengthCheck | None:
     known = np.array([scale for scale in scales if scale is not None])
     if len(known) < 2:
         return None
-    return LengthCheck(len(known), float(known.mean() - 1.0), float(known.std(ddof=1)))
+    return len(known), float(known.mean() - 1.0), float(known.std(ddof=1))
 
 
 def _scale(rig: Rig, corners: Corners) -> float | None:

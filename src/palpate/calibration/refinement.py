@@ -107,11 +107,86 @@ class KnownSurface:
     mesh : TriangleMesh
     pose : (4, 4) float [m]         approximate pose: x_mesh = pose x, x in the rig's frame
     ties : Ties
+    relative_size : float [-]       of the object to its mesh, minus one
     """
 
     mesh: TriangleMesh
     pose: Float[np.ndarray, "4 4"]
     ties: Ties
+    relative_size: float = 0.0
+
+    def equations(
+        self, rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"]
+    ) -> tuple[Float[np.ndarray, "u u"], Float[np.ndarray, " u"]]:
+        """Normal equations of the points' distances from the mesh, with the prior of the size.
+
+        The unknowns are k steps of the rig, then rotation, shift and relative size of the object.
+
+        Parameters
+        ----------
+        rig : Rig
+        prior : RigCovariance       its p parameters and their standard deviations
+        scale : (p, k) float        independent steps, see `refine`
+
+        Returns
+        -------
+        (k + 7, k + 7) float, (k + 7,) float    normal matrix and right-hand side
+
+        Raises
+        ------
+        CalibrationError            the covariance is of other cameras
+        """
+        ties, mesh = self.ties, self.mesh
+        offset, centre = self._offsets(rig)
+        place = centre + offset / (1.0 + self.relative_size)
+        found = closest_points(mesh, place)
+        normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
+        gap = np.einsum("na,na->n", normal, place - found.position)
+        inside = (found.barycentric > 0.0).all(axis=1)
+        noise = STD_OVER_MEDIAN * float(np.median(np.abs(gap[inside])))
+        _, shift = _jacobians(rig, prior, scale, ties)
+        rows = np.concatenate(
+            [
+                np.einsum("na,ab,nbk->nk", normal, self.pose[:3, :3], shift),
+                np.cross(offset, normal), normal,
+                -np.einsum("na,na->n", normal, offset)[:, None],
+            ],
+            axis=1,
+        )  # fmt: skip
+        weight = (inside & (np.abs(gap) < _MAX_DEVIATIONS * noise)) / noise**2
+        score = (weight * gap)[:, None] * rows
+        # Neighbouring points share errors, from overlapping windows and from the mesh.
+        weight /= max(_variance_inflation(score[:, -7:], compact_groups(offset, _GROUPS)), 1.0)
+        matrix = rows.T @ (weight[:, None] * rows)
+        right = -rows.T @ (weight * gap)
+        matrix[-1, -1] += _SIZE_SIGMA**-2
+        right[-1] -= self.relative_size / _SIZE_SIGMA**2
+        return matrix, right
+
+    def moved(self, rig: Rig, change: Float[np.ndarray, "7"]) -> "KnownSurface":
+        """Apply a rotation about the centroid of the points, a shift, and a change of size.
+
+        Parameters
+        ----------
+        rig : Rig
+        change : (7,) float         rotation [rad], shift [m], relative size
+
+        Returns
+        -------
+        KnownSurface
+        """
+        _, centre = self._offsets(rig)
+        step = np.eye(4)
+        step[:3, :3] = Rotation.from_rotvec(change[:3]).as_matrix()
+        step[:3, 3] = centre - step[:3, :3] @ centre + change[3:6]
+        size = self.relative_size + float(change[6])
+        return replace(self, pose=step @ self.pose, relative_size=size)
+
+    def _offsets(self, rig: Rig) -> tuple[Float[np.ndarray, "n 3"], Vector3]:
+        """Points relative to their centroid, and the centroid, in the frame of the mesh [m]."""
+        place = tie_points(rig, self.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
+        centre = place.mean(axis=0)
+        return place - centre, centre
 
 
 def refined_rig(
@@ -151,30 +226,18 @@ def refined_rig(
         )
     label = compact_groups(tie_points(rig, ties), _GROUPS)
     half = label % 2 == 0
-    trial = _fit(rig, prior, scale, ties.chosen(half), label[half], surface)
-    held = ties.chosen(~half)
-    before, after, gain = _improvement(rig, trial.rig, held, label[~half])
+    trial, *_ = _fit(rig, prior, scale, ties.chosen(half), label[half], surface)
+    before, after, gain = _improvement(rig, trial, ties.chosen(~half), label[~half])
     if gain < _SIGNIFICANT:
         used = int(usable.sum())
         return Refined(rig, prior, False, used, count - used, before, after, "")
-    whole = _fit(rig, prior, scale, ties, label, surface)
-    value = calibration_numbers(whole.rig.cameras, prior.names)
-    covariance = 0.5 * (whole.covariance + whole.covariance.T)
+    refined, good, step, covariance = _fit(rig, prior, scale, ties, label, surface)
+    value = calibration_numbers(refined.cameras, prior.names)
+    covariance = 0.5 * (covariance + covariance.T)
     return Refined(
-        whole.rig, RigCovariance(prior.names, value, covariance, "refinement"), True,
-        int(whole.good.sum()), count - int(whole.good.sum()), before, after,
-        _largest_change(whole.step, prior),
+        refined, RigCovariance(prior.names, value, covariance, "refinement"), True,
+        int(good.sum()), count - int(good.sum()), before, after, _largest_change(step, prior),
     )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """A refined rig, flags of the points used, step of the parameters, and their covariance."""
-
-    rig: Rig
-    good: Bool[np.ndarray, " n"]
-    step: Float[np.ndarray, " p"]
-    covariance: Float[np.ndarray, "p p"]
 
 
 def _fit(
@@ -184,12 +247,15 @@ def _fit(
     ties: Ties,
     label: np.ndarray,
     surface: KnownSurface | None,
-) -> _Fit:
-    """Gauss-Newton iteration from a rig, in units of the prior's standard deviations."""
+) -> tuple[Rig, Bool[np.ndarray, " n"], Float[np.ndarray, " p"], Float[np.ndarray, "p p"]]:
+    """Gauss-Newton iteration from a rig, in units of the prior's standard deviations.
+
+    Gives the refined rig, flags of the points used, the step of the parameters, and their
+    covariance.
+    """
     count = scale.shape[1]
     # Unknowns: steps of the rig; rotation, shift and relative size of the object.
     total, inflation, step = np.zeros(count), 1.0, np.full(count, np.inf)
-    body = None if surface is None else _Body(surface, surface.pose, 0.0)
     for _ in range(_MAX_STEPS):
         here = moved_rig(rig, prior.names, scale @ total)
         residual = _residuals(here, ties)
@@ -202,19 +268,19 @@ def _fit(
         matrix, right = np.eye(count + 7), np.zeros(count + 7)
         matrix[:count, :count] += np.einsum("n,nrk,nrl->kl", weight, jacobian, jacobian)
         right[:count] = -score.sum(axis=0) - total
-        if body is not None:
-            more_matrix, more_right = body.equations(here, prior, scale)
+        if surface is not None:
+            more_matrix, more_right = surface.equations(here, prior, scale)
             matrix[count:, count:] = 0.0
             matrix, right = matrix + more_matrix, right + more_right
         change = np.linalg.solve(matrix, right)
         step = change[:count]
         total = total + step
-        body = None if body is None else body.moved(here, change[count:])
+        surface = None if surface is None else surface.moved(here, change[count:])
         inflation = max(_variance_inflation(score * np.sqrt(inflation), label), 1.0)
         if np.abs(step).max() < _SMALL_STEP:
             break
     covariance = scale @ np.linalg.inv(matrix)[:count, :count] @ scale.T
-    return _Fit(moved_rig(rig, prior.names, scale @ total), good, scale @ total, covariance)
+    return moved_rig(rig, prior.names, scale @ total), good, scale @ total, covariance
 
 
 def _freedom(ties: Ties) -> PointScalars:
@@ -291,95 +357,6 @@ def _largest_change(step: Float[np.ndarray, " p"], prior: RigCovariance) -> str:
     unit = np.divide(step, sigma, out=np.zeros_like(step), where=sigma > 0.0)
     worst = int(np.abs(unit).argmax())
     return f"{prior.names[worst]} by {unit[worst]:+.1f} of its standard deviations"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Body:
-    """Pose and size of the object during the adjustment.
-
-    Attributes
-    ----------
-    surface : KnownSurface
-    pose : (4, 4) float [m]         as in `KnownSurface`
-    relative_size : float [-]       relative size of the object to its mesh, minus one
-    """
-
-    surface: KnownSurface
-    pose: Float[np.ndarray, "4 4"]
-    relative_size: float
-
-    def equations(
-        self, rig: Rig, prior: RigCovariance, scale: Float[np.ndarray, "p k"]
-    ) -> tuple[Float[np.ndarray, "u u"], Float[np.ndarray, " u"]]:
-        """Normal equations of the points' distances from the mesh, with the prior of the size.
-
-        The unknowns are k steps of the rig, then rotation, shift and relative size of the object.
-
-        Parameters
-        ----------
-        rig : Rig
-        prior : RigCovariance       its p parameters and their standard deviations
-        scale : (p, k) float        independent steps, see `refine`
-
-        Returns
-        -------
-        (k + 7, k + 7) float, (k + 7,) float    normal matrix and right-hand side
-
-        Raises
-        ------
-        CalibrationError            the covariance is of other cameras
-        """
-        ties, mesh = self.surface.ties, self.surface.mesh
-        offset, centre = self._offsets(rig)
-        place = centre + offset / (1.0 + self.relative_size)
-        found = closest_points(mesh, place)
-        normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
-        gap = np.einsum("na,na->n", normal, place - found.position)
-        inside = (found.barycentric > 0.0).all(axis=1)
-        noise = STD_OVER_MEDIAN * float(np.median(np.abs(gap[inside])))
-        _, shift = _jacobians(rig, prior, scale, ties)
-        rows = np.concatenate(
-            [
-                np.einsum("na,ab,nbk->nk", normal, self.pose[:3, :3], shift),
-                np.cross(offset, normal), normal,
-                -np.einsum("na,na->n", normal, offset)[:, None],
-            ],
-            axis=1,
-        )  # fmt: skip
-        weight = (inside & (np.abs(gap) < _MAX_DEVIATIONS * noise)) / noise**2
-        score = (weight * gap)[:, None] * rows
-        # Neighbouring points share errors, from overlapping windows and from the mesh.
-        weight /= max(_variance_inflation(score[:, -7:], compact_groups(offset, _GROUPS)), 1.0)
-        matrix = rows.T @ (weight[:, None] * rows)
-        right = -rows.T @ (weight * gap)
-        matrix[-1, -1] += _SIZE_SIGMA**-2
-        right[-1] -= self.relative_size / _SIZE_SIGMA**2
-        return matrix, right
-
-    def moved(self, rig: Rig, change: Float[np.ndarray, "7"]) -> "_Body":
-        """Apply a rotation about the centroid of the points, a shift, and a change of size.
-
-        Parameters
-        ----------
-        rig : Rig
-        change : (7,) float         rotation [rad], shift [m], relative size
-
-        Returns
-        -------
-        Body
-        """
-        _, centre = self._offsets(rig)
-        step = np.eye(4)
-        step[:3, :3] = Rotation.from_rotvec(change[:3]).as_matrix()
-        step[:3, 3] = centre - step[:3, :3] @ centre + change[3:6]
-        size = self.relative_size + float(change[6])
-        return replace(self, pose=step @ self.pose, relative_size=size)
-
-    def _offsets(self, rig: Rig) -> tuple[Float[np.ndarray, "n 3"], Vector3]:
-        """Points relative to their centroid, and the centroid, in the frame of the mesh [m]."""
-        place = tie_points(rig, self.surface.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
-        centre = place.mean(axis=0)
-        return place - centre, centre
 
 
 def _jacobians(

@@ -9,12 +9,9 @@ Read first : `campaign.py`, then `work.py`, `engine.py`.
 
 from palpate.campaign.campaign import (
     run_campaign as run_campaign,
-    work_on_worker as work_on_worker,
 )
 from palpate.campaign.engine import (
-    Engine as Engine,
     check_workers as check_workers,
-    cores as cores,
     started_engine as started_engine,
 )
 from palpate.campaign.rows import (
@@ -28,14 +25,9 @@ from palpate.campaign.rows import (
     write_table as write_table,
 )
 from palpate.campaign.store import (
-    CampaignItem as CampaignItem,
     Store as Store,
     read_items as read_items,
 )
 from palpate.campaign.work import (
     FitOptions as FitOptions,
-    Outcome as Outcome,
-    Work as Work,
-    do_work as do_work,
-    pack_session as pack_session,
 )

@@ -24,7 +24,6 @@ from palpate.geometry.mesh_files import (
 from palpate.geometry.mesh_quality import (
     MeshQuality as MeshQuality,
     checked_mesh as checked_mesh,
-    intersecting_pairs as intersecting_pairs,
     mesh_quality as mesh_quality,
     wall_thickness as wall_thickness,
 )
@@ -65,6 +64,7 @@ from palpate.geometry.triangle_mesh import (
     enclosed_volume as enclosed_volume,
     half_edges as half_edges,
     morton_order as morton_order,
+    random_points as random_points,
     split_sides as split_sides,
     triangle_areas as triangle_areas,
     unit_normals as unit_normals,

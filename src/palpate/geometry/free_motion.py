@@ -7,8 +7,6 @@ motion is therefore applied at finite size, in both directions, and the actual i
 squared distances is compared with the predicted one.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
@@ -36,24 +34,22 @@ from palpate.shapes import Flags, Points, PointScalars, Vector3
 _TRIED_STDS = 10.0
 # Components below this fraction of the points' motion are not mentioned.
 _MIN_NAMED = 0.1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceEdges:
-    """Edges of an object: where its faces, or its surface, end.
-
-    Attributes
-    ----------
-    side : (m, 3) bool              whether the side from corner k to k + 1 of a triangle is an edge
-    corner : (m, 3) bool            whether corner k lies on an edge
-    """
-
-    side: Bool[np.ndarray, "m 3"]
-    corner: Bool[np.ndarray, "m 3"]
+# Which sides and corners of the triangles are edges of the object (`surface_edges`).
+SurfaceEdges = tuple[Bool[np.ndarray, "m 3"], Bool[np.ndarray, "m 3"]]
 
 
 def surface_edges(mesh: TriangleMesh) -> SurfaceEdges:
-    """Edges of a mesh, open or closed: its boundaries, and its creases."""
+    """Edges of a mesh, open or closed: its boundaries, and its creases.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    side : (m, 3) bool              whether the side from corner k to k + 1 of a triangle is an edge
+    corner : (m, 3) bool            whether corner k lies on an edge
+    """
     # Coinciding vertices are merged: those of a refined surface come separately.
     grain = 1e-9 * bounding_diagonal(mesh)
     _, vertex = np.unique(np.round(mesh.vertices / grain), axis=0, return_inverse=True)
@@ -64,7 +60,7 @@ def surface_edges(mesh: TriangleMesh) -> SurfaceEdges:
     inner[pairs[np.einsum("ea,ea->e", a, b) > np.cos(CREASE_ANGLE)]] = True
     at_edge = np.zeros(len(mesh.vertices), dtype=bool)
     at_edge[halves.ends[halves.edge[~inner]]] = True
-    return SurfaceEdges(~inner.reshape(-1, 3), at_edge[halves.tail].reshape(-1, 3))
+    return ~inner.reshape(-1, 3), at_edge[halves.tail].reshape(-1, 3)
 
 
 def near_edges(
@@ -78,7 +74,7 @@ def near_edges(
     ----------
     mesh : TriangleMesh
     linearisation : Linearised      n points
-    edges : SurfaceEdges            of the mesh
+    edges : pair of (m, 3) bool     `surface_edges` of the mesh
     reach : (n,) float [m]          by how much noise may have displaced each
 
     Returns
@@ -93,62 +89,56 @@ def near_edges(
     height = np.roll(linearisation.barycentric, -2, axis=1) * double_area[:, None] / length
     position = np.einsum("nk,nka->na", linearisation.barycentric, corner)
     away = np.linalg.norm(corner - position[:, None], axis=2)
-    close = (height <= reach[:, None]) & edges.side[linearisation.triangle]
-    close |= (away <= reach[:, None]) & edges.corner[linearisation.triangle]
+    close = (height <= reach[:, None]) & edges[0][linearisation.triangle]
+    close |= (away <= reach[:, None]) & edges[1][linearisation.triangle]
     return close.any(axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """Points fitted to a surface, to which trial motions are applied.
+def confirmed_information(
+    search: SurfaceSearch,
+    edges: SurfaceEdges,
+    points: MeasuredPoints,
+    linearisation: Linearised,
+    reach: PointScalars,
+    *,
+    pose: Pose,
+    motion: Float[np.ndarray, "6"],
+    std: float,
+) -> float:
+    """Increase of the squared distances under a finite motion over that predicted by the normals.
 
-    Attributes
+    The motion is applied in both directions. Where the predicted information is an artefact of
+    errors of the mesh, the squared distances do not increase on average.
+
+    Parameters
     ----------
     search : SurfaceSearch          of the surface
-    edges : SurfaceEdges            of the surface
+    edges : pair of (m, 3) bool     `surface_edges`
     points : MeasuredPoints         k points
-    pose : (4, 4) float             their fitted pose
-    linearisation : Linearised      at this pose
+    linearisation : Linearised      at their fitted pose
     reach : (k,) float [m]          by how much noise may have displaced each
-    """
+    pose : (4, 4) float             their fitted pose
+    motion : (6,) float             rotation (rad) and translation (m), which move the points by 1 m
+                                    rms
+    std : float [m]                 standard deviation along it as predicted by the normals
 
-    search: SurfaceSearch
-    edges: SurfaceEdges
-    points: MeasuredPoints
-    pose: Pose
-    linearisation: Linearised
-    reach: PointScalars
-
-    def confirmed_information(self, motion: Float[np.ndarray, "6"], std: float) -> float:
-        """Increase of the squared distances under a finite motion over that predicted by the
-        normals.
-
-        The motion is applied in both directions. Where the predicted information is an artefact of
-        errors of the mesh, the squared distances do not increase on average.
-
-        Parameters
-        ----------
-        motion : (6,) float         rotation (rad) and translation (m), which move the points by
-                                    1 m rms
-        std : float [m]             standard deviation along it as predicted by the normals
-
-        Returns
-        -------
-        float                       0 to 1: 1 where the prediction is right, about 0 where the
+    Returns
+    -------
+    float                           0 to 1: 1 where the prediction is right, about 0 where the
                                     points do not determine the motion
-        """
-        step = _TRIED_STDS * std
-        squares, weight = -2.0 * self.linearisation.residual**2, self.linearisation.sigma**-2
-        for signed_step in (step, -step):
-            pose = motion_pose(signed_step * motion, self.linearisation.centre) @ self.pose
-            trial = linearised(self.search, self.points, pose)
-            squares = squares + trial.residual**2
-            at_edge = near_edges(self.search.mesh, trial, self.edges, self.reach)
-            weight = np.where(at_edge, 0.0, weight)
-        displacement = np.cross(motion[:3], self.linearisation.offset) + motion[3:]
-        normal_component = np.einsum("na,na->n", displacement, self.linearisation.normal)
-        predicted = 2.0 * step**2 * float(weight @ normal_component**2)
-        return float(np.clip(weight @ squares / predicted, 0.0, 1.0)) if predicted > 0.0 else 0.0
+    """
+    step = _TRIED_STDS * std
+    squares, weight = -2.0 * linearisation.residual**2, linearisation.sigma**-2
+    for signed_step in (step, -step):
+        moved = motion_pose(signed_step * motion, linearisation.centre) @ pose
+        trial = linearised(search, points, moved)
+        squares = squares + trial.residual**2
+        at_edge = near_edges(search.mesh, trial, edges, reach)
+        weight = np.where(at_edge, 0.0, weight)
+    displacement = np.cross(motion[:3], linearisation.offset) + motion[3:]
+    normal_component = np.einsum("na,na->n", displacement, linearisation.normal)
+    predicted = 2.0 * step**2 * float(weight @ normal_component**2)
+    return float(np.clip(weight @ squares / predicted, 0.0, 1.0)) if predicted > 0.0 else 0.0
 
 
 def motion_constraints(free: Float[np.ndarray, "k 6"], size: float) -> Float[np.ndarray, "k 6"]:

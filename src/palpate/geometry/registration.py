@@ -6,7 +6,7 @@ of a plate within its plane) are detected by finite trial motions; along them th
 initial one has it. They are called free.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +16,7 @@ from palpate.errors import CalibrationError, InputError
 from palpate.geometry.closest_point import SurfaceSearch, surface_search
 from palpate.geometry.free_motion import (
     SurfaceEdges,
-    Trial,
+    confirmed_information,
     motion_constraints,
     motion_texts,
     near_edges,
@@ -71,9 +71,8 @@ class Registration:
     free : (k, 6) float                 rotation and translation of each motion that the shape does
                                         not determine; the pose has the start's value along it. Each
                                         moves the points by 1 m rms
-    weakest : (6,) float                the same of the determined motion that is known worst
-    weakest_std : float [m]             standard deviation of the points along it; infinite where no
-                                        motion is determined
+    weakest_std : float [m]             standard deviation of the points along the determined motion
+                                        that is known worst; infinite where none is determined
     residual : float [m]                rms distance of the inliers from the surface
     inliers : float [-]                 fraction of inliers among the points
     variance_inflation : float [-]      by correlated residuals, >= 1; contained
@@ -88,33 +87,14 @@ class Registration:
     centre: Vector3
     covariance: Float[np.ndarray, "6 6"]
     free: Float[np.ndarray, "k 6"]
-    weakest: Float[np.ndarray, "6"]
     weakest_std: float
     residual: float
     inliers: float
     variance_inflation: float
     size: float
     diagonal: float
-    iterations: int
-    converged: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Observability:
-    """What the points determine about motions at the fitted pose.
-
-    `fixed` (f, 6) are the determined motions, `std` (f,) their standard deviations, `free` (k, 6)
-    the others, `constraints` (k, 6) the constraints by which a motion contains none of these.
-    """
-
-    linearisation: Linearised
-    fixed: Float[np.ndarray, "f 6"]
-    std: Float[np.ndarray, " f"]
-    free: Float[np.ndarray, "k 6"]
-    constraints: Float[np.ndarray, "k 6"]
-    covariance: Float[np.ndarray, "6 6"]
-    variance_inflation: float
-    inlier: Flags
+    iterations: int = 0
+    converged: bool = False
 
 
 def register(
@@ -174,17 +154,21 @@ def register(
     pose = coarse_pose(search, sample.point, guess, angle=angle, distance=distance)
     near = chosen.chosen(even_sample(chosen.point, _NEAR_POINTS))
     edges, iterations = surface_edges(surface), 0
-    known = _observability(search, near, pose, edges)
+    known, constraints = _observability(search, near, pose, edges)
     for cloud in (near, *[chosen] * _MAX_ROUNDS):
         free = len(known.free)
-        pose = nearest_pose(pose, guess, cloud.point, known.free, known.linearisation.centre)
-        fit = fit_pose(search, cloud, pose, constraints=known.constraints, iterations=_MAX_STEPS)
-        pose, iterations = fit.pose, iterations + fit.iterations
-        known = _observability(search, chosen, pose, edges)
+        pose = nearest_pose(pose, guess, cloud.point, known.free, known.centre)
+        pose, steps, converged = fit_pose(
+            search, cloud, pose, constraints=constraints, iterations=_MAX_STEPS
+        )
+        iterations += steps
+        known, constraints = _observability(search, chosen, pose, edges)
         if cloud is chosen and len(known.free) == free:
             break
-    converged = fit.converged and len(known.free) == free
-    return _registration(mesh, known, fit.pose, iterations, converged)
+    return replace(
+        known, diagonal=bounding_diagonal(mesh), iterations=iterations,
+        converged=converged and len(known.free) == free,
+    )  # fmt: skip
 
 
 def check_registration(registration: Registration) -> None:
@@ -263,8 +247,9 @@ def _observability(
     points: MeasuredPoints,
     pose: np.ndarray,
     edges: SurfaceEdges,
-) -> _Observability:
-    """Separate the motions that the points determine from the free ones."""
+) -> tuple[Registration, Float[np.ndarray, "k 6"]]:
+    """Separate the motions that the points determine from the free ones; gives the registration at
+    a pose, and the constraints by which a motion contains none of the free ones."""
     linearisation = linearised(search, points, pose)
     robust = robust_residuals(linearisation)
     inlier = robust.weight() > 0.0
@@ -275,33 +260,34 @@ def _observability(
     motions = (linearisation.scale @ vectors).T
     rows = even_sample(points.point, _NEAR_POINTS)
     rows = rows[used[rows]]
-    trial = Trial(search, edges, points.chosen(rows), pose, linearisation.chosen(rows), reach[rows])
+    tried = search, edges, points.chosen(rows), linearisation.chosen(rows), reach[rows]
     least = (_MAX_RELATIVE_STD * search.diagonal) ** -2
     std = 1.0 / np.sqrt(np.maximum(values, least))
     confirmed = [
-        trial.confirmed_information(motion, one) for motion, one in zip(motions, std, strict=True)
+        confirmed_information(*tried, pose=pose, motion=motion, std=one)
+        for motion, one in zip(motions, std, strict=True)
     ]
     # The unconfirmed share is subtracted twice: chance hides part of it at the minimum of the fit.
     values = values * (2.0 * np.array(confirmed) - 1.0)
     fixed = values >= least
-    constraints = motion_constraints(motions[~fixed], _size(linearisation))
+    # Root mean square distance of the points from their centroid.
+    size = float(np.sqrt((linearisation.offset**2).sum(axis=1).mean()))
+    constraints = motion_constraints(motions[~fixed], size)
     basis = null_space_basis(constraints @ linearisation.scale)
     inner = basis @ np.linalg.pinv(basis.T @ information @ basis, hermitian=True) @ basis.T
-    return _Observability(
-        linearisation=linearisation,
-        fixed=motions[fixed],
-        std=1.0 / np.sqrt(values[fixed]),
-        free=motions[~fixed],
-        constraints=constraints,
+    registration = Registration(
+        T_mesh_points=pose,
+        centre=linearisation.centre,
         covariance=linearisation.scale @ inner @ linearisation.scale.T,
+        free=motions[~fixed],
+        weakest_std=float(values[fixed].min() ** -0.5) if fixed.any() else float("inf"),
+        residual=float(np.sqrt((linearisation.residual[inlier] ** 2).mean())),
+        inliers=float(inlier.mean()),
         variance_inflation=variance_inflation,
-        inlier=inlier,
+        size=size,
+        diagonal=search.diagonal,
     )
-
-
-def _size(linearisation: Linearised) -> float:
-    """Root mean square distance of the points from their centroid [m]."""
-    return float(np.sqrt((linearisation.offset**2).sum(axis=1).mean()))
+    return registration, constraints
 
 
 def _information(
@@ -329,28 +315,3 @@ def _information(
     variance_inflation = float(np.trace(np.linalg.pinv(alone, rcond=1e-10) @ together)) / 6.0
     variance_inflation = max(variance_inflation, 1.0)
     return row.T @ row / (variance * variance_inflation), variance_inflation
-
-
-def _registration(
-    mesh: TriangleMesh, known: _Observability, pose: np.ndarray, iterations: int, converged: bool
-) -> Registration:
-    linearisation = known.linearisation
-    weakest, weakest_std = np.zeros(6), float("inf")
-    if len(known.std):
-        worst = int(known.std.argmax())
-        weakest, weakest_std = known.fixed[worst], float(known.std[worst])
-    return Registration(
-        T_mesh_points=pose,
-        centre=linearisation.centre,
-        covariance=known.covariance,
-        free=known.free,
-        weakest=weakest,
-        weakest_std=weakest_std,
-        residual=float(np.sqrt((linearisation.residual[known.inlier] ** 2).mean())),
-        inliers=float(known.inlier.mean()),
-        variance_inflation=known.variance_inflation,
-        size=_size(linearisation),
-        diagonal=bounding_diagonal(mesh),
-        iterations=iterations,
-        converged=converged,
-    )

@@ -95,15 +95,6 @@ class Linearised:
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """Result of the iteration."""
-
-    pose: Pose
-    iterations: int
-    converged: bool
-
-
 def placed(pose: Pose, points: Points) -> Points:
     """Points, (n, 3) [m], moved by a pose, (4, 4)."""
     return points @ pose[:3, :3].T + pose[:3, 3]
@@ -249,7 +240,7 @@ def fit_pose(
     *,
     constraints: Float[np.ndarray, "k 6"],
     iterations: int,
-) -> _Fit:
+) -> tuple[Pose, int, bool]:
     """Fit the pose of points on a surface.
 
     The iteration ends when a step is small in comparison with its standard deviation.
@@ -265,7 +256,9 @@ def fit_pose(
 
     Returns
     -------
-    Fit
+    pose : (4, 4) float
+    iterations : int                steps made
+    converged : bool
     """
     for done in range(1, iterations + 1):
         linearisation = linearised(search, points, pose)
@@ -276,8 +269,8 @@ def fit_pose(
         step = -_solved(matrix, row.T @ (weight * linearisation.residual), search.diagonal)
         pose = motion_pose(linearisation.scale @ free @ step, linearisation.centre) @ pose
         if step @ matrix @ step < _SMALL_STEP**2:
-            return _Fit(pose, done, True)
-    return _Fit(pose, iterations, False)
+            return pose, done, True
+    return pose, iterations, False
 
 
 def null_space_basis(constraints: Float[np.ndarray, "k 6"]) -> Float[np.ndarray, "6 f"]:

@@ -16,6 +16,7 @@ from palpate.errors import InputError, MeshError
 from palpate.shapes import (
     Flags,
     Indices,
+    Points,
     Triangles,
     TriangleScalars,
     TriangleVectors,
@@ -98,6 +99,28 @@ def triangle_areas(mesh: TriangleMesh) -> TriangleScalars:
     (m,) float [m^2]                >= 0
     """
     return np.linalg.norm(area_vectors(mesh), axis=1)
+
+
+def random_points(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Points:
+    """Random points, uniformly distributed over the area of a surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    count : int
+    rng : Generator
+
+    Returns
+    -------
+    (count, 3) float [m]
+    """
+    place = np.cumsum(triangle_areas(mesh))
+    triangle = np.searchsorted(place, rng.random(count) * place[-1])
+    corner = mesh.vertices[mesh.triangles[np.minimum(triangle, len(place) - 1)]]
+    a, b = rng.random((2, count))
+    root = np.sqrt(a)
+    weight = np.stack([1.0 - root, root * (1.0 - b), root * b], axis=1)
+    return np.einsum("kc,kca->ka", weight, corner)
 
 
 def unit_normals(mesh: TriangleMesh) -> TriangleVectors:

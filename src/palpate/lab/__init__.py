@@ -16,9 +16,7 @@ from palpate.lab.config import (
     Look as Look,
     Material as Material,
     Pictures as Pictures,
-    Probe as Probe,
     Sensor as Sensor,
-    Stage as Stage,
 )
 from palpate.lab.config_files import (
     built_in as built_in,
@@ -27,15 +25,6 @@ from palpate.lab.config_files import (
 from palpate.lab.facility import make_session as make_session, make_sessions as make_sessions
 from palpate.lab.head import miscalibrated as miscalibrated
 from palpate.lab.planned_pictures import planned_pictures as planned_pictures
-from palpate.lab.press_film import (
-    Film as Film,
-    SolvedPress as SolvedPress,
-    film_frames as film_frames,
-    gauge_readings as gauge_readings,
-    rest_pictures as rest_pictures,
-    solve_press as solve_press,
-    write_film as write_film,
-)
 from palpate.lab.scene import (
     Variant as Variant,
     choose_variant as choose_variant,
@@ -47,6 +36,5 @@ from palpate.lab.specimens import (
 )
 from palpate.lab.tutorial import (
     Print as Print,
-    TutorialSize as TutorialSize,
     make_tutorial as make_tutorial,
 )

@@ -15,7 +15,7 @@ from palpate.geometry import (
     triangle_areas,
     vertex_normals,
 )
-from palpate.lab.config import Arm, Material, Probe, Specimen
+from palpate.lab.config import Arm, LabConfig, Material, Probe, Specimen
 from palpate.lab.specimens import rod
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Points, Vector3
@@ -25,6 +25,8 @@ from palpate.solids import (
     Press,
     Solid,
     Tip,
+    held_nodes,
+    make_body,
     make_solid,
     press,
     press_to_force,
@@ -152,6 +154,25 @@ def _support_rim(specimen: Specimen, apart: float) -> Points:
     parts = int(np.ceil(np.linalg.norm(along, axis=1).max(initial=0.0) / apart))
     share = (np.arange(parts) + 0.5) / max(parts, 1)
     return (ends[:, None, 0] + share[:, None] * along[:, None]).reshape(-1, 3)
+
+
+def specimen_body(config: LabConfig, solid: Solid) -> Body:
+    """The specimen as a body, held where its configuration says.
+
+    Parameters
+    ----------
+    config : LabConfig
+    solid : Solid                   of `solid_under`
+
+    Returns
+    -------
+    Body
+    """
+    material, specimen = config.material, config.specimen
+    return make_body(
+        solid, held_nodes(solid, specimen.held), shear_modulus=material.shear_modulus,
+        poisson_ratio=material.poisson_ratio, support_stiffness=specimen.support_stiffness,
+    )  # fmt: skip
 
 
 def probe_body(

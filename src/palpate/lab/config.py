@@ -17,42 +17,29 @@ from palpate.solids import TipName
 
 # Largest size of a picture: that of the largest image sensors; truth maps take 100 bytes a pixel.
 _MOST_PIXELS = 1e8
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """Constraint on a setting.
-
-    Parameters
-    ----------
-    text : str                      for the error message, e.g. "must be positive"
-    holds : function                value -> bool, whether the value satisfies it
-    """
-
-    text: str
-    holds: Callable[[Any], bool]
+# Constraint on a setting: text for the error message, e.g. "must be positive"; value -> whether it
+# satisfies it.
+Limit = tuple[str, Callable[[Any], bool]]
 
 
 def _between(low: float, high: float, unit: str = "") -> Limit:
-    return Limit(f"must be {low:g} to {high:g} {unit}".rstrip(), lambda x: low <= x <= high)
+    return f"must be {low:g} to {high:g} {unit}".rstrip(), lambda x: low <= x <= high
 
 
 def _no_longer(most: float, unit: str) -> Limit:
-    return Limit(f"must be {most:g} {unit} long at most", lambda x: bool(np.linalg.norm(x) <= most))
+    return f"must be {most:g} {unit} long at most", lambda x: bool(np.linalg.norm(x) <= most)
 
 
-Positive = Annotated[float, Limit("must be positive", lambda x: 0.0 < x < np.inf)]
-Share = Annotated[float, Limit("must be in 0 to 1", lambda x: 0.0 <= x <= 1.0)]
+Positive = Annotated[float, ("must be positive", lambda x: 0.0 < x < np.inf)]
+Share = Annotated[float, ("must be in 0 to 1", lambda x: 0.0 <= x <= 1.0)]
 Length = Annotated[float, _between(1e-6, 100.0, "m")]
 # Standard deviations of positions, of rotations and of a sensor's readings.
 LengthError = Annotated[float, _between(0.0, 1.0, "m")]
 TurnError = Annotated[float, _between(0.0, 45.0, "degrees")]
 ReadingError = Annotated[float, _between(0.0, 1e6, "N or m")]
-Count = Annotated[int, Limit("must be 1 to 1000", lambda x: 1 <= x <= 1000)]
-Pixels = Annotated[int, Limit("must be 32 to 20000 px", lambda x: 32 <= x <= 20_000)]
-Direction = Annotated[
-    Vector3, Limit("must be a direction, not zero", lambda x: np.linalg.norm(x) > 0.0)
-]
+Count = Annotated[int, ("must be 1 to 1000", lambda x: 1 <= x <= 1000)]
+Pixels = Annotated[int, ("must be 32 to 20000 px", lambda x: 32 <= x <= 20_000)]
+Direction = Annotated[Vector3, ("must be a direction, not zero", lambda x: np.linalg.norm(x) > 0.0)]
 
 
 class _Limited:
@@ -64,9 +51,9 @@ class _Limited:
         for name, hint in get_type_hints(type(self), include_extras=True).items():
             value = getattr(self, name)
             for part in (hint, *get_args(hint)):
-                for limit in getattr(part, "__metadata__", ()):
-                    if value is not None and not limit.holds(value):
-                        raise InputError(f"{name} is {_shown(value)}; {limit.text}")
+                for text, holds in getattr(part, "__metadata__", ()):
+                    if value is not None and not holds(value):
+                        raise InputError(f"{name} is {_shown(value)}; {text}")
 
 
 def _shown(value: Any) -> str:
@@ -116,7 +103,7 @@ class Material(_Limited):
     """
 
     young_modulus: Annotated[float, _between(*MODULUS_RANGE, "Pa")]
-    poisson_ratio: Annotated[float, Limit("must be in (-1, 0.5)", lambda x: -1.0 < x < 0.5)]
+    poisson_ratio: Annotated[float, ("must be in (-1, 0.5)", lambda x: -1.0 < x < 0.5)]
     law: Literal["linear", "neo-hookean"] = "linear"
 
     @property
@@ -287,7 +274,7 @@ class Head(_Limited):
     """
 
     layout: Literal["trinocular", "ring"] = "trinocular"
-    cameras: Annotated[int, Limit("must be 2, 3 or 4", lambda x: x in (2, 3, 4))] = 3
+    cameras: Annotated[int, ("must be 2, 3 or 4", lambda x: x in (2, 3, 4))] = 3
     distance: Annotated[float, _between(0.01, 100.0, "m")] = 0.8
     baseline: Length = 0.1
     toward: Direction = field(default_factory=lambda: np.array([0.3, -0.5, 0.8]))
@@ -347,7 +334,7 @@ class Pictures(_Limited):
     full_well: Positive | None = None
     response: Annotated[float, _between(0.0, 100.0, "px")] = 0.6
     gain_drift: Share = 0.0
-    bits: Annotated[int, Limit("must be 8 or 12", lambda x: x in (8, 12))] = 8
+    bits: Annotated[int, ("must be 8 or 12", lambda x: x in (8, 12))] = 8
     aperture: LengthError = 0.0
     motion_blur: Share = 0.0
     lamp: Annotated[float, _between(1e-3, 100.0, "m")] = 0.2
@@ -372,7 +359,7 @@ class LabConfig(_Limited):
     """
 
     name: str
-    seed: Annotated[int, Limit("must be 0 to 2^32 - 1", lambda x: 0 <= x < 2**32)] = 1
+    seed: Annotated[int, ("must be 0 to 2^32 - 1", lambda x: 0 <= x < 2**32)] = 1
     specimen: Specimen
     material: Material
     look: Look = field(default_factory=Look)

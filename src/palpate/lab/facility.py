@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, closest_points, write_mesh
-from palpate.lab.arm import aim, probe_body, rod_at, solid_under
+from palpate.lab.arm import aim, probe_body, rod_at, solid_under, specimen_body
 from palpate.lab.config import LabConfig, Probe, Stage
 from palpate.lab.head import make_head, miscalibrated
 from palpate.lab.ideal_view import truth_map, write_truth_map
@@ -39,7 +39,7 @@ from palpate.records import (
     write_text,
 )
 from palpate.shapes import Vertices
-from palpate.solids import Body, Press, Solid, Tip, held_nodes, make_body, surface_values
+from palpate.solids import Body, Press, Solid, Tip, surface_values
 from palpate.threads import Distribute
 from palpate.vision import project
 
@@ -293,7 +293,7 @@ def _measure_probing(first: Solid, work: tuple[Sequence[_Bench], int]) -> list[_
     first probing given, and with equal cameras and mesh the interpolation to rendered vertices."""
     benches, k = work
     # Refined under this tip only: a mesh for each probing costs less than one for all of them.
-    body = _body(benches[0].config, first if k == 0 else _solid(benches[0], k))
+    body = specimen_body(benches[0].config, first if k == 0 else _solid(benches[0], k))
     interpolation: dict[bytes, csr_array] = {}
     found = []
     for bench in benches:
@@ -353,15 +353,6 @@ def _solid(bench: _Bench, k: int) -> Solid:
     """The specimen's finite elements, refined under the tip of probing k."""
     config = bench.config
     return solid_under(config.specimen, bench.tips[k], config.probes[k], config.material)
-
-
-def _body(config: LabConfig, solid: Solid) -> Body:
-    """The specimen as a body, held where its configuration says."""
-    material, specimen = config.material, config.specimen
-    return make_body(
-        solid, held_nodes(solid, specimen.held), shear_modulus=material.shear_modulus,
-        poisson_ratio=material.poisson_ratio, support_stiffness=specimen.support_stiffness,
-    )  # fmt: skip
 
 
 def _rig(config: LabConfig) -> Rig:

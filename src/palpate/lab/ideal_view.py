@@ -253,18 +253,13 @@ def truth_map(
 
     Raises
     ------
-    InputError                      too many cameras, one without a size, meshes that do not match,
-                                    a reference camera that sees nothing of the body
+    InputError                      too many cameras, one without a size, a reference camera that
+                                    sees nothing of the body
     CalibrationError                a body that is not in front of a camera
     """
     if len(rig.cameras) > _MAX_CAMERAS:
         raise InputError(
             f"truth maps hold {_MAX_CAMERAS} cameras, a bit each; the rig has {len(rig.cameras)}"
-        )
-    if len(mesh.vertices) != len(loaded):
-        raise InputError(
-            f"the mesh has {len(mesh.vertices)} vertices at rest and {len(loaded)} loaded; must be"
-            " the same"
         )
     seen = _surface_maps(rig, mesh)
     shown = seen[rig.reference]

@@ -18,13 +18,13 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 from palpate.errors import RecordError
-from palpate.lab.arm import rod_at, solid_under
+from palpate.lab.arm import rod_at, solid_under, specimen_body
 from palpate.lab.config import LabConfig
 from palpate.lab.scene import Variant
 from palpate.lab.studio import make_studio, photograph
 from palpate.records import Camera, Rig, picture_size
 from palpate.shapes import Vector3
-from palpate.solids import Solid, Tip, held_nodes, make_body, press, press_to_force, surface_values
+from palpate.solids import Solid, Tip, press, press_to_force, surface_values
 from palpate.vision import open_video, project, surface_map
 
 # Grey level of the rod.
@@ -159,12 +159,7 @@ def solve_press(config: LabConfig, tip: Tip, number: int, film: Film) -> SolvedP
     """
     probe, specimen = config.probes[number], config.specimen
     solid = solid_under(specimen, tip, probe, config.material)
-    body = make_body(
-        solid, held_nodes(solid, specimen.held),
-        shear_modulus=config.material.shear_modulus,
-        poisson_ratio=config.material.poisson_ratio,
-        support_stiffness=specimen.support_stiffness,
-    )  # fmt: skip
+    body = specimen_body(config, solid)
     last = press_to_force(body, tip, float(probe.force or 0.0))
     fractions = np.arange(film.depths + 1) / film.depths
     states = press(body, tip, fractions[1:] * last.depth)

@@ -24,6 +24,7 @@ from palpate.geometry import (
     TriangleMesh,
     displacement_nodes,
     quadratic_shapes,
+    random_points,
     split_sides,
     triangle_areas,
 )
@@ -311,8 +312,7 @@ def speckle(
     ------
     InputError                      more dots than can be drawn
     """
-    areas = triangle_areas(surface)
-    centres = _random_points(surface, areas, rng.poisson(dot_count(surface, size)), rng)
+    centres = random_points(surface, rng.poisson(dot_count(surface, size)), rng)
     if len(centres) == 0:
         return np.full(len(points), _BRIGHT)
     distance, _ = cKDTree(centres).query(points)
@@ -386,22 +386,6 @@ def natural(
     # Smooth saturation keeps the reflectance within 0 to 1: 5 % of the points would lie beyond two
     # standard deviations.
     return 0.5 + contrast * _REACH * np.tanh(total / (_REACH * np.sqrt(power)))
-
-
-def _random_points(
-    surface: TriangleMesh,
-    areas: Float[np.ndarray, " m"],
-    count: int,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "k 3"]:
-    """Random points, uniformly distributed over the area of a surface."""
-    place = np.cumsum(areas)
-    triangle = np.searchsorted(place, rng.random(count) * place[-1])
-    corner = surface.vertices[surface.triangles[np.minimum(triangle, len(areas) - 1)]]
-    a, b = rng.random((2, count))
-    root = np.sqrt(a)
-    weight = np.stack([1.0 - root, root * (1.0 - b), root * b], axis=1)
-    return np.einsum("kc,kca->ka", weight, corner)
 
 
 def _waves(

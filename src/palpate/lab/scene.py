@@ -24,8 +24,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
-from palpate.arrays import fix_fields
-from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, vertex_normals
 from palpate.lab.ideal_view import IdealView, camera_picture, ideal_view
 from palpate.optional_imports import late_import
@@ -86,23 +84,11 @@ class DrawnBody:
     grey : (v,) float [-]           reflectance at the vertices, 0 to 1, linear in between
     gloss : float [-]               0 to 1; fraction of the reflected light that is specular, as on
                                     a moist membrane; 0: matt
-
-    Raises
-    ------
-    InputError                      `grey` of the wrong length or out of range
     """
 
     mesh: TriangleMesh
     grey: Float[np.ndarray, " v"]
     gloss: float = 0.0
-
-    def __post_init__(self) -> None:
-        fix_fields(self, grey=(len(self.mesh.vertices),))
-        if self.grey.min() < 0.0 or self.grey.max() > 1.0:
-            raise InputError(
-                f"grey of a body is {self.grey.min():.3g} to {self.grey.max():.3g}; must be in 0"
-                " to 1: it is the share of the light that is reflected"
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,23 +101,12 @@ class Lamp:
     target : (3,) float [m]         point that it faces
     side : float [m]                > 0; larger is softer shadows
     radiance : float                >= 0; of its surface, in the unit of the pictures
-
-    Raises
-    ------
-    InputError                      a negative radiance, a target at the lamp
     """
 
     position: Vector3
     target: Vector3
     side: float
     radiance: float
-
-    def __post_init__(self) -> None:
-        fix_fields(self, position=(3,), target=(3,))
-        if not self.radiance >= 0.0:
-            raise InputError(f"radiance of a lamp is {self.radiance:g}; must not be negative")
-        if np.array_equal(self.position, self.target):
-            raise InputError("a lamp stands at its target; move one of them")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,20 +118,10 @@ class Light:
     ambient : float                 >= 0; radiance from all directions. An unshaded matt body of
                                     reflectance 1 has this radiance; the lamp casts no shadow in it
     lamp : Lamp or None             takes as much rendering time as the ambient light
-
-    Raises
-    ------
-    InputError                      a negative radiance; no light at all
     """
 
     ambient: float
     lamp: Lamp | None = None
-
-    def __post_init__(self) -> None:
-        if not self.ambient >= 0.0:
-            raise InputError(f"ambient light is {self.ambient:g}; must not be negative")
-        if self.ambient == 0.0 and not (self.lamp and self.lamp.radiance > 0.0):
-            raise InputError("nothing shines; give a lamp or ambient light a positive radiance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,12 +171,10 @@ def render(
 
     Raises
     ------
-    InputError                      nothing to render, a camera without a picture size or one that
-                                    sees nothing; Mitsuba is not installed
+    InputError                      a camera without a picture size, or one that sees nothing;
+                                    Mitsuba is not installed
     CalibrationError                a body that is not in front of a camera
     """
-    if not bodies:
-        raise InputError("there is no body to render; give at least one")
     points = np.concatenate([body.mesh.vertices for body in bodies])
     views = [ideal_view(camera, points) for camera in cameras]
     mitsuba = load_mitsuba(variant)

@@ -294,19 +294,10 @@ def blur_radius(
     -------
     (rows, columns) float [px]      NaN where the depth is NaN; finite where it is infinite
 
-    Raises
-    ------
-    InputError                      lengths that are not positive
-
     Source
     ------
     Similar triangles behind a thin lens: the diameter is aperture focal |1 / focus - 1 / depth|.
     """
-    if not min(focus, aperture, focal) > 0.0:
-        raise InputError(
-            f"focus is {focus:g} m, aperture {aperture:g} m, focal length {focal:g} px; all must"
-            " be positive"
-        )
     return 0.5 * aperture * focal * np.abs(1.0 / focus - 1.0 / depth)
 
 
@@ -324,14 +315,8 @@ def defocused(radiance: Picture, radius: float | Float[np.ndarray, "rows columns
     Returns
     -------
     (rows, columns) float32
-
-    Raises
-    ------
-    InputError                      a negative radius
     """
     wanted = np.nan_to_num(np.broadcast_to(radius, radiance.shape), nan=0.0)
-    if wanted.min() < 0.0:
-        raise InputError(f"radius of blur is {wanted.min():g} px; must not be negative")
     low, high = float(wanted.min()), float(wanted.max())
     steps = int(np.ceil((high - low) / _RADIUS_STEP))
     if steps == 0:

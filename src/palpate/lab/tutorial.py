@@ -54,6 +54,10 @@ axis = [0, 0, 1]
 """
 
 
+# A printed board: grey levels, (rows, columns), 0 ink and 255 paper; width and height [m].
+Print = tuple[UInt8[np.ndarray, "_ _"], tuple[float, float]]
+
+
 @dataclass(frozen=True, slots=True)
 class TutorialSize:
     """How much is recorded.
@@ -80,20 +84,6 @@ class TutorialSize:
     depths: int = 6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Print:
-    """A printed board.
-
-    Attributes
-    ----------
-    levels : (rows, columns) uint8  0 ink, 255 paper
-    extent : (float, float) [m]     width and height
-    """
-
-    levels: UInt8[np.ndarray, "_ _"]
-    extent: tuple[float, float]
-
-
 def make_tutorial(
     folder: Path,
     board: Print,
@@ -107,7 +97,7 @@ def make_tutorial(
     Parameters
     ----------
     folder : Path                   an existing folder; gets boards, turntable, presses and truth
-    board : Print                   calibration board
+    board : levels, extent          calibration board (`Print`)
     variant : Variant               of Mitsuba
     size : TutorialSize
     progress : callable             called with the current step (text) and the fraction done, 0..1
@@ -153,7 +143,7 @@ def _write_boards(
         pose = _board_pose(rig, board, config, number, rng)
         for camera in rig.cameras:
             picture = board_picture(
-                camera, pose, board.levels, board.extent, rng=rng, noise=config.pictures.noise,
+                camera, pose, *board, rng=rng, noise=config.pictures.noise,
                 blur=_BOARD_BLUR,
             )  # fmt: skip
             cv2.imwrite(str(folder / camera.name / f"{number:02d}.png"), picture)
@@ -183,7 +173,8 @@ def _board_pose(
         middle = middle + facing @ (rng.uniform(-1, 1, 3) * [_AWAY, _AWAY, _NEARER])
     pose = np.eye(4)
     pose[:3, :3] = turn
-    pose[:3, 3] = middle - turn @ [0.5 * board.extent[0], 0.5 * board.extent[1], 0.0]
+    _, (width, height) = board
+    pose[:3, 3] = middle - turn @ [0.5 * width, 0.5 * height, 0.0]
     return pose
 
 

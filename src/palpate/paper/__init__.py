@@ -9,16 +9,6 @@ Depends on : `figures`, `pipeline`, `lab`, `estimation`, `vision`, `solids`, `re
 Read first : `sessions.py`, then `experiments.py`.
 """
 
-from palpate.paper.budget import (
-    CALIBRATION as CALIBRATION,
-    REGISTRATION as REGISTRATION,
-    with_misjudged_rig as with_misjudged_rig,
-)
-from palpate.paper.constants import (
-    CONSTANTS as CONSTANTS,
-    constant_errors as constant_errors,
-    intervals_hold as intervals_hold,
-)
 from palpate.paper.experiments import (
     EXPERIMENTS as EXPERIMENTS,
     Workplace as Workplace,
@@ -30,4 +20,4 @@ from palpate.paper.result import (
     write_page as write_page,
     write_result as write_result,
 )
-from palpate.paper.sessions import reduced as reduced, true_material as true_material
+from palpate.paper.sessions import true_material as true_material

@@ -2,7 +2,6 @@
 compared with a compression test of the same material."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,21 +31,7 @@ _KPA = 1e-3
 CONSTANTS = {"nu": "poisson_ratio", "G": "shear_modulus", "E": "young_modulus"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EstimatedConstants:
-    """Constants of a specimen, estimated from one method's motion and the forces.
-
-    Attributes
-    ----------
-    session : Session               with the measured displacements
-    result : FitResult
-    """
-
-    session: Session
-    result: FitResult
-
-
-def estimated_constants(measured: PaperSession, method: Method) -> EstimatedConstants:
+def estimated_constants(measured: PaperSession, method: Method) -> tuple[Session, FitResult]:
     """Estimate the constants from the motion measured by one method.
 
     Parameters
@@ -56,7 +41,7 @@ def estimated_constants(measured: PaperSession, method: Method) -> EstimatedCons
 
     Returns
     -------
-    EstimatedConstants
+    Session, FitResult              with the measured displacements, and the fit to them
 
     Raises
     ------
@@ -64,7 +49,7 @@ def estimated_constants(measured: PaperSession, method: Method) -> EstimatedCons
     SingularSystemError, NotConvergedError    as in `fit_session`
     """
     session = with_measured_displacement(measured.session, measured.found[method])
-    return EstimatedConstants(session, fit_session(session))
+    return session, fit_session(session)
 
 
 def compressed_modulus(material: Material) -> float:
@@ -103,19 +88,18 @@ def compressed_modulus(material: Material) -> float:
     return float(-state.force[2]) / (np.pi * _RADIUS**2 * _STRAIN)
 
 
-def constants_table(found: EstimatedConstants, title: str) -> ResultTable:
+def constants_table(estimate: Estimate, title: str) -> ResultTable:
     """Table of the constants of each probing alone and of all together, with 95 % intervals.
 
     Parameters
     ----------
-    found : EstimatedConstants
+    estimate : Estimate
     title : str
 
     Returns
     -------
     ResultTable                     moduli in kPa
     """
-    estimate = found.result.estimate
     rows: list[tuple[Cell, ...]] = []
     lines: list[tuple[str, Estimate | ProbeEstimate]] = [(p.name, p) for p in estimate.probes]
     for name, each in [*lines, ("all", estimate)]:
@@ -130,7 +114,7 @@ def constants_table(found: EstimatedConstants, title: str) -> ResultTable:
 
 
 def constants_summary(
-    found: Mapping[Method, EstimatedConstants], truth: Material, compressed: float
+    found: Mapping[Method, Estimate], truth: Material, compressed: float
 ) -> ResultTable:
     """Table of the spread over single probings, the joint estimate, and its error.
 
@@ -138,7 +122,7 @@ def constants_summary(
 
     Parameters
     ----------
-    found : mapping                 method -> EstimatedConstants
+    found : mapping                 method -> Estimate
     truth : Material
     compressed : float [Pa]         Young's modulus of a compression test of the same material
 
@@ -147,13 +131,13 @@ def constants_summary(
     ResultTable                     the paper's row first; errors of E in per cent; whether an
                                     interval covers the truth is None where none is stated
     """
-    published = np.array([(row.poisson_ratio, row.shear_modulus) for row in PAPER_PROBES])
-    error = PAPER_ALL_PROBES.young_modulus / PAPER_COMPRESSION_MODULUS - 1.0
+    published = np.array(list(PAPER_PROBES.values()))[:, :2]
+    ratio, _, young = PAPER_ALL_PROBES
+    error = young / PAPER_COMPRESSION_MODULUS - 1.0
     rows: list[tuple[Cell, ...]] = [
-        (PAPER, *_spread(published), PAPER_ALL_PROBES.poisson_ratio, None, 100 * error, None, None)
+        (PAPER, *_spread(published), ratio, None, 100 * error, None, None)
     ]
-    for method, constants in found.items():
-        estimate = constants.result.estimate
+    for method, estimate in found.items():
         single = np.array([(p.poisson_ratio.value, p.shear_modulus.value) for p in estimate.probes])
         ((nu_error, _, young_error),) = constant_errors([estimate], truth)
         ((nu_held, _, young_held),) = intervals_hold([estimate], truth).tolist()
@@ -211,12 +195,13 @@ def intervals_hold(
     return (ends[..., 0] <= true) & (true <= ends[..., 1])
 
 
-def motion_picture(found: EstimatedConstants, name: str) -> Picture:
+def motion_picture(session: Session, result: FitResult, name: str) -> Picture:
     """Figure 4: measured and simulated displacement of a probing on the specimen.
 
     Parameters
     ----------
-    found : EstimatedConstants
+    session : Session
+    result : FitResult              of it
     name : str                      of the probing
 
     Returns
@@ -227,9 +212,9 @@ def motion_picture(found: EstimatedConstants, name: str) -> Picture:
     ------
     InputError                      nothing was measured in it
     """
-    (probing,) = (each for each in found.session.probings if each.name == name)
-    (fit,) = (each for each in found.result.probes if each.name == name)
-    figure = displacement_figure(found.session.mesh, probing, fit)
+    (probing,) = (each for each in session.probings if each.name == name)
+    (fit,) = (each for each in result.probes if each.name == name)
+    figure = displacement_figure(session.mesh, probing, fit)
     if figure is None:
         raise InputError(f"probing '{name}' cannot be drawn: nothing was measured in it")
     return figure_pixels(figure)

@@ -23,11 +23,10 @@ from palpate.paper.motion import (
     flow_picture,
     flow_rows,
     flow_summary,
-    flow_table,
+    motion_table,
     vertex_curves,
     vertex_rows,
     vertex_summary,
-    vertex_table,
 )
 from palpate.paper.result import Cell, PaperResult, ResultTable
 from palpate.paper.sessions import (
@@ -111,20 +110,6 @@ class Workplace:
         return replace(self, progress=part_of(self.progress, begin, end, prefix=f"{name}: "))
 
 
-@dataclass(frozen=True, slots=True)
-class Experiment:
-    """An experiment of the paper.
-
-    Attributes
-    ----------
-    sessions : tuple of str         names of the built-in configurations that it needs
-    result : callable               (measured sessions by name, Workplace) -> PaperResult
-    """
-
-    sessions: tuple[str, ...]
-    result: Callable[[Measured, Workplace], PaperResult]
-
-
 def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperResult]:
     """Make and measure the sessions of some experiments, each session once, and evaluate them.
 
@@ -141,7 +126,7 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
     ------
     PalpateError                    as in `measured_session`
     """
-    needed = list(dict.fromkeys(name for each in names for name in EXPERIMENTS[each].sessions))
+    needed = list(dict.fromkeys(name for each in names for name in EXPERIMENTS[each][0]))
     count = len(needed) + len(names)
     measured, results = {}, {}
     work.folder.mkdir(exist_ok=True)
@@ -160,7 +145,8 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
     for k, name in enumerate(names, start=len(needed)):
         part = work.part(k / count, (k + 1) / count, name)
         part.progress("evaluation", 0.0)
-        results[name] = EXPERIMENTS[name].result(measured, part)
+        _, evaluate = EXPERIMENTS[name]
+        results[name] = evaluate(measured, part)
     return results
 
 
@@ -175,7 +161,7 @@ def _table1(measured: Measured, _work: Workplace) -> PaperResult:
         " one along y; the angles themselves are those of other directions. The length's bias is"
         " against the encoder for the paper, against the true path for the virtual bench.",
         flow_summary("Table 1, the worst of it", tests),
-        tuple(flow_table(f"Table 1, {name}", rows) for name, rows in tests.items()),
+        tuple(motion_table(f"Table 1, {name}", rows, of_flow=True) for name, rows in tests.items()),
         {"table1": flow_curves(tests)},
     )
 
@@ -197,7 +183,9 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
         " rotation vertices hardly move, and any method has trouble with their directions. The"
         " paper's errors hold those of the registration of its mesh, too; here the pose is given.",
         vertex_summary("Table 2, its first and last steps", tests),
-        tuple(vertex_table(f"Table 2, {name}", rows) for name, rows in tests.items()),
+        tuple(
+            motion_table(f"Table 2, {name}", rows, of_flow=False) for name, rows in tests.items()
+        ),
         {"table2": vertex_curves(tests)},
     )
 
@@ -231,7 +219,7 @@ def _figure3(measured: Measured, _work: Workplace) -> PaperResult:
 
 def _table3(measured: Measured, _work: Workplace) -> PaperResult:
     ball = measured[_BALL]
-    found = {method: estimated_constants(ball, method) for method in METHODS}
+    found = {method: estimated_constants(ball, method)[1].estimate for method in METHODS}
     truth = true_material(ball.session)
     return PaperResult(
         "Table 3: elastic constants of a half ball",
@@ -245,10 +233,7 @@ def _table3(measured: Measured, _work: Workplace) -> PaperResult:
         tuple(constants_table(each, f"Table 3, {method}") for method, each in found.items()),
         {
             f"table3_{method}": figure_pixels(
-                probings_figure(
-                    each.result.estimate,
-                    truth={name: getattr(truth, name) for name in CONSTANT_NAMES},
-                )
+                probings_figure(each, truth={name: getattr(truth, name) for name in CONSTANT_NAMES})
             )
             for method, each in found.items()
         },
@@ -282,16 +267,16 @@ def _budget(_measured: Measured, work: Workplace) -> PaperResult:
 
 def _figure4(measured: Measured, _work: Workplace) -> PaperResult:
     ball = measured[_BALL]
-    found = estimated_constants(ball, "joint")
+    session, result = estimated_constants(ball, "joint")
     names = [probing.name for probing in ball.session.probings]
     shown = names[:: max(len(names) // 2, 1)][:2]
     return PaperResult(
         "Figure 4: measured and simulated displacement",
         "Two probings of the half ball: the displacement of its vertices as measured from the"
         " pictures, and as predicted by the boundary element model with the estimated constants.",
-        constants_table(found, "Figure 4, the constants of the simulation"),
+        constants_table(result.estimate, "Figure 4, the constants of the simulation"),
         (),
-        {f"figure4_{name}": motion_picture(found, name) for name in shown},
+        {f"figure4_{name}": motion_picture(session, result, name) for name in shown},
     )
 
 
@@ -345,13 +330,14 @@ def _tracking_table(title: str, measured: Measured, motions: Sequence[_Motion]) 
     return ResultTable(title, columns, (0, 0, 0, 0, 0, 4, 4, 0), tuple(cells))
 
 
-# By their names on the command line.
-EXPERIMENTS: dict[str, Experiment] = {
-    "table1": Experiment((_X, _Y), _table1),
-    "table2": Experiment((_X, _Y, _ROTATION), _table2),
-    "table3": Experiment((_BALL,), _table3),
-    "budget": Experiment((), _budget),
-    "figure2": Experiment((_X, _ROTATION), _figure2),
-    "figure3": Experiment((_PROBING,), _figure3),
-    "figure4": Experiment((_BALL,), _figure4),
+# By their names on the command line: the built-in configurations whose sessions each of them needs,
+# and its evaluation.
+EXPERIMENTS: dict[str, tuple[tuple[str, ...], Callable[[Measured, Workplace], PaperResult]]] = {
+    "table1": ((_X, _Y), _table1),
+    "table2": ((_X, _Y, _ROTATION), _table2),
+    "table3": ((_BALL,), _table3),
+    "budget": ((), _budget),
+    "figure2": ((_X, _ROTATION), _figure2),
+    "figure3": ((_PROBING,), _figure3),
+    "figure4": ((_BALL,), _figure4),
 }

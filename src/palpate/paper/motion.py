@@ -35,7 +35,6 @@ from palpate.paper.sessions import (
     Method,
     MotionRow,
     PaperSession,
-    RigidStep,
     Spread,
     rigid_displacement,
     rigid_steps,
@@ -79,10 +78,10 @@ def flow_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
     axis = rig.cameras[rig.reference].T_camera_object[2, :3]
     return tuple(
         flow_row(
-            motion.flow, axis, step=step, encoder=true.encoder,
-            command=float(np.linalg.norm(true.motion[:3, 3])),
+            motion.flow, axis, step=step, encoder=encoder,
+            command=float(np.linalg.norm(true[:3, 3])),
         )
-        for step, (motion, true) in enumerate(_instants(measured, method), start=1)
+        for step, (motion, (true, encoder)) in enumerate(_instants(measured, method), start=1)
     )  # fmt: skip
 
 
@@ -126,8 +125,8 @@ def vertex_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]
     """
     vertices = measured.session.mesh.vertices
     return tuple(
-        vertex_row(motion.vertices, vertices, true.motion, step=step)
-        for step, (motion, true) in enumerate(_instants(measured, method), start=1)
+        vertex_row(motion.vertices, vertices, true, step=step)
+        for step, (motion, (true, _)) in enumerate(_instants(measured, method), start=1)
     )
 
 
@@ -164,51 +163,32 @@ def vertex_row(
     )
 
 
-def flow_table(title: str, rows: Rows) -> ResultTable:
-    """Table 1 for one direction: every step, with a row for each source.
+def motion_table(title: str, rows: Rows, *, of_flow: bool) -> ResultTable:
+    """Table 1 or 2 for one motion: every step, with a row for each source.
 
     Parameters
     ----------
     title : str
     rows : mapping                  source -> its rows, for the paper and the methods
+    of_flow : bool                  True: table 1, of the range flow; False: table 2, of vertices
 
     Returns
     -------
     ResultTable                     angles in degrees, lengths in mm
     """
+    angle, counted = ("angle", "points") if of_flow else ("angle error", "vertices")
+    encoder = ("encoder (mm)",) if of_flow else ()
     columns = (
-        "step", "source", "angle (deg)", "sigma (deg)", "length (mm)", "sigma (mm)",
-        "encoder (mm)", "command (mm)", "points",
+        "step", "source", f"{angle} (deg)", "sigma (deg)", "length (mm)", "sigma (mm)",
+        *encoder, "command (mm)", counted,
     )  # fmt: skip
     cells = [
         (row.step, source, *_degrees(row.angle), *_millimetres(row.length),
-         _millimetre(row.encoder), _millimetre(row.command), row.count)
+         *(_millimetre(row.encoder) for _ in encoder), _millimetre(row.command), row.count)
         for source, row in _by_step(rows)
     ]  # fmt: skip
-    return ResultTable(title, columns, (0, 0, 2, 2, 4, 4, 4, 4, 0), tuple(cells))
-
-
-def vertex_table(title: str, rows: Rows) -> ResultTable:
-    """Table 2 for one motion: every step, with a row for each source.
-
-    Parameters
-    ----------
-    title, rows                     as in `flow_table`
-
-    Returns
-    -------
-    ResultTable                     angles in degrees, lengths in mm
-    """
-    columns = (
-        "step", "source", "angle error (deg)", "sigma (deg)", "length (mm)", "sigma (mm)",
-        "command (mm)", "vertices",
-    )  # fmt: skip
-    cells = [
-        (row.step, source, *_degrees(row.angle), *_millimetres(row.length),
-         _millimetre(row.command), row.count)
-        for source, row in _by_step(rows)
-    ]  # fmt: skip
-    return ResultTable(title, columns, (0, 0, 2, 2, 4, 4, 4, 0), tuple(cells))
+    digits = (0, 0, 2, 2, 4, 4, *(4 for _ in encoder), 4, 0)
+    return ResultTable(title, columns, digits, tuple(cells))
 
 
 def flow_summary(title: str, tests: Tests) -> ResultTable:
@@ -279,8 +259,10 @@ def _length_bias(row: MotionRow) -> float:
     return row.length.mean - true
 
 
-def _instants(measured: PaperSession, method: Method) -> list[tuple[MeasuredMotion, RigidStep]]:
-    """Measured and true motion of each step after the first."""
+def _instants(
+    measured: PaperSession, method: Method
+) -> list[tuple[MeasuredMotion, tuple[Float[np.ndarray, "4 4"], float]]]:
+    """Measured motion, and true motion and travel, of each step after the first."""
     return list(zip(measured.found[method].motions, rigid_steps(measured.session), strict=True))
 
 

@@ -58,29 +58,8 @@ class PaperSession:
         Returns
         -------
         MeasuredMotion
-
-        Raises
-        ------
-        InputError                  no motion of that name
         """
-        motions = {motion.name: motion for motion in self.found[method].motions}
-        if name not in motions:
-            raise InputError(f"there is no motion '{name}'; there are {', '.join(motions)}")
-        return motions[name]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RigidStep:
-    """True motion of a rigid object from the first instant to a later one.
-
-    Attributes
-    ----------
-    motion : (4, 4) float           x(step) = R x(first) + t, object frame, t in metres
-    encoder : float [m]             travel of the stage from its encoder
-    """
-
-    motion: Float[np.ndarray, "4 4"]
-    encoder: float
+        return next(each for each in self.found[method].motions if each.name == name)
 
 
 def reduced(config: LabConfig) -> LabConfig:
@@ -158,7 +137,7 @@ def measured_session(
     return PaperSession(session, found)
 
 
-def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
+def rigid_steps(session: Session) -> list[tuple[Float[np.ndarray, "4 4"], float]]:
     """True motions of a session's steps after the first, from its `truth.toml`.
 
     Parameters
@@ -167,7 +146,8 @@ def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
 
     Returns
     -------
-    tuple of RigidStep
+    list of ((4, 4) float, float)   x(step) = R x(first) + t, object frame, t in metres; travel of
+                                    the stage from its encoder [m]
 
     Raises
     ------
@@ -182,10 +162,10 @@ def rigid_steps(session: Session) -> tuple[RigidStep, ...]:
             " come from the same run of the facility: make the session anew"
         )
     start = tables[0].vector("encoder")
-    return tuple(
-        RigidStep(_motion(table), float(np.linalg.norm(table.vector("encoder") - start)))
+    return [
+        (_motion(table), float(np.linalg.norm(table.vector("encoder") - start)))
         for table in tables[1:]
-    )
+    ]
 
 
 def true_material(session: Session) -> Material:
@@ -224,15 +204,13 @@ def true_displacement(session: Session, name: str, flow: RangeFlow) -> Points:
 
     Raises
     ------
-    InputError                      no such step or probing
     RecordError                     the truth cannot be read
     """
     if not session.steps:
         return _by_map(session, name, flow)
     names = [step.name for step in session.steps[1:]]
-    if name not in names:
-        raise InputError(f"there is no step '{name}' after the first; there are {', '.join(names)}")
-    return rigid_displacement(rigid_steps(session)[names.index(name)].motion, flow.point)
+    motion, _ = rigid_steps(session)[names.index(name)]
+    return rigid_displacement(motion, flow.point)
 
 
 def rigid_displacement(motion: Float[np.ndarray, "4 4"], points: Points) -> Points:
@@ -252,9 +230,6 @@ def rigid_displacement(motion: Float[np.ndarray, "4 4"], points: Points) -> Poin
 
 def _by_map(session: Session, name: str, flow: RangeFlow) -> Points:
     """True displacement from the truth map of a probing."""
-    known = [probing.name for probing in session.probings]
-    if name not in known:
-        raise InputError(f"there is no probing '{name}'; there are {', '.join(known)}")
     file = session.path.parent / f"truth_{name}.npz"
     cure = "make the session anew with `palpate lab`"
     with stored_arrays(file, cure, what="cannot be read as a truth map") as content:
@@ -314,24 +289,6 @@ class MotionRow:
     command: float | None = None
     encoder: float | None = None
     count: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class MaterialRow:
-    """A row of table 3: constants from a probing.
-
-    Attributes
-    ----------
-    node : int or None              the probed node; None: all nodes together
-    poisson_ratio : float [-]
-    shear_modulus : float           unit not printed; N/cm^2 would fit its other units
-    young_modulus : float           the same unit
-    """
-
-    node: int | None
-    poisson_ratio: float
-    shear_modulus: float
-    young_modulus: float
 
 
 def _rows(*rows: tuple[float, ...]) -> tuple[MotionRow, ...]:
@@ -395,29 +352,27 @@ PAPER_ANGLE_ERROR_ROTATION = _rows(
     (10.0026, 32.9437, 1.9929, 0.4729, 2.1297),
     (8.2385, 31.2005, 2.1469, 0.6727, 2.3233),
 )
-# Table 3: each probing alone.
-PAPER_PROBES = tuple(
-    MaterialRow(*row)
-    for row in (
-        (1, 0.1183, 0.7809, 1.746),
-        (2, 0.1878, 0.6308, 1.499),
-        (3, 0.2227, 0.6039, 1.477),
-        (4, 0.2516, 0.6555, 1.641),
-        (5, 0.1857, 0.6977, 1.655),
-        (6, 0.2009, 0.6696, 1.608),
-        (8, 0.2089, 0.6550, 1.584),
-        (9, 0.2007, 0.6646, 1.596),
-        (11, 0.1868, 0.7175, 1.703),
-        (12, 0.2082, 0.7585, 1.833),
-        (14, 0.1997, 0.7993, 1.918),
-        (15, 0.2084, 0.7451, 1.801),
-        (17, 0.1192, 0.7666, 1.716),
-        (18, 0.1366, 0.7562, 1.719),
-        (20, 0.1400, 0.7480, 1.705),
-        (22, 0.1264, 0.7121, 1.604),
-        (26, 0.1442, 0.9383, 2.147),
-    )
-)
+# Table 3: the probed node -> constants from its probing alone: nu, then G and E in a unit that is
+# not printed; N/cm^2 would fit its other units.
+PAPER_PROBES = {
+    1: (0.1183, 0.7809, 1.746),
+    2: (0.1878, 0.6308, 1.499),
+    3: (0.2227, 0.6039, 1.477),
+    4: (0.2516, 0.6555, 1.641),
+    5: (0.1857, 0.6977, 1.655),
+    6: (0.2009, 0.6696, 1.608),
+    8: (0.2089, 0.6550, 1.584),
+    9: (0.2007, 0.6646, 1.596),
+    11: (0.1868, 0.7175, 1.703),
+    12: (0.2082, 0.7585, 1.833),
+    14: (0.1997, 0.7993, 1.918),
+    15: (0.2084, 0.7451, 1.801),
+    17: (0.1192, 0.7666, 1.716),
+    18: (0.1366, 0.7562, 1.719),
+    20: (0.1400, 0.7480, 1.705),
+    22: (0.1264, 0.7121, 1.604),
+    26: (0.1442, 0.9383, 2.147),
+}
 # Table 3: all probings in one estimate, and the compression test of a cylinder ("about").
-PAPER_ALL_PROBES = MaterialRow(None, 0.1730, 0.7283, 1.709)
+PAPER_ALL_PROBES = (0.1730, 0.7283, 1.709)
 PAPER_COMPRESSION_MODULUS = 1.75

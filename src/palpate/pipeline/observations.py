@@ -232,7 +232,7 @@ def ungraded_observations(
     ----------
     session : Session                     k probings, each with displacements
     settings : FitSettings
-    rings : int                           as `bem.SurfaceSettings`
+    rings : int                           as for `bem.make_surface`
     cache : Path or None                  folder in which what is computed of the body is kept
     like : ObjectModel or None            as `make_object_model`
     with_surface : bool                   True: with responses of all vertices

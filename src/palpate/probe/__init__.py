@@ -16,14 +16,11 @@ from palpate.probe.compression_files import (
 )
 from palpate.probe.compression_test import (
     CompressionResult as CompressionResult,
-    CompressionSeries as CompressionSeries,
     compression_series as compression_series,
     compression_test as compression_test,
     gent_lindley_factor as gent_lindley_factor,
 )
 from palpate.probe.contact_circle import (
-    ContactCircle as ContactCircle,
-    ConvexContact as ConvexContact,
     LocalSurface as LocalSurface,
     contact_circle as contact_circle,
     convex_contact as convex_contact,

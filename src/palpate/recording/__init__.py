@@ -10,7 +10,6 @@ Read first : `record.py`, then `touches.py`, `clock.py` and `footage.py`.
 """
 
 from palpate.recording.outline import (
-    SIDES as SIDES,
     TEMPLATES as TEMPLATES,
     FolderSurvey as FolderSurvey,
     Outline as Outline,
@@ -33,7 +32,6 @@ from palpate.recording.pokes import (
 )
 from palpate.recording.record import (
     PlacedPress as PlacedPress,
-    Press as Press,
     Recorded as Recorded,
     find_presses as find_presses,
     hysteresis as hysteresis,

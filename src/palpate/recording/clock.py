@@ -20,8 +20,9 @@ from palpate.recording.footage import (
     MARGIN,
     CameraMotion,
     Footage,
-    Ramp,
     RampTimes,
+    Signal,
+    Span,
     camera_motion,
     camera_ramps,
     still_frames,
@@ -62,7 +63,6 @@ _MAX_SCATTER = 1.0
 # A given offset may differ from the estimated one by the largest of: so many standard deviations,
 # frames, and fractions of a ramp's duration (the bias that a hysteresis of 30 % causes).
 _OFFSET_SIGMAS, _OFFSET_FRAMES, _OFFSET_RAMPS = 5.0, 1.0, 0.15
-Span = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,24 +107,13 @@ class Clock:
         return (text,)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceMagnitude:
-    """Magnitude of the force without weight and drift [N], at equal time steps of the gauge [s]."""
-
-    time: Float[np.ndarray, " n"]
-    magnitude: Float[np.ndarray, " n"]
-
-    def at(self, time: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Magnitude at given times [N], by linear interpolation."""
-        return np.interp(time, self.time, self.magnitude)
-
-
-def coarse_offset(force: ForceMagnitude, motion: CameraMotion) -> tuple[float, float, float | None]:
+def coarse_offset(force: Signal, motion: CameraMotion) -> tuple[float, float, float | None]:
     """Offset that maximises the correlation of the picture's change with the force.
 
     Parameters
     ----------
-    force : ForceMagnitude
+    force : (n,) float [s], (n,) float [N]  times of the gauge, and the force's magnitude without
+                                    weight and drift
     motion : CameraMotion
 
     Returns
@@ -137,7 +126,7 @@ def coarse_offset(force: ForceMagnitude, motion: CameraMotion) -> tuple[float, f
     ------
     RecordError                     the picture's change does not correlate with the force
     """
-    gauge = _resampled(force.time, force.magnitude)
+    gauge = _resampled(*force)
     camera = _resampled(motion.time, motion.change)
     # Cross-correlation by FFT; importing scipy.signal would cost every command half a second.
     size = len(gauge) + len(camera) - 1
@@ -156,7 +145,7 @@ def coarse_offset(force: ForceMagnitude, motion: CameraMotion) -> tuple[float, f
             " is it the video of these presses, and is the object in it? Give `offset` if the"
             " clocks are known"
         )
-    begin = float(force.time[0] - motion.time[0])
+    begin = float(force[0][0] - motion.time[0])
     is_distant = np.abs(lag - lag[best]) * _COARSE_STEP > 2.0 * MARGIN
     other = int(np.where(is_distant, quality, -np.inf).argmax())
     has_rival = is_distant.any() and quality[other] > _RIVAL_CORRELATION * correlation
@@ -172,9 +161,9 @@ def _resampled(time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -
 
 def fine_clock(
     coarse: tuple[float, float, float | None],
-    force: ForceMagnitude,
+    force: Signal,
     touches: Sequence[Touch],
-    ramps: Sequence[Ramp | None],
+    ramps: Sequence[Signal | None],
     camera: str,
 ) -> Clock:
     """Offset at which the force is best explained by the displacement in the picture.
@@ -182,7 +171,7 @@ def fine_clock(
     Parameters
     ----------
     coarse : offset, correlation, rival_offset  of `coarse_offset`
-    force : ForceMagnitude
+    force : times, magnitude        as in `coarse_offset`
     touches, ramps : sequences      of the same presses; a ramp is None if the camera missed it
     camera : str
 
@@ -257,20 +246,20 @@ def _parabola_minimum(trial: Float[np.ndarray, " t"], cost: Float[np.ndarray, " 
 
 
 def _in_contact(
-    force: ForceMagnitude,
+    force: Signal,
     touch: Touch,
-    ramp: Ramp,
+    ramp: Signal,
     offset: float,
     min_force: float = _CONTACT_FORCE,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, displacement fractions and forces of the frames with certain contact."""
-    time = ramp.time + offset
-    magnitude = force.at(time)
+    time = ramp[0] + offset
+    magnitude = np.interp(time, *force)
     inside = (time > touch.begin) & (time < touch.end) & (magnitude > min_force * touch.peak)
-    return time[inside], ramp.progress[inside], magnitude[inside]
+    return time[inside], ramp[1][inside], magnitude[inside]
 
 
-def _unexplained(force: ForceMagnitude, touch: Touch, ramp: Ramp, offset: float) -> float:
+def _unexplained(force: Signal, touch: Touch, ramp: Signal, offset: float) -> float:
     """Fraction of the force's variance not explained by the picture; NaN if too few frames."""
     _, progress, magnitude = _in_contact(force, touch, ramp, offset)
     if len(progress) < _MIN_PICTURES:
@@ -282,15 +271,15 @@ def _unexplained(force: ForceMagnitude, touch: Touch, ramp: Ramp, offset: float)
     )
 
 
-def hysteresis_of(force: ForceMagnitude, touch: Touch, ramp: Ramp, offset: float) -> float:
+def hysteresis_of(force: Signal, touch: Touch, ramp: Signal, offset: float) -> float:
     """Excess of the force in loading over that in unloading, at the same picture.
 
     Only meaningful with a known offset: on equal ramps an error of the offset has the same effect.
 
     Parameters
     ----------
-    force : ForceMagnitude
-    touch, ramp : Touch, Ramp       of one press
+    force : times, magnitude        as in `coarse_offset`
+    touch, ramp : Touch, Signal     of one press
     offset : float [s]              gauge's time minus the camera's
 
     Returns
@@ -349,9 +338,9 @@ def synchronise_cameras(
     """
     magnitude = np.linalg.norm(resampled.force - zero.at(resampled.time), axis=1)
     known = np.isfinite(magnitude)
-    force = ForceMagnitude(
+    force = (
         resampled.time, np.interp(resampled.time, resampled.time[known], magnitude[known])
-    )
+    )  # fmt: skip
     # Without a plateau, take the middle of the touch.
     middles = [0.5 * (touch.begin + touch.end) for touch in touches]
     plateau_spans = [plateau or (m, m) for plateau, m in zip(plateaus, middles, strict=True)]
@@ -368,7 +357,7 @@ def synchronise_cameras(
 def _clock(
     footage: Footage,
     motion: CameraMotion,
-    force: ForceMagnitude,
+    force: Signal,
     touches: Sequence[Touch],
     plateau_spans: Sequence[Span],
 ) -> Clock:

@@ -45,23 +45,6 @@ _HEXAGON = np.array([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundContact:
-    """An estimated contact point.
-
-    Attributes
-    ----------
-    point : (3,) float [m]          on the surface
-    std : float [m]                 standard deviation along each of two tangents
-    explained : float [-]           fraction of the sum of squared displacements that a push at
-                                    this point explains, 0 to 1
-    """
-
-    point: Vector3
-    std: float
-    explained: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ContactModel:
     """Factorised boundary element model of an object for a few Poisson's ratios.
 
@@ -121,7 +104,7 @@ def find_contact(
     *,
     radius: float,
     profile: str,
-) -> FoundContact:
+) -> tuple[Vector3, float, float]:
     """Find the surface point at which the force best explains the measured displacement.
 
     Parameters
@@ -135,7 +118,10 @@ def find_contact(
 
     Returns
     -------
-    FoundContact
+    point : (3,) float [m]          on the surface
+    std : float [m]                 standard deviation along each of two tangents
+    explained : float [-]           fraction of the sum of squared displacements that a push at this
+                                    point explains, 0 to 1
 
     Raises
     ------
@@ -173,7 +159,7 @@ def find_contact(
     span = np.ptp((points - guess) @ tangents.T, axis=0)
     count = float(np.clip(span.prod() / (np.pi * radius**2), 8.0, len(points)))
     variance = float(residuals.min()) / count * np.linalg.inv(half_hessian)
-    return FoundContact(position.position[0], float(np.sqrt(variance.trace() / 2.0)), explained)
+    return position.position[0], float(np.sqrt(variance.trace() / 2.0)), explained
 
 
 def _first_guess(

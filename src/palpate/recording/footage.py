@@ -6,7 +6,7 @@ frame. A ramp is the progress of one press while loading or unloading. The pictu
 the mean of several frames at rest.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,6 +37,11 @@ _MAX_FRAMES = 160
 # Largest number of averaged frames: it reduces the noise to a third within a short time.
 MAX_FRAMES = 8
 _SCALE_TO_16_BITS = 257.0
+Span = tuple[float, float]
+# Number, time and grey levels of a frame.
+Frame = tuple[int, float, Shaped[np.ndarray, "_ _"]]
+# Times, and what was measured then.
+Signal = tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,22 +94,6 @@ class Footage:
         return self.video or self.pictures[0]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """One frame of a recording.
-
-    Attributes
-    ----------
-    number : int                    from 0
-    time : float [s]                camera's clock
-    grey : (rows, columns)          grey levels, 255 is white; uint8 from a video, else float32
-    """
-
-    number: int
-    time: float
-    grey: Shaped[np.ndarray, "_ _"]
-
-
 def read_frames(footage: Footage) -> Iterator[Frame]:
     """Iterate over the frames, with only one of them in memory.
 
@@ -114,7 +103,9 @@ def read_frames(footage: Footage) -> Iterator[Frame]:
 
     Yields
     ------
-    Frame                           in order of time
+    number : int                    from 0
+    time : float [s]                camera's clock, in order
+    grey : (rows, columns)          grey levels, 255 is white; uint8 from a video, else float32
 
     Raises
     ------
@@ -123,24 +114,24 @@ def read_frames(footage: Footage) -> Iterator[Frame]:
     """
     frames = _video_frames(footage) if footage.video else _pictures(footage)
     size: tuple[int, ...] | None = None
-    for frame in frames:
-        if size not in (None, frame.grey.shape):
+    for number, time, grey in frames:
+        if size not in (None, grey.shape):
             if footage.video is None:
-                which, others = f"{footage.pictures[frame.number]}:", "pictures"
+                which, others = f"{footage.pictures[number]}:", "pictures"
             else:
-                which, others = f"{footage.video}: frame {frame.number}, counted from 0,", "frames"
+                which, others = f"{footage.video}: frame {number}, counted from 0,", "frames"
             raise RecordError(
-                f"{which} has {frame.grey.shape[1]} x {frame.grey.shape[0]} pixels, {others} before"
+                f"{which} has {grey.shape[1]} x {grey.shape[0]} pixels, {others} before"
                 f" it {size[1]} x {size[0]}"
             )
-        size = frame.grey.shape
-        yield frame
+        size = grey.shape
+        yield number, time, grey
 
 
 def _pictures(footage: Footage) -> Iterator[Frame]:
     times = np.arange(len(footage.pictures)) if footage.times is None else footage.times
     for k, path in enumerate(footage.pictures):
-        yield Frame(k, float(times[k]), read_grey(path))
+        yield k, float(times[k]), read_grey(path)
 
 
 def _video_frames(footage: Footage) -> Iterator[Frame]:
@@ -151,7 +142,7 @@ def _video_frames(footage: Footage) -> Iterator[Frame]:
                 f"{footage.source}: has more frames than there are times, {len(times)};"
                 " was a frame dropped from the list, or is it that of another video?"
             )
-        yield Frame(number, time if times is None else float(times[number]), grey)
+        yield number, time if times is None else float(times[number]), grey
         count = number + 1
     if times is not None and count < len(times):
         raise RecordError(
@@ -288,17 +279,17 @@ def camera_motion(footage: Footage, *, progress: Progress = silent) -> CameraMot
     speeds, changes = [np.nan], [0.0]
     first = before = np.zeros((0, 0), dtype=np.float32)
     announced = _header_frame_count(footage)
-    for frame in read_frames(footage):
-        picture = _downsampled(frame.grey)
+    for number, when, grey in read_frames(footage):
+        picture = _downsampled(grey)
         if times:
             speeds.append(_rms(picture - before))
             changes.append(_rms(picture - first))
         else:
             first = picture
-        times.append(frame.time)
+        times.append(when)
         before = picture
-        if frame.number % 30 == 0 and announced:
-            progress(f"camera {footage.camera}", min(frame.number / announced, 1.0))
+        if number % 30 == 0 and announced:
+            progress(f"camera {footage.camera}", min(number / announced, 1.0))
     time, speed = np.array(times), np.array(speeds)
     if len(time) < 3 or np.any(np.diff(time) <= 0.0):
         raise RecordError(
@@ -345,21 +336,6 @@ def still_frames(
     return ~(speed > limit)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ramp:
-    """One press as seen by a camera.
-
-    Attributes
-    ----------
-    time : (n,) float [s]           of the frames on both ramps, camera's clock
-    progress : (n,) float [-]       progress of the picture from first contact (0) to full load (1);
-                                    without NaN, linear in the displacement if that is small
-    """
-
-    time: Float[np.ndarray, " n"]
-    progress: Float[np.ndarray, " n"]
-
-
 @dataclass(frozen=True, slots=True)
 class RampTimes:
     """Begin of a press, begin and end of its plateau, and its end, on the camera's clock [s]."""
@@ -375,7 +351,7 @@ class RampTimes:
         return loading or self.plateau_end - MARGIN <= time <= self.end + MARGIN
 
 
-def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | None]:
+def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Signal | None]:
     """Progress of each press in the frames of its ramps.
 
     Only one press is in memory at a time.
@@ -388,22 +364,25 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Ramp | 
 
     Returns
     -------
-    list of Ramp or None            None if the camera did not see the press
+    list of ((n,) float [s], (n,) float [-]) or None    time of the frames on both ramps, camera's
+                                    clock, and progress of the picture from first contact (0) to
+                                    full load (1): without NaN, linear in the displacement if that
+                                    is small; None if the camera did not see the press
 
     Raises
     ------
     RecordError                     as in `read_frames`
     """
-    found: list[Ramp | None] = []
+    found: list[Signal | None] = []
     kept: list[tuple[float, np.ndarray]] = []
     waiting = list(presses)
-    for frame in read_frames(footage):
-        while waiting and frame.time > waiting[0].end + MARGIN:
+    for _, time, grey in read_frames(footage):
+        while waiting and time > waiting[0].end + MARGIN:
             found.append(_ramp(waiting.pop(0), kept))
             kept = []
-        if waiting and waiting[0].shows(frame.time):
+        if waiting and waiting[0].shows(time):
             kept = _thinned(kept)
-            kept.append((frame.time, _downsampled(frame.grey)))
+            kept.append((time, _downsampled(grey)))
     for press in waiting:
         found.append(_ramp(press, kept))
         kept = []
@@ -415,7 +394,7 @@ def _thinned(kept: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarr
     return kept[::2] if len(kept) >= _MAX_FRAMES else kept
 
 
-def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None:
+def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Signal | None:
     """Projection of each frame's change on the change from first contact to full load."""
     if len(kept) < 8:
         return None
@@ -435,26 +414,11 @@ def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Ramp | None
     if size <= 0.0:
         return None
     progress = (pictures @ pattern - first @ pattern) / size
-    return Ramp(time, np.asarray(progress))
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """A picture to be taken from the footage.
-
-    Attributes
-    ----------
-    file : str                      file name, with `{camera}` in place of the camera's name
-    begin, end : float [s]          time span at rest, camera's clock
-    """
-
-    file: str
-    begin: float
-    end: float
+    return time, np.asarray(progress)
 
 
 def write_moments(
-    folder: Path, footage: Footage, moments: Sequence[Moment], *, progress: Progress = silent
+    folder: Path, footage: Footage, moments: Mapping[str, Span], *, progress: Progress = silent
 ) -> dict[str, int]:
     """Write a picture for each moment; the video is decoded once, frame by frame.
 
@@ -462,12 +426,14 @@ def write_moments(
     ----------
     folder : Path                   an existing folder
     footage : Footage
-    moments : sequence of Moment    not overlapping, in any order
+    moments : mapping               file name, with `{camera}` for the camera's name -> begin and
+                                    end of the time span at rest [s], camera's clock; they do not
+                                    overlap, and come in any order
     progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
     -------
-    dict of str to int              `Moment.file` -> number of averaged frames
+    dict of str to int              file name, as in `moments` -> number of averaged frames
 
     Raises
     ------
@@ -475,36 +441,36 @@ def write_moments(
                                     cannot be written
     """
     taken: dict[str, int] = {}
-    waiting = sorted(moments, key=lambda moment: moment.begin)
+    waiting = sorted(moments.items(), key=lambda moment: moment[1])
     total, count, is_16_bit = np.zeros((0, 0)), 0, False
 
-    def finish(moment: Moment) -> None:
+    def finish(file: str, span: Span) -> None:
         if not count:
             raise RecordError(
-                f"{footage.source}: has no frame from {moment.begin:.2f} to {moment.end:.2f} s of"
-                " its own clock"
+                f"{footage.source}: has no frame from {span[0]:.2f} to {span[1]:.2f} s of its own"
+                " clock"
             )
-        name = moment.file.replace("{camera}", footage.camera)
+        name = file.replace("{camera}", footage.camera)
         mean = total / count
         picture = (
             np.rint(_SCALE_TO_16_BITS * mean).astype(np.uint16) if is_16_bit else _as_8_bits(mean)
         )
         if not cv2.imwrite(str(folder / name), picture):
             raise RecordError(f"{folder / name}: cannot be written; check the folder's rights")
-        taken[moment.file] = count
+        taken[file] = count
 
-    for frame in read_frames(footage):
-        while waiting and (frame.time > waiting[0].end or count == MAX_FRAMES):
-            finish(waiting.pop(0))
+    for _, time, grey in read_frames(footage):
+        while waiting and (time > waiting[0][1][1] or count == MAX_FRAMES):
+            finish(*waiting.pop(0))
             count = 0
             progress(f"pictures of camera {footage.camera}", len(taken) / len(moments))
         if not waiting:
             break
-        if frame.time >= waiting[0].begin:
-            total = frame.grey + (total if count else np.float64(0.0))
-            count, is_16_bit = count + 1, frame.grey.dtype != np.uint8
+        if time >= waiting[0][1][0]:
+            total = grey + (total if count else np.float64(0.0))
+            count, is_16_bit = count + 1, grey.dtype != np.uint8
     for moment in waiting:
-        finish(moment)
+        finish(*moment)
         count = 0
     return taken
 

@@ -18,7 +18,7 @@ from palpate.geometry import closest_points, unit_normals
 from palpate.progress import Progress, part_of, silent
 from palpate.recording.clock import Camera, Clock, rest_before, still_pictures, synchronise_cameras
 from palpate.recording.contact_point import ContactModel, find_contact, make_contact_model
-from palpate.recording.footage import MAX_FRAMES, CameraMotion, Moment, write_moments
+from palpate.recording.footage import MAX_FRAMES, CameraMotion, write_moments
 from palpate.recording.force_log import POSITIONS, ForceLog, read_force_log, read_log_table
 from palpate.recording.recording_file import Recording, check_contact_count
 from palpate.recording.touches import (
@@ -267,15 +267,14 @@ def _write_pictures(
     for k, (footage, motion, clock) in enumerate(
         zip(recording.footage, found.motions, found.clocks, strict=True)
     ):
-        moments = []
+        moments = {}
         half = 0.5 * MAX_FRAMES * motion.interval
         for press in found.presses:
             reading = press.reading
             span = max(reading.begin, reading.time - half), min(reading.end, reading.time + half)
             for name, (begin, end) in ((_REST, press.rest), (_LOADED, span)):
-                moments.append(
-                    Moment(name.format(name=press.name), begin - clock.offset, end - clock.offset)
-                )
+                span = begin - clock.offset, end - clock.offset
+                moments[name.format(name=press.name)] = span
         report = part_of(progress, k / count, (k + 1) / count)
         for name, number in write_moments(folder, footage, moments, progress=report).items():
             frames[name] = min(number, frames.get(name, number))
@@ -322,12 +321,12 @@ def _contact_from_motion(
     state = method.start(recording.rig, pictures[0], recording.mesh)
     _, flow = method.follow(state, pictures[1])
     valid = is_valid(flow)
-    found = find_contact(
+    point, std, _ = find_contact(
         model, flow.point[valid], flow.displacement[valid], press.reading.force,
         radius=recording.search_radius(press.number),
         profile=recording.contact_source.patch.get("profile", "smooth"),
     )  # fmt: skip
-    return found.point, found.std
+    return point, std
 
 
 def _write_session(folder: Path, recording: Recording, placed: list[PlacedPress]) -> None:

@@ -12,7 +12,6 @@ from palpate.records.contact import (
     CYLINDER as CYLINDER,
     FLAT as FLAT,
     MESH as MESH,
-    PRESSURES as PRESSURES,
     RIGID as RIGID,
     SLIDES as SLIDES,
     SPHERE as SPHERE,
@@ -21,9 +20,8 @@ from palpate.records.contact import (
     Pressure as Pressure,
     PressureMap as PressureMap,
     Tool as Tool,
-    mesh_tool as mesh_tool,
 )
-from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
+from palpate.records.error_priors import EXACT as EXACT
 from palpate.records.estimate import (
     BIASED as BIASED,
     CONSTANT_NAMES as CONSTANT_NAMES,
@@ -39,7 +37,6 @@ from palpate.records.estimate import (
     SupportEstimate as SupportEstimate,
 )
 from palpate.records.files.displacement import (
-    read_displacement as read_displacement,
     write_displacement as write_displacement,
 )
 from palpate.records.files.estimate import (
@@ -147,7 +144,6 @@ from palpate.records.reciprocity import (
 )
 from palpate.records.region import (
     RATIO as RATIO,
-    SHEAR as SHEAR,
     YOUNG as YOUNG,
     Box as Box,
     Insert as Insert,
@@ -170,7 +166,6 @@ from palpate.records.rig import (
 )
 from palpate.records.session import (
     Session as Session,
-    Step as Step,
     require_probings as require_probings,
     without_pictures as without_pictures,
 )
@@ -178,7 +173,6 @@ from palpate.records.support import (
     FIXED as FIXED,
     FREE as FREE,
     GIVEN as GIVEN,
-    RigidMotion as RigidMotion,
     Support as Support,
     read_support as read_support,
     read_supports as read_supports,

@@ -187,10 +187,10 @@ class SupportEstimate:
     """
 
     support: int
-    translation: tuple[float, ...]
-    translation_std: tuple[float, ...]
-    rotation: tuple[float, ...]
-    rotation_std: tuple[float, ...]
+    translation: tuple[float, float, float]
+    translation_std: tuple[float, float, float]
+    rotation: tuple[float, float, float]
+    rotation_std: tuple[float, float, float]
 
     def __post_init__(self) -> None:
         for std in (*self.translation_std, *self.rotation_std):
@@ -227,11 +227,6 @@ class ErrorEstimate:
     def is_surprising(self) -> bool:
         """True where it exceeds three prior standard deviations."""
         return abs(self.value) > SURPRISING * self.prior_std
-
-    @property
-    def is_impossible(self) -> bool:
-        """True where it exceeds five prior standard deviations, which chance does not explain."""
-        return abs(self.value) > IMPOSSIBLE * self.prior_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +274,8 @@ class ProbeEstimate:
 
     Raises
     ------
-    InputError                      a negative residual; inconsistent or impossible constants
+    InputError                      a blank name, a negative residual; inconsistent or impossible
+                                    constants
     """
 
     name: str
@@ -296,6 +292,8 @@ class ProbeEstimate:
     identifiable: Mapping[str, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not self.name.strip():
+            raise InputError("name is blank; must be a text")
         _check_not_negative(
             rms_residual=self.rms_residual, prediction_error=self.prediction_error or 0.0
         )

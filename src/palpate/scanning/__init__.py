@@ -9,23 +9,15 @@ Read first : `mend.py`, then `cleaning.py`, `solid.py`, `remesh.py`; `scan.py`, 
 """
 
 from palpate.scanning.mend import (
-    Mended as Mended,
     PreparedSurface as PreparedSurface,
-    mend as mend,
     prepare_surface as prepare_surface,
 )
 from palpate.scanning.plane import (
-    Action as Action,
-    Plane as Plane,
     place_text as place_text,
     plane_from_text as plane_from_text,
-    plane_text as plane_text,
 )
 from palpate.scanning.remesh import (
-    Deviation as Deviation,
-    deviation as deviation,
     distances as distances,
-    remeshed as remeshed,
 )
 from palpate.scanning.scan import (
     ScannedSurface as ScannedSurface,
@@ -33,11 +25,6 @@ from palpate.scanning.scan import (
     write_surface as write_surface,
 )
 from palpate.scanning.scan_file import (
-    Scan as Scan,
-    Turntable as Turntable,
-    View as View,
-    depth_points as depth_points,
-    make_view as make_view,
     read_points as read_points,
     read_scan as read_scan,
 )

@@ -3,8 +3,6 @@
 The fit gives each vertex its standard deviation along the normal.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import median_filter
@@ -267,21 +265,6 @@ def _tray(
     return places, facing, areas
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedSurface:
-    """A surface fitted to points.
-
-    Attributes
-    ----------
-    mesh : TriangleMesh
-    sigma : (v,) float [m]          standard deviation of each vertex along its normal, from the
-                                    scatter of the points; NaN where the vertex was not fitted
-    """
-
-    mesh: TriangleMesh
-    sigma: Float[np.ndarray, " v"]
-
-
 def fitted(
     mesh: TriangleMesh,
     points: Points,
@@ -291,7 +274,7 @@ def fitted(
     view: PointIndices,
     correlation_length: Float[np.ndarray, " n"],
     fixed: Bool[np.ndarray, " v"] | None = None,
-) -> FittedSurface:
+) -> tuple[TriangleMesh, Float[np.ndarray, " v"]]:
     """Move vertices along their normals onto a smooth surface fitted to the surrounding points.
 
     A robust quadratic fit to the nearest points is not biased by curvature, as the mean of tangent
@@ -310,7 +293,9 @@ def fitted(
 
     Returns
     -------
-    FittedSurface
+    mesh : TriangleMesh
+    sigma : (v,) float [m]          standard deviation of each vertex along its normal, from the
+                                    scatter of the points; NaN where the vertex was not fitted
     """
     normal = vertex_normals(mesh.vertices, mesh.triangles)
     ends = half_edges(mesh.triangles).ends
@@ -342,9 +327,7 @@ def fitted(
     if fixed is not None:
         known &= ~fixed
     vertices = mesh.vertices + np.where(known, move, 0.0)[:, None] * normal
-    return FittedSurface(
-        TriangleMesh(vertices=vertices, triangles=mesh.triangles), np.where(known, std, np.nan)
-    )
+    return (TriangleMesh(vertices=vertices, triangles=mesh.triangles), np.where(known, std, np.nan))
 
 
 def _fit_rows(

@@ -49,23 +49,9 @@ Chain = Int[np.ndarray, " _"]
 Places = Float[np.ndarray, "_ 3"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mended:
-    """A mended surface.
-
-    Attributes
-    ----------
-    mesh : TriangleMesh             closed, manifold, outward normals; triangles not yet even
-    actions : tuple of Action       repairs made
-    guessed : TriangleMesh or None  patches that close holes and were not measured
-    """
-
-    mesh: TriangleMesh
-    actions: tuple[Action, ...]
-    guessed: TriangleMesh | None
-
-
-def mend(mesh: TriangleMesh, support: Plane | None = None) -> Mended:
+def mend(
+    mesh: TriangleMesh, support: Plane | None = None
+) -> tuple[TriangleMesh, tuple[Action, ...], TriangleMesh | None]:
     """Mend a surface, or raise an error that says where and why it cannot be mended.
 
     Parameters
@@ -76,7 +62,9 @@ def mend(mesh: TriangleMesh, support: Plane | None = None) -> Mended:
 
     Returns
     -------
-    Mended
+    mesh : TriangleMesh             closed, manifold, outward normals; triangles not yet even
+    actions : tuple of Action       repairs made
+    guessed : TriangleMesh or None  patches that close holes and were not measured
 
     Raises
     ------
@@ -104,7 +92,7 @@ def mend(mesh: TriangleMesh, support: Plane | None = None) -> Mended:
     if support is not None:
         mesh, more = _cut(mesh, support)
         actions += more
-    return Mended(mesh, tuple(actions), patches)
+    return mesh, tuple(actions), patches
 
 
 def _upward(support: Plane, mesh: TriangleMesh) -> Plane:
@@ -251,17 +239,17 @@ def prepare_surface(
     MeshError                       the surface cannot be mended or remeshed; says why, and where
     """
     progress("mending", 0.0)
-    mended = mend(given, support)
+    mended, actions, guessed = mend(given, support)
     progress("remeshing", 0.4)
-    mesh = remeshed(mended.mesh, vertices=vertices, near=near)
+    mesh = remeshed(mended, vertices=vertices, near=near)
     progress("comparing", 0.9)
     return PreparedSurface(
         given=given,
-        mended=mended.mesh,
+        mended=mended,
         mesh=mesh,
-        actions=mended.actions,
-        guessed=_guessed(mesh, mended.guessed),
-        deviation=deviation(mended.mesh, mesh),
+        actions=actions,
+        guessed=_guessed(mesh, guessed),
+        deviation=deviation(mended, mesh),
         quality=mesh_quality(mesh),
     )
 

@@ -22,6 +22,7 @@ from palpate.geometry import (
     checked_mesh,
     enclosed_volume,
     half_edges,
+    random_points,
     triangle_areas,
     wall_thickness,
 )
@@ -347,11 +348,13 @@ def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
     ------
     InputError                      a package of the extra `surface` is not installed
     """
+    # The same at every call.
+    rng = np.random.default_rng(_SEED)
     gap = np.concatenate(
         [
-            distances(surface_samples(other, _SAMPLES), true),
+            distances(random_points(other, _SAMPLES, rng), true),
             distances(other.vertices, true),
-            distances(surface_samples(true, _SAMPLES), other),
+            distances(random_points(true, _SAMPLES, rng), other),
         ]
     )
     return Deviation(
@@ -360,23 +363,3 @@ def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:
         largest=float(gap.max()),
         volume=enclosed_volume(other) / enclosed_volume(true) - 1.0,
     )
-
-
-def surface_samples(mesh: TriangleMesh, count: int) -> Points:
-    """Random points uniform over the area of a surface, the same at every call.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    count : int
-
-    Returns
-    -------
-    (count, 3) float [m]
-    """
-    rng = np.random.default_rng(_SEED)
-    area = triangle_areas(mesh)
-    triangle = rng.choice(len(area), count, p=area / area.sum())
-    u, v = np.sqrt(rng.random(count)), rng.random(count)
-    weight = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=1)
-    return np.einsum("nv,nva->na", weight, mesh.vertices[mesh.triangles[triangle]])

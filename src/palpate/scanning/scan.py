@@ -147,20 +147,20 @@ def scan_surface(
     if support is not None:
         fixed = abs(support.heights(even.vertices)) < 1e-4 * bounding_diagonal(even)
     progress("fitting", 0.9)
-    result = fitted(
+    moved, std = fitted(
         even, points, normals, sigma, view=number, correlation_length=correlation_length[number],
         fixed=fixed,
     )  # fmt: skip
-    mesh = checked_mesh(result.mesh)[0]
+    mesh = checked_mesh(moved)[0]
     gap = distances(points, mesh)
     return ScannedSurface(
         mesh=mesh,
-        sigma=result.sigma,
+        sigma=std,
         guessed=_guessed(mesh, points),
         agreements=found,
         views=tuple(views),
         distance=(float(np.median(gap)), float(np.quantile(gap, 0.95))),
-        volume_std=_volume_std(mesh, result.sigma),
+        volume_std=_volume_std(mesh, std),
         quality=mesh_quality(mesh),
     )
 

@@ -129,47 +129,6 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turntable:
-    """Rotation axis of the object, in the frame of the scanner.
-
-    Parameters
-    ----------
-    point : (3,) float [m]          on the axis
-    axis : (3,) float               direction; angles are right-handed about it
-
-    Raises
-    ------
-    InputError                      the axis is zero
-    """
-
-    point: Vector3
-    axis: Vector3
-
-    def __post_init__(self) -> None:
-        length = float(np.linalg.norm(self.axis))
-        if not length > 0.0:
-            raise InputError("the axis is zero; give a direction")
-        object.__setattr__(self, "axis", self.axis / length)
-
-    def pose(self, angle: float) -> Float[np.ndarray, "4 4"]:
-        """Pose T_object_view at an angle of the table; the object's frame is the view's at angle 0.
-
-        Parameters
-        ----------
-        angle : float [rad]         right-handed about the axis
-
-        Returns
-        -------
-        (4, 4) float [m]
-        """
-        pose = np.eye(4)
-        # Undo the rotation of the table.
-        pose[:3, :3] = Rotation.from_rotvec(-angle * self.axis).as_matrix()
-        pose[:3, 3] = self.point - pose[:3, :3] @ self.point
-        return pose
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
     """Settings shared by all views."""
 
@@ -179,7 +138,8 @@ class _Setup:
     camera: Camera | None
     metres_per_level: float
     rig: Rig | None
-    turntable: Turntable | None
+    # A point on its axis [m], and its direction, in the frame of the scanner.
+    turntable: tuple[Vector3, Vector3] | None
 
 
 def read_scan(path: Path, *, progress: Progress = silent) -> Scan:
@@ -244,8 +204,10 @@ def _setup(table: TomlTable) -> tuple[_Setup, list[Path]]:
     if "turntable" in table.values:
         turn = table.table("turntable")
         turn.check_keys(("point", "axis"))
-        with turn.error_context():
-            turntable = Turntable(unit * turn.vector("point"), turn.vector("axis"))
+        axis = turn.vector("axis")
+        if not axis.any():
+            turn.fail("axis", "is zero; give a direction")
+        turntable = unit * turn.vector("point"), axis / np.linalg.norm(axis)
     noise = None if sigma is None else sigma * unit
     return _Setup(folder, unit, noise, camera, level, rig, turntable), files
 
@@ -295,7 +257,13 @@ def _pose(table: TomlTable, setup: _Setup) -> tuple[Pose | None, list[Path]]:
     if "angle" in table.values:
         if setup.turntable is None:
             table.fail("angle", "needs a [turntable] with its point and axis")
-        return setup.turntable.pose(np.radians(table.number("angle"))), []
+        # Undo the rotation of the table: the object's frame is that of the view at angle 0.
+        point, axis = setup.turntable
+        pose = np.eye(4)
+        turn = Rotation.from_rotvec(-np.radians(table.number("angle")) * axis)
+        pose[:3, :3] = turn.as_matrix()
+        pose[:3, 3] = point - pose[:3, :3] @ point
+        return pose, []
     return None, []
 
 

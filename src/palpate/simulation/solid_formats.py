@@ -467,13 +467,13 @@ def _number_text(values: Shaped[np.ndarray, "..."]) -> str:
     return " ".join(f"{value:.9g}" for value in flat.tolist())
 
 
-def _numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> Iterable[str]:
-    """Rows, each after its number from 1, separated by commas; nodes are numbered from 1, too.
+def _numbered_lines(rows: Shaped[np.ndarray, "n k"]) -> Iterable[str]:
+    """Rows, each after its number from 1, separated by commas, 16 entries a line at most; nodes are
+    numbered from 1, too.
 
     Parameters
     ----------
     rows : (n, k) array             floating-point values; or integers, indices of nodes from 0
-    per_line : int                  entries after which a line is broken
 
     Yields
     ------
@@ -482,7 +482,7 @@ def _numbered_lines(rows: Shaped[np.ndarray, "n k"], *, per_line: int = 16) -> I
     whole = np.issubdtype(rows.dtype, np.integer)
     for number, row in enumerate(rows.tolist(), start=1):
         cells = [str(number), *(str(v + 1) if whole else f"{v:.9g}" for v in row)]
-        lines = [", ".join(cells[k : k + per_line]) for k in range(0, len(cells), per_line)]
+        lines = [", ".join(cells[k : k + 16]) for k in range(0, len(cells), 16)]
         yield ",\n".join(lines)
 
 

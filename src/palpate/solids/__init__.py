@@ -43,7 +43,6 @@ from palpate.solids.sizes import (
     body_memory as body_memory,
     check_solid_size as check_solid_size,
     node_count as node_count,
-    solid_memory as solid_memory,
 )
 from palpate.solids.tetrahedra import (
     Solid as Solid,

@@ -28,6 +28,8 @@ _FIRST_DEPTH = 1.2
 _CANDIDATE_DEPTH = 1.3
 # Each side of an outer face is divided into this many parts to find the first contact.
 _SUBDIVISIONS = 4
+# Nodes that may touch, their positions at rest [m], and their compliance [m/N].
+_Candidates = tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 k 3"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,15 +52,6 @@ class Press:
     radius: float
     load: Float[np.ndarray, "n 3"]
     displacement: Float[np.ndarray, "n 3"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Candidates:
-    """Candidate contact nodes, their positions at rest, and their compliance [m/N]."""
-
-    node: Int[np.ndarray, " k"]
-    rest: Float[np.ndarray, "k 3"]
-    compliance: Float[np.ndarray, "k 3 k 3"]
 
 
 def touch(solid: Solid, tip: Tip) -> float:
@@ -119,7 +112,7 @@ def press(
     tip.check_depth(depths[-1])
     start = touch(body.solid, tip)
     candidates = _candidates(body, tip, start + _CANDIDATE_DEPTH * depths[-1])
-    anchor = np.full((len(candidates.node), 3), np.nan)
+    anchor = np.full((len(candidates[0]), 3), np.nan)
     states = []
     for depth in depths:
         if sticking:
@@ -228,7 +221,7 @@ def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
     right[rows, np.arange(len(rows))] = 1.0
     half = body.factor.half_solve(right)
     compliance = (half.T @ half).reshape(len(nodes), 3, len(nodes), 3)
-    return _Candidates(nodes, solid.nodes[nodes], compliance)
+    return nodes, solid.nodes[nodes], compliance
 
 
 def _frictionless_forces(candidates: _Candidates, tip: Tip, travel: float) -> Points:
@@ -240,16 +233,17 @@ def _frictionless_forces(candidates: _Candidates, tip: Tip, travel: float) -> Po
     of the undeformed nodes and C their compliance; a Cholesky factor of C makes it a non-negative
     least-squares problem. Fixed-point iteration updates the tip's normals to the displaced nodes.
     """
-    displacement = np.zeros_like(candidates.rest)
-    forces = np.zeros_like(candidates.rest)
+    _, rest, compliance = candidates
+    displacement = np.zeros_like(rest)
+    forces = np.zeros_like(rest)
     for _ in range(_MAX_ROUNDS):
-        distance, normal = tip.distance(travel, candidates.rest + displacement)
+        distance, normal = tip.distance(travel, rest + displacement)
         penetration = np.einsum("ka,ka->k", normal, displacement) - distance
-        square = np.einsum("ka,kalb,lb->kl", normal, candidates.compliance, normal)
+        square = np.einsum("ka,kalb,lb->kl", normal, compliance, normal)
         root = np.linalg.cholesky(square)
         normal_force, _ = nnls(root.T, np.linalg.solve(root, penetration))
         previous, forces = forces, normal_force[:, None] * normal
-        displacement = np.einsum("kalb,lb->ka", candidates.compliance, forces)
+        displacement = np.einsum("kalb,lb->ka", compliance, forces)
         if np.abs(forces - previous).max() <= _TOLERANCE * np.abs(forces).max():
             return forces
     raise NotConvergedError(
@@ -264,17 +258,18 @@ def _sticking_forces(
 
     `anchor` is each node's position on the tip (NaN: no contact), relative to the tip's position.
     """
+    _, rest, compliance = candidates
     anchor = anchor.copy()
     tip_position = tip.point + travel * tip.direction
-    count = len(candidates.node)
+    count = len(rest)
     for _ in range(_MAX_ROUNDS):
         forces = np.zeros((count, 3))
         sticking = np.flatnonzero(np.isfinite(anchor[:, 0]))
         if len(sticking):
-            prescribed = tip_position + anchor[sticking] - candidates.rest[sticking]
-            block = candidates.compliance[sticking][:, :, sticking].reshape(3 * len(sticking), -1)
+            prescribed = tip_position + anchor[sticking] - rest[sticking]
+            block = compliance[sticking][:, :, sticking].reshape(3 * len(sticking), -1)
             forces[sticking] = np.linalg.solve(block, prescribed.ravel()).reshape(-1, 3)
-        positions = candidates.rest + np.einsum("kalb,lb->ka", candidates.compliance, forces)
+        positions = rest + np.einsum("kalb,lb->ka", compliance, forces)
         distance, normal = tip.distance(travel, positions)
         separating = np.einsum("ka,ka->k", normal, forces) < 0.0
         entering = (distance < -1e-9 * tip.radius) & np.isnan(anchor[:, 0])
@@ -292,10 +287,11 @@ def _state(
     body: Body, tip: Tip, candidates: _Candidates, forces: Points, start: float, depth: float
 ) -> Press:
     """Equilibrium of the whole body under the forces on the candidate nodes."""
+    nodes, _, _ = candidates
     load = np.zeros_like(body.solid.nodes)
-    load[candidates.node] = forces
+    load[nodes] = forces
     touched = np.zeros(len(load), dtype=bool)
-    touched[candidates.node] = (forces != 0.0).any(axis=1)
+    touched[nodes] = (forces != 0.0).any(axis=1)
     return Press(
         depth=depth,
         tip_position=tip.point + (start + depth) * tip.direction,

@@ -55,38 +55,6 @@ class FinitePress:
     travel: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ContactPoints:
-    """Contact points: the points of the surface that may touch the tip, each with a spring.
-
-    Attributes
-    ----------
-    shape : sparse (p, n)           interpolation from nodes to points
-    rest : (p, 3) float [m]         positions at rest
-    stiffness : (p,) float [N/m]    penalty stiffness of each point
-    """
-
-    shape: csr_array
-    rest: Points
-    stiffness: PointScalars
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Springs:
-    """Energy and forces of the penalty springs in one configuration of tip and body.
-
-    Attributes
-    ----------
-    energy : float [J]
-    force : (n, 3) float [N]        on the nodes
-    push : float [N]                force of the tip along its motion
-    """
-
-    energy: float
-    force: Float[np.ndarray, "n 3"]
-    push: float
-
-
 def press_finite(
     body: Body,
     tip: Tip,
@@ -124,7 +92,7 @@ def press_finite(
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
     potential = _ContactPotential(
-        body, law(*body.lame), quadratic_basis(body.solid), tip, _contact_points(body, tip), force
+        body, law(*body.lame), quadratic_basis(body.solid), tip, *_contact_points(body, tip), force
     )
     found = None
     if start is not None:
@@ -143,28 +111,32 @@ class _ContactPotential:
     law: Law
     basis: Any
     tip: Tip
-    contact_points: _ContactPoints
+    # Points of the surface that may touch the tip, each with a spring: their interpolation from the
+    # nodes, positions at rest [m], and penalty stiffness [N/m].
+    at_points: csr_array
+    points: Points
+    stiffness: PointScalars
     force: float
 
     def value(self, at: Unknowns) -> float:
         """Stored energy of body and springs minus the work of the force on the tip [J]."""
         stored = energy(self.law, self.basis, at[:-1].reshape(-1, 3))
-        return stored + self.springs(at).energy - self.force * float(at[-1])
+        return stored + self.springs(at)[0] - self.force * float(at[-1])
 
     def forces(self, at: Unknowns) -> Unknowns:
         """Residual: spring forces minus internal forces at the nodes; then the tip's force minus
         the push of the springs [N]."""
-        springs = self.springs(at)
-        missing = springs.force - internal_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
+        _, force, push = self.springs(at)
+        missing = force - internal_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
         missing[self.body.held] = 0.0
-        return np.append(missing, self.force - springs.push)
+        return np.append(missing, self.force - push)
 
     def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
         """Newton's step by block elimination; the tip's travel is eliminated last."""
         penetration, normal = self.penetration(at)
-        weight = np.where(penetration > 0.0, self.contact_points.stiffness, 0.0)
+        weight = np.where(penetration > 0.0, self.stiffness, 0.0)
         advance = normal @ self.tip.direction
-        across = _along_normals(self.contact_points.shape, normal)
+        across = _along_normals(self.at_points, normal)
         matrix = (
             tangent(self.law, self.basis, at[:-1].reshape(-1, 3))
             + across.T @ diags_array(weight) @ across
@@ -180,19 +152,20 @@ class _ContactPotential:
         travel = (forces[-1] + float(coupling @ both[:, 0])) / pivot
         return np.append(both[:, 0] + travel * both[:, 1], travel)
 
-    def springs(self, at: Unknowns) -> _Springs:
-        """Energy and forces of the penalty springs."""
+    def springs(self, at: Unknowns) -> tuple[float, Float[np.ndarray, "n 3"], float]:
+        """Energy of the penalty springs [J], their force on the nodes, (n, 3) [N], and that of the
+        tip along its motion [N]."""
         penetration, normal = self.penetration(at)
-        force_size = self.contact_points.stiffness * penetration
-        return _Springs(
+        force_size = self.stiffness * penetration
+        return (
             0.5 * float(force_size @ penetration),
-            self.contact_points.shape.T @ (force_size[:, None] * normal),
+            self.at_points.T @ (force_size[:, None] * normal),
             float(force_size @ (normal @ self.tip.direction)),
         )
 
     def penetration(self, at: Unknowns) -> tuple[PointScalars, Points]:
         """Penetration of the contact points [m], zero outside, and the tip's normals there."""
-        positions = self.contact_points.rest + self.contact_points.shape @ at[:-1].reshape(-1, 3)
+        positions = self.points + self.at_points @ at[:-1].reshape(-1, 3)
         distance, normal = self.tip.distance(float(at[-1]), positions)
         return np.maximum(-distance, 0.0), normal
 
@@ -224,7 +197,7 @@ class _ContactPotential:
         exceeds half the tip's radius."""
 
         def excess(depth: float) -> float:
-            return self.springs(np.append(at[:-1], at[-1] + depth)).push - self.force
+            return self.springs(np.append(at[:-1], at[-1] + depth))[2] - self.force
 
         deepest = 0.5 * self.tip.radius
         if excess(deepest) < 0.0:
@@ -247,7 +220,7 @@ def _along_normals(shape: csr_array, normal: Points) -> csr_array:
     return csr_array((value.ravel(), (row, column.ravel())), shape=size)
 
 
-def _contact_points(body: Body, tip: Tip) -> _ContactPoints:
+def _contact_points(body: Body, tip: Tip) -> tuple[csr_array, Points, PointScalars]:
     """Contact points on the outer faces near the tip."""
     solid = body.solid
     first = tip.point + touch(solid, tip) * tip.direction
@@ -263,4 +236,4 @@ def _contact_points(body: Body, tip: Tip) -> _ContactPoints:
     matrix = csr_array((value, (row, facets.ravel())), shape=(len(facets), len(solid.nodes)))
     area = np.repeat(0.5 * np.linalg.norm(side[near], axis=1) / count, count)
     stiffness = _SPRINGS * body.shear_modulus / tip.radius * area
-    return _ContactPoints(matrix, matrix @ solid.nodes, stiffness)
+    return matrix, matrix @ solid.nodes, stiffness

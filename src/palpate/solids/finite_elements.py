@@ -15,7 +15,7 @@ from scipy.sparse import csr_array, kron
 from scipy.spatial.distance import cdist
 
 from palpate.errors import InputError, SingularSystemError
-from palpate.geometry import ELEMENT_NODES, closest_points, quadratic_shapes
+from palpate.geometry import ELEMENT_NODES, closest_points, piece_middles, quadratic_shapes
 from palpate.machine import check_memory_for
 from palpate.shapes import Points, Vector3
 from palpate.solids.sizes import body_memory
@@ -340,7 +340,7 @@ def half_space_compliance(
     ------
     Boussinesq: (1 - nu) / (2 pi G r) at a distance r from one newton
     """
-    _, position, density, _ = _pressed(solid, point, radius, pressure, _centroids(_PARTS))
+    _, position, density, _ = _pressed(solid, point, radius, pressure, piece_middles(_PARTS))
     # Area of each sample, from that of its facet, which is a factor of its weight.
     loaded = density.ravel() > 0.0
     place, weight = position.reshape(-1, 3)[loaded], density.ravel()[loaded]
@@ -353,17 +353,6 @@ def half_space_compliance(
     # And between points of a disc of one's area.
     np.fill_diagonal(inverse, 16.0 / (3.0 * np.pi) / np.sqrt(area / np.pi))
     return float(weight @ inverse @ weight) / (2.0 * np.pi)
-
-
-def _centroids(count: int) -> Float[np.ndarray, "s 3"]:
-    """Barycentric coordinates of the centres of `count`^2 equal parts of a triangle."""
-    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(count), np.arange(count)))
-    upright, upset = i + j < count, i + j < count - 1
-    a, b = (
-        np.concatenate([each[upright] + 1.0 / 3.0, each[upset] + 2.0 / 3.0]) / count
-        for each in (i, j)
-    )
-    return np.stack([1.0 - a - b, a, b], axis=1)
 
 
 def _pressed(

@@ -13,4 +13,4 @@ from palpate.viewer.stills import (
     write_screenshot as write_screenshot,
     write_turntable as write_turntable,
 )
-from palpate.viewer.subject import Subject as Subject, read_subject as read_subject
+from palpate.viewer.subject import read_subject as read_subject

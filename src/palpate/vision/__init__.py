@@ -4,7 +4,7 @@ Purpose    : range flow, i.e. the 3-D displacement of surface points with its co
              it the displacement of the mesh's vertices.
 Takes      : a `Rig`, grey pictures, a triangle surface.
 Gives      : `FlowMethod` with `JointFlow` and `LangPaiFlow`; `RangeFlow`, `VertexDisplacement`;
-             `StereoPoints` and `RigCheck` from a rig's pictures at rest.
+             `StereoPoints`, and a check of the rig, from its pictures at rest.
 Depends on : `geometry`, `records`.
 Read first : `range_flow.py`, `projection.py`, `joint/flow.py`, then `lang_pai/flow.py`.
 """
@@ -29,7 +29,6 @@ from palpate.vision.projection import (
     pixel_grid as pixel_grid,
     project as project,
     project_jacobian as project_jacobian,
-    rays as rays,
 )
 from palpate.vision.range_flow import (
     CAUSES as CAUSES,
@@ -42,7 +41,7 @@ from palpate.vision.range_flow import (
     is_valid as is_valid,
     measured_vertices as measured_vertices,
 )
-from palpate.vision.stereo.rig_check import RigCheck as RigCheck, check_rig as check_rig
+from palpate.vision.stereo.rig_check import check_rig as check_rig
 from palpate.vision.stereo.stereo import (
     MIN_POSE_POINTS as MIN_POSE_POINTS,
     StereoMatches as StereoMatches,
@@ -62,7 +61,6 @@ from palpate.vision.surface_map import (
     visible as visible,
 )
 from palpate.vision.triangulation import (
-    Triangulation as Triangulation,
     calibration_numbers as calibration_numbers,
     moved_rig as moved_rig,
     space_strains as space_strains,

@@ -87,19 +87,12 @@ def triangulate(
 
     Raises
     ------
-    InputError                      the number of cameras differs from the rig's; a covariance is
-                                    not positive definite, or has the wrong shape
+    InputError                      a covariance is not positive definite
 
     Source
     ------
     Hartley and Zisserman, Multiple View Geometry (2004), 12.2 (start) and 5.2 (covariance).
     """
-    if len(pixels) != len(rig.cameras):
-        raise InputError(
-            f"pixels are of {len(pixels)} cameras; the rig has {len(rig.cameras)}"
-            f" ({', '.join(camera.name for camera in rig.cameras)}); give NaN for one that sees"
-            " nothing"
-        )
     flat = np.stack(
         [normalised(camera, seen) for camera, seen in zip(rig.cameras, pixels, strict=True)]
     )
@@ -123,15 +116,7 @@ def _weights(
 ) -> Float[np.ndarray, "c n 2 2"]:
     """Inverse covariances; zero where a camera does not see the point."""
     if not isinstance(covariance, np.ndarray):
-        if not (np.isfinite(covariance) and covariance > 0.0):
-            raise InputError(
-                f"the standard deviation of the pixels is {covariance:g} px; must be positive"
-            )
         return seen[..., None, None] * (np.eye(2) / covariance**2)
-    if covariance.shape != (*seen.shape, 2, 2):
-        raise InputError(
-            f"covariance has shape {covariance.shape}; must be {(*seen.shape, 2, 2)}, one per pixel"
-        )
     known = np.where(seen[..., None, None], covariance, np.eye(2))
     bad = ~_is_regular(known)
     if bad.any():

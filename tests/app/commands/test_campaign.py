@@ -8,7 +8,8 @@ import pyarrow.parquet as parquet
 import pytest
 from PIL import Image
 
-from palpate.campaign import CampaignItem, Row, Store
+from palpate.campaign import Row, Store
+from palpate.campaign.store import CampaignItem
 
 FAR = 9
 

@@ -15,7 +15,8 @@ from palpate.app.commands import flow as flow_command
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh, write_mesh
 from palpate.pipeline import MeasuredMotion, result_files
-from palpate.records import read_displacement, read_session
+from palpate.records import read_session
+from palpate.records.files.displacement import read_displacement
 from palpate.vision import JointFlow, LangPaiFlow, Outcome, RangeFlow
 
 SESSION = """\

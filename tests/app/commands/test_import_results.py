@@ -16,7 +16,8 @@ from surfaces import box
 
 from palpate.app.cli import main
 from palpate.geometry import write_mesh
-from palpate.records import observed_rows, read_displacement, read_session
+from palpate.records import observed_rows, read_session
+from palpate.records.files.displacement import read_displacement
 
 VIC3D = "x,y,sigma,X,Y,Z,U,V,W"
 # The frame of the program: 300 mm below the cube's origin, turned by 90 degrees about z.

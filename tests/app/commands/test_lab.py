@@ -222,8 +222,8 @@ def rows_of(folder):
 
 
 def test_every_experiment_needs_configurations_that_are_there():
-    for experiment in EXPERIMENTS.values():
-        for name in experiment.sessions:
+    for sessions, _ in EXPERIMENTS.values():
+        for name in sessions:
             read_lab_config(built_in()[name])
 
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from benchmarks.meshes import sheet
-from palpate.bem import Compression, boundary_system, compressed_system, make_surface
+from palpate.bem import boundary_system, make_surface
+from palpate.bem.compressed.system import compressed_system
 
 SIZE, CELLS = np.array([5.0, 1.0, 1.0]), (20, 4, 4)
 # Small clusters, close together: as much as can be is far at this size.
-FINE = Compression(leaf_size=(32, 64))
+FINE = (32, 64)
 
 
 @pytest.fixture(scope="package")
@@ -27,4 +28,4 @@ def dense(long_surface):
 
 @pytest.fixture(scope="package")
 def compressed(long_surface):
-    return compressed_system(long_surface, compression=FINE)
+    return compressed_system(long_surface, leaf_size=FINE)

@@ -51,20 +51,20 @@ def test_spheres_hold_their_things(trees):
 
 def test_every_pair_is_far_or_near_exactly_once(trees):
     *_, first, second = trees
-    pairs = cluster_pairs(first, second, ADMISSIBILITY, np.zeros(len(second.start)))
+    far_pairs, near_pairs = cluster_pairs(first, second, ADMISSIBILITY, np.zeros(len(second.start)))
     count = np.zeros((700, 900), dtype=int)
     for one in range(len(first.start)):
-        for other in np.concatenate([pairs.far[one], pairs.near[one]]):
+        for other in np.concatenate([far_pairs[one], near_pairs[one]]):
             count[np.ix_(first.members(one), second.members(int(other)))] += 1
     assert (count == 1).all()
-    assert sum(len(x) for x in pairs.far) > 0
+    assert sum(len(x) for x in far_pairs) > 0
 
 
 def test_what_is_far_lies_outside_the_widened_spheres(trees):
     points, items, item_radius, first, second = trees
     gap = np.full(len(second.start), 0.4)
-    pairs = cluster_pairs(first, second, ADMISSIBILITY, gap)
-    for one, far in enumerate(pairs.far):
+    far_pairs, _ = cluster_pairs(first, second, ADMISSIBILITY, gap)
+    for one, far in enumerate(far_pairs):
         for other in far:
             own, its = first.members(one), second.members(int(other))
             from_first = np.linalg.norm(items[its] - first.centre[one], axis=1) - item_radius[its]
@@ -77,9 +77,9 @@ def test_what_is_far_lies_outside_the_widened_spheres(trees):
 
 def test_few_things_are_one_leaf_that_is_near_itself():
     tree = cluster_tree(np.random.default_rng(0).random((10, 3)), np.zeros(10), 32)
-    pairs = cluster_pairs(tree, tree, ADMISSIBILITY, np.zeros(1))
-    assert [x.tolist() for x in pairs.near] == [[0]]
-    assert [x.tolist() for x in pairs.far] == [[]]
+    far_pairs, near_pairs = cluster_pairs(tree, tree, ADMISSIBILITY, np.zeros(1))
+    assert [x.tolist() for x in near_pairs] == [[0]]
+    assert [x.tolist() for x in far_pairs] == [[]]
 
 
 def test_inverse_distances():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from palpate.bem import face_columns, orthogonalised
+from palpate.bem import face_columns
 from palpate.bem.compressed.iterative import cluster_inverse
-from palpate.bem.reduced_model import _Snapshots
+from palpate.bem.reduced_model import _Snapshots, orthogonalised
 
 ROWS, COLUMNS = 500, 3
 

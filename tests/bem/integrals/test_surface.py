@@ -7,7 +7,7 @@ import pytest
 from elastic_bodies import cube_with_faces
 from surfaces import sphere
 
-from palpate.bem import SurfaceSettings, make_surface
+from palpate.bem import make_surface
 from palpate.bem.integrals.surface import Quadrature, integral_weights, triangle_rule, unit_gauss
 from palpate.errors import InputError
 
@@ -26,9 +26,7 @@ def test_a_support_of_nothing_or_everything_is_refused(held):
 def test_smooth_midpoints_lie_on_the_sphere():
     mesh = sphere(3)
     smooth = make_surface(mesh, low_cap(mesh)).element_nodes[:, 3:]
-    flat = make_surface(mesh, low_cap(mesh), settings=SurfaceSettings(smooth=False)).element_nodes[
-        :, 3:
-    ]
+    flat = make_surface(mesh, low_cap(mesh), smooth=False).element_nodes[:, 3:]
     off_smooth = np.abs(np.linalg.norm(smooth, axis=2) - 1)
     off_flat = np.abs(np.linalg.norm(flat, axis=2) - 1)
     # Chords sag by h^2 / 8; the fit is two orders better away from the cut of the support.
@@ -49,9 +47,9 @@ def test_weights_integrate_quadratics_over_a_held_face():
 
 def test_area_of_a_smooth_sphere():
     areas = []
-    for settings in (SurfaceSettings(), SurfaceSettings(smooth=False)):
+    for smooth in (True, False):
         mesh = sphere(3)
-        surface = make_surface(mesh, low_cap(mesh), settings=settings)
+        surface = make_surface(mesh, low_cap(mesh), smooth=smooth)
         areas.append(integral_weights(surface, np.arange(mesh.triangles.shape[0])).sum())
     smooth, flat = np.abs(np.array(areas) / (4 * np.pi) - 1)
     # 258 vertices: facets miss about 2 %, curved elements much less.
@@ -63,17 +61,17 @@ def test_linear_elements_do_not_follow_dips():
     mesh, face = cube_with_faces(1)
     held = np.flatnonzero(face == 4)
     assert make_surface(mesh, held).corrects_indentation
-    for settings in (SurfaceSettings(smooth=False), SurfaceSettings(quadratic=False)):
-        assert not make_surface(mesh, held, settings=settings).corrects_indentation
+    for linear in ({"smooth": False}, {"quadratic": False}):
+        assert not make_surface(mesh, held, **linear).corrects_indentation
 
 
-def monomial_error(rule, degree):
+def monomial_error(barycentric, weight, degree):
     """Largest relative error over the monomials x^i y^j of one degree on the reference triangle."""
     worst = 0.0
     for i in range(degree + 1):
         j = degree - i
         exact = factorial(i) * factorial(j) / factorial(i + j + 2)
-        found = rule.weight @ (rule.barycentric[:, 1] ** i * rule.barycentric[:, 2] ** j)
+        found = weight @ (barycentric[:, 1] ** i * barycentric[:, 2] ** j)
         worst = max(worst, abs(found / exact - 1))
     return worst
 
@@ -81,19 +79,19 @@ def monomial_error(rule, degree):
 @pytest.mark.parametrize("degree", range(1, 16))
 def test_rule_is_exact_up_to_its_degree_and_not_beyond(degree):
     rule = triangle_rule(degree)
-    assert rule.degree >= degree
+    # A rule that can do more wastes points; there are rules of degrees 2 and 4, then of odd ones.
+    reached = degree + degree % 2 if degree < 5 else degree | 1
     # Round-off of a few dozen terms.
-    assert max(monomial_error(rule, d) for d in range(rule.degree + 1)) < 1e-12
-    # A rule that claims less than it can wastes points.
-    assert monomial_error(rule, rule.degree + 1) > 1e-9
+    assert max(monomial_error(*rule, d) for d in range(reached + 1)) < 1e-12
+    assert monomial_error(*rule, reached + 1) > 1e-9
 
 
 @pytest.mark.parametrize("degree", [2, 4, 5, 7, 11])
 def test_rule_has_positive_weights_and_inner_points(degree):
-    rule = triangle_rule(degree)
-    assert (rule.weight > 0).all()
-    assert (rule.barycentric > 0).all()
-    np.testing.assert_allclose(rule.barycentric.sum(axis=1), 1, atol=1e-15)
+    barycentric, weight = triangle_rule(degree)
+    assert (weight > 0).all()
+    assert (barycentric > 0).all()
+    np.testing.assert_allclose(barycentric.sum(axis=1), 1, atol=1e-15)
 
 
 def test_gauss_on_the_unit_interval():

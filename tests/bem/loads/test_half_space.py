@@ -6,7 +6,7 @@ from scipy.special import ellipe
 
 from palpate.bem import PressureDisc
 from palpate.bem.loads.half_space import chord_integrals, disc_displacement, disc_potentials
-from palpate.records import PRESSURES
+from palpate.records.contact import PRESSURES
 
 RADIUS = 0.02
 CENTRE = np.array([0.1, -0.2, 0.3])

@@ -10,8 +10,6 @@ from surfaces import box, sphere
 
 from palpate.bem import (
     CentredSystem,
-    Quadrature,
-    SurfaceSettings,
     body_force_columns,
     boundary_system,
     dilation_factor,
@@ -20,13 +18,13 @@ from palpate.bem import (
     make_surface,
     solve,
     support_columns,
-    system_slope,
-    traction_column,
     unrestrained_motions,
 )
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.loads.right_hand import traction_column
 from palpate.bem.system import factors
 from palpate.bem.system.factors import lu_by_panels
-from palpate.bem.system.matrix import system_matrix
+from palpate.bem.system.matrix import matrix_and_slope, system_matrix
 
 FINE = Quadrature(tolerance=1e-9)
 MESH, FACE = cube_with_faces(2)
@@ -148,7 +146,7 @@ def test_the_slope_of_the_solution(rolling):
     right = boundary_data(system, linear_field(GENERAL, Material(2.5, 0.3)), Material(2.5, 0.3))
     factorised = factorise(system, 0.3)
     x = solve(factorised, right)
-    slope = solve(factorised, -system_slope(system).apply(x))
+    slope = solve(factorised, -matrix_and_slope(system, 0.3)[1].apply(x))
     step = 1e-4
     higher, lower = (solve(factorise(system, 0.3 + d), right) for d in (step, -step))
     # The central difference leaves the third derivative times 1e-8 / 6.
@@ -270,7 +268,7 @@ def test_factors_are_read_by_the_next_system_of_the_same_body(ball, rolls, tmp_p
     monkeypatch.setattr(factors, "_factorise_with_slope", None)
     again = CentredSystem(boundary_system(body, cache=tmp_path), NU)
     vector = np.random.default_rng(0).normal(size=(first.system.size, 3))
-    moved = system_slope(first.system).apply(vector)
+    moved = matrix_and_slope(first.system, 0.3)[1].apply(vector)
     solved = solve(factorise(first.system, NU), moved)
     for one in (first, again):
         np.testing.assert_array_equal(one.slope.apply(vector), moved)
@@ -291,7 +289,7 @@ def test_a_file_that_is_not_as_it_was_written_is_computed_anew(ball, tmp_path, d
 
 def test_all_that_matters_makes_another_file(ball, tmp_path):
     mesh, held = ball.mesh, low_part(ball.mesh)
-    flat = make_surface(mesh, held, settings=SurfaceSettings(smooth=False))
+    flat = make_surface(mesh, held, smooth=False)
     bodies = [ball, flat, make_surface(mesh, held[1:]), on_rollers(mesh)]
     for count, body in enumerate(bodies):
         found = factor_values(body, tmp_path)

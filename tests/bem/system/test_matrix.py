@@ -12,15 +12,9 @@ from elastic_bodies import (
 )
 from surfaces import sphere
 
-from palpate.bem import (
-    Quadrature,
-    factorise,
-    load_right_hand,
-    point_equations,
-    solve,
-    support_columns,
-    traction_column,
-)
+from palpate.bem import factorise, load_right_hand, point_equations, solve, support_columns
+from palpate.bem.integrals.surface import Quadrature
+from palpate.bem.loads.right_hand import traction_column
 from palpate.geometry import interpolation_matrix
 from palpate.geometry.midside_nodes import quadratic_shapes
 

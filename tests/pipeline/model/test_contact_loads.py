@@ -14,8 +14,8 @@ from palpate.bem import (
     indentation_corrections,
     load_right_hand,
     make_surface,
-    traction_column,
 )
+from palpate.bem.loads.right_hand import traction_column
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import make_object_model, session_observations
 from palpate.pipeline.model import contact_loads
@@ -26,7 +26,8 @@ from palpate.pipeline.model.contact_loads import (
     outward_pushes,
 )
 from palpate.probe import ContactPatch, find_contact_patch
-from palpate.records import EXACT, Contact, DisplacementField, ErrorPriors, Probing, Session
+from palpate.records import EXACT, Contact, DisplacementField, Probing, Session
+from palpate.records.error_priors import ErrorPriors
 from palpate.solids import make_solid
 
 RADIUS, NU, MODULUS = 0.03, 0.3, 2e4

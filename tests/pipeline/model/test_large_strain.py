@@ -16,7 +16,6 @@ from palpate.records import (
     BIASED,
     EXACT,
     FREE,
-    PRESSURES,
     Contact,
     DisplacementField,
     Estimate,
@@ -24,6 +23,7 @@ from palpate.records import (
     Session,
     Support,
 )
+from palpate.records.contact import PRESSURES
 from palpate.solids import (
     SplitNeoHookean,
     held_nodes,

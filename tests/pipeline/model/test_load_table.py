@@ -21,7 +21,8 @@ from palpate.geometry import TriangleMesh, unit_normals
 from palpate.pipeline.model import load_table
 from palpate.pipeline.model.contact_loads import DIP_ERROR, surface_load
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
-from palpate.records import Contact, ErrorPriors, Load, Probing, Session
+from palpate.records import Contact, Load, Probing, Session
+from palpate.records.error_priors import ErrorPriors
 
 RADIUS = 0.03
 GRAVITY, DENSITY = np.array([0.0, 0.0, -9.81]), 1100.0

@@ -9,16 +9,16 @@ from scipy.sparse import csr_array, hstack, kron
 from surfaces import sphere
 
 from palpate.bem import (
-    ReducedModel,
     body_force_columns,
     dilation_factor,
     factorise,
-    joined,
     load_right_hand,
     make_reduced_model,
     point_equations,
     solve,
 )
+from palpate.bem.loads.right_hand import joined
+from palpate.bem.reduced_model import ReducedModel
 from palpate.geometry import interpolation_matrix
 from palpate.pipeline.model.object_model import PointRows, ProbeRows
 from palpate.pipeline.model.responses import ProbeResponse, full_responses, reduced_responses

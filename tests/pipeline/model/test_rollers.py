@@ -19,10 +19,10 @@ from palpate.records import (
     DisplacementField,
     Load,
     Probing,
-    RigidMotion,
     Session,
     Support,
 )
+from palpate.records.support import RigidMotion
 
 # A block 20 mm wide and 30 mm high between two platens.
 SIZE = np.array([0.02, 0.02, 0.03])

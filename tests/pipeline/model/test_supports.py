@@ -25,10 +25,10 @@ from palpate.records import (
     DisplacementField,
     Load,
     Probing,
-    RigidMotion,
     Session,
     Support,
 )
+from palpate.records.support import RigidMotion
 
 # A bar of 40 mm along x, 10 mm thick.
 SIZE = np.array([0.04, 0.01, 0.01])

@@ -7,12 +7,8 @@ from surfaces import box
 
 from palpate.errors import RecordError
 from palpate.geometry import closest_points
-from palpate.records import (
-    DisplacementField,
-    observed_rows,
-    read_displacement,
-    write_displacement,
-)
+from palpate.records import DisplacementField, observed_rows, write_displacement
+from palpate.records.files.displacement import read_displacement
 
 CUBE = box(size=(0.04, 0.04, 0.04), cells=4)
 HEAD = "x,y,z,ux,uy,uz"

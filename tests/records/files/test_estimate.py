@@ -228,7 +228,7 @@ def test_bad_files_are_refused(tmp_path):
     with pytest.raises(RecordError, match="format: is 'other/1'; this version reads"):
         read_estimate(path)
     path.write_text('{"format": "palpate-estimate/1", "status": "ok"}')
-    with pytest.raises(RecordError, match=r"estimate\.json: the key 'identifiable' is missing"):
+    with pytest.raises(RecordError, match=r"estimate\.json: the key 'shear_modulus' is missing"):
         read_estimate(path)
     path.write_text("[" * 100_000)
     with pytest.raises(RecordError, match="not valid JSON"):

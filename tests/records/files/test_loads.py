@@ -6,7 +6,8 @@ from surfaces import box
 
 from palpate.errors import InputError
 from palpate.geometry import triangle_areas, write_mesh
-from palpate.records import FREE, GIVEN, RIGID, Contact, Load, RigidMotion, Support, read_session
+from palpate.records import FREE, GIVEN, RIGID, Contact, Load, Support, read_session
+from palpate.records.support import RigidMotion
 
 SESSION = """\
 format = "palpate-session/1"

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from vision.textures import Speckle, Warp, noisy, window_correlation
 
-from palpate.errors import InputError
 from palpate.vision.lang_pai.disparity import COLUMNS, ROWS, Views, disparity_map
 
 SHAPE = (60, 90)
@@ -178,11 +177,3 @@ def test_the_number_of_threads_does_not_matter():
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(first, second)
-
-
-def test_bad_options_are_refused():
-    pictures = [np.zeros(SHAPE)] * 3
-    with pytest.raises(InputError, match="3 pictures for 2 views; must be as many"):
-        disparity_map(pictures, PAIR, (1.0, 2.0))
-    with pytest.raises(InputError, match="disparities from 4 to 4; must be rising"):
-        disparity_map(pictures, TRIPLE, (4.0, 4.0))

@@ -153,7 +153,7 @@ def test_blank_pictures_have_none():
     blank = make_normalised_image(np.full((80, 90), 70.0, dtype=np.float32))
     found = find_features(blank)
     assert found.point.shape == (0, 2)
-    assert match_features(found, found).first.shape == (0, 2)
+    assert match_features(found, found).point.shape == (0, 2)
 
 
 def test_only_clear_mutual_choices_match():
@@ -167,5 +167,5 @@ def test_only_clear_mutual_choices_match():
         np.vstack([place[:4] + 5.0, [[1.0, 1.0]]]), np.vstack([words[:4] + 1.0, [twice]])
     )
     found = match_features(first, second)
-    np.testing.assert_array_equal(found.first, place[[0, 1, 3]])
-    np.testing.assert_array_equal(found.second, place[[0, 1, 3]] + 5.0)
+    np.testing.assert_array_equal(found.point, place[[0, 1, 3]])
+    np.testing.assert_array_equal(found.moved, place[[0, 1, 3]] + 5.0)

@@ -9,11 +9,10 @@ from vision.scenes import LENS, SHAPE, example, example_views, noisy_views
 from palpate.errors import CalibrationError, InputError
 from palpate.records.programs.registry import read_rig
 from palpate.records.rig import Camera, Rig
-from palpate.vision.matching.features import Matches, prepare_pictures
+from palpate.vision.matching.features import Samples, prepare_pictures
 from palpate.vision.pictures import read_pictures
 from palpate.vision.projection import project
 from palpate.vision.stereo.rig_check import (
-    RigCheck,
     _consistent,
     _epipolar_distance,
     _feature_error,
@@ -25,7 +24,11 @@ def _views(count: int = 3, lens: tuple[float, ...] = ()) -> list[np.ndarray]:
     return noisy_views(example_views("still", count, lens), 1.5, seed=count)
 
 
-def _checked(rig: Rig, views) -> RigCheck:
+def _matches(first: np.ndarray, second: np.ndarray) -> Samples:
+    return Samples(first, second - first)
+
+
+def _checked(rig: Rig, views):
     return check_rig(prepare_pictures(rig, views))
 
 
@@ -49,20 +52,19 @@ def half_ball(shared_data):
 @pytest.mark.parametrize(("count", "lens"), [(2, ()), (3, LENS)])
 def test_a_rig_that_fits_is_accepted(count, lens):
     stage = example(count, lens)
-    found = _checked(stage.rig, _views(count, lens))
-    assert isinstance(found, RigCheck)
-    assert len(found.residual) == len(found.matches) == count - 1
+    residual, matches, notes = _checked(stage.rig, _views(count, lens))
+    assert len(residual) == len(matches) == count - 1
     # Features are found to a quarter of a pixel in each picture.
-    assert max(found.residual) < 0.4
-    assert min(found.matches) > 50
-    assert found.notes == ()
+    assert max(residual) < 0.4
+    assert min(matches) > 50
+    assert notes == ()
 
 
 def test_a_rendered_rig_fits(half_ball):
     rig, pictures = half_ball
-    found = _checked(rig, pictures)
-    assert max(found.residual) < 0.2
-    assert found.notes == ()
+    residual, _, notes = _checked(rig, pictures)
+    assert max(residual) < 0.2
+    assert notes == ()
 
 
 def test_swapped_pictures_are_named(half_ball):
@@ -92,7 +94,7 @@ def test_swapped_pictures_of_parallel_cameras_are_told_by_depth():
     wall = np.repeat(np.repeat(rng.uniform(0.0, 255.0, (50, 90)), 3, axis=0), 3, axis=1)
     first = wall[:, :190].astype(np.float32)
     second = wall[:, 50:240].astype(np.float32)
-    assert max(_checked(Rig(cameras, 0, "rig"), [first, second]).residual) < 0.2
+    assert max(_checked(Rig(cameras, 0, "rig"), [first, second])[0]) < 0.2
     with pytest.raises(CalibrationError, match="behind the cameras; the pictures of 'a' and 'b'"):
         _checked(Rig(cameras, 0, "rig"), [second, first])
 
@@ -107,15 +109,15 @@ def test_a_turned_camera_is_told_from_a_swap():
             with pytest.raises(CalibrationError, match=r"lie [89]\.\d px off .* no other order"):
                 _checked(turned, views)
         else:
-            found = _checked(turned, views)
-            assert len(found.notes) == 1
-            assert "'c0' and 'c1' to 0.9 px only" in found.notes[0]
+            *_, notes = _checked(turned, views)
+            assert len(notes) == 1
+            assert "'c0' and 'c1' to 0.9 px only" in notes[0]
 
 
 def test_any_camera_may_be_the_reference(half_ball):
     rig, pictures = half_ball
-    found = _checked(Rig(rig.cameras, 2, "rig.toml"), pictures)
-    assert max(found.residual) < 0.2
+    residual, *_ = _checked(Rig(rig.cameras, 2, "rig.toml"), pictures)
+    assert max(residual) < 0.2
 
 
 def test_distance_from_epipolar_lines_is_the_offset_across_them():
@@ -129,7 +131,7 @@ def test_distance_from_epipolar_lines_is_the_offset_across_them():
         for name, f, pose in zip("ab", focal, poses, strict=True)
     )  # fmt: skip
     points = np.random.default_rng(1).uniform((-0.1, -0.1, 0.7), (0.1, 0.1, 0.9), (40, 3))
-    seen = Matches(project(first, points), project(second, points) + np.array([7.0, 3.0]))
+    seen = _matches(project(first, points), project(second, points) + np.array([7.0, 3.0]))
     # 3 px in the second picture; in the first the same angle.
     expected = 0.5 * (3.0 + 3.0 * focal[0] / focal[1])
     np.testing.assert_allclose(_epipolar_distance(first, second, seen), expected, rtol=1e-9)
@@ -143,7 +145,7 @@ def test_own_error_of_features_is_not_that_of_the_rig():
     first, second = (project(camera, points) for camera in rig.cameras)
     noise = 0.1
     second += rng.normal((0.0, 3.0), noise, size=second.shape)
-    pairs = {(0, 1): Matches(first, second)}
+    pairs = {(0, 1): _matches(first, second)}
     error = _feature_error(rig, pairs, (0, 1))
     # The median of a normal distribution's absolute values is 0.67 sigma; a fit of seven of 200
     # numbers takes little of it.
@@ -155,8 +157,8 @@ def test_matches_by_chance_are_none():
     rng = np.random.default_rng(3)
     rig = example(2).rig
     place = rng.uniform(0.0, 150.0, size=(2, 300, 2))
-    chance = _consistent(rig.cameras[0], rig.cameras[1], Matches(place[0], place[1]))
-    assert len(chance.first) == 0
+    chance = _consistent(rig.cameras[0], rig.cameras[1], _matches(place[0], place[1]))
+    assert len(chance.point) == 0
 
 
 def test_no_texture_is_told_with_the_camera():
@@ -169,7 +171,7 @@ def test_no_texture_is_told_with_the_camera():
 
 def test_too_few_features_are_a_remark():
     rig, views = example(2).rig, _views(2)
-    found = _checked(rig, [views[0], np.ascontiguousarray(views[1][::-1])])
-    assert np.isnan(found.residual[0])
-    assert found.matches[0] < 12
-    assert "cameras 'c0' and 'c1' have only" in found.notes[0]
+    residual, matches, notes = _checked(rig, [views[0], np.ascontiguousarray(views[1][::-1])])
+    assert np.isnan(residual[0])
+    assert matches[0] < 12
+    assert "cameras 'c0' and 'c1' have only" in notes[0]

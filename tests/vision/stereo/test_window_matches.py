@@ -7,7 +7,6 @@ from vision.textures import Speckle, affine, inverse_quadratic, noisy, pixel_gri
 from palpate.errors import InputError
 from palpate.vision.range_flow import Outcome
 from palpate.vision.spline import make_spline_picture
-from palpate.vision.stereo.pair_disparity import StereoStart
 from palpate.vision.stereo.window_matches import (
     MIN_WINDOW_PX,
     WindowMatches,
@@ -36,7 +35,7 @@ WARPS = {
 
 def _matched(first, second, truth, *, subset=21):
     """Matches of `POINTS` that start half a pixel off the truth."""
-    start = StereoStart(truth + np.array([0.4, -0.3]), np.zeros((len(POINTS), 2, 2)))
+    start = truth + np.array([0.4, -0.3]), np.zeros((len(POINTS), 2, 2))
     pictures = make_spline_picture(first), make_spline_picture(second)
     return window_matches(*pictures, POINTS, start, subset=subset)
 

@@ -367,10 +367,10 @@ def _lengths(calibration: Calibration) -> str:
     check = length_check(calibration)
     if check is None:
         return text
-    error = 100 * check.scatter / np.sqrt(check.views)
+    views, error, scatter = check
     return (
-        f"{text}Check: {check.views} boards that a second calibration was not shown are measured"
-        f" {100 * check.error:+.3f} ± {error:.3f} % too large\n"
+        f"{text}Check: {views} boards that a second calibration was not shown are measured"
+        f" {100 * error:+.3f} ± {100 * scatter / np.sqrt(views):.3f} % too large\n"
     )
 
 

@@ -169,7 +169,7 @@ def printed_board() -> Print:
     Print
     """
     extent = _BOARD.columns * _BOARD.square, _BOARD.rows * _BOARD.square
-    return Print(np.ascontiguousarray(_BOARD.drawing(_DOTS_PER_SQUARE)), extent)
+    return np.ascontiguousarray(_BOARD.drawing(_DOTS_PER_SQUARE)), extent
 
 
 def reproduce(

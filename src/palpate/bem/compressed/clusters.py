@@ -95,22 +95,6 @@ def cluster_tree(
     return ClusterTree(order, begin, end, np.array(children), np.array(centre), np.array(radius))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ClusterPairs:
-    """Far pairs of clusters of two trees, and near pairs of their leaves.
-
-    Attributes
-    ----------
-    far : list of (k,) int        for each cluster of the first tree, the clusters of the second
-                                  that are far from it, each pair at the highest possible level
-    near : list of (k,) int       for each leaf of the first tree, the near leaves of the second;
-                                  empty for other clusters
-    """
-
-    far: list[Int[np.ndarray, " _"]]
-    near: list[Int[np.ndarray, " _"]]
-
-
 def far_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[np.ndarray, " c"]:
     """Clusters that belong to a far pair, by themselves or as parts of larger ones.
 
@@ -136,7 +120,7 @@ def cluster_pairs(
     second: ClusterTree,
     admissibility: tuple[float, float],
     gap: Float[np.ndarray, " c"],
-) -> ClusterPairs:
+) -> tuple[list[Int[np.ndarray, " _"]], list[Int[np.ndarray, " _"]]]:
     """Pair the clusters of two trees so that every pair of items is covered exactly once.
 
     Parameters
@@ -149,7 +133,10 @@ def cluster_pairs(
 
     Returns
     -------
-    ClusterPairs
+    list of (k,) int              for each cluster of the first tree, the clusters of the second
+                                  that are far from it, each pair at the highest possible level
+    list of (k,) int              for each leaf of the first tree, the near leaves of the second;
+                                  empty for other clusters
     """
     far: list[list[int]] = [[] for _ in first.start]
     near: list[list[int]] = [[] for _ in first.start]
@@ -175,7 +162,7 @@ def cluster_pairs(
             [np.stack([first.children[a[divide_a], k], b[divide_a]], axis=1) for k in (0, 1)]
             + [np.stack([a[divide_b], second.children[b[divide_b], k]], axis=1) for k in (0, 1)]
         )
-    return ClusterPairs(
+    return (
         [np.array(sorted(x), dtype=np.int64) for x in far],
         [np.array(sorted(x), dtype=np.int64) for x in near],
     )

@@ -33,30 +33,13 @@ from palpate.threads import in_threads
 _TRACTION, _DISPLACEMENT = 16, 13
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Receivers:
-    """Clusters of points, each with a skeleton: the few points from which all others interpolate.
-
-    Attributes
-    ----------
-    tree : ClusterTree            of the points
-    skeleton : list of (k, 3) float [m]   skeleton points of each cluster
-    interpolation : list of (m, k) float  weights that interpolate from these to the points of a
-                                          leaf, or to the skeleton points of both children
-    """
-
-    tree: ClusterTree
-    skeleton: list[Float[np.ndarray, "_ 3"]]
-    interpolation: list[Float[np.ndarray, "_ _"]]
-
-
-def make_receivers(
+def make_skeletons(
     tree: ClusterTree,
     points: Float[np.ndarray, "r 3"],
     proxies: Float[np.ndarray, "p 3"],
     tolerance: float,
-) -> Receivers:
-    """Choose the skeleton points of every cluster, from the leaves up.
+) -> tuple[list[Float[np.ndarray, "_ 3"]], list[Float[np.ndarray, "_ _"]]]:
+    """The skeleton of every cluster: the few points from which all others interpolate.
 
     Parameters
     ----------
@@ -68,7 +51,9 @@ def make_receivers(
 
     Returns
     -------
-    Receivers
+    list of (k, 3) float [m]      skeleton points of each cluster, chosen from the leaves up
+    list of (m, k) float          weights that interpolate from these to the points of a leaf, or to
+                                  the skeleton points of both children
     """
     count = len(tree.start)
     skeleton = [np.zeros((0, 3))] * count
@@ -84,7 +69,7 @@ def make_receivers(
             inverse_distances(candidates, around), tolerance
         )
         skeleton[one], interpolation[one] = candidates[chosen], weights.astype(np.float32)
-    return Receivers(tree, skeleton, interpolation)
+    return skeleton, interpolation
 
 
 class KernelWeights(NamedTuple):
@@ -150,7 +135,7 @@ class LeafMoments:
     ) -> None:
         matrix = np.empty((len(out), 4, 3, len(u)), dtype=out.dtype)
         _fill_traction(weights.skew, weights.rest, self.traction_kernel, matrix)
-        out += _product(matrix, u)
+        out += component_product(matrix, u)
 
     def _add_displacement(
         self, weights: KernelWeights, q: Float[np.ndarray, "s 3 c"], out: Float[np.ndarray, "k 4 c"]
@@ -158,7 +143,7 @@ class LeafMoments:
         matrix = np.empty((len(out), 4, 3, len(q)), dtype=out.dtype)
         trace = 1.5 * weights.constant - 2.0 * weights.slope
         _fill_displacement(trace, weights.constant, self.displacement_kernel, matrix)
-        out += _product(matrix, q)
+        out += component_product(matrix, q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +156,8 @@ class FarField:
     moments : dict of LeafMoments         of its leaves that belong to a far pair
     child_to_parent : dict of (k, 2 k) float    of its larger clusters that do: their charges from
                                           those of their children
-    receivers : Receivers
+    receivers : ClusterTree               of the collocation points
+    skeleton, interpolation : lists       for each of its clusters (`make_skeletons`)
     far : list of (k,) int                clusters of triangles that are far from each cluster of
                                           points
     sphere : ChargeSphere
@@ -181,7 +167,9 @@ class FarField:
     sources: ClusterTree
     moments: dict[int, LeafMoments]
     child_to_parent: dict[int, Float[np.ndarray, "k h"]]
-    receivers: Receivers
+    receivers: ClusterTree
+    skeleton: list[Float[np.ndarray, "_ 3"]]
+    interpolation: list[Float[np.ndarray, "_ _"]]
     far: list[Int[np.ndarray, " _"]]
     sphere: ChargeSphere
     offset: Float[np.ndarray, "r 3"]
@@ -256,20 +244,21 @@ class FarField:
         values: list[Float[np.ndarray, "_ 4 _"]],
     ) -> None:
         """Values at the skeleton points of some clusters, due to the sources far from each."""
-        tree, sphere, own = self.sources, self.sphere, self.receivers
+        tree, sphere = self.sources, self.sphere
         for one in range(begin, end):
-            far, skeleton = self.far[one], own.skeleton[one]
+            far, skeleton = self.far[one], self.skeleton[one]
             columns = charges.shape[3]
             values[one] = np.zeros((len(skeleton), 4, columns), dtype=charges.dtype)
             if not far.size:
                 continue
             # Relative to the centre: in single precision, absolute positions would lose digits.
-            shift = own.tree.centre[one] - tree.centre[far]
+            centre = self.receivers.centre[one]
+            shift = centre - tree.centre[far]
             charge_positions = tree.radius[far, None, None] * sphere.charge - shift[:, None]
             charge_positions = np.ascontiguousarray(
                 charge_positions.reshape(-1, 3).T, dtype=np.float32
             )
-            skeleton = (skeleton - own.tree.centre[one]).astype(np.float32)
+            skeleton = (skeleton - centre).astype(np.float32)
             # Indexing has copied it: it may be changed in place.
             shifted = charges[far]
             shifted[:, :, :3] += shift[:, None, :, None].astype(shifted.dtype) * shifted[:, :, 3:]
@@ -282,7 +271,7 @@ class FarField:
         self, values: list[Float[np.ndarray, "_ 4 _"]], columns: int
     ) -> Float[np.ndarray, "r 3 c"]:
         """Values at all points, interpolated from the largest clusters down."""
-        tree, interpolation = self.receivers.tree, self.receivers.interpolation
+        tree, interpolation = self.receivers, self.interpolation
         out = np.empty((len(self.offset), 3, columns), dtype=values[0].dtype)
         for one, children in enumerate(tree.children):
             weights = interpolation[one]
@@ -398,12 +387,23 @@ def _levels(tree: ClusterTree) -> list[Int[np.ndarray, " _"]]:
         levels.append(next_level)
 
 
-def _product(
-    matrix: Float[np.ndarray, "k 4 3 n"], vectors: Float[np.ndarray, "n 3 c"]
-) -> Float[np.ndarray, "k 4 c"]:
-    rows, columns = 4 * len(matrix), 3 * len(vectors)
+def component_product(
+    matrix: Float[np.ndarray, "k i 3 n"], vectors: Float[np.ndarray, "n 3 c"]
+) -> Float[np.ndarray, "k i c"]:
+    """Products of a matrix, whose columns go by components and then nodes, with vectors.
+
+    Parameters
+    ----------
+    matrix : (k, i, 3, n) float
+    vectors : (n, 3, c) float
+
+    Returns
+    -------
+    (k, i, c) float
+    """
+    rows, columns = matrix.shape[0] * matrix.shape[1], 3 * len(vectors)
     by_component = vectors.transpose(1, 0, 2).reshape(columns, -1)
-    return (matrix.reshape(rows, columns) @ by_component).reshape(len(matrix), 4, -1)
+    return (matrix.reshape(rows, columns) @ by_component).reshape(*matrix.shape[:2], -1)
 
 
 def _node_moments(

@@ -110,7 +110,7 @@ def cluster_inverse(
     ClusterInverse
     """
     weights = scaled_weights(system, poisson_ratio)
-    tree = system.operator.far.receivers.tree
+    tree = system.operator.far.receivers
     size = tree.stop - tree.start
     chosen = np.flatnonzero(size <= max_points)
     inner = tree.children[chosen].ravel()
@@ -123,7 +123,7 @@ def cluster_inverse(
 
     def factorise(begin: int, end: int) -> None:
         for k in range(begin, end):
-            blocks = [system.operator.near.blocks[b] for b in np.unique(block_of[points[k]])]
+            blocks = [system.operator.near[b] for b in np.unique(block_of[points[k]])]
             own = _diagonal_block(system, weights, blocks, points[k], unknowns[k])
             factors[k] = lu_factor(own, overwrite_a=True, check_finite=False)
 
@@ -279,7 +279,7 @@ def block_gmres(
 
 def _blocks_by_point(system: CompressedSystem) -> Int[np.ndarray, " r"]:
     number = np.empty(len(system.collocation.point), dtype=np.int64)
-    for k, block in enumerate(system.operator.near.blocks):
+    for k, block in enumerate(system.operator.near):
         number[block.points] = k
     return number
 

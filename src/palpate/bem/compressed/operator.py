@@ -26,12 +26,13 @@ from palpate.bem.compressed.far_field import (
     FarField,
     KernelWeights,
     LeafMoments,
+    component_product,
     leaf_moments,
     make_child_to_parent,
-    make_receivers,
+    make_skeletons,
 )
 from palpate.bem.integrals.assembly import Collocation, FieldBlocks, kernel_integrals
-from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION, FieldLayout
+from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature, triangle_rule
 from palpate.bem.system.system import Unknowns, restricted_nodes
 from palpate.geometry import QuadraticNodes, element_points, element_spheres, interpolation_matrix
@@ -40,26 +41,15 @@ from palpate.threads import in_threads
 
 # Degree of the quadrature rule of the far field; pairs too close for it belong to the near field.
 _DEGREE = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Compression:
-    """Accuracy and cluster sizes of the compressed operator.
-
-    Attributes
-    ----------
-    charges : int                 equivalent charges per cluster of triangles
-    admissibility : (float, float)    distance from its centre, in its radii, beyond which
-                                  everything is far from a cluster of points, and from a cluster
-                                  of triangles
-    tolerance : float             relative error of values interpolated within a cluster of points
-    leaf_size : (int, int)        largest numbers of collocation points and of triangles in a leaf
-    """
-
-    charges: int = 250
-    admissibility: tuple[float, float] = (1.5, 2.0)
-    tolerance: float = 1e-6
-    leaf_size: tuple[int, int] = (64, 64)
+# Equivalent charges per cluster of triangles.
+_CHARGES = 250
+# Distance from its centre, in its radii, beyond which everything is far from a cluster of points,
+# and from a cluster of triangles.
+_ADMISSIBILITY = (1.5, 2.0)
+# Relative error of values interpolated within a cluster of points.
+_TOLERANCE = 1e-6
+# Largest numbers of collocation points and of triangles in a leaf.
+LEAF_SIZE = (64, 64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,62 +92,19 @@ class NearBlock:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _NearField:
-    """Products of the near field with vectors.
-
-    Attributes
-    ----------
-    blocks : list of NearBlock        every collocation point belongs to one of them
-    n_points : int
-    """
-
-    blocks: list[NearBlock]
-    n_points: int
-
-    def apply(
-        self,
-        weights: KernelWeights,
-        displacement: Float[np.ndarray, "v 3 c"],
-        traction: Float[np.ndarray, "h 3 c"],
-    ) -> Float[np.ndarray, "r 3 c"]:
-        """Near-field part of the equations, (r, 3, c); arguments as for `FarField.apply`."""
-        out = np.empty((self.n_points, 3, displacement.shape[2]), dtype=displacement.dtype)
-        in_threads(self._multiply, len(self.blocks), weights, displacement, traction, out)
-        return out
-
-    def _multiply(
-        self,
-        begin: int,
-        end: int,
-        weights: KernelWeights,
-        displacement: Float[np.ndarray, "v 3 c"],
-        traction: Float[np.ndarray, "h 3 c"],
-        out: Float[np.ndarray, "r 3 c"],
-    ) -> None:
-        for block in self.blocks[begin:end]:
-            found = _product(
-                block.traction_matrix(weights, displacement.dtype), displacement[block.nodes]
-            )
-            if block.sides.size:
-                matrix = block.displacement_matrix(weights, displacement.dtype)
-                found += _product(matrix, traction[block.sides])
-            out[block.points] = found
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class CompressedOperator:
     """Products of the integral equations with displacements and tractions.
 
     Attributes
     ----------
-    near : _NearField
+    near : list of NearBlock      every collocation point belongs to one of them
     far : FarField
     to_points : (r, v) sparse     displacement at the collocation points from that of the vertices
     row_sums : (2, r, 3, 3) float    A and B, summed over all vertices: subtracted at the
                                   collocation point, so that a rigid translation gives no traction
     """
 
-    near: _NearField
+    near: list[NearBlock]
     far: FarField
     to_points: csr_array
     row_sums: Float[np.ndarray, "2 r 3 3"]
@@ -180,7 +127,7 @@ class CompressedOperator:
         -------
         (r, 3, c) float
         """
-        found = self.near.apply(weights, displacement, traction)
+        found = _near_product(self.near, weights, displacement, traction)
         found += self.far.apply(weights, displacement, traction)
         at_points = (self.to_points @ displacement.reshape(len(displacement), -1)).reshape(
             found.shape
@@ -190,12 +137,35 @@ class CompressedOperator:
         return found
 
 
+def _near_product(
+    near: list[NearBlock],
+    weights: KernelWeights,
+    displacement: Float[np.ndarray, "v 3 c"],
+    traction: Float[np.ndarray, "h 3 c"],
+) -> Float[np.ndarray, "r 3 c"]:
+    """Near-field part of the equations, (r, 3, c); arguments as for `FarField.apply`."""
+    count = sum(block.points.size for block in near)
+    out = np.empty((count, 3, displacement.shape[2]), dtype=displacement.dtype)
+
+    def multiply(begin: int, end: int) -> None:
+        for block in near[begin:end]:
+            matrix = block.traction_matrix(weights, displacement.dtype)
+            found = component_product(matrix, displacement[block.nodes])
+            if block.sides.size:
+                matrix = block.displacement_matrix(weights, displacement.dtype)
+                found += component_product(matrix, traction[block.sides])
+            out[block.points] = found
+
+    in_threads(multiply, len(near))
+    return out
+
+
 def compress(
     surface: BoundarySurface,
     unknowns: Unknowns,
     collocation: Collocation,
     *,
-    compression: Compression = Compression(),
+    leaf_size: tuple[int, int] = LEAF_SIZE,
     quadrature: Quadrature = Quadrature(),
     progress: Progress = silent,
 ) -> CompressedOperator:
@@ -206,7 +176,8 @@ def compress(
     surface : BoundarySurface
     unknowns : Unknowns
     collocation : Collocation
-    compression : Compression
+    leaf_size : (int, int)    largest numbers of collocation points and of triangles in a cluster
+                              that is not divided
     quadrature : Quadrature
     progress : callable
 
@@ -214,33 +185,33 @@ def compress(
     -------
     CompressedOperator
     """
-    points = cluster_tree(
-        collocation.point, np.zeros(len(collocation.point)), compression.leaf_size[0]
-    )
+    points = cluster_tree(collocation.point, np.zeros(len(collocation.point)), leaf_size[0])
     centre, radius = element_spheres(surface.element_nodes)
-    triangles = cluster_tree(centre, radius, compression.leaf_size[1])
+    triangles = cluster_tree(centre, radius, leaf_size[1])
     gap = quadrature.ratio(_DEGREE) * _largest(triangles, radius)
-    pairs = cluster_pairs(points, triangles, compression.admissibility, gap)
+    far_pairs, near_pairs = cluster_pairs(points, triangles, _ADMISSIBILITY, gap)
     held = np.flatnonzero(surface.held)
     index = np.full(surface.traction.n_nodes, -1)
     index[unknowns.held_sides] = np.arange(unknowns.held_sides.size)
     held_nodes = restricted_nodes(surface.traction, held, index)
     near = _near_field(
-        surface, collocation, (points, triangles), pairs.near, held_nodes, quadrature,
+        surface, collocation, (points, triangles), near_pairs, held_nodes, quadrature,
         part_of(progress, 0.0, 0.6),
     )  # fmt: skip
     progress("integrals far away", 0.6)
-    sphere = charge_sphere(compression.charges, compression.admissibility[1])
-    is_far, is_leaf = far_clusters(triangles, pairs.far), triangles.children[:, 0] < 0
+    sphere = charge_sphere(_CHARGES, _ADMISSIBILITY[1])
+    is_far, is_leaf = far_clusters(triangles, far_pairs), triangles.children[:, 0] < 0
     moments = _all_moments(surface, held_nodes, triangles, np.flatnonzero(is_far & is_leaf), sphere)
     child_to_parent = make_child_to_parent(triangles, np.flatnonzero(is_far & ~is_leaf), sphere)
-    proxies = compression.admissibility[0] * sphere.check / compression.admissibility[1]
-    receivers = make_receivers(points, collocation.point, proxies, compression.tolerance)
+    proxies = _ADMISSIBILITY[0] * sphere.check / _ADMISSIBILITY[1]
+    skeletons = make_skeletons(points, collocation.point, proxies, _TOLERANCE)
     offset = np.empty_like(collocation.point)
     for leaf in points.leaves:
         own = points.members(int(leaf))
         offset[own] = collocation.point[own] - points.centre[leaf]
-    far = FarField(triangles, moments, child_to_parent, receivers, pairs.far, sphere, offset)
+    far = FarField(
+        triangles, moments, child_to_parent, points, *skeletons, far_pairs, sphere, offset
+    )
     to_points = _own_displacement(surface.displacement, collocation)
     return CompressedOperator(near, far, to_points, _row_sums(near, far, surface, held_nodes))
 
@@ -280,11 +251,11 @@ def _sources(
     nodes: QuadraticNodes, elements: Int[np.ndarray, " m"], corners: Float[np.ndarray, "m 6 3"]
 ) -> tuple[Float[np.ndarray, "q 6"], csr_array]:
     """Quadrature points of some elements with their normals times weights, and shape functions."""
-    rule = triangle_rule(_DEGREE)
-    points = element_points(corners, rule.barycentric)
-    points[:, :, 3:] *= rule.weight[:, None]
-    each = np.repeat(elements, rule.weight.size)
-    shapes = interpolation_matrix(nodes, each, np.tile(rule.barycentric, (elements.size, 1)))
+    barycentric, weight = triangle_rule(_DEGREE)
+    points = element_points(corners, barycentric)
+    points[:, :, 3:] *= weight[:, None]
+    each = np.repeat(elements, weight.size)
+    shapes = interpolation_matrix(nodes, each, np.tile(barycentric, (elements.size, 1)))
     return points.reshape(-1, 6), shapes
 
 
@@ -302,7 +273,7 @@ def _own_displacement(nodes: QuadraticNodes, collocation: Collocation) -> csr_ar
 
 
 def _row_sums(
-    near: _NearField, far: FarField, surface: BoundarySurface, held_nodes: QuadraticNodes
+    near: list[NearBlock], far: FarField, surface: BoundarySurface, held_nodes: QuadraticNodes
 ) -> Float[np.ndarray, "2 r 3 3"]:
     """Products of A and of B with the three unit translations."""
     translations = np.tile(np.eye(3), (len(surface.mesh.vertices), 1, 1))
@@ -310,7 +281,7 @@ def _row_sums(
     parts = (KernelWeights(1.0, 0.0, 0.0, 0.0), KernelWeights(0.0, 1.0, 0.0, 0.0))
     return np.stack(
         [
-            near.apply(weights, translations, no_traction)
+            _near_product(near, weights, translations, no_traction)
             + far.apply(weights, translations, no_traction)
             for weights in parts
         ]
@@ -325,7 +296,7 @@ def _near_field(
     held_nodes: QuadraticNodes,
     quadrature: Quadrature,
     progress: Progress = silent,
-) -> _NearField:
+) -> list[NearBlock]:
     """Integrate over all triangles that are near each cluster of points.
 
     Parameters
@@ -340,7 +311,7 @@ def _near_field(
 
     Returns
     -------
-    _NearField
+    list of NearBlock
     """
     points, triangles = clusters
     leaves = points.leaves
@@ -364,14 +335,14 @@ def _near_field(
             progress("integrals nearby", sum(one is not None for one in blocks) / len(blocks))
 
     in_threads(integrate, len(leaves))
-    return _NearField([block for block in blocks if block is not None], len(collocation.point))
+    return [block for block in blocks if block is not None]
 
 
 def _fields(
     surface: BoundarySurface,
     collocation: Collocation,
     quadrature: Quadrature,
-    kernel: FieldLayout,
+    n_fields: int,
     nodes: QuadraticNodes,
     elements: Int[np.ndarray, " k"],
     triangles: Int[np.ndarray, " k"],
@@ -379,9 +350,9 @@ def _fields(
     """Nodes that determine a field on some elements, and the integrals of some points for these."""
     used, own = _own_nodes(nodes, elements)
     if not elements.size:
-        return used, np.zeros((kernel.count, len(collocation.point), 0), dtype=np.float32)
+        return used, np.zeros((n_fields, len(collocation.point), 0), dtype=np.float32)
     integrals = kernel_integrals(
-        surface, collocation, own, kernel, triangles=triangles, quadrature=quadrature
+        surface, collocation, own, n_fields, triangles=triangles, quadrature=quadrature
     )
     return used, _by_point(integrals.all_blocks())
 
@@ -419,14 +390,6 @@ def _own_nodes(
     columns = np.searchsorted(used, weights.indices)
     own = csr_array((weights.data, columns, weights.indptr), shape=(middles.size, used.size))
     return used, QuadraticNodes(number, used.size, own)
-
-
-def _product(
-    matrix: Float[np.ndarray, "m 3 3 n"], vectors: Float[np.ndarray, "n 3 c"]
-) -> Float[np.ndarray, "m 3 c"]:
-    rows, columns = 3 * len(matrix), 3 * len(vectors)
-    by_component = vectors.transpose(1, 0, 2).reshape(columns, -1)
-    return (matrix.reshape(rows, columns) @ by_component).reshape(len(matrix), 3, -1)
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)

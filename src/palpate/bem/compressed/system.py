@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.bem.compressed.far_field import KernelWeights
-from palpate.bem.compressed.operator import CompressedOperator, Compression, compress
+from palpate.bem.compressed.operator import LEAF_SIZE, CompressedOperator, compress
 from palpate.bem.integrals.assembly import point_blocks
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature, integral_weights
 from palpate.bem.system.system import (
@@ -164,7 +164,7 @@ def scaled_weights(system: BoundarySystem, poisson_ratio: float) -> KernelWeight
 def compressed_system(
     surface: BoundarySurface,
     *,
-    compression: Compression = Compression(),
+    leaf_size: tuple[int, int] = LEAF_SIZE,
     quadrature: Quadrature = Quadrature(),
     progress: Progress = silent,
 ) -> CompressedSystem:
@@ -173,7 +173,7 @@ def compressed_system(
     Parameters
     ----------
     surface : BoundarySurface
-    compression : Compression
+    leaf_size : (int, int)    largest numbers of points and of triangles in a leaf (`compress`)
     quadrature : Quadrature
     progress : callable
 
@@ -194,7 +194,7 @@ def compressed_system(
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
     operator = compress(
-        surface, unknowns, collocation, compression=compression, quadrature=quadrature,
+        surface, unknowns, collocation, leaf_size=leaf_size, quadrature=quadrature,
         progress=progress,
     )  # fmt: skip
     return CompressedSystem(

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from palpate.bem.integrals.element_integrals import MOST_KEPT, integrate_blocks
-from palpate.bem.integrals.kelvin import LANES, FieldLayout
+from palpate.bem.integrals.kelvin import LANES
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature, triangle_rule, unit_gauss
 from palpate.geometry import (
     QuadraticNodes,
@@ -59,8 +59,8 @@ class FieldBlocks:
 
     Attributes
     ----------
-    values : (blocks, n_nodes, fields, LANES) float     the fields in the order of their
-                                                        `FieldLayout`
+    values : (blocks, n_nodes, fields, LANES) float     the fields in the order of
+                                                        `kelvin.TRACTION`, or `DISPLACEMENT`
     rows : (blocks, LANES) int                          collocation point of each lane; the last
                                                         block is padded with its last point
     n_rows : int                                        number of collocation points
@@ -204,7 +204,7 @@ def kernel_integrals(
     surface: BoundarySurface,
     collocation: Collocation,
     nodes: QuadraticNodes,
-    kernel: FieldLayout,
+    n_fields: int,
     *,
     triangles: Int[np.ndarray, " m"] | None = None,
     quadrature: Quadrature = Quadrature(),
@@ -219,7 +219,7 @@ def kernel_integrals(
     collocation : Collocation
     nodes : QuadraticNodes                of the field that the kernel multiplies, on the same m
                                           triangles
-    kernel : FieldLayout                  `TRACTION` or `DISPLACEMENT`
+    n_fields : int                        of the kernel: `TRACTION` or `DISPLACEMENT`
     triangles : (m,) int or None          the triangles to integrate over; None: all
     quadrature : Quadrature
 
@@ -240,7 +240,7 @@ def kernel_integrals(
         _sources(element_nodes, rules), *element_spheres(element_nodes),
     )  # fmt: skip
     points = _points_in_blocks(collocation)
-    return KernelIntegrals(nodes.n_nodes, kernel.count, points, elements, rules, patches)
+    return KernelIntegrals(nodes.n_nodes, n_fields, points, elements, rules, patches)
 
 
 def add_rigid_body_sum(
@@ -287,9 +287,9 @@ def all_rules(quadrature: Quadrature) -> Rules:
     Rules
     """
     rules = [triangle_rule(degree) for degree in quadrature.degrees]
-    points = np.concatenate([np.column_stack([rule.barycentric, rule.weight]) for rule in rules])
+    points = np.concatenate([np.column_stack(rule) for rule in rules])
     shapes = np.ascontiguousarray(quadratic_shapes(points[:, :3]))
-    start = np.cumsum([0] + [rule.weight.size for rule in rules])
+    start = np.cumsum([0] + [weight.size for _, weight in rules])
     return Rules(points, shapes, start, quadrature.ratios(), polar_rule(quadrature))
 
 

@@ -21,7 +21,6 @@ _SMALLEST_PART = 1e-6
 _STACK_SIZE = 34
 # Widest panel in the hyperbolic angle of the singular integrals that 12 points resolve.
 _WIDEST_PANEL = 2.0
-_N_TRACTION = TRACTION.count
 # Quadrature points that are evaluated before they are summed: their fields stay in the first cache.
 _BATCH = 6
 # Points of the largest rule whose quadrature points are kept for every triangle. Larger ones serve
@@ -449,7 +448,7 @@ def _add_near_lane(n_fields, points, b, i, elements, e, rules, number, accumulat
             corner = k
     if points.triangle[row] == elements.triangle[e]:
         b0, b1, b2 = points.barycentric[row]
-        if n_fields == _N_TRACTION:
+        if n_fields == TRACTION:
             _shapes_at(b0, b1, b2, subtracted)
         for k in range(3):
             corners[:] = 0.0
@@ -457,7 +456,7 @@ def _add_near_lane(n_fields, points, b, i, elements, e, rules, number, accumulat
             corners[1, k] = corners[2, (k + 1) % 3] = 1.0
             add_singular(n_fields, point, nodes, corners, rules.polar, subtracted, local)
     elif corner >= 0:
-        if n_fields == _N_TRACTION:
+        if n_fields == TRACTION:
             subtracted[corner] = 1.0
         for j in range(3):
             corners[j, (corner + j) % 3] = 1.0

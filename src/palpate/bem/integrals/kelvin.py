@@ -21,8 +21,6 @@ Source: Lang and Pai (2001), eq. 2 and 3; Brebbia, Telles and Wrobel, Boundary E
 (1984), chapter 5.
 """
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 from jaxtyping import Float
@@ -33,38 +31,11 @@ from palpate.errors import InputError
 LANES = 32
 
 
-@dataclass(frozen=True, slots=True)
-class FieldLayout:
-    """The fields of a kernel in storage order: a vector, if any, then a symmetric tensor.
-
-    Attributes
-    ----------
-    names : tuple of str      components of the vector, then xx yy zz yz zx xy
-    """
-
-    names: tuple[str, ...]
-
-    @property
-    def count(self) -> int:
-        """Number of fields."""
-        return len(self.names)
-
-    @property
-    def tensor(self) -> slice:
-        """Where the symmetric tensor is stored."""
-        return slice(self.count - 6, self.count)
-
-    @property
-    def diagonal(self) -> slice:
-        """Where the diagonal of the symmetric tensor is stored."""
-        return slice(self.count - 6, self.count - 3)
-
-
-TRACTION = FieldLayout(("x", "y", "z", "xx", "yy", "zz", "yz", "zx", "xy"))
-DISPLACEMENT = FieldLayout(("xx", "yy", "zz", "yz", "zx", "xy"))
+# Fields of each kernel: x, y, z of a vector, only that of tractions has one; then xx, yy, zz, yz,
+# zx, xy of a symmetric tensor.
+TRACTION, DISPLACEMENT = 9, 6
 # Position of each entry [i, j] in the stored symmetric tensor.
 _ENTRY = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-_N_TRACTION = TRACTION.count
 
 
 def check_material(shear_modulus: float, poisson_ratio: float) -> None:
@@ -109,8 +80,8 @@ def traction_parts(
     x, y, z = fields[:3]
     zero = np.zeros_like(x)
     skew = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]])
-    flux = fields[TRACTION.diagonal].sum(axis=0) / 3
-    return skew - np.multiply.outer(np.eye(3), flux), -fields[TRACTION.tensor][_ENTRY]
+    flux = fields[3:6].sum(axis=0) / 3
+    return skew - np.multiply.outer(np.eye(3), flux), -fields[3:][_ENTRY]
 
 
 def displacement_parts(
@@ -130,7 +101,7 @@ def displacement_parts(
     ------
     Lang and Pai (2001), eq. 3
     """
-    trace = np.multiply.outer(np.eye(3), fields[DISPLACEMENT.diagonal].sum(axis=0))
+    trace = np.multiply.outer(np.eye(3), fields[:3].sum(axis=0))
     return 1.5 * trace + 0.5 * fields[_ENTRY], -2 * trace
 
 
@@ -140,7 +111,7 @@ def lane_fields(n_fields, lanes, sources, out):
 
     Parameters
     ----------
-    n_fields : int                          which kernel: `TRACTION.count` or `DISPLACEMENT.count`
+    n_fields : int                          which kernel: `TRACTION` or `DISPLACEMENT`
     lanes : (3 LANES,) float [m]            load points y, coordinate-major
     sources : (q, 6) float                  surface points x [m], normals times weight [m^2]
     out : (q * n_fields * LANES,) float     overwritten; fields times weight
@@ -148,7 +119,7 @@ def lane_fields(n_fields, lanes, sources, out):
     width = n_fields * LANES
     for q in range(sources.shape[0]):
         row = out[q * width : (q + 1) * width]
-        if n_fields == _N_TRACTION:
+        if n_fields == TRACTION:
             _traction_lanes(lanes, sources[q], row)
         else:
             _displacement_lanes(lanes, sources[q], row)
@@ -160,7 +131,7 @@ def add_point_fields(n_fields, point, source, weight, factor, out):
 
     Parameters
     ----------
-    n_fields : int                          which kernel: `TRACTION.count` or `DISPLACEMENT.count`
+    n_fields : int                          which kernel: `TRACTION` or `DISPLACEMENT`
     point : (3,) float [m]                  load point y
     source : (6,) float                     surface point x [m], normal times area [m^2]
     weight : float                          > 0
@@ -169,7 +140,7 @@ def add_point_fields(n_fields, point, source, weight, factor, out):
     """
     x, y, z = source[0] - point[0], source[1] - point[1], source[2] - point[2]
     s = 1.0 / np.sqrt(x * x + y * y + z * z)
-    if n_fields == _N_TRACTION:
+    if n_fields == TRACTION:
         nx, ny, nz = weight * source[3], weight * source[4], weight * source[5]
         traction = _traction_values(x, y, z, nx, ny, nz, s)
         for a in range(factor.size):

@@ -13,7 +13,6 @@ from scipy.special import roots_jacobi, roots_legendre
 
 from palpate.errors import InputError
 from palpate.geometry import (
-    CREASE_ANGLE,
     QuadraticNodes,
     Sides,
     TriangleMesh,
@@ -25,30 +24,6 @@ from palpate.geometry import (
     split_sides,
     triangle_areas,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class SurfaceSettings:
-    """Interpolation of geometry and fields between the vertices.
-
-    Attributes
-    ----------
-    smooth : bool             True: the mesh samples a smooth object, and curved triangles
-                              interpolate it; False: the object has exactly the flat facets of the
-                              mesh
-    quadratic : bool          True: fields are quadratic on each triangle, with midside values
-                              fitted to the surrounding vertices; False: linear elements, as in the
-                              paper
-    crease_angle : float [rad] angle between the normals of adjacent triangles above which their
-                              edge is an edge of the object
-    rings : int               rings of neighbours of an edge that the quadratics are fitted to, 1 or
-                              2; the difference between the two estimates the interpolation error
-    """
-
-    smooth: bool = True
-    quadratic: bool = True
-    crease_angle: float = CREASE_ANGLE
-    rings: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +63,9 @@ def make_surface(
     held_triangles: Int[np.ndarray, " k"],
     *,
     directions: Float[np.ndarray, "k 3 3"] | None = None,
-    settings: SurfaceSettings = SurfaceSettings(),
+    smooth: bool = True,
+    quadratic: bool = True,
+    rings: int = 1,
 ) -> BoundarySurface:
     """Prepare a closed mesh and its support for the boundary integrals.
 
@@ -98,7 +75,15 @@ def make_surface(
     held_triangles : (k,) int         triangles of the support
     directions : (k, 3, 3) float      projector onto the directions in which each of them is held;
                                       None: all directions
-    settings : SurfaceSettings
+    smooth : bool                     True: the mesh samples a smooth object, and curved triangles
+                                      interpolate it; False: the object has exactly the flat facets
+                                      of the mesh
+    quadratic : bool                  True: fields are quadratic on each triangle, with midside
+                                      values fitted to the surrounding vertices; False: linear
+                                      elements, as in the paper
+    rings : int                       rings of neighbours of an edge that the quadratics are fitted
+                                      to, 1 or 2; the difference between the two estimates the
+                                      interpolation error
 
     Returns
     -------
@@ -119,27 +104,19 @@ def make_surface(
     held_directions[held_triangles] = np.eye(3) if directions is None else directions
     # The traction of a roller ends where it meets another support or the free surface.
     _, region = np.unique(held_directions.reshape(-1, 9), axis=0, return_inverse=True)
-    sides = split_sides(mesh, region.ravel(), crease_angle=settings.crease_angle)
-    displacement = displacement_nodes(mesh, sides, rings=settings.rings)
-    traction = side_nodes(mesh, sides, rings=settings.rings)
-    geometry = displacement if settings.smooth else linear_nodes(displacement)
-    if not settings.quadratic:
+    sides = split_sides(mesh, region.ravel())
+    displacement = displacement_nodes(mesh, sides, rings=rings)
+    traction = side_nodes(mesh, sides, rings=rings)
+    geometry = displacement if smooth else linear_nodes(displacement)
+    if not quadratic:
         displacement, traction = linear_nodes(displacement), linear_nodes(traction)
     position = np.concatenate([mesh.vertices, geometry.weights @ mesh.vertices])
     nodes = position[geometry.element]
     length = float(np.sqrt(triangle_areas(mesh)[held].mean()))
-    corrects_indentation = settings.smooth and settings.quadratic
     return BoundarySurface(
-        mesh,
-        sides,
-        held,
-        held_directions,
-        nodes,
-        displacement,
-        traction,
-        length,
-        corrects_indentation,
-    )
+        mesh, sides, held, held_directions, nodes, displacement, traction, length,
+        corrects_indentation=smooth and quadratic,
+    )  # fmt: skip
 
 
 def integral_weights(
@@ -163,22 +140,6 @@ def integral_weights(
     midside = np.zeros(nodes.weights.shape[0])
     np.add.at(midside, nodes.element[triangles, 3:] - nodes.n_nodes, midside_integrals)
     return weights + nodes.weights.T @ midside
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TriangleRule:
-    """Points and weights on a triangle.
-
-    Attributes
-    ----------
-    degree : int                   polynomials up to this degree are integrated exactly
-    barycentric : (q, 3) float [-] points
-    weight : (q,) float [-]        sum to 1/2, the area of the reference triangle
-    """
-
-    degree: int
-    barycentric: Float[np.ndarray, "q 3"]
-    weight: Float[np.ndarray, " q"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +186,7 @@ class Quadrature:
 # Cached, as are those below: each rule takes an eigenvalue problem, and every load of every model
 # asks for the same few.
 @cache
-def triangle_rule(degree: int) -> TriangleRule:
+def triangle_rule(degree: int) -> tuple[Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
     """A rule with positive weights that is exact up to at least the given degree.
 
     Parameters
@@ -234,8 +195,9 @@ def triangle_rule(degree: int) -> TriangleRule:
 
     Returns
     -------
-    TriangleRule              3, 6 or 7 points for degrees 2, 4 and 5, else a conical product of n^2
-                              points; read-only
+    (q, 3) float [-]          barycentric coordinates of 3, 6 or 7 points for degrees 2, 4 and 5,
+                              else of a conical product of n^2 points; read-only
+    (q,) float [-]            weights that sum to 1/2, the area of the reference triangle
 
     Source
     ------
@@ -243,7 +205,7 @@ def triangle_rule(degree: int) -> TriangleRule:
     (1971) for the products.
     """
     if degree <= 2:
-        return _symmetric(2, [(1 / 6, 1 / 3)], 0.0)
+        return _symmetric([(1 / 6, 1 / 3)], 0.0)
     if degree <= 4:
         root = np.sqrt(38 - 44 * np.sqrt(2 / 5))
         base = np.sqrt(213125 - 53320 * np.sqrt(10))
@@ -251,11 +213,11 @@ def triangle_rule(degree: int) -> TriangleRule:
             ((8 - np.sqrt(10) + root) / 18, (620 + base) / 3720),
             ((8 - np.sqrt(10) - root) / 18, (620 - base) / 3720),
         ]
-        return _symmetric(4, orbits, 0.0)
+        return _symmetric(orbits, 0.0)
     if degree <= 5:
         root = np.sqrt(15)
         orbits = [((6 - root) / 21, (155 - root) / 1200), ((6 + root) / 21, (155 + root) / 1200)]
-        return _symmetric(5, orbits, 9 / 40)
+        return _symmetric(orbits, 9 / 40)
     return _conical(degree // 2 + 1)
 
 
@@ -278,15 +240,15 @@ def unit_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]
 def _element_integrals(
     nodes: Float[np.ndarray, "k 6 3"],
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    rule = triangle_rule(7)
-    area = np.linalg.norm(element_points(nodes, rule.barycentric)[:, :, 3:], axis=2)
-    integrals = np.einsum("q,aq,kq->ka", rule.weight, quadratic_shapes(rule.barycentric), area)
+    barycentric, weight = triangle_rule(7)
+    area = np.linalg.norm(element_points(nodes, barycentric)[:, :, 3:], axis=2)
+    integrals = np.einsum("q,aq,kq->ka", weight, quadratic_shapes(barycentric), area)
     return integrals[:, :3], integrals[:, 3:]
 
 
 def _symmetric(
-    degree: int, orbits: list[tuple[float, float]], centre_weight: float
-) -> TriangleRule:
+    orbits: list[tuple[float, float]], centre_weight: float
+) -> tuple[np.ndarray, np.ndarray]:
     points, weights = [], []
     for a, weight in orbits:
         b = 1 - 2 * a
@@ -295,16 +257,16 @@ def _symmetric(
     if centre_weight:
         points.append((1 / 3, 1 / 3, 1 / 3))
         weights.append(centre_weight)
-    return TriangleRule(degree, *_read_only(np.array(points), 0.5 * np.array(weights)))
+    return _read_only(np.array(points), 0.5 * np.array(weights))
 
 
-def _conical(n: int) -> TriangleRule:
+def _conical(n: int) -> tuple[np.ndarray, np.ndarray]:
     radial, radial_weight = roots_jacobi(n, 0.0, 1.0)
     s, w_s = 0.5 * (radial + 1), 0.25 * radial_weight
     t, w_t = unit_gauss(n)
     s, t = (grid.ravel() for grid in np.meshgrid(s, t, indexing="ij"))
     barycentric = np.stack([1 - s, s * (1 - t), s * t], axis=1)
-    return TriangleRule(2 * n - 1, *_read_only(barycentric, np.outer(w_s, w_t).ravel()))
+    return _read_only(barycentric, np.outer(w_s, w_t).ravel())
 
 
 def _read_only(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -129,15 +129,15 @@ def indentation_corrections(
         if disc is None or not surface.corrects_indentation:
             found.append(None)
             continue
-        foot = find_foot(surface, load.triangles, disc.centre)
+        flat, curved, normal = find_foot(surface, load.triangles, disc.centre)
         # An edge of the object or the rim of its support may run through the patch.
-        if cut_distance(surface.mesh, surface.sides, load.triangles, foot.flat) < disc.radius:
+        if cut_distance(surface.mesh, surface.sides, load.triangles, flat) < disc.radius:
             found.append(None)
             continue
         if disc.profile not in potentials:
             potentials[disc.profile] = disc_potentials(disc.profile)
-        placed = replace(disc, centre=foot.curved)
-        own = _indentation_correction(surface, edge, placed, potentials[disc.profile], foot.normal)
+        placed = replace(disc, centre=curved)
+        own = _indentation_correction(surface, edge, placed, potentials[disc.profile], normal)
         found.append(own)
     return found
 

@@ -227,10 +227,10 @@ def total_traction(
     -------
     (3,) float [N]
     """
-    rule = triangle_rule(7)
-    area = np.linalg.norm(element_points(nodes, rule.barycentric)[:, :, 3:], axis=2)
-    shape = quadratic_shapes(rule.barycentric)
-    return np.einsum("q,kq,aq,kai->i", rule.weight, area, shape, traction)
+    barycentric, weight = triangle_rule(7)
+    area = np.linalg.norm(element_points(nodes, barycentric)[:, :, 3:], axis=2)
+    shape = quadratic_shapes(barycentric)
+    return np.einsum("q,kq,aq,kai->i", weight, area, shape, traction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -60,7 +60,6 @@ class LoadCells:
 
 # Unless others are asked for.
 LOAD_CELLS = LoadCells(degree=5, rim_points=4, polar_points=8, coarsest=1, finest=1)
-_N_FIELDS = DISPLACEMENT.count
 # Sources whose fields are computed before they are summed: they fit into the L1 cache.
 _AT_ONCE = 16
 # Largest relative error of a row's own integral of the density, above which its points do not
@@ -88,24 +87,9 @@ class SurfaceLoad:
     disc: PressureDisc | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Foot:
-    """The point of the surface nearest to the centre of a round patch.
-
-    Attributes
-    ----------
-    flat : (3,) float [m]         on the flat triangle
-    curved : (3,) float [m]       on its curved element
-    normal : (3,) float [-]       outward, of the curved element: unlike that of the flat triangle,
-                                  it varies continuously within an element
-    """
-
-    flat: Vector3
-    curved: Vector3
-    normal: Vector3
-
-
-def find_foot(surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre: Vector3) -> Foot:
+def find_foot(
+    surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre: Vector3
+) -> tuple[Vector3, Vector3, Vector3]:
     """The point of some triangles nearest to the centre of a patch.
 
     Parameters
@@ -116,13 +100,16 @@ def find_foot(surface: BoundarySurface, triangles: Int[np.ndarray, " k"], centre
 
     Returns
     -------
-    Foot
+    flat : (3,) float [m]         on the flat triangle
+    curved : (3,) float [m]       on its curved element
+    normal : (3,) float [-]       outward, of the curved element: unlike that of the flat triangle,
+                                  it varies continuously within an element
     """
     near = TriangleMesh(surface.mesh.vertices, surface.mesh.triangles[triangles])
     nearest = closest_points(near, centre[None])
     element = surface.element_nodes[triangles[nearest.triangle]]
     point = element_points(element, nearest.barycentric)[0, 0]
-    return Foot(nearest.position[0], point[:3], point[3:] / np.linalg.norm(point[3:]))
+    return nearest.position[0], point[:3], point[3:] / np.linalg.norm(point[3:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,10 +184,10 @@ def integrate_load(
     n_rows = collocation.point.shape[0]
     order = rows.ravel()[:n_rows]
     sources = _as_sources(points.position, points.weight)
-    out = np.zeros((rows.shape[0], DISPLACEMENT.count * LANES))
+    out = np.zeros((rows.shape[0], DISPLACEMENT * LANES))
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
-    fields = out.reshape(-1, DISPLACEMENT.count, LANES).transpose(0, 2, 1)
-    fields = fields.reshape(-1, DISPLACEMENT.count)[:n_rows].copy()
+    fields = out.reshape(-1, DISPLACEMENT, LANES).transpose(0, 2, 1)
+    fields = fields.reshape(-1, DISPLACEMENT)[:n_rows].copy()
     _recompute_rows_on_patch(
         surface, load, points, sources, collocation, order, fields, cells.polar_points
     )
@@ -222,8 +209,8 @@ def _placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     """
     if load.disc is None:
         return load
-    foot = find_foot(surface, load.triangles, load.disc.centre)
-    shift = foot.curved - load.disc.centre
+    flat, curved, _ = find_foot(surface, load.triangles, load.disc.centre)
+    shift = curved - load.disc.centre
 
     def density(
         triangle: Int[np.ndarray, " n"],
@@ -232,7 +219,7 @@ def _placed_load(surface: BoundarySurface, load: SurfaceLoad) -> SurfaceLoad:
     ) -> Float[np.ndarray, " n"]:
         return load.density(triangle, barycentric, position - shift)
 
-    return replace(load, density=density, disc=replace(load.disc, centre=foot.flat))
+    return replace(load, density=density, disc=replace(load.disc, centre=flat))
 
 
 def _placed_points(
@@ -337,7 +324,7 @@ def _cell_points(
     cells: LoadCells,
 ) -> Iterator[tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k q 3"], Float[np.ndarray, "k q"]]]:
     """Triangle, points and weights of the cells within a load, then of those across its rim."""
-    rim, rule = np.zeros(triangle.size, dtype=bool), triangle_rule(cells.degree)
+    rim = np.zeros(triangle.size, dtype=bool)
     if load.disc is not None:
         place = _corner_places(surface, triangle, corners)
         away = np.linalg.norm(place - load.disc.centre, axis=2)
@@ -345,10 +332,11 @@ def _cell_points(
         barycentric, weight = polar_points(place[rim], corners[rim], load.disc, cells.rim_points)
         position, area, density = _traction_at(surface, load, triangle[rim], barycentric)
         yield triangle[rim], position, density * area * weight
-    barycentric = np.einsum("qk,ckj->cqj", rule.barycentric, corners[~rim])
+    within, weight = triangle_rule(cells.degree)
+    barycentric = np.einsum("qk,ckj->cqj", within, corners[~rim])
     position, area, density = _traction_at(surface, load, triangle[~rim], barycentric)
     size = np.abs(np.linalg.det(corners[~rim]))[:, None]
-    yield triangle[~rim], position, density * area * size * rule.weight
+    yield triangle[~rim], position, density * area * size * weight
 
 
 def _traction_at(
@@ -414,7 +402,7 @@ def _recompute_rows_on_patch(
     around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
     by_row = np.argsort(row, kind="stable")
     rows, start = np.unique(row[by_row], return_index=True)
-    recomputed = np.zeros((rows.size, 1, DISPLACEMENT.count))
+    recomputed = np.zeros((rows.size, 1, DISPLACEMENT))
     total = np.bincount(row, weight.sum(axis=1))[rows]
     of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
     pairs = np.unique(np.stack([row, triangle]), axis=1)
@@ -461,13 +449,13 @@ def _subtriangles_on_patch(
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
 def _sum_points(begin, end, lanes, sources, out):
     """Displacement fields of some blocks of load points, summed over the sources."""
-    width = _N_FIELDS * LANES
+    width = DISPLACEMENT * LANES
     buffer = np.empty(_AT_ONCE * width)
     for b in range(begin, end):
         total = out[b]
         for first in range(0, sources.shape[0], _AT_ONCE):
             last = min(first + _AT_ONCE, sources.shape[0])
-            lane_fields(_N_FIELDS, lanes[b], sources[first:last], buffer)
+            lane_fields(DISPLACEMENT, lanes[b], sources[first:last], buffer)
             for q in range(last - first):
                 for i in range(width):
                     total[i] += buffer[q * width + i]
@@ -483,10 +471,10 @@ def _sum_around(begin, end, points, around, triangle, start, sources, loaded, ou
             for q in range(around.shape[1]):
                 # Where a patch covers none of a part, its points may coincide with the point.
                 if around[part, q, 3] > 0.0:
-                    add_point_fields(_N_FIELDS, points[i], around[part, q], 1.0, factor, out[i])
+                    add_point_fields(DISPLACEMENT, points[i], around[part, q], 1.0, factor, out[i])
         for q in range(sources.shape[0]):
             counts = True
             for part in range(start[i], start[i + 1]):
                 counts = counts and loaded[q] != triangle[part]
             if counts:
-                add_point_fields(_N_FIELDS, points[i], sources[q], 1.0, factor, out[i])
+                add_point_fields(DISPLACEMENT, points[i], sources[q], 1.0, factor, out[i])

@@ -321,7 +321,7 @@ def _system_elimination(system: BoundarySystem) -> _Elimination | None:
 def _factorise_with_slope(
     system: BoundarySystem, poisson_ratio: float, *, precision: Precision = np.float64
 ) -> tuple[FactorisedSystem, SystemSlope]:
-    """`factorise` and the derivative of the matrix (`system_slope`), from the same integrals.
+    """`factorise` and the derivative of the matrix (`matrix_and_slope`), from the same integrals.
 
     Parameters
     ----------

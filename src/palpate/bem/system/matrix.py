@@ -18,7 +18,7 @@ from scipy.linalg.blas import get_blas_funcs
 from scipy.sparse import csr_array
 
 from palpate.bem.integrals.assembly import Collocation
-from palpate.bem.integrals.kelvin import DISPLACEMENT, TRACTION, displacement_parts, traction_parts
+from palpate.bem.integrals.kelvin import TRACTION, displacement_parts, traction_parts
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature, integral_weights
 from palpate.bem.system.system import (
     BlockUse,
@@ -101,7 +101,7 @@ class SystemSlope:
 def matrix_and_slope(
     system: BoundarySystem, poisson_ratio: float, *, precision: Precision = np.float64
 ) -> tuple[Float[np.ndarray, "r k"], SystemSlope]:
-    """`system_matrix` and its derivative (`system_slope`), from the same integrals.
+    """`system_matrix` and its derivative with respect to Poisson's ratio, from the same integrals.
 
     Parameters
     ----------
@@ -152,23 +152,6 @@ def held_columns(
 
     for_each_block(system, add)
     return terms
-
-
-def system_slope(system: BoundarySystem, *, precision: Precision = np.float64) -> SystemSlope:
-    """Gather the fields that depend on Poisson's ratio.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    precision : type          of the entries
-
-    Returns
-    -------
-    SystemSlope
-    """
-    slope, fill = _slope_to_fill(system, precision)
-    for_each_block(system, fill)
-    return slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +210,7 @@ def point_equations(
     collocation = _collocation_at(system.surface, triangle, barycentric)
     equations = equations_at(system.surface, system.unknowns, collocation, quadrature=quadrature)
     to_fill = [_matrix_to_fill(equations, nu) for nu in (0.0, 1.0)]
-    fields = np.empty((TRACTION.count, triangle.size))
+    fields = np.empty((TRACTION, triangle.size))
 
     def fill(rows: slice, traction: np.ndarray, displacement: np.ndarray) -> None:
         for _, fill_matrix in to_fill:
@@ -292,7 +275,7 @@ def _slope_to_fill(
 
     Parameters
     ----------
-    system, precision         as in `system_slope`
+    system, precision         as in `matrix_and_slope`
 
     Returns
     -------
@@ -309,8 +292,8 @@ def _slope_to_fill(
         # By row, then by node, as they are multiplied.
         turned = np.ascontiguousarray(traction[free].transpose(1, 2, 0))
         skew[:, rows] = 2.0 * turned[:3]
-        flux[rows] = 2.0 / 3 * turned[TRACTION.diagonal].sum(axis=0)
-        trace[rows] = scale * displacement[:, DISPLACEMENT.diagonal].sum(axis=1).T
+        flux[rows] = 2.0 / 3 * turned[3:6].sum(axis=0)
+        trace[rows] = scale * displacement[:, :3].sum(axis=1).T
 
     return SystemSlope(skew, flux, trace), fill
 

@@ -115,7 +115,7 @@ def make_object_model(
     Parameters
     ----------
     session : Session
-    rings : int                       as `bem.SurfaceSettings`
+    rings : int                       as for `bem.make_surface`
     cache : Path or None              folder in which what is computed of the body is kept for
                                       reuse
     perturbed : bool                  False: without perturbed contacts, and without the error of

@@ -18,7 +18,6 @@ from palpate.bem import (
     BoundarySystem,
     PointEquations,
     Springs,
-    SurfaceSettings,
     integral_weights,
     make_springs,
     make_surface,
@@ -259,7 +258,7 @@ def session_surface(session: Session, *, rings: int = 1) -> BoundarySurface:
     Parameters
     ----------
     session : Session
-    rings : int                     as `bem.SurfaceSettings`
+    rings : int                     as for `bem.make_surface`
 
     Returns
     -------
@@ -269,7 +268,8 @@ def session_surface(session: Session, *, rings: int = 1) -> BoundarySurface:
         session.mesh,
         session.held_triangles,
         directions=held_directions(session),
-        settings=SurfaceSettings(smooth=session.smooth, rings=rings),
+        smooth=session.smooth,
+        rings=rings,
     )
 
 

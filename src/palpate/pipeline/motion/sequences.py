@@ -248,15 +248,15 @@ def posed_rig(
     """
     _check_view(rig, pictures, mesh)
     prepared = prepare_pictures(rig, pictures)
-    checked = check_rig(prepared)
+    *_, notes = check_rig(prepared)
     if choice == "given":
-        return rig, checked.notes
+        return rig, notes
     stereo = stereo_points(prepared)
     registration = register_object(rig, stereo, smooth_surface(mesh))
     if registration is None:
         count = int(near_object(stereo.point, mesh).sum())
         if choice == "auto":
-            return rig, (*checked.notes, _unchecked(count))
+            return rig, (*notes, _unchecked(count))
         raise CalibrationError(
             f"{rig.source}: only {count} stereo points lie near the object, too few to register it;"
             " is the object in view of two cameras, and the guess of its pose within 5 degrees and"
@@ -265,9 +265,9 @@ def posed_rig(
     free = free_motions_text(registration)
     free_notes = (_free_note(free),) if free else ()
     if choice == "auto" and _agrees(registration, _distance(stereo, mesh)):
-        return rig, (*checked.notes, *free_notes)
+        return rig, (*notes, *free_notes)
     posed, note = _registered(rig, registration)
-    return posed, (*checked.notes, note, *free_notes)
+    return posed, (*notes, note, *free_notes)
 
 
 def _probing_sequence(name: str, images: Images) -> PictureSequence:

@@ -131,20 +131,6 @@ def parts_folder(folder: Path) -> Path:
     return folder.with_suffix(".parts")
 
 
-def _target_parts_folder(target: Path) -> Path:
-    """`parts_folder` of the result folder that was to be put in place as `target`.
-
-    Parameters
-    ----------
-    target : Path                   final name
-
-    Returns
-    -------
-    Path
-    """
-    return target.with_name(f".{target.name}.parts")
-
-
 def record_inputs(folder: Path, files: Iterable[Path]) -> None:
     """Record the checksums of a result's input files, so that changes can be told.
 

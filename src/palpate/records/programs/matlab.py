@@ -9,7 +9,6 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +49,10 @@ _COMPLEX = 0x800
 Elements = list[tuple[int, memoryview]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Opaque:
-    """A MATLAB object: its class can be read, its content only by MATLAB."""
+class _Opaque(str):
+    """Class of a MATLAB object, whose content only MATLAB can read."""
 
-    kind: str
+    __slots__ = ()
 
 
 def _holds_rig(file: CalibrationFile) -> bool:
@@ -94,7 +92,7 @@ def _read_matlab_rig(file: CalibrationFile) -> Rig:
     content = _variables(file.path)
     table = next((t for t in _tables(content) if _CAMERAS[0] in t), None)
     values = [value for t in _tables(content) for value in t.values()]
-    objects = [value.kind for value in values if isinstance(value, _Opaque)]
+    objects = [value for value in values if isinstance(value, _Opaque)]
     if table is None and objects:
         file.fail(f"holds an object ({objects[0]}), which only MATLAB can read; {_EXPORT}")
     if table is None:

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 
-from palpate.errors import InputError
 from palpate.records import Rig, camera_centre
 from palpate.shapes import Points, PointScalars
 from palpate.threads import in_threads
@@ -93,18 +92,7 @@ def disparity_map(
     Returns
     -------
     (rows, columns) float [px]      sub-pixel disparity; NaN where there is no valid match
-
-    Raises
-    ------
-    InputError                      fewer than two pictures, their number differs from that of the
-                                    views, or `limits` is not increasing
     """
-    if len(pictures) != len(views.along) or len(pictures) < 2:
-        raise InputError(
-            f"{len(pictures)} pictures for {len(views.along)} views; must be as many, two or more"
-        )
-    if not limits[1] > limits[0]:
-        raise InputError(f"disparities from {limits[0]:g} to {limits[1]:g}; must be rising")
     stack = np.stack([np.asarray(picture, dtype=np.float64) for picture in pictures])
     # Centred at zero, sums of squares lose fewer digits.
     stack -= np.nanmean(stack)

@@ -66,20 +66,6 @@ _MIN_MOTIONS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """The mesh as seen by the rectified reference, at the tracked pixels.
-
-    `pixel` (n, 2) column and row, `point` (n, 3) [m], `tangent` (n, 2, 3), and `disparity` (n,) of
-    the mesh there [px].
-    """
-
-    pixel: Int[np.ndarray, "n 2"]
-    point: Points
-    tangent: Float[np.ndarray, "n 2 3"]
-    disparity: PointScalars
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class LangPaiState:
     """State of the method `lang-pai` between instants.
 
@@ -176,23 +162,24 @@ class LangPaiFlow:
         _check_pictures(rig, pictures)
         shape = pictures[0].shape
         head = make_head(rig, (shape[0], shape[1]))
-        seen = _seen_mesh(head, surface, self.step)
+        pixel, point, tangent = _seen_mesh(head, surface, self.step)
+        expected = head_disparity(head, point)
         limits = _disparity_limits(head, surface)
         first = make_instant(head, pictures, limits)
-        track = _begun(first, seen)
+        track = _begun(first, pixel, expected)
         begun = track.outcome == Outcome.VALID
-        disparity = first.disparity[seen.pixel[:, 1], seen.pixel[:, 0]]
-        point = seen.point.copy()
-        point[begun] = head_points(head, seen.pixel[begun], disparity[begun])
-        along_surface, along_ray = _pixel_footprints(head.rectified.cameras[0], seen, head.parallax)
-        off = np.abs(disparity - seen.disparity)[begun]
+        disparity = first.disparity[pixel[:, 1], pixel[:, 0]]
+        point = point.copy()
+        point[begun] = head_points(head, pixel[begun], disparity[begun])
+        along_surface, along_ray = _pixel_footprints(
+            head.rectified.cameras[0], pixel, tangent, expected, head.parallax
+        )
+        off = np.abs(disparity - expected)[begun]
         scatter = STD_OVER_MEDIAN * float(np.median(off)) if len(off) else 0.0
         # Rounding errors are uniform over a pixel: variance 1 / 12.
         rounding = np.einsum("nki,nkj->nij", along_surface, along_surface) / 12.0
         noise = 2.0 * scatter**2 * np.einsum("ni,nj->nij", along_ray, along_ray)
-        return LangPaiState(
-            rig, head, limits, point, seen.tangent, rounding, noise, first, track, 0
-        )
+        return LangPaiState(rig, head, limits, point, tangent, rounding, noise, first, track, 0)
 
     def follow(
         self, state: LangPaiState, pictures: Sequence[Float[np.ndarray, "_ _"]]
@@ -321,30 +308,30 @@ def _disparity_limits(head: StereoHead, surface: TriangleMesh) -> tuple[float, f
     return head.parallax / (float(depth.max()) + room), head.parallax / nearest
 
 
-def _seen_mesh(head: StereoHead, surface: TriangleMesh, step: int) -> _Seen:
-    """The points to track: pixels of a grid that see the mesh."""
+def _seen_mesh(
+    head: StereoHead, surface: TriangleMesh, step: int
+) -> tuple[Int[np.ndarray, "n 2"], Points, Float[np.ndarray, "n 2 3"]]:
+    """The points to track: pixels of a grid of the rectified reference that see the mesh, the
+    points of the mesh there, and its tangents."""
     seen = surface_map(head.rectified.cameras[0], head.canvas, surface.vertices, surface.triangles)
     shown = seen.triangle >= 0
-    pixel, point, tangent = grid_points(seen, shown, surface.vertices, surface.triangles, step)
-    return _Seen(pixel, point, tangent, head_disparity(head, point))
+    return grid_points(seen, shown, surface.vertices, surface.triangles, step)
 
 
-def _begun(first: Instant, seen: _Seen) -> Vote:
-    """Initial track: all pixels in place, valid where stereo confirms the surface of the mesh."""
-    column, row = seen.pixel.T
+def _begun(first: Instant, pixel: Int[np.ndarray, "n 2"], expected: PointScalars) -> Vote:
+    """Initial track: all pixels in place, valid where stereo confirms the disparity of the mesh."""
+    column, row = pixel.T
     measured = first.disparity[row, column]
     n = len(measured)
     outcome = np.full(n, int(Outcome.VALID))
     with np.errstate(invalid="ignore"):
-        off = ~(np.abs(measured - seen.disparity) <= _MAX_SURFACE_MISS_PX)
+        off = ~(np.abs(measured - expected) <= _MAX_SURFACE_MISS_PX)
     outcome[off] = int(Outcome.REPROJECTION)
     unknown = np.isnan(measured)
     flat = _contrast(first.pictures[0])[row, column]
     outcome[unknown] = int(Outcome.HIDDEN)
     outcome[unknown & (flat < MIN_CONTRAST)] = int(Outcome.TEXTURE)
-    return Vote(
-        seen.pixel, np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.int64), outcome
-    )
+    return Vote(pixel, np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.int64), outcome)
 
 
 def _contrast(grey: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
@@ -356,17 +343,20 @@ def _contrast(grey: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "row
 
 
 def _pixel_footprints(
-    camera: Camera, seen: _Seen, parallax: float
+    camera: Camera,
+    pixel: Int[np.ndarray, "n 2"],
+    tangent: Float[np.ndarray, "n 2 3"],
+    disparity: PointScalars,
+    parallax: float,
 ) -> tuple[Float[np.ndarray, "n 2 3"], Points]:
     """Derivatives of a pixel's surface point [m/px]: along the surface with respect to column and
     row, (n, 2, 3), and along its ray with respect to disparity, (n, 3).
     """
     turn = camera.T_camera_object[:3, :3]
     back = np.linalg.inv(camera.matrix)
-    pixel = np.column_stack([seen.pixel, np.ones(len(seen.pixel))])
-    ray = pixel @ back.T @ turn
-    depth = parallax / seen.disparity
-    normal = np.cross(seen.tangent[:, 0], seen.tangent[:, 1])
+    ray = np.column_stack([pixel, np.ones(len(pixel))]) @ back.T @ turn
+    depth = parallax / disparity
+    normal = np.cross(tangent[:, 0], tangent[:, 1])
     facing = np.einsum("ni,ni->n", normal, ray)
     # Limited to a hundredth of a radian: the footprint of a facet seen edge-on is unbounded.
     facing = np.where(np.abs(facing) < 0.01, np.copysign(0.01, facing), facing)

@@ -354,7 +354,7 @@ def _known(
     last = np.array(wanted.shape[::-1]) - 1
     column, row = np.clip(np.rint(samples.point).astype(np.int64), 0, last).T
     at = wanted[row, column]
-    return Samples(samples.point[at], samples.displacement[at])
+    return samples.chosen(at)
 
 
 def _repaired(

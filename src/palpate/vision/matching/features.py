@@ -64,9 +64,18 @@ class Samples:
     point: Float[np.ndarray, "n 2"]
     displacement: Float[np.ndarray, "n 2"]
 
+    @property
+    def moved(self) -> Float[np.ndarray, "n 2"]:
+        """The displaced points, (n, 2) [px]."""
+        return self.point + self.displacement
+
+    def chosen(self, rows: np.ndarray) -> "Samples":
+        """Some of them, by indices, (k,) int, or flags, (n,) bool."""
+        return Samples(self.point[rows], self.displacement[rows])
+
     def reversed(self) -> "Samples":
         """The inverse displacements, at the displaced points."""
-        return Samples(self.point + self.displacement, -self.displacement)
+        return Samples(self.moved, -self.displacement)
 
     def joined(self, other: "Samples") -> "Samples":
         """These samples followed by those of `other`."""
@@ -249,32 +258,6 @@ class Features:
     descriptor: Float[np.ndarray, "n 128"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Matches:
-    """Positions of matched features in two pictures.
-
-    Attributes
-    ----------
-    first, second : (n, 2) float [px]   column, row
-    """
-
-    first: Float[np.ndarray, "n 2"]
-    second: Float[np.ndarray, "n 2"]
-
-    def chosen(self, rows: np.ndarray) -> "Matches":
-        """Select some of the matches.
-
-        Parameters
-        ----------
-        rows : (k,) int or (n,) bool    indices or flags
-
-        Returns
-        -------
-        Matches
-        """
-        return Matches(self.first[rows], self.second[rows])
-
-
 def find_features(picture: NormalisedImage) -> Features:
     """Find the strongest features of a picture.
 
@@ -308,7 +291,7 @@ def find_features(picture: NormalisedImage) -> Features:
     return Features((point + 0.5) * scale - 0.5, descriptor)
 
 
-def match_features(first: Features, second: Features) -> Matches:
+def match_features(first: Features, second: Features) -> Samples:
     """Pairs of features that are mutual nearest neighbours and pass the ratio test.
 
     Parameters
@@ -317,20 +300,21 @@ def match_features(first: Features, second: Features) -> Matches:
 
     Returns
     -------
-    Matches                         accurate to half a pixel; about one in a hundred may be wrong
+    Samples                         from the first to the second, accurate to half a pixel; about
+                                    one in a hundred may be wrong
 
     Source
     ------
     Lowe (2004), section 7.1: the ratio test.
     """
     if len(first.point) < 2 or len(second.point) < 2:
-        return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
+        return Samples(np.zeros((0, 2)), np.zeros((0, 2)))
     choice, mutual, distance = _nearest_descriptors(first.descriptor, second.descriptor)
     row = np.arange(len(choice))
     nearest = distance[row, choice]
     distance[row, choice] = np.inf
     good = mutual & (nearest < _MAX_RATIO**2 * distance.min(axis=1))
-    return Matches(first.point[good], second.point[choice[good]])
+    return Samples(first.point[good], second.point[choice[good]] - first.point[good])
 
 
 def _nearest_descriptors(

@@ -2,8 +2,8 @@
 
 Purpose    : locate the object before anything is known about its surface or pose.
 Takes      : `PreparedPictures` of one instant.
-Gives      : `StereoPoints` with covariance, `RigCheck`; the `Registration` of the points to a known
-             object.
+Gives      : `StereoPoints` with covariance, notes on the rig; the `Registration` of the points to a
+             known object.
 Depends on : `vision.matching`, `geometry`, `records`.
 Read first : `stereo.py`, then `pair_disparity.py`; `rig_check.py` stands by itself.
 """

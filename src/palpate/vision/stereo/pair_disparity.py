@@ -45,20 +45,6 @@ _SAMPLES = 7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StereoStart:
-    """Initial matches of points of the first picture in the second.
-
-    Attributes
-    ----------
-    displacement : (n, 2) float [px]    NaN where no match was found
-    gradient : (n, 2, 2) float [-]      [i, j]: d(component i) / d(coordinate j); 0 without match
-    """
-
-    displacement: Float[np.ndarray, "n 2"]
-    gradient: Float[np.ndarray, "n 2 2"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _RowOffset:
     """Row in the first rectified picture minus row in the second, as a quadratic polynomial.
 
@@ -99,7 +85,7 @@ class _Pair:
 
 def stereo_start(
     pictures: PreparedPictures, partner: int, points: Float[np.ndarray, "n 2"], *, half: int
-) -> StereoStart:
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
     """Match points of the reference camera in another one, without knowing the object's position.
 
     Parameters
@@ -111,7 +97,8 @@ def stereo_start(
 
     Returns
     -------
-    StereoStart
+    displacement : (n, 2) float [px]    NaN where no match was found
+    gradient : (n, 2, 2) float [-]      [i, j]: d(component i) / d(coordinate j); 0 without match
 
     Raises
     ------
@@ -125,8 +112,8 @@ def stereo_start(
     rows, columns = np.max([image.levels.shape for image in images], axis=0).tolist()
     rectified = rectify((first, second), (rows, columns))
     matches = match_features(*(pictures.features[k] for k in which))
-    place = _seen_by(rectified.cameras[0], first, matches.first)
-    other = _seen_by(rectified.cameras[1], second, matches.second)
+    place = _seen_by(rectified.cameras[0], first, matches.point)
+    other = _seen_by(rectified.cameras[1], second, matches.moved)
     offset, agree = _row_offset(place, other)
     if agree.sum() < _MIN_FEATURES:
         raise InputError(
@@ -251,7 +238,7 @@ def _start(
     points: Float[np.ndarray, "n 2"],
     disparity: Float[np.ndarray, "rows columns"],
     half: int,
-) -> StereoStart:
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
     """Matches and their gradients from a plane fitted to the disparities around each point."""
     at = pair.into_first(points)
     plane, good = _planes(disparity, at, half)
@@ -268,7 +255,7 @@ def _start(
         ends = match(points + half * step) - match(points - half * step)
         gradient[:, :, j] = ends / (2.0 * half) - step
     known = good & np.isfinite(gradient).all(axis=(1, 2))
-    return StereoStart(displacement, np.where(known[:, None, None], gradient, 0.0))
+    return displacement, np.where(known[:, None, None], gradient, 0.0)
 
 
 def _planes(

@@ -4,7 +4,6 @@ The match of a feature must lie on its epipolar line, and the triangulated point
 cameras. Otherwise, other assignments of pictures to cameras are tried.
 """
 
-from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import cv2
@@ -14,7 +13,7 @@ from jaxtyping import Float
 from palpate.errors import CalibrationError, InputError
 from palpate.records import Camera, Rig
 from palpate.shapes import Matrix3, PointScalars
-from palpate.vision.matching.features import Matches, PreparedPictures, match_features
+from palpate.vision.matching.features import PreparedPictures, Samples, match_features
 from palpate.vision.projection import normalised
 from palpate.vision.triangulation import triangulate
 
@@ -29,27 +28,12 @@ _MIN_MATCHES = 12
 # With more cameras there are too many permutations to try.
 _MAX_REORDERED_CAMERAS = 4
 
-_Pairs = dict[tuple[int, int], Matches]
+_Pairs = dict[tuple[int, int], Samples]
 
 
-@dataclass(frozen=True, slots=True)
-class RigCheck:
-    """Agreement of the cameras' pictures with the rig.
-
-    Attributes
-    ----------
-    residual : tuple of float [px]      median distance of features from their epipolar lines, for
-                                        each camera except the reference; NaN with too few matches
-    matches : tuple of int              number of feature matches behind each residual
-    notes : tuple of str                what could not be checked, or fits badly
-    """
-
-    residual: tuple[float, ...]
-    matches: tuple[int, ...]
-    notes: tuple[str, ...]
-
-
-def check_rig(pictures: PreparedPictures) -> RigCheck:
+def check_rig(
+    pictures: PreparedPictures,
+) -> tuple[tuple[float, ...], tuple[int, ...], tuple[str, ...]]:
     """Check the rig against the pictures of one instant.
 
     Parameters
@@ -58,7 +42,10 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
 
     Returns
     -------
-    RigCheck
+    residual : tuple of float [px]  median distance of features from their epipolar lines, for each
+                                    camera except the reference; NaN with too few matches
+    matches : tuple of int          number of feature matches behind each residual
+    notes : tuple of str            what could not be checked, or fits badly
 
     Raises
     ------
@@ -77,7 +64,7 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
             continue
         which = (rig.reference, c)
         names = " and ".join(f"'{rig.cameras[k].name}'" for k in which)
-        count.append(len(pairs[which].first))
+        count.append(len(pairs[which].point))
         if count[-1] < _MIN_MATCHES:
             residual.append(float("nan"))
             notes.append(
@@ -96,7 +83,7 @@ def check_rig(pictures: PreparedPictures) -> RigCheck:
             )
     if worst > 0.0:
         raise CalibrationError(_explanation(rig, pairs, worst, whose))
-    return RigCheck(tuple(residual), tuple(count), tuple(notes))
+    return tuple(residual), tuple(count), tuple(notes)
 
 
 def _all_matches(pictures: PreparedPictures) -> _Pairs:
@@ -113,16 +100,16 @@ def _all_matches(pictures: PreparedPictures) -> _Pairs:
     for i, j in combinations(range(len(cameras)), 2):
         matches = match_features(pictures.features[i], pictures.features[j])
         found = _consistent(cameras[i], cameras[j], matches)
-        pairs[i, j], pairs[j, i] = found, Matches(found.second, found.first)
+        pairs[i, j], pairs[j, i] = found, found.reversed()
     return pairs
 
 
-def _consistent(first: Camera, second: Camera, found: Matches) -> Matches:
+def _consistent(first: Camera, second: Camera, found: Samples) -> Samples:
     """The matches consistent with a common epipolar geometry of any kind; none if most are not.
 
     Any seven matches fit some epipolar geometry, but few further random ones do.
     """
-    flat = [_undistorted(first, found.first), _undistorted(second, found.second)]
+    flat = [_undistorted(first, found.point), _undistorted(second, found.moved)]
     known = np.flatnonzero(np.isfinite(np.hstack(flat)).all(axis=1))
     nothing = found.chosen(known[:0])
     if len(known) < _MIN_MATCHES:
@@ -150,14 +137,14 @@ def _misfit(rig: Rig, order: tuple[int, ...], pairs: _Pairs, which: tuple[int, i
     known = np.isfinite(distance)
     if known.sum() < _MIN_MATCHES:
         return float("inf")
-    pixels = np.stack([found.first[known], found.second[known]])
+    pixels = np.stack([found.point[known], found.moved[known]])
     in_front = np.isfinite(triangulate(Rig((first, second), 0, rig.source), pixels, 1.0).residual)
     return float(np.median(distance[known])) if in_front.mean() > 0.5 else float("inf")
 
 
-def _epipolar_distance(first: Camera, second: Camera, found: Matches) -> PointScalars:
+def _epipolar_distance(first: Camera, second: Camera, found: Samples) -> PointScalars:
     """Distance of matches from each other's epipolar lines, mean over the two pictures [px]."""
-    a, b = normalised(first, found.first), normalised(second, found.second)
+    a, b = normalised(first, found.point), normalised(second, found.moved)
     between = second.T_camera_object @ np.linalg.inv(first.T_camera_object)
     x, y, z = between[:3, 3]
     essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ between[:3, :3]
@@ -180,7 +167,7 @@ def _feature_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
     found = pairs[which]
     a, b = (
         _undistorted(rig.cameras[k], pixels)
-        for k, pixels in zip(which, (found.first, found.second), strict=True)
+        for k, pixels in zip(which, (found.point, found.moved), strict=True)
     )
     matrix, _ = cv2.findFundamentalMat(a, b, cv2.FM_LMEDS)
     if matrix is None or matrix.shape != (3, 3):
@@ -222,7 +209,7 @@ def _better_order(rig: Rig, pairs: _Pairs) -> tuple[int, ...] | None:
     if count > _MAX_REORDERED_CAMERAS:
         return None
     known = [
-        pair for pair in combinations(range(count), 2) if len(pairs[pair].first) >= _MIN_MATCHES
+        pair for pair in combinations(range(count), 2) if len(pairs[pair].point) >= _MIN_MATCHES
     ]
     best: tuple[float, tuple[int, ...]] = (_MAX_RESIDUAL_PX, ())
     for order in permutations(range(count)):

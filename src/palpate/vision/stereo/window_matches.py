@@ -41,7 +41,6 @@ from palpate.vision.matching.window import (
 from palpate.vision.normalisation import moments
 from palpate.vision.range_flow import Outcome
 from palpate.vision.spline import SplinePicture, noise_fraction_kernel, sample_kernel
-from palpate.vision.stereo.pair_disparity import StereoStart
 
 # Smaller windows do not determine six coefficients per component.
 MIN_WINDOW_PX = 9
@@ -63,6 +62,8 @@ _BIAS_PX = 0.005
 _MAX_DEVIATIONS = 5.0
 # Rounds of the neighbour test, because removing wrong matches changes those of the others.
 _ROUNDS = 2
+# Windows of one size: matches, rms residuals, and minimum variance beside the centre.
+_Attempt = tuple["PlanarMatch", PointScalars, PointScalars]
 _AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 # The iteration ends when a step is shorter than this [px]; far below the noise.
 _TOLERANCE_PX = 5e-4
@@ -112,20 +113,11 @@ class PlanarMatch:
     converged: Flags
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Attempt:
-    """Windows of one size: matches, rms residuals, and minimum variance beside the centre."""
-
-    match: PlanarMatch
-    residual: PointScalars
-    beside: PointScalars
-
-
 def window_matches(
     first: SplinePicture,
     second: SplinePicture,
     pixel: Float[np.ndarray, "n 2"],
-    start: StereoStart,
+    start: tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]],
     *,
     subset: int,
 ) -> WindowMatches:
@@ -135,29 +127,30 @@ def window_matches(
     ----------
     first, second : SplinePicture
     pixel : (n, 2) float [px]       column and row in the first, whole numbers
-    start : StereoStart             of the points, accurate to one or two pixels
+    start : (n, 2) float [px], (n, 2, 2) float [-]  displacement of the points, accurate to one or
+                                    two pixels, and its gradient
     subset : int [px]               side of the largest window, odd
 
     Returns
     -------
     WindowMatches
     """
-    rows = np.flatnonzero(np.isfinite(start.displacement).all(axis=1))
+    displacement, gradient = start
+    rows = np.flatnonzero(np.isfinite(displacement).all(axis=1))
     attempts = []
     for side in _sides(subset):
         match = refine_planar(
             first,
             second,
             pixel[rows],
-            start.displacement[rows],
-            start_gradient=start.gradient[rows],
+            displacement[rows],
+            start_gradient=gradient[rows],
             subset=side,
             shape="quadratic",
         )
-        attempts.append(_Attempt(match, *_contrast(first, pixel[rows], match, side)))
-    largest = attempts[-1]
-    decent = largest.match.converged & (largest.match.score > _MIN_SCORE)
-    residual = largest.residual[decent]
+        attempts.append((match, *_contrast(first, pixel[rows], match, side)))
+    largest, residual, _ = attempts[-1]
+    residual = residual[largest.converged & (largest.score > _MIN_SCORE)]
     noise = float(np.percentile(residual, _NOISE_PERCENTILE)) if len(residual) else np.inf
     outcomes = [_outcomes(attempt, noise) for attempt in attempts]
     choice = _largest_consistent(attempts, outcomes, noise)
@@ -168,7 +161,7 @@ def window_matches(
     outcome[rows[found]] = Outcome.VALID
 
     def chosen(name: str) -> np.ndarray:
-        values = np.stack([getattr(attempt.match, name) for attempt in attempts])
+        values = np.stack([getattr(match, name) for match, *_ in attempts])
         result = np.full((len(pixel), *values.shape[2:]), np.nan)
         result[rows[found]] = values[choice[found], found]
         return result
@@ -228,18 +221,18 @@ def _largest_consistent(
     attempts: Sequence[_Attempt], outcomes: Sequence[Int[np.ndarray, " n"]], noise: float
 ) -> Int[np.ndarray, " n"]:
     """Index of the largest window consistent with all smaller ones; -1 where none is valid."""
-    n = len(attempts[0].residual)
+    n = len(attempts[0][1])
     choice = np.full(n, -1)
     low, high = np.full((n, 2), -np.inf), np.full((n, 2), np.inf)
     contradicted = np.zeros(n, dtype=bool)
-    for k, (attempt, outcome) in enumerate(zip(attempts, outcomes, strict=True)):
+    for k, ((match, residual, _), outcome) in enumerate(zip(attempts, outcomes, strict=True)):
         good = outcome == Outcome.VALID
-        variance = np.einsum("nii->ni", attempt.match.covariance)
+        variance = np.einsum("nii->ni", match.covariance)
         # An excess residual must not widen the interval and so hide a contradiction.
-        factor = np.minimum(1.0, noise / np.maximum(attempt.residual, 1e-9))[:, None]
+        factor = np.minimum(1.0, noise / np.maximum(residual, 1e-9))[:, None]
         half = _INTERVAL * np.sqrt(factor**2 * variance + _BIAS_PX**2)
-        new_low = np.fmax(low, attempt.match.displacement - half)
-        new_high = np.fmin(high, attempt.match.displacement + half)
+        new_low = np.fmax(low, match.displacement - half)
+        new_high = np.fmin(high, match.displacement + half)
         contradicted |= good & ~(new_low <= new_high).all(axis=1)
         take = good & ~contradicted
         choice[take] = k
@@ -278,13 +271,13 @@ def _contrast(
 
 def _outcomes(attempt: _Attempt, noise: float) -> Int[np.ndarray, " n"]:
     """Outcomes of the windows of one size."""
-    match = attempt.match
+    match, residual, beside = attempt
     outcome = np.full(len(match.score), int(Outcome.VALID))
     sigma = np.sqrt(np.trace(match.covariance, axis1=1, axis2=2))
     with np.errstate(invalid="ignore"):
-        untextured = ~(attempt.beside > 2.0 * noise**2)
+        untextured = ~(beside > 2.0 * noise**2)
         outcome[untextured | (sigma > _MAX_SIGMA_PX)] = Outcome.TEXTURE
-        excessive = attempt.residual > _MAX_EXCESS * noise
+        excessive = residual > _MAX_EXCESS * noise
         outcome[(match.score < _MIN_SCORE) | excessive] = Outcome.SCORE
     outcome[~match.converged] = Outcome.LOST
     return outcome
