@@ -206,8 +206,10 @@ def fit_other_causes(
     except (MeshError, SingularSystemError):
         return plain, None
     field = max(each.log_evidence for each in (likeliest, *others) if each.cause is Cause.PLACE)
-    rival = max(field, evidence_of_errors(plain.minimum))
-    if likeliest.log_evidence - rival > DECISIVE:
+    errors = evidence_of_errors(plain.minimum)
+    if errors - likeliest.log_evidence > DECISIVE:
+        return plain, None
+    if likeliest.log_evidence - max(field, errors) > DECISIVE:
         return _fit_with_cause(likeliest, field, session, observations, settings, progress)
     if field > DECISIVE or plain.estimate.status is Status.MODEL_CONTRADICTED:
         return _fit_with_field(session, observations, plain, material, settings, progress)
