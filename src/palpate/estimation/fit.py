@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -231,13 +232,8 @@ def fit(
     # Also where the search did not converge: a wrong model is the usual reason.
     if contradicted_by:
         estimate = contradicted(estimate)
-    return FitResult(
-        estimate,
-        likelihood_map(posterior, reported),
-        fits,
-        interval_set(posterior),
-        minimum,
-    )
+    likelihood = likelihood_map(posterior, reported)
+    return FitResult(estimate, likelihood, fits, interval_set(posterior), minimum)
 
 
 def joint_minimum(probes: Sequence[ProbeObservations], settings: FitSettings) -> Evaluation:
@@ -270,20 +266,12 @@ def contradicted(estimate: Estimate) -> Estimate:
     ----------
     estimate : Estimate
     """
-
-    def bare(name: str) -> Constant:
-        constant: Constant = getattr(estimate, name)
-        known = estimate.identifiable[name]
-        return Constant(constant.value, np.nan, (np.nan, np.nan)) if known else constant
-
-    return replace(
-        estimate,
-        status=Status.MODEL_CONTRADICTED,
-        shear_modulus=bare("shear_modulus"),
-        poisson_ratio=bare("poisson_ratio"),
-        young_modulus=bare("young_modulus"),
-        budget=(),
-    )
+    bare: dict[str, Any] = {
+        name: Constant(getattr(estimate, name).value, np.nan, (np.nan, np.nan))
+        for name, known in estimate.identifiable.items()
+        if known
+    }
+    return replace(estimate, status=Status.MODEL_CONTRADICTED, budget=(), **bare)
 
 
 def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ...]:
