@@ -36,8 +36,8 @@ from palpate.pipeline.observations import converged_observations
 from palpate.progress import Progress, part_of
 from palpate.records import Session, Status
 
-# Fraction of the work that finding the field takes.
-_FOUND = 0.7
+# Fraction of the work that finding the field takes, and where other causes are asked for.
+_FOUND, _ASKED = 0.7, 0.97
 # Memory for three components of a point and 300 modes, each held eleven times: in the response, its
 # four columns twice over, and in the derivatives.
 _BYTES_A_POINT = 8.0 * 3 * 300 * 11
@@ -201,6 +201,7 @@ def fit_other_causes(
         return _fit_with_field(session, observations, plain, material, settings, progress)
     if reason:
         return plain, None
+    progress("evidence of other causes", _ASKED)
     try:
         likeliest, *others = explanations(session, observations, plain.minimum)
     except (MeshError, SingularSystemError):
