@@ -48,7 +48,7 @@ def test_methods_and_tables_hold_the_numbers_of_the_result(result, tmp_path, mon
         assert words in text
     rows = _table(folder / "constants.csv")
     assert [float(row["value"]) for row in rows] == pytest.approx([SHEAR, 0.3, YOUNG])
-    assert [row["unit"] for row in rows] == ["Pa", "-", "Pa"]
+    assert [row["unit"] for row in rows] == ["Pa", "1", "Pa"]
     assert r"$E$ & 60.0 $\pm$ 1.2 & 57.6--62.4 & kPa \\" in (folder / "constants.tex").read_text()
     (row,) = _table(folder / "probings.csv")
     assert float(row["force_N"]) == pytest.approx(1.2)

@@ -1,7 +1,5 @@
 """A result for a paper: the paragraph on methods, and tables as LaTeX and CSV."""
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ from palpate.records import (
     budget_text,
     constant_row,
     read_estimate,
+    spreadsheet_text,
     verdict_text,
     write_text,
 )
@@ -40,7 +39,7 @@ def write_for_paper(folder: Path, result: Path) -> None:
     rows = []
     for name in CONSTANT_NAMES:
         constant = getattr(estimate, name)
-        unit, known = "-" if name == "poisson_ratio" else "Pa", estimate.identifiable[name]
+        unit, known = "1" if name == "poisson_ratio" else "Pa", estimate.identifiable[name]
         value = (constant.value, constant.std) if known else (None, None)
         rows.append((name, *value, *constant.ci95, unit, known))
     head = ("constant", "value", "std", "ci95_low", "ci95_high", "unit", "determined")
@@ -140,10 +139,9 @@ def _probings(estimate: Estimate, surface: FittedSurface) -> str:
 
 def _csv(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> str:
     """A table with headings; numbers to nine digits, what is not known left empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    for row in rows:
-        known = [f"{x:.9g}" if isinstance(x, float) and np.isfinite(x) else x for x in row]
-        writer.writerow(["" if isinstance(x, float) else x for x in known])
-    return text.getvalue()
+    cells = [[_number(x) if isinstance(x, float) else x for x in row] for row in rows]
+    return spreadsheet_text([head, *cells])
+
+
+def _number(value: float) -> str | None:
+    return f"{value:.9g}" if np.isfinite(value) else None
