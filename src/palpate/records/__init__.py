@@ -20,8 +20,9 @@ from palpate.records.contact import (
     Pressure as Pressure,
     PressureMap as PressureMap,
     Tool as Tool,
+    mesh_tool as mesh_tool,
 )
-from palpate.records.error_priors import EXACT as EXACT
+from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
     BIASED as BIASED,
     CONSTANT_NAMES as CONSTANT_NAMES,
@@ -37,6 +38,7 @@ from palpate.records.estimate import (
     SupportEstimate as SupportEstimate,
 )
 from palpate.records.files.displacement import (
+    read_displacement as read_displacement,
     write_displacement as write_displacement,
 )
 from palpate.records.files.estimate import (
@@ -173,6 +175,7 @@ from palpate.records.support import (
     FIXED as FIXED,
     FREE as FREE,
     GIVEN as GIVEN,
+    RigidMotion as RigidMotion,
     Support as Support,
     read_support as read_support,
     read_supports as read_supports,

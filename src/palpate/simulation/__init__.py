@@ -10,8 +10,11 @@ Read first : `green_functions.py`, `contact.py`, then the kernels: `settle.py`, 
 
 from palpate.simulation.contact import (
     ContactState as ContactState,
+    ConvexTool as ConvexTool,
     PlacedTool as PlacedTool,
     Sphere as Sphere,
+    convex_tool as convex_tool,
+    flat_punch as flat_punch,
     force_covariance as force_covariance,
     start_contact as start_contact,
     surface_displacement as surface_displacement,
@@ -33,4 +36,6 @@ from palpate.simulation.green_functions import (
     GreenFunctions as GreenFunctions,
     make_green_functions as make_green_functions,
     nearest_nodes as nearest_nodes,
+    read_green_functions as read_green_functions,
+    write_green_functions as write_green_functions,
 )
