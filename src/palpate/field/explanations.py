@@ -34,6 +34,7 @@ from palpate.estimation import Evaluation, ProbeObservations
 from palpate.field.field_fit import information_about, make_model
 from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
+from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness
 
@@ -84,7 +85,7 @@ class Explanation:
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
         model = self.model.under(session, observations)
-        expansion = _expansions(model, self.poisson_ratio)[self.cause]
+        (expansion,) = _expansions(model, self.poisson_ratio, (self.cause,))
         count = len(expansion.coefficients)
         return expansion.observations(smooth_prior(self.std * np.eye(count)))
 
@@ -107,7 +108,9 @@ def explanations(
     """
     model = make_model(session, observations, elements=_FEW, times=(1, 3))
     ratio, found = minimum.poisson_ratio, []
-    for cause, expansion in _expansions(model, ratio).items():
+    # Pokes, which tell one number each, cannot tell the others.
+    causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)
+    for cause, expansion in zip(causes, _expansions(model, ratio, causes), strict=True):
         known = information_about(expansion, minimum, expansion.coefficients)
         if cause is Cause.PLACE:
             prior = model.modes.best_prior(*known)
@@ -148,27 +151,27 @@ def evidence_of_errors(minimum: Evaluation) -> float:
     return found
 
 
-def _expansions(model: FieldModel, poisson_ratio: float) -> dict[Cause, FieldExpansion]:
-    """The responses' change by each cause about the homogeneous body; pokes, which tell one number
-    each, have but the first."""
-    none = np.zeros(model.modes.modes.shape[1])
-    stiffness = model.stiffness(none, poisson_ratio)
+def _expansions(
+    model: FieldModel, poisson_ratio: float, causes: Sequence[Cause]
+) -> list[FieldExpansion]:
+    """The responses' change by some causes about the homogeneous body."""
+    stiffness = model.stiffness(np.zeros(model.modes.modes.shape[1]), poisson_ratio)
     moved = stiffness.displacements(model.load)
     change = model.seen(0.0 * moved)
-    if not isinstance(model, PushModel):
-        derivatives = {Cause.PLACE: model.derivative(stiffness, moved)}
-    else:
-        seen = stiffness.displacements(model.unit_loads)
-        by_place = stiffness.sensitivities(seen, moved, model.values) @ model.modes.modes
-        derivatives = {
-            Cause.PLACE: by_place,
-            Cause.DIRECTION: _by_direction(stiffness, seen, moved),
-            Cause.SUPPORT: _by_support(model.body, stiffness, seen, moved),
-        }
-    return {
-        cause: FieldExpansion(model, np.zeros(each.shape[-1]), poisson_ratio, change, change, each)
-        for cause, each in derivatives.items()
-    }
+    seen = stiffness.displacements(model.unit_loads) if isinstance(model, PushModel) else None
+    expansions = []
+    for cause in causes:
+        if seen is None:
+            derivative = model.derivative(stiffness, moved)
+        elif cause is Cause.PLACE:
+            derivative = stiffness.sensitivities(seen, moved, model.values) @ model.modes.modes
+        elif cause is Cause.DIRECTION:
+            derivative = _by_direction(stiffness, seen, moved)
+        else:
+            derivative = _by_support(model.body, stiffness, seen, moved)
+        none = np.zeros(derivative.shape[-1])
+        expansions.append(FieldExpansion(model, none, poisson_ratio, change, change, derivative))
+    return expansions
 
 
 def _by_direction(
@@ -222,15 +225,13 @@ def _parts(
     """Parts of a support of about the same size: number of the part that each held node belongs to,
     mean normals, areas [m^2]."""
     nodes, facets = body.solid.nodes, body.solid.facets
-    facets = facets[body.held[facets].all(axis=1), :3]
-    corner = nodes[facets]
-    crossed = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    middle = corner.mean(axis=1)
+    face = TriangleMesh(nodes, facets[body.held[facets].all(axis=1), :3])
+    area, middle = triangle_areas(face), nodes[face.triangles].mean(axis=1)
     centres, own = kmeans2(middle, min(_PARTS, len(middle)), minit="++", seed=0)
     used, own = np.unique(own, return_inverse=True)
     whole = np.zeros((len(used), 3))
-    np.add.at(whole, own, crossed)
-    areas = np.bincount(own, np.linalg.norm(crossed, axis=1))
+    np.add.at(whole, own, area[:, None] * unit_normals(face))
+    areas = np.bincount(own, area)
     normals = whole / np.maximum(np.linalg.norm(whole, axis=1), 1e-9 * areas.max())[:, None]
     part = cKDTree(centres[used]).query(nodes[body.held])[1]
     return part, normals, areas
