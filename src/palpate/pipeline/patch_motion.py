@@ -30,8 +30,8 @@ from palpate.shapes import PointIndices, Points, Vector3
 # Prior variance of the plane over that of the noise.
 _PLANE = 1e6
 # Tried for a process: its length of correlation over the farthest point's distance, its variance
-# over that of the motion.
-_LENGTHS, _POWERS = np.geomspace(0.5, 20.0, 7), np.geomspace(1e-6, 1e6, 25)
+# over that of the noise, from nothing to a motion without any noise.
+_LENGTHS, _RATIOS = np.geomspace(0.5, 20.0, 7), np.geomspace(1e-6, 1e16, 45)
 # Tried for the noise: its standard deviation over that of the motion, or over what was claimed.
 _QUIET, _LOUD = np.geomspace(1e-5, 2.0, 22), np.geomspace(1.0, 100.0, 22)
 # Chance that a sound place has a point left out, as of the checks of a fit; passes that leave out.
@@ -200,23 +200,26 @@ def _most_likely(
         noise = noise[:1]
     motion = float(np.sqrt((around**2).mean())) + np.finfo(float).tiny ** 0.25
     levels = claim * _LOUD if claimed else motion * _QUIET
-    powers = motion**2 * _POWERS
     # The plane is taken out: what is left of n points is n - 4 combinations of them.
     rest = np.linalg.qr(np.column_stack([np.ones(len(place)), place]), mode="complete")[0][:, 4:]
     white = np.linalg.inv(np.linalg.cholesky(rest.T @ noise @ rest)) @ rest.T
-    chance = np.zeros((len(_LENGTHS), len(levels), len(powers)))
+    chance = np.zeros((len(_LENGTHS), len(levels), len(_RATIOS)))
     for k, length in enumerate(_LENGTHS):
         value, axes = np.linalg.eigh(white @ _process(apart, length) @ white.mT)
         square = (axes.mT @ white @ around) ** 2
         each = square.sum(axis=2) if len(noise) == 1 else np.einsum("ana->an", square)
-        total = levels[:, None, None, None] ** 2 + powers[:, None, None] * np.maximum(value, 0.0)
-        volume = 3 / len(noise) * np.log(total)
-        chance[k] = -0.5 * (volume + each / total).sum(axis=(2, 3))
+        # Over the square of the level, so that all levels share what takes time.
+        total = 1.0 + _RATIOS[:, None, None] * np.maximum(value, 0.0)
+        volume = 3 / len(noise) * np.log(total).sum(axis=(1, 2))
+        misfit = (each / total).sum(axis=(1, 2))
+        count = 3.0 * value.shape[1]
+        chance[k] = -0.5 * (volume + misfit / levels[:, None] ** 2)
+        chance[k] -= count * np.log(levels)[:, None]
     chance = np.exp(chance - chance.max())
     level = float(np.sqrt(np.einsum("klp,l->", chance, levels**2) / chance.sum()))
     nearest = int(np.abs(np.log(levels / level)).argmin())
     k, p = np.unravel_index(chance[:, nearest].argmax(), chance[:, 0].shape)
-    shape = (float(_LENGTHS[k]), float(powers[p]) / level**2)
+    shape = (float(_LENGTHS[k]), float(_RATIOS[p] * (levels[nearest] / level) ** 2))
     sides = np.linalg.inv(np.linalg.cholesky(_prior_covariance(apart, place, place, shape) + noise))
     inverse = np.broadcast_to(sides.mT @ sides, (3, *apart.shape))
     return LocalField(

@@ -36,6 +36,7 @@ from palpate.records import (
     WorkPair,
 )
 from palpate.shapes import Vector3
+from palpate.threads import map_in_threads
 
 # Chance that chi-square, or the push that is farthest off, condemns a sound session, as of the
 # checks of a fit.
@@ -151,12 +152,12 @@ def _works(
     owner = np.array([k for k, _, _ in rows]) == np.arange(len(probings))[:, None]
     force = np.stack([each for _, each, _ in rows])
     tool = force * np.array([by_tool for _, _, by_tool in rows])[:, None]
+    fields = [probing.displacement for probing in probings if probing.displacement is not None]
+    pressed = [[patches[p] for p in np.flatnonzero(own)] for own in owner]
     motions = tuple(
-        patch_motion(
-            session.mesh, probing.displacement, patches, [patches[p] for p in np.flatnonzero(own)]
+        map_in_threads(
+            lambda field, own: patch_motion(session.mesh, field, patches, own), fields, pressed
         )
-        for probing, own in zip(probings, owner, strict=True)
-        if probing.displacement is not None
     )
     mean = np.stack([motion.mean for motion in motions])
     for support in moving:

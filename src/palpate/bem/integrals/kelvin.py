@@ -147,7 +147,7 @@ def add_point_fields(n_fields, point, source, weight, factor, out):
             for k in range(9):
                 out[a, k] += factor[a] * traction[k]
     else:
-        displacement = _displacement_values(x, y, z, s * s * s * weight * _area(source))
+        displacement = displacement_values(x, y, z, s * s * s * weight * _area(source))
         for a in range(factor.size):
             for k in range(6):
                 out[a, k] += factor[a] * displacement[k]
@@ -172,7 +172,7 @@ def _traction_values(x, y, z, nx, ny, nz, s):
 
 
 @numba.njit(fastmath=True, error_model="numpy", inline="always")
-def _displacement_values(x, y, z, scale):
+def displacement_values(x, y, z, scale):
     """r_i r_j / r^3; scale is area / r^3."""
     return (
         x * x * scale,
@@ -216,6 +216,6 @@ def _displacement_lanes(lanes, source, out):
     for i in range(LANES):
         x, y, z = px - lanes[i], py - lanes[LANES + i], pz - lanes[2 * LANES + i]
         s = _reciprocal_root(x * x + y * y + z * z)
-        values = _displacement_values(x, y, z, s * s * s * area)
+        values = displacement_values(x, y, z, s * s * s * area)
         for k in range(6):
             out[k * LANES + i] = values[k]

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.bem.integrals.assembly import Collocation, lanes_of
-from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, add_point_fields, lane_fields
+from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, displacement_values, lane_fields
 from palpate.bem.integrals.surface import BoundarySurface, triangle_rule
 from palpate.bem.loads.half_space import PressureDisc, polar_points
 from palpate.errors import InputError
@@ -65,6 +65,7 @@ _AT_ONCE = 16
 # Largest relative error of a row's own integral of the density, above which its points do not
 # resolve the patch, and those of the whole load serve it as well.
 _LARGEST_ERROR = 0.2
+_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,7 +190,7 @@ def integrate_load(
     fields = out.reshape(-1, DISPLACEMENT, LANES).transpose(0, 2, 1)
     fields = fields.reshape(-1, DISPLACEMENT)[:n_rows].copy()
     _recompute_rows_on_patch(
-        surface, load, points, sources, collocation, order, fields, cells.polar_points
+        surface, load, points, collocation, order, fields, cells.polar_points
     )
     return fields
 
@@ -381,7 +382,6 @@ def _recompute_rows_on_patch(
     surface: BoundarySurface,
     load: SurfaceLoad,
     points: _LoadPoints,
-    sources: Float[np.ndarray, "q 6"],
     collocation: Collocation,
     order: Int[np.ndarray, " r"],
     fields: Float[np.ndarray, "r 6"],
@@ -399,20 +399,21 @@ def _recompute_rows_on_patch(
     barycentric, polar_weight = polar_points(place, corners, load.disc, count)
     position, area, density = _traction_at(surface, load, triangle, barycentric)
     weight = density * area * polar_weight / points.total
-    around = _as_sources(position.reshape(-1, 3), weight.ravel()).reshape(*weight.shape, 6)
+    around = np.concatenate([position.transpose(0, 2, 1), weight[:, None]], axis=1)
     by_row = np.argsort(row, kind="stable")
     rows, start = np.unique(row[by_row], return_index=True)
-    recomputed = np.zeros((rows.size, 1, DISPLACEMENT))
+    recomputed = np.zeros((rows.size, DISPLACEMENT))
     total = np.bincount(row, weight.sum(axis=1))[rows]
     of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
     pairs = np.unique(np.stack([row, triangle]), axis=1)
     total += 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])[rows]
+    whole = np.concatenate([points.position.T, points.weight[None]])
     in_threads(
         _sum_around, rows.size, collocation.point[order[rows]], around[by_row], triangle[by_row],
-        np.append(start, row.size), sources, points.triangle, recomputed,
+        np.append(start, row.size), whole, points.triangle, recomputed,
     )  # fmt: skip
     resolved = np.abs(total - 1.0) < _LARGEST_ERROR
-    fields[rows[resolved]] = recomputed[resolved, 0] / total[resolved, None]
+    fields[rows[resolved]] = recomputed[resolved] / total[resolved, None]
 
 
 def _subtriangles_on_patch(
@@ -464,17 +465,37 @@ def _sum_points(begin, end, lanes, sources, out):
 @numba.njit(nogil=True, error_model="numpy", cache=True)
 def _sum_around(begin, end, points, around, triangle, start, sources, loaded, out):
     """Displacement fields at some points: from the sources around each, parts start[i] to
-    start[i + 1], and from all sources that lie on none of the triangles of these parts."""
-    factor = np.ones(1)
+    start[i + 1], and from all sources that lie on none of the triangles of these parts. Sources
+    are (4, q): places, then weights."""
+    weight = np.empty(loaded.size)
     for i in range(begin, end):
+        weight[:] = sources[3]
         for part in range(start[i], start[i + 1]):
-            for q in range(around.shape[1]):
-                # Where a patch covers none of a part, its points may coincide with the point.
-                if around[part, q, 3] > 0.0:
-                    add_point_fields(DISPLACEMENT, points[i], around[part, q], 1.0, factor, out[i])
-        for q in range(sources.shape[0]):
-            counts = True
-            for part in range(start[i], start[i + 1]):
-                counts = counts and loaded[q] != triangle[part]
-            if counts:
-                add_point_fields(DISPLACEMENT, points[i], sources[q], 1.0, factor, out[i])
+            _add_displacement(points[i], around[part], around[part, 3], out[i])
+            for q in range(loaded.size):
+                if loaded[q] == triangle[part]:
+                    weight[q] = 0.0
+        _add_displacement(points[i], sources, weight, out[i])
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+def _add_displacement(point, places, weight, out):
+    """Add the displacement fields at a point of sources at (3 or more, q) places."""
+    xx = yy = zz = yz = zx = xy = 0.0
+    for q in range(weight.size):
+        x, y, z = places[0, q] - point[0], places[1, q] - point[1], places[2, q] - point[2]
+        # Where a patch covers none of a part, its points may coincide with the point: weight 0.
+        s = 1.0 / np.sqrt(max(x * x + y * y + z * z, _TINY))
+        values = displacement_values(x, y, z, s * s * s * weight[q])
+        xx += values[0]
+        yy += values[1]
+        zz += values[2]
+        yz += values[3]
+        zx += values[4]
+        xy += values[5]
+    out[0] += xx
+    out[1] += yy
+    out[2] += zz
+    out[3] += yz
+    out[4] += zx
+    out[5] += xy
