@@ -22,6 +22,7 @@ from palpate.pipeline.heterogeneous import (
     Predictor,
     fit_material,
 )
+from palpate.pipeline.load_dependence import load_dependence
 from palpate.pipeline.model.contact_loads import OUTWARD_ERROR, RADIUS_ERROR
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.large_strain import fit_at_finite_strain
@@ -318,6 +319,7 @@ def _session_notes(
         strained = biased = []
     others = [note for note in session.notes if BIASED not in note]
     found = _contact_notes(refined, probes) + _rejection_notes(session)
+    strained = [*_load_notes(graded, result), *strained]
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
     # Pushes that contradict each other leave the model nothing to explain.
     broken = [tested.text] if tested is not None and not tested.holds else []
@@ -328,6 +330,17 @@ def _session_notes(
 def _agreement(tested: Reciprocity | None) -> list[str]:
     """That pushes agree, for those who want to know all."""
     return [tested.text] if tested is not None and tested.holds and tested.is_tested else []
+
+
+def _load_notes(session: Session, result: FitResult) -> list[str]:
+    """A note on a modulus that changes with the load."""
+    found = None if result.minimum is None else load_dependence(session, result.minimum)
+    if found is None or not found.is_significant:
+        return []
+    estimate = result.estimate
+    if estimate.identifiable["young_modulus"]:
+        return [found.note("E", estimate.young_modulus.value)]
+    return [found.note("G", estimate.shear_modulus.value)]
 
 
 def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

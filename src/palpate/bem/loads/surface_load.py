@@ -189,9 +189,7 @@ def integrate_load(
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
     fields = out.reshape(-1, DISPLACEMENT, LANES).transpose(0, 2, 1)
     fields = fields.reshape(-1, DISPLACEMENT)[:n_rows].copy()
-    _recompute_rows_on_patch(
-        surface, load, points, collocation, order, fields, cells.polar_points
-    )
+    _recompute_rows_on_patch(surface, load, points, collocation, order, fields, cells.polar_points)
     return fields
 
 

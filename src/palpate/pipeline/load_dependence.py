@@ -1,0 +1,179 @@
+"""Whether stiffness changes with the load, from pushes of unlike force at one place.
+
+What one modulus predicts of every push fits it up to an amplitude; where the object stiffens, or
+its shape does, amplitudes fall with the force: the modulus is proportional to force^exponent. What
+the model leaves over in proportion to the force, the same in all pushes at a place, is no scatter.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.special import ndtri
+
+from palpate.estimation import Evaluation
+from palpate.records import Contact, Session, modulus_unit
+
+# Forces less unlike than so tell nothing of a dependence; contacts nearer than so many radii, under
+# forces of about one direction (its cosine), are at one place.
+_UNLIKE, _NEAR, _ALONG = 1.25, 0.1, 0.98
+# Chance that a linear object is said to depend on the load, as of the other checks of a fit.
+_FALSE_ALARM = 1 / 400
+# Fewest points that several pushes have in common, for what they leave over to be compared.
+_FEWEST = 3
+
+
+@dataclass(frozen=True, slots=True)
+class LoadDependence:
+    """How the modulus changes with the load.
+
+    Attributes
+    ----------
+    exponent : float [-]            above 0 the object stiffens
+    std : float [-]                 one standard deviation
+    force : (float, float) [N]      smallest and largest
+    factor : (float, float) [-]     the modulus at these over that of the joint fit
+    """
+
+    exponent: float
+    std: float
+    force: tuple[float, float]
+    factor: tuple[float, float]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether a linear object is ruled out."""
+        return abs(self.exponent) > -float(ndtri(0.5 * _FALSE_ALARM)) * self.std
+
+    def note(self, modulus: str, constant: float) -> str:
+        """What it means for the constants, in full sentences.
+
+        Parameters
+        ----------
+        modulus : str               "E" or "G"
+        constant : float [Pa]       its joint value
+        """
+        scale, unit = modulus_unit(constant)
+        low, high = (f"{constant * each / scale:.3g}" for each in self.factor)
+        least, largest = (f"{each:.2g} N" for each in self.force)
+        rises, cause = "rises", "stiffens"
+        if self.exponent < 0.0:
+            rises, cause = "falls", "softens, or a tool slips,"
+        return (
+            f"Stiffness {rises} with load: {modulus} is {low} {unit} at {least}, {high} {unit} at"
+            f" {largest} (as force^{self.exponent:.2f}, +- {self.std:.2f}, in pushes at one place)."
+            f" The object or its shape {cause} under load, and the constants are a mean over these"
+            " loads: for small ones fit the gentle pushes alone (--probe)."
+        )
+
+
+def load_dependence(session: Session, minimum: Evaluation) -> LoadDependence | None:
+    """The exponent that pushes at the same place ask for.
+
+    Parameters
+    ----------
+    session : Session               k probings
+    minimum : Evaluation            the fit of one modulus to them, in this order
+
+    Returns
+    -------
+    LoadDependence or None          None: no place was pushed with forces of unlike size
+    """
+    force = np.array([np.linalg.norm(probing.force) for probing in session.probings])
+    stiffness, variance = np.zeros((2, len(force)))
+    load, used = np.zeros(len(force)), np.zeros(len(force), dtype=bool)
+    level = []
+    for group in _places(session, force):
+        amplitude, variance[group] = _amplitudes(minimum, group, force[group])
+        if (amplitude <= 0.0).any():
+            continue
+        load[group] = np.log(force[group]) - np.log(force[group]).mean()
+        level.append(-float(np.log(amplitude).mean()))
+        stiffness[group] = -np.log(amplitude) - level[-1]
+        used[group] = True
+    if not level:
+        return None
+    square = float(load @ load)
+    exponent = float(load @ stiffness) / square
+    noise = float(load**2 @ variance) / square**2
+    free = int(used.sum()) - len(level) - 1
+    off = stiffness - exponent * load
+    scatter = float(off @ off) / free / square if free else 0.0
+    ends = force[used].min(), force[used].max()
+    middle = float(np.log(force[used]).mean())
+    low, high = np.exp(np.mean(level) + exponent * (np.log(ends) - middle))
+    return LoadDependence(
+        exponent, float(np.sqrt(max(noise, scatter))), (float(ends[0]), float(ends[1])),
+        (float(low), float(high)),
+    )  # fmt: skip
+
+
+def _places(session: Session, force: Float[np.ndarray, " k"]) -> Iterator[Int[np.ndarray, " g"]]:
+    """Numbers of the pushes at each place that was pushed with forces of unlike size."""
+    left = [k for k in range(len(force)) if force[k] > 0.0]
+    while left:
+        first = session.probings[left[0]]
+        same = np.array([
+            k
+            for k in left
+            if _at_one_place(first.contact, session.probings[k].contact)
+            and first.force @ session.probings[k].force > _ALONG * force[left[0]] * force[k]
+        ])  # fmt: skip
+        left = [k for k in left if k not in same]
+        if force[same].max() > _UNLIKE * force[same].min():
+            yield same
+
+
+def _at_one_place(one: Contact, other: Contact) -> bool:
+    if one.triangles is not None and other.triangles is not None:
+        return np.array_equal(one.triangles, other.triangles)
+    return float(np.linalg.norm(one.start - other.start)) <= _NEAR * max(one.reach, other.reach)
+
+
+def _amplitudes(
+    minimum: Evaluation, group: Int[np.ndarray, " g"], force: Float[np.ndarray, " g"]
+) -> tuple[Float[np.ndarray, " g"], Float[np.ndarray, " g"]]:
+    """Measured displacement over the predicted one in every push at a place, and the variance of
+    its logarithm."""
+    predicted = [_predicted(minimum, int(k)) for k in group]
+    seen = [minimum.problem.probes[k].observations for k in group]
+    measured = [each.displacement for each in seen]
+    present = [np.isfinite(each).all(axis=1) for each in measured]
+    amplitude = np.array([
+        float(u[row].ravel() @ w[row].ravel()) / float((w[row] ** 2).sum())
+        for u, w, row in zip(measured, predicted, present, strict=True)
+    ])  # fmt: skip
+    left = [u - a * w for u, a, w in zip(measured, amplitude, predicted, strict=True)]
+    common = _common([each.position for each in seen], present)
+    if common.sum() >= _FEWEST:
+        mean = np.mean([each[common] / f for each, f in zip(left, force, strict=True)], axis=0)
+        left = [each[common] - f * mean for each, f in zip(left, force, strict=True)]
+        present = [np.ones(len(each), dtype=bool) for each in left]
+        predicted = [each[common] for each in predicted]
+    variance = [
+        float((r[row] ** 2).mean() / (w[row] ** 2).sum())
+        for r, w, row in zip(left, predicted, present, strict=True)
+    ]
+    own = [
+        float(np.linalg.norm(each.force_std * each.force)) / f**2
+        for each, f in zip(seen, force, strict=True)
+    ]
+    return amplitude, np.array(variance) / amplitude**2 + np.square(own)
+
+
+def _predicted(minimum: Evaluation, index: int) -> Float[np.ndarray, "n 3"]:
+    """Displacement of a push's points with the force that was measured, and without its errors."""
+    theta, block = minimum.theta.copy(), minimum.problem.layout.blocks[index]
+    theta[block.force] = 0.0
+    theta[block.errors] = 0.0
+    return minimum.problem.predicted_points(index, theta)
+
+
+def _common(
+    places: Sequence[Float[np.ndarray, "_ 3"]], present: Sequence[Bool[np.ndarray, " _"]]
+) -> Bool[np.ndarray, " n"]:
+    """Points that all pushes measured, where all have the same ones; else none."""
+    if any(not np.array_equal(places[0], each) for each in places[1:]):
+        return np.zeros(len(places[0]), dtype=bool)
+    return np.logical_and.reduce(present)
