@@ -96,7 +96,7 @@ def moved_by(model, cause):
         return plain / MODULUS
     coefficients = np.zeros(model.modes.modes.shape[1])
     if cause is Cause.PLACE:
-        stiff = model.body.corners[:, 0] < 0.5 * SIDE
+        stiff = model.body.points.reshape(-1, 3)[:, 0] < 0.5 * SIDE
         coefficients = np.linalg.lstsq(model.modes.modes, 1.2 * stiff - 0.6)[0]
         return model.moved(coefficients, NU) / MODULUS
     # A quarter of the support has come loose.

@@ -107,9 +107,10 @@ def test_a_block_of_two_halves_is_not_the_same_everywhere(poked):
     assert result.map is not None
     centre = result.map.nodes[result.map.tetrahedra].mean(axis=1)
     near = centre[:, 2] > 0.015
-    stiff, soft = (
-        float(np.median(result.map.log_modulus[near & side]))
-        for side in (centre[:, 0] > 0.026, centre[:, 0] < 0.014)
-    )
-    # The law of dents: as much in force is as much in modulus.
-    assert stiff - soft == pytest.approx(np.log(1.5), rel=0.25)
+    halves = centre[:, 0] > 0.026, centre[:, 0] < 0.014
+    stiff, soft = (float(np.median(result.map.log_modulus[near & side])) for side in halves)
+    std = np.hypot(*(np.median(result.map.std[near & side]) for side in halves))
+    # The law of dents: as much in force is as much in modulus. A smooth field of the evidence's
+    # size stays behind a step.
+    assert 0.5 * np.log(1.5) < stiff - soft < 1.1 * np.log(1.5)
+    assert abs(stiff - soft - np.log(1.5)) < 2.0 * std

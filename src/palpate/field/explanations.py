@@ -164,7 +164,7 @@ def _expansions(
         if seen is None:
             derivative = model.derivative(stiffness, moved)
         elif cause is Cause.PLACE:
-            derivative = stiffness.sensitivities(seen, moved, model.values) @ model.modes.modes
+            derivative = stiffness.sensitivities(seen, moved, model.modes.modes)
         elif cause is Cause.DIRECTION:
             derivative = _by_direction(stiffness, seen, moved)
         else:

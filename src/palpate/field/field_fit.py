@@ -83,7 +83,7 @@ class FieldFit:
         where, model = modes_in(minimum), self.expansion.model
         modes = model.modes
         fields = np.column_stack([modes.modes @ modes.mixing_of(self.prior), modes.depth])
-        means = model.body.means(model.values @ fields)
+        means = model.body.means(fields)
         return FieldPosterior(
             model.body.solid,
             model.body.volume,

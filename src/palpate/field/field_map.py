@@ -203,12 +203,12 @@ class MapResponse:
     Attributes
     ----------
     uneven, even : GradedStiffness
-    directions : (m q, k) sparse    independent changes of the map, a standard deviation each
+    directions : (m q, k) float     independent changes of the map, a standard deviation each
     """
 
     uneven: GradedStiffness
     even: GradedStiffness
-    directions: csr_array
+    directions: Float[np.ndarray, "mq k"]
 
     @property
     def solid(self) -> Solid:
@@ -258,4 +258,4 @@ def make_map_response(session: Session, modulus: ModulusMap, poisson_ratio: floa
         with_moduli(body, body.constant @ field, ratio)
         for field in (modulus.log_modulus, 0.0 * modulus.log_modulus)
     )
-    return MapResponse(uneven, even, body.constant @ csr_array(modulus.directions.T))
+    return MapResponse(uneven, even, body.constant @ modulus.directions.T)

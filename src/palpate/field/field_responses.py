@@ -103,15 +103,13 @@ class FieldModel(ABC):
     Attributes
     ----------
     body : GradedBody
-    values : (m q, f) sparse        a field at the quadrature points, from where modes give it
-    modes : FieldModes
+    modes : FieldModes              at the quadrature points of the elements
     load : (3 n, k) float [N]       nodal forces of every probing
     session : Session
     observations : tuple of ProbeObservations       of its probings, of the homogeneous body
     """
 
     body: GradedBody
-    values: csr_array
     modes: FieldModes
     load: Float[np.ndarray, "n3 k"]
     session: Session
@@ -159,8 +157,7 @@ class FieldModel(ABC):
         coefficients : (b,) float       of the modes
         poisson_ratio : float [-]
         """
-        log_modulus = self.values @ (self.modes.modes @ coefficients)
-        return with_moduli(self.body, log_modulus, poisson_ratio)
+        return with_moduli(self.body, self.modes.modes @ coefficients, poisson_ratio)
 
     def moved(
         self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
@@ -285,9 +282,7 @@ class PushModel(FieldModel):
         """See `FieldModel`."""
         seen = _seen(self.body, session, observations)
         load = _nodal_loads(session, self.body.solid)
-        return PushModel(
-            self.body, self.values, self.modes, load, session, tuple(observations), *seen
-        )
+        return PushModel(self.body, self.modes, load, session, tuple(observations), *seen)
 
     def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, "n3 k"]:
         """All of it."""
@@ -300,10 +295,10 @@ class PushModel(FieldModel):
         basis = self.modes.modes
         # Whichever takes fewer solutions.
         if basis.shape[1] * moved.shape[1] < 3 * len(self.corners):
-            changes = stiffness.changes(moved, self.values @ csr_array(basis))
+            changes = stiffness.changes(moved, basis)
             return changes[:, self._unknowns]
         seen = stiffness.displacements(self.unit_loads)
-        return stiffness.sensitivities(seen, moved, self.values) @ basis
+        return stiffness.sensitivities(seen, moved, basis)
 
     @property
     def unit_loads(self) -> Float[np.ndarray, "n3 c3"]:
@@ -456,9 +451,9 @@ def make_field_model(
         raise InputError(f"{reason} Fit with --material homogeneous")
     solid, _ = filled(session.mesh, [each * elements for each in times])
 
-    def modes_of(body: GradedBody) -> tuple[csr_array, FieldModes]:
-        depth = depth_below(session, body.corners)
-        return body.linear, make_field_modes(body.corners, body.corner_volume, depth)
+    def modes_of(body: GradedBody) -> FieldModes:
+        points = body.points.reshape(-1, 3)
+        return make_field_modes(points, body.weight.ravel(), depth_below(session, points))
 
     return push_model(session, observations, solid, modes_of)
 
@@ -467,7 +462,7 @@ def push_model(
     session: Session,
     observations: Sequence[ProbeObservations],
     solid: Solid,
-    modes_of: Callable[[GradedBody], tuple[csr_array, FieldModes]],
+    modes_of: Callable[[GradedBody], FieldModes],
 ) -> PushModel:
     """The finite elements of a solid with the loads of a session's probings.
 
@@ -476,11 +471,11 @@ def push_model(
     session : Session               its contacts with radii
     observations : sequence of ProbeObservations    of the homogeneous body
     solid : Solid
-    modes_of : callable             gives `values` and `modes`
+    modes_of : callable             gives `FieldModel.modes`
     """
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
     seen, load = _seen(body, session, observations), _nodal_loads(session, solid)
-    return PushModel(body, *modes_of(body), load, session, tuple(observations), *seen)
+    return PushModel(body, modes_of(body), load, session, tuple(observations), *seen)
 
 
 def depth_below(session: Session, points: Points) -> Float[np.ndarray, " p"]:

@@ -85,7 +85,7 @@ class PokeModel(FieldModel):
     ----------
     edge : float [m]                of the elements, about
     spread : (k,) float [1/m]       compliance of a half space under the loads, times G / (1 - nu)
-    near : (k, c) sparse [-]        weights of the corners of elements under them; rows add up to 1
+    near : (k, m) sparse [-]        weights of the elements under them; rows add up to 1
     """
 
     edge: float
@@ -98,8 +98,7 @@ class PokeModel(FieldModel):
         """See `FieldModel`."""
         load, spread, near = _loads(self.body, self.edge, session)
         return PokeModel(
-            self.body, self.values, self.modes, load, session, tuple(observations), self.edge,
-            spread, near,
+            self.body, self.modes, load, session, tuple(observations), self.edge, spread, near,
         )  # fmt: skip
 
     def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, " k"]:
@@ -110,7 +109,7 @@ class PokeModel(FieldModel):
         self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
     ) -> Float[np.ndarray, "k b"]:
         """Of the compliances."""
-        return -(self.values.T @ stiffness.energies(moved)).T @ self.modes.modes
+        return -stiffness.energies(moved).T @ self.modes.modes
 
     def regular(self, poisson_ratio: float) -> Float[np.ndarray, " k"]:
         """Compliance of the homogeneous body at each poke beyond that of a half space, times G.
@@ -134,7 +133,7 @@ class PokeModel(FieldModel):
         force = np.stack([each.force for each in session.probings])
         # The half space's modulus at which the homogeneous response was taken.
         modulus = 1.0 if probe.settlement is None else probe.settlement.shear_modulus
-        local = self.near @ self.modes.modes
+        local = self.near @ self.body.means(self.modes.modes)
         m, growth = local @ expansion.coefficients, growths(session)
 
         def parts(
@@ -227,13 +226,13 @@ def make_poke_model(
     """
     solid, edge = filled(session.mesh, [each * elements for each in times])
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
-    depth = depth_below(session, body.corners)
-    modes = make_field_modes(body.corners, body.corner_volume, depth)
+    points = body.points.reshape(-1, 3)
+    modes = make_field_modes(points, body.weight.ravel(), depth_below(session, points))
     # Layers change every poke of a face alike, as a modulus or Poisson's ratio does.
     modes = replace(modes, modes=modes.modes[:, : len(modes.mixing[0])])
     load, spread, near = _loads(body, edge, session)
     observed = tuple(observations)
-    return PokeModel(body, body.linear, modes, load, session, observed, edge, spread, near)
+    return PokeModel(body, modes, load, session, observed, edge, spread, near)
 
 
 def _loads(
@@ -255,9 +254,8 @@ def _loads(
     row = np.repeat(np.arange(count), solid.elements.shape[1])
     entries = (np.ones(row.size), (row, solid.elements.ravel()))
     incidence = csr_array(coo_array(entries, shape=(count, len(solid.nodes))))
-    # A node's share of the load to the elements about it, and an element's to its corners.
-    to_corners = 0.25 * incidence[:, : len(body.corners)]
-    near = csr_array(np.stack(share) / incidence.sum(axis=0) @ incidence.T @ to_corners)
+    # A node's share of the load to the elements about it.
+    near = csr_array(np.stack(share) / incidence.sum(axis=0) @ incidence.T)
     return np.stack(load, axis=1), np.array(spread), near
 
 

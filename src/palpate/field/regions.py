@@ -10,7 +10,6 @@ from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.sparse import csr_array
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
@@ -146,7 +145,7 @@ class RegionFit:
         """
         value, direction = _log_ratios(minimum, self.prior)
         model = self.expansion.model
-        modes, solid = model.body.means(model.values.toarray()), model.body.solid
+        modes, solid = model.body.means(model.modes.modes), model.body.solid
         covariance = direction @ minimum.normal.covariance @ direction.T
         std = np.sqrt(np.einsum("ej,jk,ek->e", modes, covariance, modes))
         used, corners = np.unique(solid.elements[:, :4], return_inverse=True)
@@ -246,7 +245,7 @@ def _with_cut_elements(
     (1952) 349
     """
     model, found = cast(PushModel, expansion.model), expansion.observations(prior)
-    shares, ratio = model.values.toarray(), expansion.poisson_ratio
+    shares, ratio = model.modes.modes, expansion.poisson_ratio
     log_modulus = shares @ expansion.coefficients
     moved = model.moved(expansion.coefficients, ratio)
     for region, share, own in zip(regions, shares.T, expansion.coefficients, strict=True):
@@ -321,10 +320,9 @@ def make_region_model(
         raise InputError(f"{reason} Fit with --material homogeneous")
     solid = _filled(session)
 
-    def modes_of(body: GradedBody) -> tuple[csr_array, FieldModes]:
-        shares = csr_array(_shares(session.regions, solid))
-        count = shares.shape[1]
-        return body.constant @ shares, FieldModes(np.eye(count), np.zeros(0), (), np.zeros(count))
+    def modes_of(body: GradedBody) -> FieldModes:
+        shares = body.constant @ _shares(session.regions, solid)
+        return FieldModes(shares, np.zeros(0), (), np.zeros(len(shares)))
 
     return push_model(session, observations, solid, modes_of)
 

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array, eye_array, kron
 
-from palpate.shapes import Points
 from palpate.solids.finite_elements import free_part, quadratic_basis, solve_free
 from palpate.solids.sparse_cholesky import Cholesky, factorise
 from palpate.solids.tetrahedra import Solid
@@ -38,8 +37,6 @@ class GradedBody:
                                     of each element per unit of its unknowns [1/m]
     weight : (m, q) float [m^3]     of the quadrature
     points : (m, q, 3) float [m]    of the quadrature
-    linear : (m q, c) sparse        values there of a function that is linear in every element, from
-                                    those at its corners: the nodes before the first midside node
     """
 
     solid: Solid
@@ -47,17 +44,6 @@ class GradedBody:
     strain: Float[np.ndarray, "m q 6 30"]
     weight: Float[np.ndarray, "m q"]
     points: Float[np.ndarray, "m q 3"]
-    linear: csr_array
-
-    @property
-    def corners(self) -> Points:
-        """Corners of the elements [m]."""
-        return self.solid.nodes[: self.linear.shape[1]]
-
-    @property
-    def corner_volume(self) -> Float[np.ndarray, " c"]:
-        """Volume that belongs to each corner [m^3]."""
-        return self.linear.T @ self.weight.ravel()
 
     @property
     def volume(self) -> Float[np.ndarray, " m"]:
@@ -117,7 +103,7 @@ class GradedStiffness:
         self,
         observed: Float[np.ndarray, "k a"],
         moved: Float[np.ndarray, "k p"],
-        basis: csr_array,
+        basis: Float[np.ndarray, "mq b"],
     ) -> Float[np.ndarray, "p a b"]:
         """Derivatives of observed displacements with respect to the coefficients of a field.
 
@@ -125,7 +111,7 @@ class GradedStiffness:
         ----------
         observed : (3 n, a) float       displacements under unit loads at what is observed
         moved : (3 n, p) float [m Pa]   displacements under the loads
-        basis : (m q, b) sparse         m per unit of each coefficient
+        basis : (m q, b) float          m per unit of each coefficient
 
         Returns
         -------
@@ -145,7 +131,7 @@ class GradedStiffness:
         return result
 
     def changes(
-        self, moved: Float[np.ndarray, "k p"], basis: csr_array
+        self, moved: Float[np.ndarray, "k p"], basis: Float[np.ndarray, "mq b"]
     ) -> Float[np.ndarray, "p k b"]:
         """Derivatives of all displacements with respect to the coefficients of a few fields: a
         solution for every load and field.
@@ -153,7 +139,7 @@ class GradedStiffness:
         Parameters
         ----------
         moved : (3 n, p) float [m Pa]   displacements under the loads
-        basis : (m q, b) sparse         m per unit of each coefficient
+        basis : (m q, b) float          m per unit of each coefficient
 
         Returns
         -------
@@ -164,7 +150,7 @@ class GradedStiffness:
         place = (unknowns.ravel(), np.arange(unknowns.size))
         gather = csr_array((np.ones(unknowns.size), place), shape=(len(moved), unknowns.size))
         changes = []
-        for field in basis.toarray().T:
+        for field in basis.T:
             own = (stress * field[:, None, None]).reshape(*strain.shape[:2], -1)
             force = np.swapaxes(strain, 1, 2) @ own
             changes.append(-self.displacements(gather @ force.reshape(unknowns.size, -1)).T)
@@ -268,16 +254,8 @@ def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
         strain[:, :, 3 + i, :, j] = slope[:, :, i]
     strain = strain.reshape(*slope.shape[:2], 6, 30)
     # scikit-fem's elements number their nodes as `Solid` does.
-    weight, corners = np.asarray(basis.dx), solid.elements[:, :4]
-    share = np.vstack([1.0 - basis.X.sum(axis=0), basis.X]).T
-    column = np.repeat(corners, len(share), axis=0)
-    entries = (
-        np.tile(share, (len(corners), 1)).ravel(),
-        (np.repeat(np.arange(len(column)), 4), column.ravel()),
-    )
-    linear = csr_array(entries, shape=(weight.size, int(corners.max()) + 1))
     points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-    return GradedBody(solid, held, strain, weight, points, linear)
+    return GradedBody(solid, held, strain, np.asarray(basis.dx), points)
 
 
 def with_moduli(
