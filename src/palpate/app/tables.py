@@ -131,13 +131,16 @@ def truth_text(estimate: Estimate, true: Material) -> str:
         f"G = {true.shear_modulus / factor:.4g} {unit}, nu = {true.poisson_ratio:.4g},"
         f" E = {true.young_modulus / factor:.4g} {unit}"
     )
+    stated = f"The truth of this virtual bench: {shown}"
+    if estimate.field is not None:
+        return f"{stated}, before any part of another modulus; the constants above are means."
     outside = []
     for name, label in _LABELS.items():
         low, high = getattr(estimate, name).ci95
         if not low <= getattr(true, name) <= high:
             outside.append(label)
     verdict = f"outside its interval: {', '.join(outside)}" if outside else "all within"
-    return f"The truth of this virtual bench: {shown}; {verdict}."
+    return f"{stated}; {verdict}."
 
 
 def regions_table(estimate: Estimate) -> Table:

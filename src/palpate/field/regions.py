@@ -52,7 +52,6 @@ from palpate.shapes import Points
 from palpate.solids import (
     GradedBody,
     Solid,
-    inner_tetrahedron_points,
     inside,
     make_solid,
     with_moduli,
@@ -67,8 +66,8 @@ _UNKNOWN = float(np.log(10.0))
 # Points along the longest side of a body at which its regions are looked at.
 _LATTICE = 32
 # Elements that a fit has time for, and that a region has at least where half its thickness asks for
-# more; and points along the edge of one where its share is taken.
-_MOST_ELEMENTS, _IN_A_REGION, _SAMPLES = 25_000, 5000, 3
+# more.
+_MOST_ELEMENTS, _IN_A_REGION = 25_000, 5000
 # A region is not seen where its standard deviation is more than this of the prior's; and is
 # determined where the ends of its interval differ by less than this factor, as for all moduli.
 _UNSEEN, _MAX_FACTOR = 0.9, 2.0
@@ -104,8 +103,7 @@ class RegionFit:
         session : Session                           k probings
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
-        pushed = self.expansion.under(session, observations)
-        return _with_cut_elements(pushed, self.regions, self.prior)
+        return _with_cut_elements(self.expansion.under(session, observations), self.prior)
 
     def estimates(self, minimum: Evaluation) -> tuple[RegionEstimate, ...]:
         """What a fit of `observations` says of every region.
@@ -217,7 +215,7 @@ def fit_regions(
         change = float(np.abs(new - coefficients).max())
         if change < _TOLERANCE:
             expansion = expansion.with_slope()
-            observed = _with_cut_elements(expansion, session.regions, prior)
+            observed = _with_cut_elements(expansion, prior)
             return RegionFit(session.regions, expansion, prior, observed)
         step = min(1.0, _LONGEST / change)
         coefficients = coefficients + step * (new - coefficients)
@@ -232,32 +230,21 @@ def fit_regions(
 
 
 def _with_cut_elements(
-    expansion: FieldExpansion, regions: Sequence[Region], prior: CoefficientPrior
+    expansion: FieldExpansion, prior: CoefficientPrior
 ) -> list[ProbeObservations]:
-    """Observations with the error of elements that a region's boundary cuts.
-
-    Such an element has the geometric mean of the moduli on both sides, by their shares. What it
-    would change to have the arithmetic mean, the most that it can be, is two standard deviations.
-
-    Source
-    ------
-    Voigt's bound: Hill, The elastic behaviour of a crystalline aggregate, Proc. Phys. Soc. A 65
-    (1952) 349
-    """
+    """Observations with the error of elements that a region's boundary cuts: half of the step from
+    one modulus in each of them, the geometric mean, to one at each of its quadrature points."""
     model, found = cast(PushModel, expansion.model), expansion.observations(prior)
-    shares, ratio = model.modes.modes, expansion.poisson_ratio
-    log_modulus = shares @ expansion.coefficients
-    moved = model.moved(expansion.coefficients, ratio)
-    for region, share, own in zip(regions, shares.T, expansion.coefficients, strict=True):
-        stiffer = log_modulus + np.log1p(share * np.expm1(own)) - share * own
-        most = with_moduli(model.body, stiffer, ratio).displacements(model.load) - moved
-        parameter = NuisanceParameter(
-            f"elements that region {region.name!r} cuts", 1.0, is_model_error=True
-        )
-        for k, probe in enumerate(found):
-            seen = model.points[k].from_nodes @ most[:, k]
-            found[k] = _with_change(probe, parameter, 0.5 * seen)
-    return found
+    body, ratio = model.body, expansion.poisson_ratio
+    log_modulus = model.modes.modes @ expansion.coefficients
+    coarser = body.constant @ body.means(log_modulus[:, None])[:, 0]
+    moved = with_moduli(body, coarser, ratio).displacements(model.load)
+    step = 0.5 * (model.moved(expansion.coefficients, ratio) - moved)
+    parameter = NuisanceParameter("elements that regions cut", 1.0, is_model_error=True)
+    return [
+        _with_change(probe, parameter, points.from_nodes @ step[:, k])
+        for k, (probe, points) in enumerate(zip(found, model.points, strict=True))
+    ]
 
 
 def _with_change(
@@ -308,7 +295,7 @@ def make_region_model(
 
     Returns
     -------
-    PushModel                       its modes the shares of the regions
+    PushModel                       its modes are 1 within a region, 0 outside
 
     Raises
     ------
@@ -321,8 +308,9 @@ def make_region_model(
     solid = _filled(session)
 
     def modes_of(body: GradedBody) -> FieldModes:
-        shares = body.constant @ _shares(session.regions, solid)
-        return FieldModes(shares, np.zeros(0), (), np.zeros(len(shares)))
+        points = body.points.reshape(-1, 3)
+        within = np.stack([_within(region, points) for region in session.regions], axis=1)
+        return FieldModes(1.0 * within, np.zeros(0), (), np.zeros(len(points)))
 
     return push_model(session, observations, solid, modes_of)
 
@@ -433,19 +421,3 @@ def _filled(session: Session) -> Solid:
             _check_count(region, part / small**3)
             fine += [(point, step, small) for point in points]
     return make_solid(mesh, edge=edge, fine=fine)
-
-
-def _shares(regions: Sequence[Region], solid: Solid) -> Float[np.ndarray, "m k"]:
-    """Share of every element's volume in every region; only elements with nodes on both sides are
-    looked into."""
-    barycentric = inner_tetrahedron_points(_SAMPLES)
-    shares = np.zeros((len(solid.elements), len(regions)))
-    for k, region in enumerate(regions):
-        at_node = _within(region, solid.nodes)[solid.elements]
-        shares[:, k] = at_node[:, 0]
-        cut = np.flatnonzero(at_node.any(axis=1) & ~at_node.all(axis=1))
-        corner = solid.nodes[solid.elements[cut, :4]]
-        points = np.einsum("sv,mva->msa", barycentric, corner)
-        within = _within(region, points.reshape(-1, 3)).reshape(points.shape[:2])
-        shares[cut, k] = within.mean(axis=1)
-    return shares

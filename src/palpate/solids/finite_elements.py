@@ -398,18 +398,6 @@ def inner_points(count: int) -> Float[np.ndarray, "s 3"]:
     return np.stack([1 - a - b, a, b], axis=1)
 
 
-def inner_tetrahedron_points(count: int) -> Float[np.ndarray, "s 4"]:
-    """Barycentric coordinates of evenly spaced points in a tetrahedron.
-
-    Parameters
-    ----------
-    count : int                     along the side of the cube that is folded into it
-    """
-    steps = (np.arange(count) + 0.5) / count
-    cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-    return np.diff(np.sort(cube, axis=1), axis=1, prepend=0.0, append=1.0)
-
-
 def surface_values(solid: Solid, points: Points) -> csr_array:
     """Interpolation matrix from nodal values to values at points of the surface.
 
