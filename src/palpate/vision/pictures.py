@@ -12,11 +12,12 @@ import struct
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ from jaxtyping import Float, UInt8
 
 from palpate.errors import CalibrationError, RecordError
 from palpate.files import checked_file, read_bytes
+from palpate.foreign import decoded_video, results_in_child
 from palpate.records import Camera, Rig
 
 _CAMERA_FIELD = "{camera}"
@@ -64,8 +66,8 @@ _DAMAGE = re.compile(r"Corrupt JPEG|[Pp]remature end|ERROR|error")
 # Prefix of an OpenCV message: the place in its sources.
 _SOURCE = re.compile(r"^\[.*?\] global \S+ ")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
-# Silences FFmpeg's own messages on the terminal.
-_QUIET = {"OPENCV_FFMPEG_LOGLEVEL": "-8"}
+# Longest time for a frame, where a sound video takes milliseconds.
+_FRAME_SECONDS = 60.0
 _CURE = "copy it again, or convert it, e.g. to MP4 with H.264 or to AVI with MJPEG"
 
 
@@ -526,8 +528,8 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
         (place,) = struct.unpack_from(order + head, content, start + entries * entry)
 
 
-def open_video(path: Path) -> "cv2.VideoCapture":
-    """Open a video for reading.
+def video_frame_count(path: Path) -> int:
+    """Number of frames of a video by its header.
 
     Parameters
     ----------
@@ -535,21 +537,14 @@ def open_video(path: Path) -> "cv2.VideoCapture":
 
     Returns
     -------
-    cv2.VideoCapture                to be released by the caller
+    int                             0 if the header does not tell
 
     Raises
     ------
     RecordError                     the file does not exist or cannot be decoded as a video
     """
-    checked_file(path)
-    for name, value in _QUIET.items():
-        os.environ.setdefault(name, value)
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not capture.isOpened():
-        raise RecordError(
-            f"{path}: cannot be decoded as a video ({path.stat().st_size} bytes); {_CURE}"
-        )
-    return capture
+    with _opened(path) as (count, _):
+        return count
 
 
 def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
@@ -565,12 +560,10 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
 
     Raises
     ------
-    RecordError                     as `open_video`; or fewer than two frames can be decoded, which
-                                    is raised before the first one is yielded
+    RecordError                     as `video_frame_count`; or fewer than two frames can be decoded,
+                                    which is raised before the first one is yielded
     """
-    capture = open_video(path)
-    try:
-        frames = _decoded(capture)
+    with _opened(path) as (_, frames):
         begun = list(islice(frames, 2))
         if not begun:
             raise RecordError(f"{path}: not one frame can be decoded; {_CURE}")
@@ -579,15 +572,17 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
         while begun:
             yield begun.pop(0)
         yield from frames
-    finally:
-        capture.release()
 
 
-def _decoded(capture: "cv2.VideoCapture") -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
-    """Time stamp and grey levels of every frame up to the first that cannot be decoded."""
-    while True:
-        good, picture = capture.read()
-        if not good:
-            return
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, np.asarray(grey)
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[int, Iterator[Any]]]:
+    """The number of frames by a video's header, and the frames."""
+    size = checked_file(path).stat().st_size
+    with closing(results_in_child(decoded_video, path.absolute(), seconds=_FRAME_SECONDS)) as made:
+        try:
+            count = next(made)
+            if count is None:
+                raise RecordError(f"{path}: cannot be decoded as a video ({size} bytes); {_CURE}")
+            yield count, made
+        except RuntimeError as error:
+            raise RecordError(f"{path}: is damaged ({error}); {_CURE}") from error
