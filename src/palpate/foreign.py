@@ -153,15 +153,18 @@ def decoded_video(path: Path) -> Iterator[Any]:
 
     Yields
     ------
-    int or None                     first of all: the number of frames by the header, 0 if it does
-                                    not tell; None: no video
+    int                             first of all: the number of frames by the header, 0 if it does
+                                    not tell
     float [s], (rows, columns) uint8    for each: time stamp in the file, grey levels
+
+    Raises
+    ------
+    RuntimeError                    no video
     """
     cv2 = late_import("cv2", extra=None, purpose=f"reading {path.name}")
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
-        yield None
-        return
+        raise RuntimeError(f"it has {path.stat().st_size} bytes")
     yield max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
     while True:
         good, picture = capture.read()

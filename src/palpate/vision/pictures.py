@@ -23,9 +23,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from palpate.errors import CalibrationError, RecordError
+from palpate.errors import CalibrationError, RecordError, counted
 from palpate.files import checked_file, read_bytes
 from palpate.foreign import decoded_video, results_in_child
+from palpate.machine import check_memory_for
 from palpate.records import Camera, Rig
 
 _CAMERA_FIELD = "{camera}"
@@ -40,6 +41,8 @@ _WHITE_16 = [2**k - 1 for k in (10, 12, 14, 16)] + [2**16 - 2 ** (16 - k) for k 
 _MAX_NAMES = 8
 # The largest sensors have 150 million pixels.
 _MAX_PIXELS = 2e8
+# What a pixel takes while pictures are matched jointly [bytes]: measured at 2 and 17 million.
+_BYTES_PER_PIXEL = 100.0
 _PICTURE_KINDS = "PNG, JPEG, TIFF or BMP"
 _PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
 # Classic TIFF and BigTIFF, in both byte orders.
@@ -109,6 +112,7 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
 
     Raises
     ------
+    InputError                      more pixels than the memory holds while they are followed
     RecordError                     a file is missing, truncated, damaged, of an unknown type, asks
                                     to be shown turned, holds several pictures, values that are not
                                     finite, or one grey everywhere; the pattern has no `{camera}`
@@ -127,6 +131,8 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
         place = f"{what}, camera '{camera.name}'"
         levels, fraction, remarks = _read_picture(camera, path, place)
         grey.append(levels)
+        # The first picture tells: the others are as large, and may be many.
+        _check_memory(len(rig.cameras), grey, what)
         saturated.append(fraction)
         for remark in remarks:
             cameras_of.setdefault(remark, []).append(camera.name)
@@ -135,6 +141,15 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
         for remark, names in cameras_of.items()
     ]
     return Pictures(tuple(grey), tuple(saturated), tuple(notes))
+
+
+def _check_memory(cameras: int, grey: list[np.ndarray], what: str) -> None:
+    """Refuse pictures that are too many or too large, by those that were read."""
+    pixels = sum(each.size for each in grey) + (cameras - len(grey)) * grey[-1].size
+    check_memory_for(
+        f"{what}: {counted(cameras, 'picture')} of {pixels / 1e6:.0f} million pixels together",
+        _BYTES_PER_PIXEL * pixels, "leave cameras out, or calibrate them for smaller pictures",
+    )  # fmt: skip
 
 
 def picture_path(camera: Camera, pattern: str, folder: Path) -> Path:
@@ -565,10 +580,9 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
     """
     with _opened(path) as (_, frames):
         begun = list(islice(frames, 2))
-        if not begun:
-            raise RecordError(f"{path}: not one frame can be decoded; {_CURE}")
-        if len(begun) == 1:
-            raise RecordError(f"{path}: only one frame can be decoded, two are needed; {_CURE}")
+        if len(begun) < 2:
+            count = "only one frame" if begun else "not one frame"
+            raise RecordError(f"{path}: {count} can be decoded, two are needed; {_CURE}")
         while begun:
             yield begun.pop(0)
         yield from frames
@@ -577,12 +591,9 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[int, Iterator[Any]]]:
     """The number of frames by a video's header, and the frames."""
-    size = checked_file(path).stat().st_size
+    checked_file(path)
     with closing(results_in_child(decoded_video, path.absolute(), seconds=_FRAME_SECONDS)) as made:
         try:
-            count = next(made)
-            if count is None:
-                raise RecordError(f"{path}: cannot be decoded as a video ({size} bytes); {_CURE}")
-            yield count, made
+            yield next(made), made
         except RuntimeError as error:
-            raise RecordError(f"{path}: is damaged ({error}); {_CURE}") from error
+            raise RecordError(f"{path}: cannot be decoded as a video ({error}); {_CURE}") from error
