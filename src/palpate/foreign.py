@@ -34,6 +34,8 @@ _MOST_BYTES = 4 * 2**30
 _TOO_MUCH = f"it takes more than {_MOST_BYTES / 1e9:.0f} GB of memory"
 # With -P, or modules in the current folder would be run; -I would lose the user's own packages.
 _CHILD = "from palpate.foreign import _serve; _serve()"
+# Formats of FFmpeg that hold a video; others, such as playlists, name files to open in their place.
+_CONTAINERS = "avi,mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,mpegts,mpeg,asf,flv,ogg,mxf,nut"
 # Address space that no work needs: heaps and buffers for every processor.
 _FRUGAL = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -162,6 +164,7 @@ def decoded_video(path: Path) -> Iterator[Any]:
     RuntimeError                    no video
     """
     cv2 = late_import("cv2", extra=None, purpose=f"reading {path.name}")
+    os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = f"format_whitelist;{_CONTAINERS}"
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise RuntimeError(f"it has {path.stat().st_size} bytes")

@@ -46,8 +46,15 @@ def _damaged(draw: st.DrawFn, content: bytes) -> bytes:
     return content
 
 
-def _read(file: Path, read: Reader, content: bytes) -> None:
-    """Read a damaged file: whatever happens is quick, and said in one message if anything."""
+def read_damaged(file: Path, read: Reader, content: bytes) -> None:
+    """Read a damaged file: whatever happens is quick, and said in one message if anything.
+
+    Parameters
+    ----------
+    file : Path                     gets the content
+    read : callable
+    content : bytes
+    """
     file.write_bytes(content)
     start = time.perf_counter()
     try:
@@ -78,7 +85,7 @@ def test_a_damaged_file_is_read_or_refused(samples: list[tuple[Path, Reader]], n
     )
     @given(content=_damaged(good))
     def try_all(content: bytes) -> None:
-        _read(file, read, content)
+        read_damaged(file, read, content)
 
     try:
         try_all()

@@ -164,14 +164,19 @@ def test_old_or_new_wherever_it_is_stopped(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("fault", _FAULTS if _IN_EVERY_WAY else ["in turn"])
 @pytest.mark.parametrize("name", _COMMANDS)
 def test_old_or_new_whichever_step_fails(
-    name: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    fault: str,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     every = 5 if name in _SLOW and not _IN_EVERY_WAY else 1
     for step in range(1, 1 + _killed(name, request, tmp_path, monkeypatch), every):
-        for fault in _FAULTS if _IN_EVERY_WAY else [_FAULTS[step % len(_FAULTS)]]:
-            _failing(name, step, fault, request, tmp_path, monkeypatch)
+        one = fault if fault in _FAULTS else _FAULTS[step % len(_FAULTS)]
+        _failing(name, step, one, request, tmp_path, monkeypatch)
 
 
 def _killed(

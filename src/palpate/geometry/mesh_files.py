@@ -363,9 +363,7 @@ def _read_step(path: Path) -> tuple[Vertices, Triangles]:
     with TemporaryDirectory() as scratch:
         target = Path(scratch) / "solid.glb"
         try:
-            read = result_in_child(
-                triangles_of_step, path.resolve(), target, _STEP_DEVIATION, _STEP_ANGLE
-            )
+            read = result_in_child(triangles_of_step, path, target, _STEP_DEVIATION, _STEP_ANGLE)
         except RuntimeError as error:
             raise MeshError(
                 f"{path}: cannot be covered with triangles ({error}); leave out of the drawing what"

@@ -483,7 +483,7 @@ def from_hdf5(use: Callable[..., T], path: Path, *arguments: Any) -> T:
     RuntimeError                    as in `results_in_child`
     """
     late_import("h5py", extra="hdf5", purpose=f"reading {path.name}")
-    return cast(T, result_in_child(use, path.absolute(), *arguments))
+    return cast(T, result_in_child(use, path, *arguments))
 
 
 def open_hdf5(path: Path) -> Any:

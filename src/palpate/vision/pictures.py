@@ -592,7 +592,7 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
 def _opened(path: Path) -> Iterator[tuple[int, Iterator[Any]]]:
     """The number of frames by a video's header, and the frames."""
     checked_file(path)
-    with closing(results_in_child(decoded_video, path.absolute(), seconds=_FRAME_SECONDS)) as made:
+    with closing(results_in_child(decoded_video, path, seconds=_FRAME_SECONDS)) as made:
         try:
             yield next(made), made
         except RuntimeError as error:

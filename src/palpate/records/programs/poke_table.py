@@ -93,6 +93,8 @@ def read_poke_table(
     at = at * table.factor("position", position, _POSITION, LENGTH_UNITS, length_unit)
     pushed = pushed * table.factor("force", force, _FORCE, FORCE_UNITS, force_unit)
     whole = np.isfinite(np.hstack([at, pushed, outward, number])).all(axis=1)
+    if not whole.any():
+        raise RecordError(f"{path}: not one of its {len(whole)} rows has all its numbers; {_CURE}")
     length = np.linalg.norm(outward[whole], axis=1, keepdims=True)
     if not length.all():
         raise RecordError(f"{path}: a normal is the zero vector; it must point out of the surface")
@@ -186,7 +188,11 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     suffix, units = path.suffix.lower(), dict[str, str]()
     if suffix == ".npz":
         with stored_arrays(path, _CURE) as arrays:
-            found = {name: np.asarray(value, dtype=float) for name, value in arrays.items()}
+            found = {
+                name: value.astype(float)
+                for name, value in arrays.items()
+                if value.dtype.kind in "fiu"
+            }
     elif suffix == ".mat":
         found = of_mat(_mat_columns, path)
     else:
