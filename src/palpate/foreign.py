@@ -9,11 +9,11 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, suppress
 from inspect import isgenerator
 from pathlib import Path
-from threading import Timer
+from threading import Event, Timer
 from typing import IO, Any, cast
 
 import numpy as np
@@ -42,7 +42,7 @@ _FRUGAL = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
 
 def results_in_child(
     work: Callable[..., Any], *arguments: Any, seconds: float = _MOST_SECONDS
-) -> Iterator[Any]:
+) -> Generator[Any, None, None]:
     """What a function gives that runs in a process of its own: its result, or what it yields.
 
     Parameters
@@ -67,19 +67,23 @@ def results_in_child(
         env=os.environ | _FRUGAL,
     )  # fmt: skip
     orders, results = cast(IO[bytes], child.stdin), cast(IO[bytes], child.stdout)
-    late: list[bool] = []
+    late = Event()
+
+    def stop() -> None:
+        late.set()
+        child.kill()
+
     try:
         with suppress(BrokenPipeError), orders:
             pickle.dump((work, arguments), orders)
         while True:
-            timer = Timer(seconds, lambda: (late.append(True), child.kill()))
+            timer = Timer(seconds, stop)
             timer.start()
             try:
                 result, error, more = pickle.load(results)
             except (EOFError, pickle.UnpicklingError):
-                raise RuntimeError(
-                    f"it takes more than {seconds:g} s" if late else f"a crash, or {_TOO_MUCH}"
-                ) from None
+                slow = f"it takes more than {seconds:g} s"
+                raise RuntimeError(slow if late.is_set() else f"a crash, or {_TOO_MUCH}") from None
             finally:
                 timer.cancel()
             if error is not None:
@@ -97,7 +101,8 @@ def result_in_child(
     work: Callable[..., Any], *arguments: Any, seconds: float = _MOST_SECONDS
 ) -> Any:
     """The only result of `results_in_child`."""
-    return next(results_in_child(work, *arguments, seconds=seconds))
+    with closing(results_in_child(work, *arguments, seconds=seconds)) as results:
+        return next(results)
 
 
 def _serve() -> None:

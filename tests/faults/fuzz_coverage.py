@@ -4,7 +4,7 @@
     make fuzz-coverage SECONDS=1800
 
 What is raised that is no error of ours, or takes too long, is written into `build/fuzz`, a file for
-each place: mend it, and put the file into `tests/faults/corpus` under the name of its sample.
+each place: mend it, and put the file into the folder of its sample in `tests/faults/corpus`.
 """
 
 import hashlib
