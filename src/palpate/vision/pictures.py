@@ -529,7 +529,7 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
     head, count, entry, value = ("Q", "Q", 20, 12) if large else ("I", "H", 12, 8)
     (place,) = struct.unpack_from(order + head, content, 8 if large else 4)
     seen = set()
-    while place and place not in seen:
+    while 0 < place < len(content) and place not in seen:
         seen.add(place)
         (entries,) = struct.unpack_from(order + count, content, place)
         start = place + struct.calcsize(order + count)
@@ -540,7 +540,8 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
                 number = order + _FORMATS[kind]
                 (found[tag],) = struct.unpack_from(number, content, start + k * entry + value)
         yield found
-        (place,) = struct.unpack_from(order + head, content, start + entries * entry)
+        end = min(start + entries * entry, len(content))
+        (place,) = struct.unpack_from(order + head, content, end)
 
 
 def video_frame_count(path: Path) -> int:
