@@ -10,7 +10,7 @@ PYTHON_FILES := src tests benchmarks examples docs
 KERNEL_ROOMS := geometry records probe bem vision lab simulation solids
 KERNEL_SOURCES := $(shell find $(KERNEL_ROOMS:%=src/palpate/%) -name '*.py')
 
-.PHONY: demo test slow fuzz benchmark lint format contract types tests map reference docs wheel lock \
+.PHONY: demo test slow fuzz fuzz-coverage benchmark lint format contract types tests map reference docs wheel lock \
     oldest clean clean-cache
 .DEFAULT_GOAL := help
 
@@ -20,6 +20,7 @@ help:
 	@echo "make test   set up, then lint, format check, import contract, types, tests"
 	@echo "make slow   the tests that take longer than some seconds each: before a release"
 	@echo "make fuzz   read ten thousand damaged files of every kind (some ten minutes)"
+	@echo "make fuzz-coverage  the same, led by the lines that run (SECONDS=1800)"
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about two hours)"
 	@echo "make docs   build the documentation site in build/docs (opens from the disk, no network)"
 	@echo "make reference  make docs/reference and the gallery again from the code that reads the files"
@@ -85,6 +86,14 @@ $(VENV)/kernels.stamp: $(KERNEL_SOURCES) | $(VENV)/run.stamp
 
 fuzz: $(VENV)/dev.stamp
 	PALPATE_FUZZ_EXAMPLES=225 $(BIN)/python -m pytest tests/faults/test_fuzz.py -n 2
+
+# Led by the lines that run; atheris, which few systems have, stays out of the locks. Kernels run as
+# Python: what is compiled cannot be watched.
+SECONDS ?= 1800
+fuzz-coverage: $(VENV)/dev.stamp
+	$(PIP) install atheris
+	NUMBA_DISABLE_JIT=1 PYTHONPATH=src:.:tests $(BIN)/python tests/faults/fuzz_coverage.py \
+	    -max_total_time=$(SECONDS) -max_len=12000 -timeout=30
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix $(PYTHON_FILES)

@@ -199,13 +199,15 @@ def _check_targets(finals: Sequence[Path], folder: bool) -> None:
 @contextmanager
 def _hold_lock(final: Path) -> Iterator[None]:
     """Hold the lock on a file or folder; it is released however the process ends."""
-    path = _hidden_path(final, "lock")
-    with write_errors(final):
-        handle = take_lock(path, final)
+    path, handle = _hidden_path(final, "lock"), None
     try:
+        with write_errors(final), _deferred_signals():
+            handle = take_lock(path, final)
         yield
     finally:
-        release_lock(path, handle)
+        if handle is not None:
+            with _deferred_signals():
+                release_lock(path, handle)
 
 
 def _clean_up(finals: Sequence[Path]) -> None:

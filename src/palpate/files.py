@@ -57,7 +57,7 @@ def checked_file(
     try:
         found = os.stat(path)
     except (OSError, ValueError) as error:
-        raise kind(f"{path}: cannot be read ({_reason(error)})") from error
+        raise kind(f"{path}: cannot be read ({reason(error)})") from error
     _check_kind(path, found, max_bytes, kind)
     return path
 
@@ -110,7 +110,7 @@ def read_bytes(
         with checked_file(path, max_bytes=max_bytes, kind=kind).open("rb") as file:
             return file.read(count)
     except OSError as error:
-        raise kind(f"{path}: cannot be read ({_reason(error)})") from error
+        raise kind(f"{path}: cannot be read ({reason(error)})") from error
 
 
 @contextmanager
@@ -132,7 +132,7 @@ def open_own_file(path: Path) -> Iterator[IO[bytes]]:
     try:
         handle = os.open(path, _OWN_FILE_FLAGS)
     except (OSError, ValueError) as error:
-        raise RecordError(f"{path}: cannot be read ({_reason(error)})") from error
+        raise RecordError(f"{path}: cannot be read ({reason(error)})") from error
     with os.fdopen(handle, "rb") as file:
         found = os.fstat(handle)
         _check_kind(path, found, _MAX_BYTES, RecordError)
@@ -188,7 +188,7 @@ def read_errors(
         raise
     # Readers raise errors of any class, and one of them calls sys.exit.
     except (Exception, SystemExit) as error:
-        raise kind(f"{path}: {what} ({_reason(error)}); {cure}") from error
+        raise kind(f"{path}: {what} ({reason(error)}); {cure}") from error
 
 
 @contextmanager
@@ -293,8 +293,13 @@ def _read_array(file: IO[bytes] | BufferedIOBase, size: int) -> np.ndarray:
     return np.lib.format.read_array(file, allow_pickle=False)
 
 
-def _reason(error: BaseException) -> str:
-    """One short line that describes an error of a third-party library."""
+def reason(error: BaseException) -> str:
+    """One short line that describes an error of a third-party library.
+
+    Parameters
+    ----------
+    error : exception
+    """
     text = getattr(error, "strerror", None) or " ".join(str(error).split())
     if "integer string conversion" in text:  # Python's limit against long computations
         text = "a whole number of too many digits"

@@ -1,10 +1,12 @@
 """Output as JSON, stages told one by one, completion for shells."""
 
 import json
+from types import SimpleNamespace
 
 import numba
 import pytest
 
+from palpate.app import terminal
 from palpate.app.process import Output, output_as
 from palpate.app.terminal import progress_bar, table_content
 
@@ -104,6 +106,28 @@ def test_nothing_is_shown_where_stderr_is_no_terminal(capsys):
         report("fit", 1.0)
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("fractions", "says"),
+    [
+        # One more per cent every 4 s: 400 s in all.
+        ((0.0, 0.01, 0.02, 0.03, 0.04), ["some 6 minutes to go, by the pace of the first 12 s"]),
+        # What is there already when it begins took no time: a resumed run.
+        ((0.9, 0.92, 0.94, 0.96), []),
+        # Hardly begun: the pace is known after half a minute.
+        (tuple(2e-4 * k for k in range(12)), ["some 6 hours to go, by the pace of the first 32 s"]),
+        # Seconds only.
+        ((0.0, 0.2, 0.4, 0.6, 0.8), []),
+    ],
+)  # fmt: skip
+def test_what_takes_minutes_is_announced_once(capsys, monkeypatch, fractions, says):
+    clock = iter(range(0, 4 * len(fractions), 4))
+    monkeypatch.setattr(terminal, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    with progress_bar() as report:
+        for fraction in fractions:
+            report("pictures", fraction)
+    assert capsys.readouterr().err.splitlines() == [f"palpate: note: {text}" for text in says]
 
 
 def test_stages_are_shown_on_a_terminal(capsys, monkeypatch):

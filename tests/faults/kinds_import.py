@@ -1,9 +1,12 @@
-"""Kinds of broken results of other programs."""
+"""Kinds of broken results of other programs, and of a robot's pokes."""
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from faults.kind import Kind
+import h5py
+import numpy as np
+from faults.kind import Kind, written
 
 _HEAD = "u,v,w,r1r2 ZNCC,r1t1 ZNCC,r1t2 ZNCC,ref_x,ref_y,ref_z"
 _ROWS = [f"0.1,0,-0.2,0.9,0.95,0.9,{5 * i},{7 * i % 40},40" for i in range(1, 8)]
@@ -23,6 +26,31 @@ def _kind(name: str, damage: Callable[[Path], object], *says: str, options: str 
     return Kind(name, damage, words, says)
 
 
+def _poked(name: str, damage: Callable[[Path], object], *says: str, options: str = "") -> Kind:
+    file = "p" + name[name.rindex(".") :]
+    words = ("import", "pokes", file, "--thickness", "20mm", *options.split())
+    more = () if "--tool-radius" in options else ("--tool-radius", "3mm")
+    return Kind(f"pokes: {name}", damage, (*words, *more), says)
+
+
+def _bomb(folder: Path) -> None:
+    """An array that says that it has 24 gigabytes."""
+    head = "{'descr': '<f8', 'fortran_order': False, 'shape': (3000000000,), }".ljust(117) + "\n"
+    with zipfile.ZipFile(folder / "p.npz", "w") as archive:
+        archive.writestr("x.npy", b"\x93NUMPY\x01\0v\0" + head.encode() + bytes(1000))
+
+
+def _hollow(folder: Path) -> None:
+    """The same in HDF5, which keeps nothing of it."""
+    with h5py.File(folder / "p.mat", "w") as file:
+        file.create_dataset("x", shape=(10**10,), chunks=(1000,), dtype="f8")
+
+
+def _arrays(**arrays: object) -> Callable[[Path], object]:
+    return lambda folder: np.savez(folder / "p.npz", **arrays)
+
+
+_POKES = "x,y,z,force\n" + "1,2,-1,-0.5\n" * 30
 _POOR = [row.replace("0.95", "0.07") for row in _ROWS]
 _KEPT = ["not one of its 7 points was measured"]
 
@@ -52,4 +80,14 @@ KINDS = [
         "n.csv: line 4: r1t1 ZNCC is 95; must be a correlation, 1 at most",
     ),
     _kind("a planar table", _table("0.1,0,5,5", head="u,v,x,y"), "'w' is missing", "2-D"),
-]
+    _poked("no force in p.csv", written("p.csv", "x,y,z\n1,2,3\n"), "p.csv: has no column of the force"),
+    _poked("one place in p.csv", written("p.csv", _POKES), "p.csv: 0 of 1 pokes have contact"),
+    _poked("no force measured in p.csv", written("p.csv", _POKES.replace("-0.5", "nan")),
+           "p.csv: not one of its 30 rows has all its numbers"),
+    _poked("three metres for p.csv", written("p.csv", _POKES), "--tool-radius", "3 m", "like 3mm",
+           options="--tool-radius 3"),
+    _poked("a bomb p.npz", _bomb, "p.npz: is damaged", "holds 1000"),
+    _poked("complex numbers in p.npz", _arrays(x=np.zeros(9) + 1j, y=np.zeros(9)), "p.npz: has no column"),
+    _poked("no arrays in p.npz", _arrays(), "p.npz: holds no columns"),
+    _poked("a hollow p.mat", _hollow, "p.mat: is damaged", "10000000000"),
+]  # fmt: skip

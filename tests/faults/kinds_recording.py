@@ -87,6 +87,8 @@ KINDS = [
     _kind("a log without rows", written("force.csv", "t,Fx,Fy,Fz\n"), "force.csv", "no rows"),
     _kind("no such log", replaced(_FILE, "force.csv", "f.csv"), "[force] file", "no such file"),
     _kind("no video", written("c0.avi", b"RIFF nothing"), "c0.avi", "cannot be decoded"),
+    _kind("a video that names another file", written("c0.avi", "ffconcat version 1.0\nfile c1.avi\n"),
+          "c0.avi: cannot be decoded as a video"),
     _kind("a video that is too short", _shortened, "'c1'", "do not change with the force"),
     _kind("a clock that is wrong", replaced(_FILE, '"c0.avi"', '"c0.avi"\noffset = 0.9'), "'c0'",
           "said to be 0.9 s", "not synchronised"),

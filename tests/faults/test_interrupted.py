@@ -1,8 +1,8 @@
 """Every command that writes, killed at every step, asked to end, and on a full disk.
 
 One run keeps what a kill would leave before each of its steps: the old state or the new one, as a
-user sees it. `PALPATE_FUZZ_EXAMPLES` has errors of the disk and signals tried at many steps instead
-of one.
+user sees it. Then steps fail one at a time, or a signal comes: some in `make test`, nearly all in
+`make slow`, and with `PALPATE_FUZZ_EXAMPLES` all, in every way.
 """
 
 import hashlib
@@ -74,13 +74,14 @@ _READS = {
     "a campaign's picture": ("many", "list.txt", "cube"),
     "a compression": ("record.csv",),
 }
-# They leave result folders as `fit` does: full disks and signals are tried with that one.
+# They leave result folders as `fit` does, by whom some steps are tried.
 _LIKE_FIT = (
-    "flow", "mesh", "scan", "calibrate", "export", "an object before a rig", "a plan", "a recording"
+    "flow", "scan", "calibrate", "export", "an object before a rig", "a plan", "a recording"
 )  # fmt: skip
-# Seconds each: only where many are tried.
+# Seconds each: in `make slow` every fifth step, which the four faults take in turn.
 _SLOW = ("flow", "scan", "a recording")
-_MANY = "PALPATE_FUZZ_EXAMPLES" in os.environ
+_FAULTS = ("ENOSPC", "SIGTERM", "EIO", "EINTR")
+_IN_EVERY_WAY = "PALPATE_FUZZ_EXAMPLES" in os.environ
 
 
 def _visible(folder: Path) -> dict[str, str]:
@@ -151,13 +152,37 @@ def _speckle(folder: Path) -> None:
             cv2.imwrite(str(folder / f"{instant}_{camera}.png"), grey)
 
 
-@pytest.mark.parametrize("name", [name for name in _COMMANDS if _MANY or name not in _SLOW])
-def test_old_or_new_wherever_it_is_killed(
+@pytest.mark.parametrize("name", [name for name in _COMMANDS if name not in _SLOW])
+def test_old_or_new_wherever_it_is_stopped(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = _killed(name, request, tmp_path, monkeypatch)
+    if name not in _LIKE_FIT:
+        # Spread over all of it, by thirds.
+        for fault, k in zip(_FAULTS, (1, 2, 3), strict=False):
+            _failing(name, 1 + k * steps // 4, fault, request, tmp_path, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", _FAULTS if _IN_EVERY_WAY else ["in turn"])
+@pytest.mark.parametrize("name", _COMMANDS)
+def test_old_or_new_whichever_step_fails(
     name: str,
+    fault: str,
     request: pytest.FixtureRequest,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    every = 5 if name in _SLOW and not _IN_EVERY_WAY else 1
+    for step in range(1, 1 + _killed(name, request, tmp_path, monkeypatch), every):
+        one = fault if fault in _FAULTS else _FAULTS[step % len(_FAULTS)]
+        _failing(name, step, one, request, tmp_path, monkeypatch)
+
+
+def _killed(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> int:
+    """Check what a kill leaves before each step of a command, and count its steps."""
     words = list(_COMMANDS[name])
     work, copies = tmp_path / "work", tmp_path / "copies"
     _copied(name, request, work)
@@ -176,27 +201,43 @@ def test_old_or_new_wherever_it_is_killed(
     states = sorted(path for path in copies.iterdir() if path.is_dir())
     assert len(states) > 4
     assert all(_visible(state) in (before, after) for state in states)
-    middle = len(states) // 2
-    if name in _LIKE_FIT and not _MANY:
-        return
-    _check_again(words, states[middle], set(after), monkeypatch)
-    for step in range(1, len(states) + 1, 7) if _MANY else [middle]:
-        for fault in ("ENOSPC", "EIO", "EINTR", "SIGTERM") if _MANY else ("ENOSPC", "SIGTERM"):
-            folder = tmp_path / f"{step} {fault}"
-            _copied(name, request, folder)
-            monkeypatch.chdir(folder)
-            outcome = in_child(lambda: main(words) not in (0, 3), folder, step=step, fault=fault)
-            assert outcome in ("refused", "done all the same")
-            # A signal that comes while all takes its place waits until it has.
-            may_be_done = outcome == "done all the same" or fault == "SIGTERM"
-            seen = _visible(folder)
-            assert seen == before or (may_be_done and seen.keys() == after.keys())
-            if left := _hidden(folder):
-                # Finished instants, from which the next run goes on; and what could not be removed,
-                # as that was the step that failed.
-                assert len(set(left) - {".made.parts"}) <= (fault != "SIGTERM")
-                assert main(words) in (0, 3)
-            assert _hidden(folder) == []
+    _check_again(words, states[len(states) // 2], set(after), monkeypatch)
+    return len(states)
+
+
+def _failing(
+    name: str,
+    step: int,
+    fault: str,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Check what a command leaves one step of which fails, or meets a signal."""
+    words, folder = list(_COMMANDS[name]), tmp_path / f"{step} {fault}"
+    _copied(name, request, folder)
+    monkeypatch.chdir(folder)
+    before = _visible(folder)
+    new = set(_visible(tmp_path / "work"))
+    outcome = in_child(lambda: main(words) not in (0, 3), folder, step=step, fault=fault)
+    assert outcome in ("refused", "done all the same")
+    # A signal that comes while all takes its place waits until it has.
+    may_be_done = outcome == "done all the same" or fault == "SIGTERM"
+    seen = _visible(folder)
+    assert seen == before or (may_be_done and set(seen) == new)
+    if left := _hidden(folder):
+        # Finished instants, from which the next run goes on; and what could not be removed, as that
+        # was the step that failed.
+        assert len(set(left) - {".made.parts"}) <= (fault != "SIGTERM")
+        # What is there is replaced, or refused: then its lock waits for whoever does replace it.
+        if main(words) not in (0, 3):
+            assert seen != before
+            assert [name.endswith(".lock") for name in left] == [True]
+            left = []
+        else:
+            left = _hidden(folder)
+    assert left == []
+    shutil.rmtree(folder)
 
 
 def _viewed(rig: Rig, mesh: TriangleMesh, *_: object, **__: object) -> ObjectView:

@@ -1,5 +1,7 @@
 """Remeshed surfaces: as many vertices as wanted, even, finer where asked, and on the surface."""
 
+import signal
+
 import numpy as np
 import pytest
 from broken_surfaces import ball, box, made
@@ -73,3 +75,15 @@ def test_numbers_of_vertices_have_limits():
 def test_points_in_another_unit_are_noticed():
     with pytest.raises(InputError, match=r"1 of 1 points .* away from it"):
         remeshed(made(box()), vertices=300, near=np.array([[20.0, 0.0, 10.0]]))
+
+
+def test_signals_are_this_process_s_own_afterwards():
+    """Mmg takes those that end a process, and leaves them to the system."""
+    received = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
+    try:
+        remeshed(made(box()), vertices=100)
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert received == [signal.SIGTERM]

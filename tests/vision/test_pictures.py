@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.errors import CalibrationError, RecordError
+from palpate import machine
+from palpate.errors import CalibrationError, InputError, RecordError
 from palpate.records import Camera, Rig
 from palpate.vision import pictures
 from palpate.vision.pictures import (
@@ -53,6 +54,18 @@ def written(tmp_path):
         )
 
     return write
+
+
+def test_pictures_that_the_memory_cannot_hold_are_refused_at_the_first(written, monkeypatch):
+    # 480 pixels of 100 bytes, and the second picture is not even there.
+    monkeypatch.setattr(machine, "machine_memory", lambda: 50e3)
+    with pytest.raises(
+        InputError,
+        match=r"^step 's3': 2 pictures .* would take 0\.0 MB of memory; .*: leave camera",
+    ):
+        written(_encoded(RAMP), second=b"")
+    monkeypatch.setattr(machine, "machine_memory", lambda: 60e3)
+    assert len(written(_encoded(RAMP)).grey) == 2
 
 
 def _note(seen):

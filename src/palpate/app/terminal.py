@@ -22,6 +22,8 @@ from palpate.errors import print_message, visible
 from palpate.progress import Progress
 from palpate.records import FORCE_UNITS, LENGTH_UNITS, MODULUS_UNITS, NOT_DETERMINED, quantity
 
+# Work of which more remains is announced [s].
+_LONG_SECONDS = 90.0
 # What a cell may say besides a text: nothing, a number, a number and its deviation, an interval, a
 # vector.
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -150,11 +152,12 @@ def print_file_notes(notes: Iterable[tuple[str, str]], *, files: int) -> None:
 def progress_bar() -> Iterator[Progress]:
     """A callback `(stage, fraction)` that moves a bar on stderr; the bar vanishes at the end.
 
-    Where stderr is not a terminal nothing is shown; where every stage is to be shown, each has a
-    line with the seconds so far, on a terminal or not.
+    Where stderr is not a terminal no bar is shown; where every stage is to be shown, each has a
+    line with the seconds so far, on a terminal or not. Once some seconds show that there are
+    minutes to go, that is said.
     """
     if wanted_output().verbose:
-        with _announce_compilation(_line_progress()) as report:
+        with _announce_compilation(_announce_length(_line_progress())) as report:
             yield report
         return
     console = Console(file=sys.stderr)
@@ -174,7 +177,7 @@ def progress_bar() -> Iterator[Progress]:
     def show(stage: str, fraction: float) -> None:
         bar.update(task, description=visible(stage), completed=fraction)
 
-    with bar, _announce_compilation(show) as report:
+    with bar, _announce_compilation(_announce_length(show)) as report:
         yield report
 
 
@@ -265,6 +268,31 @@ def _announce_compilation(show: Progress) -> Iterator[Progress]:
 
     with event.install_listener("numba:compile", Compilation()):
         yield report
+
+
+def _announce_length(show: Progress) -> Progress:
+    """Progress that says once how long it will take, if that is minutes: by its pace so far."""
+    first: list[tuple[float, float]] = []
+    said = False
+
+    def report(stage: str, fraction: float) -> None:
+        nonlocal said
+        show(stage, fraction)
+        now = time.monotonic()
+        if not first:
+            first.append((now, fraction))
+        start, before = first[0]
+        seconds, done = now - start, fraction - before
+        # What is hardly begun may not go on like this.
+        if said or done <= 0.0 or seconds < (5.0 if done > 0.02 else 30.0):
+            return
+        left = (1.0 - fraction) * seconds / done
+        if left > _LONG_SECONDS:
+            said = True
+            long = f"{left / 60:.0f} minutes" if left < 5400.0 else f"{left / 3600:.0f} hours"
+            print_message(f"note: some {long} to go, by the pace of the first {seconds:.0f} s")
+
+    return report
 
 
 def _line_progress() -> Progress:

@@ -273,7 +273,8 @@ class Store:
                 table.execute("PRAGMA synchronous = OFF")
                 with table:
                     yield table
-        except sqlite3.Error as error:
+        # Messages about a damaged file may quote what is no UTF-8.
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             if new:
                 path.unlink(missing_ok=True)
             raise RecordError(

@@ -1,8 +1,6 @@
 """Reading and writing of triangle surfaces: PLY, OBJ, STL, OFF, MSH, VTU; reading of VTP, STEP."""
 
 import re
-import subprocess
-import sys
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +14,7 @@ from scipy.spatial import cKDTree
 from palpate.disk import atomic_replacement, write_bytes, write_errors
 from palpate.errors import InputError, MeshError
 from palpate.files import read_bytes, read_errors
+from palpate.foreign import result_in_child, triangles_of_step
 from palpate.geometry.mesh_content import (
     check_msh_nodes,
     check_packed_arrays,
@@ -68,20 +67,6 @@ _SPAN = (1e-6, 1e4)
 # Deflection of the triangles from the surface, relative to its edges, and angle between adjacent
 # ones [rad]: a ball gets 20,000 triangles, and loses 0.1 % of its volume.
 _STEP_DEVIATION, _STEP_ANGLE = 5e-4, 0.3
-# A part of thousands of faces takes seconds.
-_MOST_STEP_SECONDS = 300
-# Address space of what reads it [bytes]: a damaged file may ask for any.
-_MOST_STEP_BYTES = 2 * 2**30
-# In a process of its own: OpenCASCADE may crash on a damaged file, and prints to the terminal. With
-# -P, or a cascadio.py in the current folder would be run; -I would lose the user's own packages.
-_STEP_SCRIPT = """\
-import sys, cascadio
-source, target, off, turn, most = sys.argv[1:]
-if sys.platform == "linux":
-    import resource
-    resource.setrlimit(resource.RLIMIT_AS, (int(most), int(most)))
-sys.exit(cascadio.step_to_glb(source, target, float(off), float(turn), tol_relative=True))
-"""
 # Statements of the format and of its extensions that are ignored.
 _IGNORED_STATEMENTS = frozenset({
     "vt", "vn", "vp", "p", "l", "o", "g", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "lod",
@@ -371,25 +356,20 @@ def _read_step(path: Path) -> tuple[Vertices, Triangles]:
     Raises
     ------
     InputError                      the optional package is missing
-    MeshError                       the file holds no solid, is damaged, or takes over 300 s
+    MeshError                       the file holds no solid, is damaged, or takes 300 s or 4 GB
     """
     late_import("cascadio", extra="cad", purpose=f"reading {path.name}")
     trimesh = late_import("trimesh", extra=None, purpose=f"reading {path.name}")
     with TemporaryDirectory() as scratch:
         target = Path(scratch) / "solid.glb"
-        words = (path.resolve(), target, _STEP_DEVIATION, _STEP_ANGLE, _MOST_STEP_BYTES)
         try:
-            done = subprocess.run(
-                [sys.executable, "-P", "-c", _STEP_SCRIPT, *map(str, words)],
-                capture_output=True, timeout=_MOST_STEP_SECONDS, check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired as error:
+            read = result_in_child(triangles_of_step, path, target, _STEP_DEVIATION, _STEP_ANGLE)
+        except RuntimeError as error:
             raise MeshError(
-                f"{path}: covering it with triangles takes more than {_MOST_STEP_SECONDS} s; leave"
-                " out of the drawing what is not the object, or export an STL"
+                f"{path}: cannot be covered with triangles ({error}); leave out of the drawing what"
+                " is not the object, or export an STL"
             ) from error
         # glTF is in metres by definition.
-        read = done.returncode == 0 and target.exists()
         drawn = trimesh.load(target, force="mesh", process=False) if read else None
     if drawn is None or len(drawn.faces) == 0:
         raise MeshError(

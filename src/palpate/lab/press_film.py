@@ -25,7 +25,7 @@ from palpate.lab.studio import make_studio, photograph
 from palpate.records import Camera, Rig, picture_size
 from palpate.shapes import Vector3
 from palpate.solids import Solid, Tip, press, press_to_force, surface_values
-from palpate.vision import open_video, project, surface_map
+from palpate.vision import project, surface_map, video_frame_count
 
 # Grey level of the rod.
 _ROD = 8.0
@@ -314,12 +314,9 @@ def write_film(path: Path, frames: Iterator[UInt8[np.ndarray, "_ _"]], rate: flo
 def _header_frames(path: Path) -> int:
     """Number of frames that a video's header names; 0 for a file that is no whole video."""
     try:
-        capture = open_video(path)
+        return video_frame_count(path)
     except RecordError:
         return 0
-    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    capture.release()
-    return count
 
 
 def _motion_of(camera: Camera, config: LabConfig, solved: SolvedPress) -> CubicSpline:

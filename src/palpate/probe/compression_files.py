@@ -132,8 +132,8 @@ def read_compression(
             " mend or delete the line"
         )
     notes: list[str] = []
-    scale = _unit(columns[0], METRES, displacement_unit, "mm", "displacement", notes)
-    force_scale = _unit(columns[1], FORCE_UNITS, force_unit, "N", "force", notes)
+    scale = _unit(table.path, columns[0], METRES, displacement_unit, "mm", "displacement", notes)
+    force_scale = _unit(table.path, columns[1], FORCE_UNITS, force_unit, "N", "force", notes)
     return CompressionRecord(
         displacement=_compression_positive(values[:, 0] * scale, "displacement", notes),
         force=_compression_positive(values[:, 1] * force_scale, "force", notes),
@@ -220,6 +220,7 @@ def _column(
 
 
 def _unit(
+    path: Path,
     column: Column,
     known: dict[str, float],
     wanted: str | None,
@@ -238,7 +239,7 @@ def _unit(
         return known[found[1]]
     if found:
         raise RecordError(
-            f'column "{column.heading}": unit "{found[1]}" is not known; must be one of '
+            f'{path}: column "{column.heading}": unit "{found[1]}" is not known; must be one of '
             f"{', '.join(known)}: correct it, or say {what}_unit"
         )
     notes.append(f"The file gives no unit for the {what}; {usual} is taken.")

@@ -18,7 +18,7 @@ from palpate.arrays import STD_OVER_MEDIAN, fixed_array
 from palpate.errors import InputError, RecordError
 from palpate.progress import Progress, silent
 from palpate.records import TIME_UNITS, read_text_table
-from palpate.vision import open_video, read_grey, video_frames
+from palpate.vision import read_grey, video_frame_count, video_frames
 
 # Longest recording [s].
 _LONGEST_RECORDING = 86400.0
@@ -164,14 +164,11 @@ def _header_frame_count(footage: Footage) -> int:
 
     Raises
     ------
-    RecordError                     as in `open_video`
+    RecordError                     as in `video_frame_count`
     """
     if footage.pictures:
         return len(footage.pictures)
-    capture = open_video(footage.source)
-    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    capture.release()
-    return max(count, 0)
+    return video_frame_count(footage.source)
 
 
 def read_times(path: Path) -> Float[np.ndarray, " n"]:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar, cast
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from palpate.arrays import LARGEST_NUMBER
 from palpate.errors import CalibrationError, InputError, RecordError, quoted
 from palpate.files import checked_file, max_unpacked_size, read_bytes, read_errors
+from palpate.foreign import result_in_child
 from palpate.optional_imports import late_import
 from palpate.records.quantities import FILE_LENGTH_UNITS
 from palpate.records.rig import DISTORTION_TERMS, Camera, PictureTracks, Rig
@@ -35,6 +36,7 @@ _MAX_BYTES = 2**20
 # Deepest nesting of brackets: the parser's time grows quadratically; matrices need two.
 _MAX_NESTING = 50
 _CURE = "export the calibration again"
+T = TypeVar("T")
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -466,8 +468,26 @@ for _kind in ("opencv-matrix", "opencv-nd-matrix"):
     )
 
 
+def from_hdf5(use: Callable[..., T], path: Path, *arguments: Any) -> T:
+    """What a function makes of an HDF5 file, in a child: the library may crash on a damaged one.
+
+    Parameters
+    ----------
+    use : callable                  of a module; gets the path and the arguments
+    path : Path
+    *arguments                      that can be pickled, like the result
+
+    Raises
+    ------
+    InputError                      h5py is not installed
+    RuntimeError                    as in `results_in_child`
+    """
+    late_import("h5py", extra="hdf5", purpose=f"reading {path.name}")
+    return cast(T, result_in_child(use, path, *arguments))
+
+
 def open_hdf5(path: Path) -> Any:
-    """Open an HDF5 file for reading.
+    """Open an HDF5 file for reading, in a child.
 
     Parameters
     ----------

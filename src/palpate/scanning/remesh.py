@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.errors import InputError, MeshError
+from palpate.foreign import remeshed_by_mmg, result_in_child
 from palpate.geometry import (
     CREASE_ANGLE,
     TriangleMesh,
@@ -214,33 +215,21 @@ def adapted(
     Dapogny, Dobrzynski, Frey, Three-dimensional adaptive domain remeshing, implicit domain meshing
     and applications to free and moving boundary problems, J. Comput. Phys. 262 (2014): Mmg.
     """
-    mmg = late_import("mmgpy", extra="surface", purpose="remeshing a surface")
-    body = mmg.MmgMeshS(mesh.vertices.copy(), mesh.triangles.astype(np.int32))
-    body["metric"] = np.ascontiguousarray(size[:, None])
-    ridges = {"ar": float(np.degrees(CREASE_ANGLE))} if creases else {"angle": 0}
-    if support is not None:
-        rim = _rim(mesh, support)
-        body.set_mesh_size(
-            vertices=len(mesh.vertices), triangles=len(mesh.triangles), edges=len(rim)
-        )
-        body.set_vertices(mesh.vertices.copy())
-        body.set_triangles(mesh.triangles.astype(np.int32))
-        body.set_edges(rim.astype(np.int32))
-        body.set_ridge_edges(np.arange(len(rim), dtype=np.int32))
+    rim = None if support is None else _rim(mesh, support)
+    options = {"ar": float(np.degrees(CREASE_ANGLE))} if creases else {"angle": 0}
     # A large Hausdorff distance, so that curvature does not refine below the given sizes.
+    options |= {"hgrad": _GRADATION, "hausd": float(size.max())}
     try:
-        body.remesh(hgrad=_GRADATION, hausd=float(size.max()), verbose=-1, **ridges)
+        vertices, triangles = result_in_child(
+            remeshed_by_mmg, mesh.vertices, mesh.triangles, size, rim, options
+        )
     except RuntimeError as error:
         raise MeshError(
             f"the surface of {len(mesh.vertices)} vertices cannot be remeshed ({error}); smooth it"
             " in a mesh program first"
         ) from error
-    free = TriangleMesh(
-        vertices=np.array(body.get_vertices(), dtype=np.float64),
-        triangles=np.array(body.get_triangles(), dtype=np.int64),
-    )
     # Mmg's own smooth surface deviates by up to an edge where sizes change quickly.
-    return _projected(free, surface or mesh)
+    return _projected(TriangleMesh(vertices=vertices, triangles=triangles), surface or mesh)
 
 
 def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from palpate.arrays import fixed_array
 from palpate.errors import InputError, RecordError
 from palpate.files import checked_file, parse_array, read_bytes, read_errors
+from palpate.foreign import result_in_child, scans_of_e57
 from palpate.optional_imports import late_import
 from palpate.progress import Progress, silent
 from palpate.records import (
@@ -409,18 +410,13 @@ def _read(path: Path, content: bytes, suffix: str) -> np.ndarray:
 
 def _e57(path: Path) -> Float[np.ndarray, "n 3"]:
     """The only scan of a file, in the file's frame, without points marked as invalid."""
-    pye57 = late_import("pye57", extra="e57", purpose=f"reading {path.name}")
-    file = pye57.E57(str(path))
-    try:
-        if file.scan_count != 1:
-            raise ValueError(
-                f"it has {file.scan_count} scans, each from a place of its own; export each as a"
-                " file, and give each its [[view]]"
-            )
-        found = file.read_scan(0, ignore_missing_fields=True)
-    finally:
-        file.close()
-    return np.stack([found[f"cartesian{axis}"] for axis in "XYZ"], axis=1)
+    count, points = result_in_child(scans_of_e57, path)
+    if count != 1:
+        raise ValueError(
+            f"it has {count} scans, each from a place of its own; export each as a file, and give"
+            " each its [[view]]"
+        )
+    return np.asarray(points)
 
 
 def _text(text: str) -> Float[np.ndarray, "n 3"]:

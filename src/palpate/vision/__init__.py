@@ -16,11 +16,11 @@ from palpate.vision.matching.outliers import median_test as median_test
 from palpate.vision.pictures import (
     VIDEO_SUFFIXES as VIDEO_SUFFIXES,
     Pictures as Pictures,
-    open_video as open_video,
     picture_path as picture_path,
     read_grey as read_grey,
     read_pictures as read_pictures,
     read_stored as read_stored,
+    video_frame_count as video_frame_count,
     video_frames as video_frames,
 )
 from palpate.vision.projection import (

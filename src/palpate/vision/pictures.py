@@ -12,18 +12,21 @@ import struct
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from palpate.errors import CalibrationError, RecordError
+from palpate.errors import CalibrationError, RecordError, counted
 from palpate.files import checked_file, read_bytes
+from palpate.foreign import decoded_video, results_in_child
+from palpate.machine import check_memory_for
 from palpate.records import Camera, Rig
 
 _CAMERA_FIELD = "{camera}"
@@ -38,6 +41,8 @@ _WHITE_16 = [2**k - 1 for k in (10, 12, 14, 16)] + [2**16 - 2 ** (16 - k) for k 
 _MAX_NAMES = 8
 # The largest sensors have 150 million pixels.
 _MAX_PIXELS = 2e8
+# What a pixel takes while pictures are matched jointly [bytes]: measured at 2 and 17 million.
+_BYTES_PER_PIXEL = 100.0
 _PICTURE_KINDS = "PNG, JPEG, TIFF or BMP"
 _PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
 # Classic TIFF and BigTIFF, in both byte orders.
@@ -64,8 +69,8 @@ _DAMAGE = re.compile(r"Corrupt JPEG|[Pp]remature end|ERROR|error")
 # Prefix of an OpenCV message: the place in its sources.
 _SOURCE = re.compile(r"^\[.*?\] global \S+ ")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
-# Silences FFmpeg's own messages on the terminal.
-_QUIET = {"OPENCV_FFMPEG_LOGLEVEL": "-8"}
+# Longest time for a frame, where a sound video takes milliseconds.
+_FRAME_SECONDS = 60.0
 _CURE = "copy it again, or convert it, e.g. to MP4 with H.264 or to AVI with MJPEG"
 
 
@@ -107,6 +112,7 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
 
     Raises
     ------
+    InputError                      more pixels than the memory holds while they are followed
     RecordError                     a file is missing, truncated, damaged, of an unknown type, asks
                                     to be shown turned, holds several pictures, values that are not
                                     finite, or one grey everywhere; the pattern has no `{camera}`
@@ -125,6 +131,8 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
         place = f"{what}, camera '{camera.name}'"
         levels, fraction, remarks = _read_picture(camera, path, place)
         grey.append(levels)
+        # The first picture tells: the others are as large, and may be many.
+        _check_memory(len(rig.cameras), grey, what)
         saturated.append(fraction)
         for remark in remarks:
             cameras_of.setdefault(remark, []).append(camera.name)
@@ -133,6 +141,15 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
         for remark, names in cameras_of.items()
     ]
     return Pictures(tuple(grey), tuple(saturated), tuple(notes))
+
+
+def _check_memory(cameras: int, grey: list[np.ndarray], what: str) -> None:
+    """Refuse pictures that are too many or too large, by those that were read."""
+    pixels = sum(each.size for each in grey) + (cameras - len(grey)) * grey[-1].size
+    check_memory_for(
+        f"{what}: {counted(cameras, 'picture')} of {pixels / 1e6:.0f} million pixels together",
+        _BYTES_PER_PIXEL * pixels, "leave cameras out, or calibrate them for smaller pictures",
+    )  # fmt: skip
 
 
 def picture_path(camera: Camera, pattern: str, folder: Path) -> Path:
@@ -512,7 +529,7 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
     head, count, entry, value = ("Q", "Q", 20, 12) if large else ("I", "H", 12, 8)
     (place,) = struct.unpack_from(order + head, content, 8 if large else 4)
     seen = set()
-    while place and place not in seen:
+    while 0 < place < len(content) and place not in seen:
         seen.add(place)
         (entries,) = struct.unpack_from(order + count, content, place)
         start = place + struct.calcsize(order + count)
@@ -523,11 +540,12 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
                 number = order + _FORMATS[kind]
                 (found[tag],) = struct.unpack_from(number, content, start + k * entry + value)
         yield found
-        (place,) = struct.unpack_from(order + head, content, start + entries * entry)
+        end = min(start + entries * entry, len(content))
+        (place,) = struct.unpack_from(order + head, content, end)
 
 
-def open_video(path: Path) -> "cv2.VideoCapture":
-    """Open a video for reading.
+def video_frame_count(path: Path) -> int:
+    """Number of frames of a video by its header.
 
     Parameters
     ----------
@@ -535,21 +553,14 @@ def open_video(path: Path) -> "cv2.VideoCapture":
 
     Returns
     -------
-    cv2.VideoCapture                to be released by the caller
+    int                             0 if the header does not tell
 
     Raises
     ------
     RecordError                     the file does not exist or cannot be decoded as a video
     """
-    checked_file(path)
-    for name, value in _QUIET.items():
-        os.environ.setdefault(name, value)
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not capture.isOpened():
-        raise RecordError(
-            f"{path}: cannot be decoded as a video ({path.stat().st_size} bytes); {_CURE}"
-        )
-    return capture
+    with _opened(path) as (count, _):
+        return count
 
 
 def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
@@ -565,29 +576,25 @@ def video_frames(path: Path) -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]
 
     Raises
     ------
-    RecordError                     as `open_video`; or fewer than two frames can be decoded, which
-                                    is raised before the first one is yielded
+    RecordError                     as `video_frame_count`; or fewer than two frames can be decoded,
+                                    which is raised before the first one is yielded
     """
-    capture = open_video(path)
-    try:
-        frames = _decoded(capture)
+    with _opened(path) as (_, frames):
         begun = list(islice(frames, 2))
-        if not begun:
-            raise RecordError(f"{path}: not one frame can be decoded; {_CURE}")
-        if len(begun) == 1:
-            raise RecordError(f"{path}: only one frame can be decoded, two are needed; {_CURE}")
+        if len(begun) < 2:
+            count = "only one frame" if begun else "not one frame"
+            raise RecordError(f"{path}: {count} can be decoded, two are needed; {_CURE}")
         while begun:
             yield begun.pop(0)
         yield from frames
-    finally:
-        capture.release()
 
 
-def _decoded(capture: "cv2.VideoCapture") -> Iterator[tuple[float, UInt8[np.ndarray, "_ _"]]]:
-    """Time stamp and grey levels of every frame up to the first that cannot be decoded."""
-    while True:
-        good, picture = capture.read()
-        if not good:
-            return
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, np.asarray(grey)
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[int, Iterator[Any]]]:
+    """The number of frames by a video's header, and the frames."""
+    checked_file(path)
+    with closing(results_in_child(decoded_video, path, seconds=_FRAME_SECONDS)) as made:
+        try:
+            yield next(made), made
+        except RuntimeError as error:
+            raise RecordError(f"{path}: cannot be decoded as a video ({error}); {_CURE}") from error

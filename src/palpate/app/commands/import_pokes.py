@@ -23,6 +23,8 @@ from palpate.records import (
 # what grams taken for newtons make of one: a hundred times as much.
 _STIFF = 1e6
 _GRAM = 9.80665e-3
+# Of a tool that pokes [m]: larger ones are millimetres without their unit.
+_LARGEST_RADIUS = 0.5
 _Length = Literal["um", "mm", "cm", "m", "in"]
 _Columns = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 
@@ -91,6 +93,11 @@ def import_pokes(
         kept as NAME.old.
     """
     tip = Tool(tool, quantity(tool_radius, LENGTH_UNITS, "--tool-radius"), friction)
+    if tip.radius > _LARGEST_RADIUS:
+        raise InputError(
+            f"--tool-radius is {tip.radius:g} m; must be {_LARGEST_RADIUS:g} m at most: name its"
+            " unit, like 3mm"
+        )
     if (thickness is None) == (surface is None):
         raise InputError("give the body as --thickness, below the poked surface, or as --surface")
     samples = read_poke_table(
@@ -102,7 +109,10 @@ def import_pokes(
         length_unit=length_unit,
         force_unit=force_unit,
     )
-    pokes = read_pokes(samples, tip)
+    try:
+        pokes = read_pokes(samples, tip)
+    except InputError as error:
+        raise InputError(f"{table}: {error}") from error
     mesh = _surface(pokes, thickness, margin, surface, surface_unit)
     target = out or Path(f"{table.stem}-session")
     with result_folder(target, kind="import-pokes", force=force) as folder:

@@ -99,7 +99,10 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
         yield new
         sums = file_sums((path for path in new.rglob("*") if path.is_file()), start=new)
         head = f"# {_RESULT_FORMAT} {kind}; `sha256sum -c` checks it\n"
-        write_text(new / CONTENTS_FILE, head + sums_text(sums))
+        # Not by `write_text`: a lock that cannot be removed would lie there, and not be listed.
+        (new / CONTENTS_FILE).write_bytes(
+            (head + sums_text(sums)).encode("utf-8", "surrogateescape")
+        )
     shutil.rmtree(parts_folder(new), ignore_errors=True)
 
 

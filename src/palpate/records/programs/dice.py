@@ -19,6 +19,7 @@ from palpate.records.program import (
     camera_matrix,
     checked_size,
     chosen_frame,
+    from_hdf5,
     make_pose,
     open_hdf5,
     rotation_from_angles,
@@ -125,7 +126,7 @@ def _exodus_columns(path: Path, frame: int | None) -> tuple[Columns, tuple[str, 
         )
     with read_errors(checked_file(path), "write it again, or give DICe's text files"):
         names, values = _nodal_variables(
-            _hdf5_arrays(path) if start == HDF5_SIGNATURE else _classic_arrays(path)
+            from_hdf5(_hdf5_arrays, path) if start == HDF5_SIGNATURE else _classic_arrays(path)
         )
     _check_names(path, names)
     count = len(values[_DISPLACEMENT[0]])

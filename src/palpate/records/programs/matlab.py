@@ -7,10 +7,10 @@ SciPy's reader trusts the sizes in a file, and one wrong byte can crash the proc
 import math
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.io import loadmat
@@ -21,6 +21,7 @@ from palpate.records.program import (
     CalibrationFile,
     Program,
     checked_size,
+    from_hdf5,
     make_pose,
     open_hdf5,
 )
@@ -40,12 +41,14 @@ _SIGNATURE, _HDF5_HEADER = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 # Where the HDF5 content of a file may begin [bytes]: behind MATLAB's header, or at once.
 _HDF5_STARTS = (512, 0)
 _HEADER = 128
+_AGAIN = "save it again in MATLAB"
 # Types of data elements: numbers with their sizes in bytes, matrices, compressed elements.
 _NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 # Classes of arrays.
 _CELL, _STRUCT, _OBJECT, _CHAR, _NUMERIC = 1, 2, 3, 4, range(6, 16)
 _COMPLEX = 0x800
+T = TypeVar("T")
 Elements = list[tuple[int, memoryview]]
 
 
@@ -89,7 +92,7 @@ def _read_matlab_rig(file: CalibrationFile) -> Rig:
     MATLAB's documentation of stereoParameters, toStruct and stereoParametersToOpenCV ("the pixel
     centre at (1, 1)"), and MathWorks support on RotationOfCamera2: [x, y, z] * R + t.
     """
-    content = _variables(file.path)
+    content = of_mat(_variables, file.path)
     table = next((t for t in _tables(content) if _CAMERAS[0] in t), None)
     values = [value for t in _tables(content) for value in t.values()]
     objects = [value for value in values if isinstance(value, _Opaque)]
@@ -173,6 +176,31 @@ MATLAB = Program(
 )
 
 
+def of_mat(use: Callable[..., T], path: Path, *arguments: Any) -> T:
+    """What a function makes of `open_mat(path)`; of HDF5, in a child: the library may crash.
+
+    Parameters
+    ----------
+    use : callable                  of a module; gets the path and the arguments
+    path : Path
+    *arguments
+
+    Raises
+    ------
+    RecordError, InputError         as `open_mat`
+    """
+    if not _is_hdf5(read_bytes(path, 520)):
+        return use(path, *arguments)
+    with read_errors(path, _AGAIN):
+        return from_hdf5(use, path, *arguments)
+
+
+def _is_hdf5(start: bytes) -> bool:
+    """Whether a file holds HDF5, behind MATLAB's header or at once."""
+    inside = any(start[at : at + 8] == HDF5_SIGNATURE for at in _HDF5_STARTS)
+    return inside or start.startswith(_HDF5_HEADER)
+
+
 @contextmanager
 def open_mat(path: Path) -> Iterator[dict[str, Any]]:
     """The variables of a file of version 5 to 7.3, to be used within the block.
@@ -194,16 +222,15 @@ def open_mat(path: Path) -> Iterator[dict[str, Any]]:
                                     the block
     InputError                      h5py is not installed, for version 7.3
     """
-    start, cure = read_bytes(path, 520), "save it again in MATLAB"
-    in_hdf5 = any(start[at : at + 8] == HDF5_SIGNATURE for at in _HDF5_STARTS)
-    is_known = in_hdf5 or start.startswith((_SIGNATURE, _HDF5_HEADER))
+    start = read_bytes(path, 520)
+    is_known = _is_hdf5(start) or start.startswith(_SIGNATURE)
     what = "is damaged or cut off" if is_known else "is not a MATLAB file of version 5 to 7.3"
-    with read_errors(path, cure, what=what):
-        if in_hdf5 or start.startswith(_HDF5_HEADER):
+    with read_errors(path, _AGAIN, what=what):
+        if _is_hdf5(start):
             with open_hdf5(path) as file:
                 yield {name: file[name] for name in file if not name.startswith("#")}
         else:
-            found = read_mat(path, what=what, cure=cure)
+            found = read_mat(path, what=what, cure=_AGAIN)
             yield {name: found[name] for name in found if not name.startswith("__")}
 
 

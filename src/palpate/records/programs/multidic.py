@@ -18,7 +18,7 @@ from palpate.records.program import (
     chosen_frame,
     make_pose,
 )
-from palpate.records.programs.matlab import open_mat, read_mat
+from palpate.records.programs.matlab import of_mat, open_mat, read_mat
 from palpate.records.rig import Camera, PictureTracks, Rig
 
 _POSITIONS, _PIXELS = "Points3D", "Points"
@@ -55,7 +55,7 @@ def _read_multidic_points(path: Path, frame: int | None) -> ProgramPoints:
     STEP4_PostProcessing.m: Disp.DispVec{ii} = Points3D{ii} - Points3D{1}; DuoDIC
     (github.com/SolavLab/DuoDIC), DuoDIC_STEP3_3D_reconstruction.m, saved with -v7.3.
     """
-    states, criteria = _cells(path, (_POSITIONS, "corrComb"), "3-D result (step 3 or 4)")
+    states, criteria = of_mat(_cells, path, (_POSITIONS, "corrComb"), "3-D result (step 3 or 4)")
     if len(states) < 2:
         raise RecordError(
             f"{path}: Points3D holds {len(states)} state; the first is the rest, so a displacement"
@@ -93,7 +93,7 @@ def _read_multidic_tracks(path: Path, frame: int | None) -> PictureTracks:
     DuoDIC, DuoDIC_STEP2_2DDIC_using_Ncorr.m and lib_DuoDIC/extractNcorrResults.m.
     """
     keys = (_PIXELS, "CorCoeffVec", "nCamRef", "nCamDef")
-    pixels, criteria, *numbers = _cells(path, keys, "2-D result (step 2)")
+    pixels, criteria, *numbers = of_mat(_cells, path, keys, "2-D result (step 2)")
     count = len(pixels) // 2
     if count < 2 or len(pixels) % 2:
         raise RecordError(

@@ -10,8 +10,9 @@ from jaxtyping import Float, Int
 
 from palpate.arrays import LARGEST_NUMBER, fix_fields
 from palpate.errors import RecordError, quoted
-from palpate.files import read_bytes, read_errors
-from palpate.records.programs.matlab import open_mat
+from palpate.files import stored_arrays
+from palpate.records.program import checked_size
+from palpate.records.programs.matlab import of_mat, open_mat
 from palpate.records.quantities import FORCE_UNITS, LENGTH_UNITS
 from palpate.records.text.csv_table import read_text_table
 from palpate.shapes import Points
@@ -92,6 +93,8 @@ def read_poke_table(
     at = at * table.factor("position", position, _POSITION, LENGTH_UNITS, length_unit)
     pushed = pushed * table.factor("force", force, _FORCE, FORCE_UNITS, force_unit)
     whole = np.isfinite(np.hstack([at, pushed, outward, number])).all(axis=1)
+    if not whole.any():
+        raise RecordError(f"{path}: not one of its {len(whole)} rows has all its numbers; {_CURE}")
     length = np.linalg.norm(outward[whole], axis=1, keepdims=True)
     if not length.all():
         raise RecordError(f"{path}: a normal is the zero vector; it must point out of the surface")
@@ -167,23 +170,31 @@ class _Columns:
         return known[units.pop()]
 
 
+def _mat_columns(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of numbers in a MATLAB file."""
+    with open_mat(path) as content:
+        # A data set of version 7.3 is transposed.
+        return {
+            name: value.astype(float)
+            if isinstance(value, np.ndarray)
+            else np.asarray(checked_size(value), dtype=float).T
+            for name, value in content.items()
+            if getattr(value, "dtype", np.dtype(object)).kind in "fiu"
+        }
+
+
 def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Columns of a file, (n, k) each, and their units."""
     suffix, units = path.suffix.lower(), dict[str, str]()
     if suffix == ".npz":
-        read_bytes(path, 4)
-        with read_errors(path, _CURE), np.load(path, allow_pickle=False) as content:
-            found = {name: np.asarray(content[name], dtype=float) for name in content.files}
-    elif suffix == ".mat":
-        with open_mat(path) as content:
-            # A data set of version 7.3 is transposed.
+        with stored_arrays(path, _CURE) as arrays:
             found = {
-                name: np.asarray(value, dtype=float).T
-                if not isinstance(value, np.ndarray)
-                else value.astype(float)
-                for name, value in content.items()
-                if getattr(value, "dtype", np.dtype(object)).kind in "fiu"
+                name: value.astype(float)
+                for name, value in arrays.items()
+                if value.dtype.kind in "fiu"
             }
+    elif suffix == ".mat":
+        found = of_mat(_mat_columns, path)
     else:
         table = read_text_table(path, cure=_CURE)
         values = table.values(table.columns)

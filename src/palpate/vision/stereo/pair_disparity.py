@@ -117,9 +117,9 @@ def stereo_start(
     offset, agree = _row_offset(place, other)
     if agree.sum() < _MIN_FEATURES:
         raise InputError(
-            f"cameras '{first.name}' and '{second.name}' have {int(agree.sum())} features in"
-            f" common; {_MIN_FEATURES} are needed to know how far the object is. Do their pictures"
-            " show the same, textured object?"
+            f"{pictures.rig.source}: cameras '{first.name}' and '{second.name}' have"
+            f" {int(agree.sum())} features in common; {_MIN_FEATURES} are needed to know how far"
+            " the object is. Do their pictures show the same, textured object?"
         )
     pair = _Pair(first, second, rectified, offset)
     low, high = np.percentile((place - other)[agree, 0], [0.5, 99.5])
