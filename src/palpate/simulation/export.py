@@ -43,7 +43,7 @@ from palpate.simulation.estimated_object import (
     make_estimated_object,
     make_solid_model,
 )
-from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
+from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU, prony
 from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPENUSD
 
 EXPORT_FORMAT = "palpate-export/1"
@@ -254,7 +254,8 @@ def export_fit(
             f"the object is not the same everywhere, but {form.title} takes one modulus: that of"
             " the table was written, so its push ends elsewhere"
         )
-    notes = [note for note in (_status_advice(source.estimate), changed, uneven) if note]
+    timed = _creep_advice(source.estimate)
+    notes = [note for note in (_status_advice(source.estimate), timed, changed, uneven) if note]
     body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
@@ -278,9 +279,21 @@ def _status_advice(estimate: Estimate) -> str:
     return estimate.status.advice
 
 
+def _creep_advice(estimate: Estimate) -> str:
+    """What one modulus means of a body that creeps; empty of another one."""
+    found = estimate.relaxation
+    if found is None or not found.terms:
+        return ""
+    return (
+        f"the object creeps: its modulus was written as at {found.age:.3g} s after contact;"
+        " palpate.json has the Prony series (`relaxation`), viscoelastic.inp and viscoelastic.xml"
+        " have it as materials of Abaqus and FEBio, where these are written"
+    )
+
+
 def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
     """All facts about the export that a program may need, as JSON."""
-    estimate, push = body.estimate, body.push
+    estimate, push, series = body.estimate, body.push, prony(body)
     constants = {name: getattr(estimate, name) for name in CONSTANT_NAMES}
     content = {
         "format": EXPORT_FORMAT,
@@ -303,6 +316,13 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
             "shear_modulus": body.material.shear_modulus,
             "density": body.density,
             "materials": len(model.materials) if model and form.by_element else 1,
+        },
+        "relaxation": series
+        and {
+            "young_modulus": series[0],
+            "long_term_young_modulus": series[1],
+            "shares": [share for share, _ in series[2]],
+            "times": [time for _, time in series[2]],
         },
         "push": push
         and {

@@ -1,0 +1,298 @@
+"""The modulus as a function of time, from the series of probings and their finished static fit.
+
+Poisson's ratio is taken as constant, so every field of a probing is that of its static fit times a
+function of time, c(t) = int J(t - s) dF(s): each instant becomes one number.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from palpate.errors import InputError
+from palpate.estimation import FitResult
+from palpate.records import (
+    CONE,
+    MESH,
+    SPHERE,
+    Constant,
+    Contact,
+    Probing,
+    RelaxationEstimate,
+    RelaxationPoint,
+    RelaxationTerm,
+    Series,
+    Session,
+)
+from palpate.relaxation import CreepCompliance, CreepFit, Motion, fit_creep
+from palpate.shapes import Flags, Indices, Points
+
+# Least hold over the rise of the force; the grid of time constants ends at this part of the hold.
+_LEAST_HOLD, _LONGEST = 3.0, 1.0 / 3.0
+# Radii of a contact that grows within which displacement is not linear in the force.
+_FAR = 3.0
+# Force over (displacement to this power) under a ball and a cone on a half space.
+_POWERS = {SPHERE: 1.5, "hertz": 1.5, CONE: 2.0, "cone": 2.0}
+_FEW_POINTS = 10
+# Times in which a term of the longest time has run out; rises that a term of the shortest takes.
+_RUN_OUT, _SEEN = 3.0, 2.0
+# Half width of the logarithm of a modulus above which it is not determined.
+_WIDE = 0.25
+_PER_DECADE = 10
+_NORMAL = 1.96
+# Change of Poisson's ratio that counts: so many standard deviations, and at least this much.
+_SIGMAS, _LEAST_CHANGE = 3.0, 0.01
+_STEP = 1e-3
+# Further notes are details.
+_MOST_NOTES = 3
+
+
+def with_relaxation(session: Session, result: FitResult) -> FitResult:
+    """A result with the modulus as a function of time, if probings have series.
+
+    Parameters
+    ----------
+    session : Session               with the contacts that were fitted
+    result : FitResult              static, of this session
+
+    Returns
+    -------
+    FitResult                       with `creep`, and `relaxation` of its estimate; or with a note
+                                    that says why not
+    """
+    if all(each.series is None for each in session.probings):
+        return result
+    reasons, motions, held, remarks = list[str](), list[Motion](), list[Series](), list[str]()
+    for k, probing in enumerate(session.probings):
+        series = probing.series
+        if series is None:
+            continue
+        if reason := _unusable(session, probing, series):
+            reasons.append(f"The series of {probing.name!r} was not used: {reason}.")
+            continue
+        seen = []
+        if len(series.instant):
+            seen.append(_seen_in_frames(probing, series, result, k))
+            remarks.append(_constant_ratio(probing, series, seen[0]))
+        if series.tip is not None:
+            seen.append(_seen_at_tip(probing, series, series.tip))
+        found = [motion for each in seen for motion in _motion(series, each)]
+        motions += found
+        held += [series for _ in found]
+    estimate = result.estimate
+    if motions:
+        shortest = min(each.rise for each in held)
+        longest = _LONGEST * max(each.hold for each in held)
+        try:
+            creep = fit_creep(motions, shortest=shortest, longest=longest)
+        except InputError as error:
+            reasons.append(f"The modulus over time was not determined: {error}.")
+        else:
+            relaxation = _relaxation(result, creep, held, list(filter(None, remarks)))
+            result = replace(result, creep=creep)
+            estimate = replace(estimate, relaxation=relaxation)
+    notes = (*reasons, *estimate.notes)
+    details = (*notes[_MOST_NOTES:], *estimate.details)
+    return replace(result, estimate=replace(estimate, notes=notes[:_MOST_NOTES], details=details))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What was seen of one probing: at k instants, its motion over that of the static fit, the
+    standard deviation of that up to a factor, and how far Poisson's ratio is from the fit's."""
+
+    name: str
+    instant: Indices
+    amplitude: Float[np.ndarray, " k"]
+    std: Float[np.ndarray, " k"]
+    change: Float[np.ndarray, " k"]
+
+
+def _unusable(session: Session, probing: Probing, series: Series) -> str:
+    """Why the series of a probing says nothing about the modulus; empty if it does."""
+    if series.hold < _LEAST_HOLD * series.rise:
+        return (
+            f"the force is held for {series.hold:.3g} s after it rose for {series.rise:.3g} s; hold"
+            f" it {_LEAST_HOLD:g} times as long at least, better ten times"
+        )
+    if probing.loads or session.gravity is not None or probing.support_motion is not None:
+        return "other loads, or supports that move, do not follow its force"
+    return ""
+
+
+def _motion(series: Series, seen: _Seen) -> list[Motion]:
+    """What was seen after the contact: before it nothing moves, whatever the body."""
+    used = np.isfinite(seen.amplitude) & (series.time[seen.instant] > series.contact)
+    if not used.any():
+        return []
+    force = series.force / series.force[series.reference]
+    return [
+        Motion(
+            series.time - series.contact, force, seen.instant[used], seen.amplitude[used],
+            seen.std[used], series.reference, seen.name,
+        )
+    ]  # fmt: skip
+
+
+def _seen_at_tip(probing: Probing, series: Series, tip: Points) -> _Seen:
+    own = probing.tip_displacement
+    own = tip[series.reference] if own is None else own
+    along = tip @ own / float(own @ own)
+    power = _POWERS.get(_shape(probing.contact), 1.0)
+    # The slope of the power, and no less than that of a hundredth of the depth.
+    std = power * np.maximum(np.abs(along), 0.01) ** (power - 1.0)
+    amplitude = np.sign(along) * np.abs(along) ** power
+    unknown = np.full(len(tip), np.nan)
+    return _Seen(f"{probing.name}, tip", np.arange(len(tip)), amplitude, std, unknown)
+
+
+def _shape(contact: Contact) -> str:
+    return contact.profile if contact.tool is None else contact.tool.shape
+
+
+def _far(contact: Contact, points: Points) -> Flags:
+    """Points whose displacement is linear in the force: all, except about a contact that grows."""
+    if _shape(contact) not in _POWERS and _shape(contact) != MESH:
+        return np.ones(len(points), dtype=bool)
+    far = np.linalg.norm(points - contact.point, axis=1) > _FAR * contact.reach
+    return far if far.sum() >= _FEW_POINTS else np.ones(len(points), dtype=bool)
+
+
+def _seen_in_frames(probing: Probing, series: Series, result: FitResult, index: int) -> _Seen:
+    """By weighted regression of every frame on what the static fit predicts at the same points."""
+    fitted = result.probes[index]
+    known = np.isfinite(fitted.predicted) & (fitted.weight > 0.0)
+    if probing.displacement is not None:
+        known &= _far(probing.contact, probing.displacement.points)[:, None]
+    sigma = np.ones_like(fitted.predicted) if fitted.sigma is None else fitted.sigma
+    weight = np.where(known, fitted.weight / sigma**2, 0.0)
+    weight = np.where(np.isfinite(weight), weight, 0.0)
+    shape = np.nan_to_num(fitted.predicted)
+    minimum = result.minimum
+    theta = minimum.theta.copy()
+    theta[0] -= _STEP
+    ratio = np.nan_to_num(shape - minimum.problem.predicted_points(index, theta)) / _STEP
+    parts = []
+    for frame in series.frames:
+        here = np.where(np.isfinite(frame), weight, 0.0)
+        moved = np.nan_to_num(frame)
+        square = float((here * shape**2).sum())
+        if square == 0.0:
+            parts.append((np.nan, 1.0, np.nan))
+            continue
+        across = ratio - shape * float((here * shape * ratio).sum()) / square
+        amplitude = float((here * shape * moved).sum()) / square
+        turn = float((here * across * moved).sum()) / float((here * across**2).sum())
+        parts.append((amplitude, 1.0 / math.sqrt(square), turn / amplitude))
+    return _Seen(f"{probing.name}, points", series.instant, *np.array(parts).T)
+
+
+def _constant_ratio(probing: Probing, series: Series, seen: _Seen) -> str:
+    """Whether the shape of the motion changes over the hold as with Poisson's ratio; empty if too
+    few frames tell."""
+    age = series.time[series.instant] - series.contact
+    used = (age >= series.rise) & np.isfinite(seen.change)
+    if used.sum() < _FEW_POINTS:
+        return ""
+    x = np.log(age[used] / age[used].max())
+    (slope, _), covariance = np.polyfit(
+        x, seen.change[used], 1, w=np.abs(seen.amplitude[used]), cov=True
+    )
+    drift, std = -slope * x.min(), -math.sqrt(covariance[0, 0]) * x.min()
+    if abs(drift) > max(_SIGMAS * std, _LEAST_CHANGE):
+        return (
+            f"Poisson's ratio changes by {drift:+.3f} ± {std:.3f} over the hold of"
+            f" {probing.name!r}: the body does not only grow softer, and one function of time does"
+            " not describe it."
+        )
+    return (
+        f"Poisson's ratio is constant over the hold of {probing.name!r}: it changes by"
+        f" {drift:+.3f} ± {std:.3f}."
+    )
+
+
+def _relaxation(
+    result: FitResult, creep: CreepFit, held: list[Series], remarks: list[str]
+) -> RelaxationEstimate:
+    """The modulus over time, with intervals that join those of the static fit and of its shape."""
+    estimate = result.estimate
+    known = estimate.identifiable
+    name = "shear_modulus" if known["shear_modulus"] else "young_modulus"
+    static: Constant = getattr(estimate, name)
+    low, high = static.ci95
+    wide = 0.5 * math.log(high / low) if 0.0 < low < high < math.inf else math.nan
+    rise, hold = min(each.rise for each in held), max(each.hold for each in held)
+
+    def joint(
+        quantity: Callable[[CreepCompliance], np.ndarray], *, scale: float, static: float = 0.0
+    ) -> list[Constant]:
+        values, std = creep.logarithm(quantity)
+        return [
+            _constant(scale * math.exp(value), math.hypot(static, creep.quantile * each))
+            for value, each in zip(values, std, strict=True)
+        ]
+
+    steps = np.arange(
+        math.ceil(_PER_DECADE * math.log10(rise) - 1e-9),
+        math.floor(_PER_DECADE * math.log10(hold) + 1e-9) + 1,
+    )
+    time = 10.0 ** (steps / _PER_DECADE)
+    curve = joint(lambda each: each.relaxation().at(time), scale=static.value, static=wide)
+    ends = joint(
+        lambda each: np.array([each.relaxation().instantaneous, each.relaxation().long_term]),
+        scale=static.value, static=wide,
+    )  # fmt: skip
+    modulus = creep.compliance.relaxation()
+    times = joint(lambda each: each.relaxation().times, scale=1.0) if creep.terms else []
+    first, last, why = _ends(creep, ends, rise, hold)
+    return RelaxationEstimate(
+        name, float(np.mean([each.age for each in held])), rise, hold,
+        static.value * modulus.instantaneous,
+        tuple(
+            RelaxationTerm(each, float(term / modulus.instantaneous))
+            for each, term in zip(times, modulus.terms, strict=True)
+        ),
+        tuple(RelaxationPoint(float(t), each) for t, each in zip(time, curve, strict=True)),
+        first, last, (*why, *remarks),
+    )  # fmt: skip
+
+
+def _constant(value: float, wide: float) -> Constant:
+    """A positive value from the half width of its logarithm."""
+    if not math.isfinite(wide):
+        return Constant(value, math.nan, (math.nan, math.nan))
+    return Constant(
+        value, value * wide / _NORMAL, (value * math.exp(-wide), value * math.exp(wide))
+    )
+
+
+def _ends(
+    creep: CreepFit, ends: list[Constant], rise: float, hold: float
+) -> tuple[Constant | None, Constant | None, list[str]]:
+    """Instantaneous and long-term modulus where the window shows them, and why not."""
+    if not creep.terms:
+        return ends[0], ends[1], ["No creep is seen: the modulus is the same at all times."]
+    compliance = creep.compliance
+    shortest, longest = compliance.relaxation().times.min(), compliance.times.max()
+    first, last = ends
+    why = []
+    if shortest < _SEEN * rise or _is_wide(first):
+        why.append(
+            f"The instantaneous modulus is not determined: a time constant of {shortest:.2g} s is"
+            f" as short as the rise of the force, {rise:.2g} s; load within"
+            f" {shortest / _SEEN:.1g} s."
+        )
+    if longest > hold / _RUN_OUT or _is_wide(last):
+        why.append(
+            f"The long-term modulus is not determined: hold for"
+            f" {max(_RUN_OUT * longest, 2.0 * hold):.2g} s."
+        )
+    shown = [not any(end in each for each in why) for end in ("instantaneous", "long-term")]
+    return first if shown[0] else None, last if shown[1] else None, why
+
+
+def _is_wide(constant: Constant) -> bool:
+    low, high = constant.ci95
+    return low > 0.0 and 0.5 * math.log(high / low) > _WIDE
