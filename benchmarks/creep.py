@@ -4,10 +4,12 @@ A body is solved once by the static model, and what it moves is multiplied by c(
 that is known; noise is drawn anew in every repeat.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import quad
 
 from palpate.geometry import TriangleMesh, write_mesh
 from palpate.pipeline import (
@@ -17,7 +19,7 @@ from palpate.pipeline import (
     session_observations,
 )
 from palpate.records import read_session
-from palpate.relaxation import CreepCompliance
+from palpate.relaxation import CreepCompliance, Motion, fit_creep
 
 SHEAR, NU = 2e4, 0.3
 PRESS = np.array([0.1, 0.0, -1.2])
@@ -124,3 +126,80 @@ def write_creeping_session(
 def _write_field(path: Path, points: np.ndarray, moved: np.ndarray, std: float) -> None:
     rows = np.hstack([points, moved, np.full((len(points), 1), std)])
     np.savetxt(path, rows, fmt="%.9g", delimiter=",", header="x,y,z,ux,uy,uz,sigma", comments="")
+
+
+def draws(
+    truth: CreepCompliance, *, noise: float, count: int, correlation: float = 0.0, every: int = 1
+) -> dict:
+    """Fits of the amplitudes alone, `count` times: terms found, errors of the logarithm of G at AT
+    (that of the static instant is exact), whether the intervals hold them, errors of the times."""
+    times, force = pressed()
+    moved = truth.response(times, force) / truth.response(times, force)[-1]
+    instant, last = np.arange(1, len(times), every), len(times) - 1
+    modulus, unit = truth.relaxation(), truth.response(times, force)[-1]
+    true = np.log(np.append(modulus.at(AT), [modulus.instantaneous, modulus.long_term]) * unit)
+    found: dict = {"terms": Counter(), "error": [], "hold": [], "times": []}
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        white = rng.standard_normal(len(times))
+        for k in range(1, len(times)):
+            white[k] = correlation * white[k - 1] + np.sqrt(1 - correlation**2) * white[k]
+        measured = (moved + noise * white)[instant]
+        std = np.full(len(instant), noise)
+        one = Motion(times, force, instant, measured, std, last)
+        fitted = fit_creep([one], shortest=RISE, longest=HOLD / 3.0)
+        value, width = fitted.logarithm(_quantities)
+        found["terms"][fitted.terms] += 1
+        found["error"].append(value - true)
+        found["hold"].append(np.abs(value - true) <= fitted.quantile * width)
+        if fitted.terms == len(truth.times):
+            apart = np.log(fitted.compliance.times) - np.log(truth.times)
+            found["times"].append(np.abs(np.expm1(apart)))
+    return found
+
+
+def _quantities(compliance: CreepCompliance) -> np.ndarray:
+    modulus = compliance.relaxation()
+    return np.append(modulus.at(AT), [modulus.instantaneous, modulus.long_term])
+
+
+def ball(far: float, *, tip: bool = False, linear: bool = False) -> np.ndarray:
+    """Errors of the logarithm of G at AT of a ball pressed into a half space that creeps, without
+    noise, seen at points farther than `far` of its largest contact radii, or at its tip.
+
+    Lee and Radok: while the contact grows, a^3 = 3/8 R (1 - nu) int J dF, and the surface is that
+    of the elastic contact of that radius a.
+    """
+    times, force = pressed()
+    moved = by_quadrature(TWO, times, force)
+    radius = np.cbrt(moved / moved[-1])
+    if tip:
+        amplitude = radius**2 if linear else radius**3
+    else:
+        r = np.linspace(far, 10.0, 60)
+        shapes = np.stack([_outside(r, max(a, 1e-9)) for a in radius])
+        weight = r  # as many points in each ring as its length
+        amplitude = (shapes * weight) @ shapes[-1] / ((shapes[-1] * weight) @ shapes[-1])
+    instant, last = np.arange(1, len(times)), len(times) - 1
+    one = Motion(times, force, instant, amplitude[1:], np.full(last, 1e-3), last)
+    fitted = fit_creep([one], shortest=RISE, longest=HOLD / 3.0)
+    true = TWO.relaxation().at(AT) * moved[-1]
+    return np.log(fitted.compliance.relaxation().at(AT) / true)
+
+
+def _outside(r: np.ndarray, a: float) -> np.ndarray:
+    """Displacement of the surface of a half space under a ball, times pi times its radius, at
+    distances r beyond the contact radius a (Johnson 1985, eq. 3.42a)."""
+    s = np.minimum(a / r, 1.0)
+    return (2.0 * a**2 - r**2) * np.arcsin(s) + r * a * np.sqrt(1.0 - s**2)
+
+
+def by_quadrature(truth: CreepCompliance, times: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """int J(t - s) dF(s) of a force that rises in a straight line and is held, by quadrature."""
+    rise = times[np.argmax(force >= 1.0)]
+
+    def at(t: float) -> float:
+        end = min(t, rise)
+        return quad(lambda s: truth.at(np.array([t - s]))[0] / rise, 0.0, end, epsabs=1e-12)[0]
+
+    return np.array([at(t) for t in times])

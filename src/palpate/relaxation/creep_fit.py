@@ -18,12 +18,14 @@ _MOST_TERMS = 3
 _SPARE = 4
 # Residuals count as correlated beyond so many standard deviations of independent ones.
 _CORRELATED = 2.0
+# Instants that count as independent, however smooth the residuals of a model that is wrong are.
+_LEAST = 10.0
 # Least and largest compliance of a term over all that moves, as logarithms.
 _LOG_RANGE = (-18.0, 5.0)
 # Time constants may leave their grid by a factor of three below and of ten above.
 _BELOW, _ABOVE = np.log(3.0), np.log(10.0)
-# What no data tell apart, relative to the data: rounding.
-_ROUNDING = 1e-9
+# Relative to the motion: what the search leaves, far below any measurement.
+_ROUNDING = 1e-6
 _STEP = 1e-5
 
 
@@ -135,9 +137,10 @@ def fit_creep(motions: Sequence[Motion], *, shortest: float, longest: float) -> 
     are not negative, and leaves the grid by Gauss-Newton steps. The noise level is free: the
     logarithm of the marginal likelihood of a model is, to Schwarz's order,
 
-        -(n_eff log RSS + p log n_eff) / 2,
+        -(n_eff log RSS + p log n) / 2,
 
-    with the number n_eff of independent instants that the residuals of the largest model show.
+    with the number n_eff of n instants that are independent by the residuals of the largest model;
+    the penalty of the p parameters counts all, which is on the side of fewer terms.
 
     Parameters
     ----------
@@ -154,7 +157,8 @@ def fit_creep(motions: Sequence[Motion], *, shortest: float, longest: float) -> 
 
     Source
     ------
-    Schwarz, Ann. Stat. 6 (1978) 461; n_eff of a first-order autoregression: Bartlett 1946.
+    Schwarz, Ann. Stat. 6 (1978) 461; McQuarrie, Stat. Probab. Lett. 44 (1999) 79; n_eff of a
+    first-order autoregression: Bartlett, J. R. Stat. Soc. Suppl. 8 (1946) 27.
     """
     motions = tuple(motions)
     count = sum(len(each.instant) for each in motions)
@@ -171,10 +175,9 @@ def fit_creep(motions: Sequence[Motion], *, shortest: float, longest: float) -> 
     independent = count * _independent_share(residuals[-1], motions)
     floor = sum(float(np.square(_ROUNDING * each.amplitude / each.std).sum()) for each in motions)
     square = [float(r @ r) + floor for r in residuals]
-    evidence = [
-        -0.5 * (independent * np.log(s) + len(theta) * np.log(independent))
-        for s, theta in zip(square, thetas, strict=True)
-    ]
+    sizes = np.array([len(theta) for theta in thetas])
+    penalty = sizes * np.log(count) * count / (count - sizes - 2)
+    evidence = -0.5 * (independent * np.log(square) + penalty)
     terms = int(np.argmax(evidence))
     theta = thetas[terms]
     slope = _derivative(theta, terms, motions)
@@ -182,7 +185,8 @@ def fit_creep(motions: Sequence[Motion], *, shortest: float, longest: float) -> 
     variance = square[terms] / left * count / independent
     return CreepFit(
         motions, theta, variance * np.linalg.pinv(slope.T @ slope, rcond=1e-12), terms,
-        tuple(evidence), max(independent - len(theta), 1.0), float(np.sqrt(square[terms] / left)),
+        tuple(evidence.tolist()), max(independent - len(theta), 1.0),
+        float(np.sqrt(square[terms] / left)),
     )  # fmt: skip
 
 
@@ -242,8 +246,8 @@ def _best(
     start[: 1 + terms] = np.log(np.maximum(amplitude, 1e-3 * amplitude.sum()))
     start[times] = np.log(grid[chosen])
     found = least_squares(
-        _residual, start, _derivative, bounds=(low, high), args=(terms, motions), xtol=1e-10,
-        ftol=1e-10, gtol=1e-10,
+        _residual, start, _derivative, bounds=(low, high), args=(terms, motions), xtol=1e-8,
+        ftol=1e-9, max_nfev=60,
     )  # fmt: skip
     return np.asarray(found.x)
 
@@ -285,4 +289,4 @@ def _independent_share(residual: np.ndarray, motions: Sequence[Motion]) -> float
     correlation = sum(float(part[1:] @ part[:-1]) for part in parts) / total
     if correlation * np.sqrt(len(residual)) < _CORRELATED:
         return 1.0
-    return (1.0 - correlation) / (1.0 + correlation)
+    return max((1.0 - correlation) / (1.0 + correlation), min(_LEAST / len(residual), 1.0))

@@ -293,7 +293,7 @@ def _creep_advice(estimate: Estimate) -> str:
 
 def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
     """All facts about the export that a program may need, as JSON."""
-    estimate, push, series = body.estimate, body.push, prony(body)
+    estimate, push = body.estimate, body.push
     constants = {name: getattr(estimate, name) for name in CONSTANT_NAMES}
     content = {
         "format": EXPORT_FORMAT,
@@ -317,13 +317,7 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
             "density": body.density,
             "materials": len(model.materials) if model and form.by_element else 1,
         },
-        "relaxation": series
-        and {
-            "young_modulus": series[0],
-            "long_term_young_modulus": series[1],
-            "shares": [share for share, _ in series[2]],
-            "times": [time for _, time in series[2]],
-        },
+        "relaxation": prony(body),
         "push": push
         and {
             "probing": push.name,

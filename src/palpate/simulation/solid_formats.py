@@ -14,6 +14,7 @@ TetrahedronFEMForceField, FixedProjectiveConstraint and ConstantForceField
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -110,9 +111,9 @@ print("apart by", np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 '''
 
 
-def prony(body: EstimatedObject) -> tuple[float, float, list[tuple[float, float]]] | None:
-    """Young's modulus at once and in the long term [Pa], shares of the former with their times [s];
-    None of a body that is elastic.
+def prony(body: EstimatedObject) -> dict[str, Any] | None:
+    """Young's modulus over time as a Prony series: `at_once` and `long_term` [Pa], and `terms`, a
+    share of the former and its time [s] each; None of a body that is elastic.
 
     Parameters
     ----------
@@ -125,7 +126,8 @@ def prony(body: EstimatedObject) -> tuple[float, float, list[tuple[float, float]
     if found.constant == "shear_modulus":
         at_once *= 2.0 * (1.0 + body.material.poisson_ratio)
     terms = [(each.share, each.time.value) for each in found.terms]
-    return at_once, at_once * (1.0 - sum(share for share, _ in terms)), terms
+    long_term = at_once * (1.0 - sum(share for share, _ in terms))
+    return {"at_once": at_once, "long_term": long_term, "terms": terms}
 
 
 def _write_abaqus_prony(folder: Path, model: SolidModel) -> None:
@@ -136,18 +138,17 @@ def _write_abaqus_prony(folder: Path, model: SolidModel) -> None:
     series = prony(model.body)
     if series is None:
         return
-    at_once, _, terms = series
     lines = [
         "** In Abaqus, in place of the materials of model.inp, in a *VISCO step; see README.txt"
     ]
     for number, (young, _) in enumerate(model.materials, start=1):
-        modulus = at_once * young / model.body.material.young_modulus
+        modulus = series["at_once"] * young / model.body.material.young_modulus
         lines += [
             f"*MATERIAL, NAME=ESTIMATED{number}",
             "*ELASTIC, MODULI=INSTANTANEOUS",
             f"{modulus:.9g}, {model.body.material.poisson_ratio:.9g}",
             "*VISCOELASTIC, TIME=PRONY",
-            *(f"{share:.9g}, {share:.9g}, {time:.9g}" for share, time in terms),
+            *(f"{share:.9g}, {share:.9g}, {time:.9g}" for share, time in series["terms"]),
             "*DENSITY",
             f"{model.body.density:.9g}",
         ]
@@ -163,13 +164,12 @@ def _write_febio_prony(folder: Path, model: SolidModel) -> None:
     series = prony(model.body)
     if series is None:
         return
-    at_once, long_term, terms = series
     lines = ["<Material>"]
     for number, (young, _) in enumerate(model.materials, start=1):
-        modulus = long_term * young / model.body.material.young_modulus
+        modulus = series["long_term"] * young / model.body.material.young_modulus
         lines.append(f'  <material id="{number}" name="estimated{number}" type="viscoelastic">')
-        for k, (share, time) in enumerate(terms, start=1):
-            weight = share * at_once / long_term
+        for k, (share, time) in enumerate(series["terms"], start=1):
+            weight = share * series["at_once"] / series["long_term"]
             lines.append(f"    <g{k}>{weight:.9g}</g{k}><t{k}>{time:.9g}</t{k}>")
         lines += [
             '    <elastic type="isotropic elastic">',

@@ -70,16 +70,16 @@ def read_series(
     instant, frames = _frames(rows, columns["displacement"], body, own)
     reference = _reference(table, time)
     length = float(np.linalg.norm(force))
+    try:
+        series = Series(time, forces @ force / length, reference, tip, instant, frames, str(path))
+    except InputError as error:
+        raise RecordError(str(error)) from error
     if not np.linalg.norm(forces[reference] - force) <= _APART * length:
         raise RecordError(
             f"{path}: the force at {time[reference]:g} s is {forces[reference].tolist()} N, that of"
             f" {table.name} {force.tolist()} N: they are the same push; check the unit, the signs,"
             " and measured_at"
         )
-    try:
-        series = Series(time, forces @ force / length, reference, tip, instant, frames, str(path))
-    except InputError as error:
-        raise RecordError(str(error)) from error
     return series, series.notes
 
 
