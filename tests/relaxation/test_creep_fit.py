@@ -5,7 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.creep import AT, ELASTIC, HOLD, ONE, RISE, TRUTHS, TWO, draws, pressed
+from benchmarks.creep import (
+    AT,
+    ELASTIC,
+    HOLD,
+    ONE,
+    RISE,
+    TRUTHS,
+    TWO,
+    ball,
+    by_quadrature,
+    draws,
+    pressed,
+)
 from palpate.errors import InputError
 from palpate.relaxation import Motion, fit_creep
 
@@ -80,3 +92,14 @@ def test_few_instants_allow_few_terms():
 def test_impossible_motions_are_refused(change):
     with pytest.raises(InputError, match="the times of a motion increase"):
         replace(motion(ONE), **change)
+
+
+def test_a_ball_s_growing_contact_hardly_counts_beyond_two_radii():
+    # 0.24 %, as the theory says; a contact radius away it is five times as much.
+    assert np.abs(ball(2.0)).max() < 0.003
+    assert np.abs(ball(1.0)).max() > 0.01
+    # Quadrature and recursion agree to rounding, so the tip's depth is exact up to the search.
+    assert np.abs(ball(0.0, tip=True)).max() < 1e-6
+    np.testing.assert_allclose(
+        by_quadrature(TWO, TIMES, FORCE), TWO.response(TIMES, FORCE), atol=1e-12
+    )

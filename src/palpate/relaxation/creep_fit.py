@@ -181,13 +181,10 @@ def fit_creep(motions: Sequence[Motion], *, shortest: float, longest: float) -> 
     terms = int(np.argmax(evidence))
     theta = thetas[terms]
     slope = _derivative(theta, terms, motions)
-    left = max(count - len(theta), 1)
-    variance = square[terms] / left * count / independent
-    return CreepFit(
-        motions, theta, variance * np.linalg.pinv(slope.T @ slope, rcond=1e-12), terms,
-        tuple(evidence.tolist()), max(independent - len(theta), 1.0),
-        float(np.sqrt(square[terms] / left)),
-    )  # fmt: skip
+    degrees = max(independent - len(theta), 1.0)
+    covariance = square[terms] / degrees * np.linalg.pinv(slope.T @ slope, rcond=1e-12)
+    noise = float(np.sqrt(square[terms] / degrees * independent / count))
+    return CreepFit(motions, theta, covariance, terms, tuple(evidence.tolist()), degrees, noise)
 
 
 def _split(
