@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.creep import PRESS, RISE, SHEAR, TWO, pressed, write_creeping_session
+from palpate.figures.creep import creep_figure
 from palpate.pipeline import fit_session, write_relaxation
 from palpate.pipeline.creep import with_relaxation
 from palpate.records import (
@@ -93,6 +94,21 @@ def test_the_estimate_is_written_and_read(result, tmp_path):
     np.testing.assert_allclose(
         rows[0], [first.time, first.modulus.value, *first.modulus.ci95], rtol=1e-8
     )
+
+
+def test_the_figure_has_what_was_seen_and_the_band(result):
+    figure = creep_figure(result)
+    moved, modulus = figure.axes
+    (motion,) = result.creep.motions
+    force, dots, fit = moved.lines
+    np.testing.assert_array_equal(dots.get_ydata(), motion.amplitude)
+    np.testing.assert_array_equal(force.get_ydata(), motion.force[motion.time > 0.0])
+    assert len(fit.get_xdata()) == (motion.time > 0.0).sum()
+    shown = modulus.lines[0].get_ydata()
+    wanted = [each.modulus.value for each in result.estimate.relaxation.curve]
+    np.testing.assert_allclose(1e3 * shown, wanted)
+    assert (moved.get_xscale(), modulus.get_xscale(), modulus.get_yscale()) == ("log",) * 3
+    assert creep_figure(replace(result, creep=None)) is None
 
 
 def test_an_elastic_body_is_called_elastic(session, static):
