@@ -61,7 +61,7 @@ def _read(file: Path, read: Reader, content: bytes) -> None:
     assert time.perf_counter() - start < _MOST_SECONDS
 
 
-_COUNT = 71
+_COUNT = 73
 
 
 @pytest.mark.parametrize("number", range(_COUNT))

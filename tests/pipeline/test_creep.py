@@ -11,8 +11,10 @@ from palpate.pipeline import fit_session, write_relaxation
 from palpate.pipeline.creep import with_relaxation
 from palpate.records import (
     SPHERE,
+    Constant,
     Contact,
     Series,
+    Status,
     Tool,
     read_estimate,
     read_session,
@@ -126,6 +128,45 @@ def test_an_elastic_body_is_called_elastic(session, static):
     wanted = static.estimate.shear_modulus
     assert found.instantaneous.value == found.long_term.value == pytest.approx(wanted.value)
     assert found.long_term.ci95 == pytest.approx(wanted.ci95)
+
+
+def test_where_no_modulus_is_determined_only_ratios_are(session, static):
+    unknown = replace(
+        static.estimate, status=Status.NOTHING_IDENTIFIABLE,
+        identifiable=dict.fromkeys(static.estimate.identifiable, False),
+    )  # fmt: skip
+    found = with_relaxation(session, replace(static, estimate=unknown)).estimate.relaxation
+    assert found.constant == "young_modulus"
+    assert "No modulus is determined: only ratios of the curve and times are." in found.remarks
+
+
+def test_a_model_that_is_contradicted_has_a_curve_without_intervals(session, static):
+    nan = float("nan")
+    bare = {
+        name: Constant(getattr(static.estimate, name).value, nan, (nan, nan))
+        for name in static.estimate.identifiable
+    }
+    estimate = replace(static.estimate, status=Status.MODEL_CONTRADICTED, **bare)
+    found = with_relaxation(session, replace(static, estimate=estimate)).estimate.relaxation
+    assert np.isfinite([each.modulus.value for each in found.curve]).all()
+    assert np.isnan([each.modulus.ci95 for each in found.curve]).all()
+    # Times do not depend on the modulus.
+    assert np.isfinite([each.time.ci95 for each in found.terms]).all()
+
+
+def test_other_loads_do_not_follow_the_force(session, static):
+    heavy = replace(session, density=1000.0, gravity=np.array([0.0, 0.0, -9.81]))
+    estimate = with_relaxation(heavy, static).estimate
+    assert estimate.relaxation is None
+    assert "other loads, or supports that move, do not follow its force" in estimate.notes[0]
+
+
+def test_few_instants_are_one_note(session, static):
+    series = session.probings[0].series
+    few = changed(session, instant=series.instant[-4:], frames=series.frames[-4:])
+    estimate = with_relaxation(few, static).estimate
+    assert estimate.relaxation is None
+    assert "The modulus over time was not determined: creep was measured at 4" in estimate.notes[0]
 
 
 def test_a_short_hold_does_not_show_the_long_term(session, static):

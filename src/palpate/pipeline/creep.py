@@ -270,6 +270,8 @@ def _relaxation(
     modulus = creep.compliance.relaxation()
     times = joint(lambda each: each.relaxation().times, of=None) if creep.terms else []
     first, last, why = _ends(creep, ends, rise, hold)
+    if not known[name]:
+        why.append("No modulus is determined: only ratios of the curve and times are.")
     return RelaxationEstimate(
         name, float(np.mean([each.age for each in held])), rise, hold,
         static.value * modulus.instantaneous,

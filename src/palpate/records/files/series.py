@@ -155,8 +155,10 @@ def _frame(
         ),
     )
     values = metres * table.values(columns)
-    distance, row = cKDTree(values[:, :3]).query(own.points)
-    found = np.where((distance < same)[:, None], values[row, 3:], np.nan)
+    values = values[np.isfinite(values[:, :3]).all(axis=1)]
+    # Of a point without a neighbour there is none in the row after the last.
+    row = cKDTree(values[:, :3]).query(own.points, distance_upper_bound=same)[1]
+    found = np.vstack([values[:, 3:], np.full((1, 3), np.nan)])[row]
     if not np.isfinite(found).any():
         raise RecordError(
             f"{path}: none of its points is measured and one of {own.source}; the frames of a"
