@@ -66,6 +66,16 @@ _NAMED = [f"{t},0,0,{-0.6 * min(t, 2)},{'n01.csv' if t > 2 else ''}" for t in ra
 _FRAMES = "t,fx,fy,fz,displacement"
 
 
+def _of_no_force(folder: Path) -> None:
+    """Damage: a series of a probing whose only load is a pressure."""
+    _series(*_RISING)(folder)
+    load = "[[probe.load]]\ncontact = { triangles = 'faces.txt' }\npressure = 100.0"
+    (folder / "faces.txt").write_text("0\n1\n")
+    text = (folder / "session.toml").read_text()
+    lines = [line for line in text.splitlines() if not line.startswith(("contact", "force"))]
+    (folder / "session.toml").write_text("\n".join([*lines, load]) + "\n")
+
+
 def _other_points(folder: Path) -> None:
     """Damage: a series with a frame of points that the probing does not have."""
     (folder / "far.csv").write_text(f"{_HEAD}\n0.001,0.0015,0.0172,0,0,-1e-4\n")
@@ -88,6 +98,7 @@ _CHECKED = [
      ("n01_series.csv: line 10: t, fx, fy and fz must be numbers",)),
     ("an instant after the series", _series(*_RISING, more='measured_at = "9 s"'),
      ("'n01' measured_at: is 9 s", "7 s at most")),
+    ("a series of no force", _of_no_force, ("'n01' series", "the probing has none")),
     ("an instant of no series", _said('measured_at = "9 s"'),
      ("'n01' measured_at", "given without series")),
     ("a frame that is not there", _series(*_NAMED, "8,0,0,-1.2,n02.csv", head=_FRAMES),

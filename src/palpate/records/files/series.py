@@ -55,6 +55,10 @@ def read_series(
         if "measured_at" in table.values:
             table.fail("measured_at", "is given without series; give both or none")
         return None, ()
+    if not force.any():
+        table.fail(
+            "series", "follows the force of the tool, and the probing has none; leave it out"
+        )
     rows = read_text_table(path, cure=_CURE)
     columns = {name: _column(rows, name) for name in _COLUMNS}
     time = _values(rows, columns, ("t",), TIME_UNITS, 1.0)[:, 0]
