@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from reference_words import COLUMNS, FORMS, READS, WORDS
+from reference_words import COLUMNS, FORMS, READS, SERIES, WORDS
 
 from palpate.records.programs.registry import PROGRAMS
 from palpate.records.text.toml_table import TomlTable
@@ -316,10 +316,7 @@ HEAD = (
 
 def session_page() -> str:
     """docs/reference/files.md."""
-    known = import_module(FILES + "displacement")._COLUMNS
-    if set(known) != {name for names in COLUMNS for name in names.split(", ")}:
-        raise SystemExit(f"the columns of a displacement file are {known}: say what they are")
-    columns = "\n".join(f"| `{names}` | {text} |" for names, text in COLUMNS.items())
+    columns = _columns("displacement", COLUMNS), _columns("series", SERIES)
     parts = [
         HEAD, "# session.toml, rig.toml and what they name, key by key\n",
         "Every key that is read; any other is refused by name. Lengths are in the file's",
@@ -327,9 +324,18 @@ def session_page() -> str:
         "to write a session: [first session](../howto/first_session.md).\n",
         "## session.toml\n", *file_section(SESSION), "## rig.toml\n", *file_section(RIG),
         "## pose.toml, for imported displacements\n", *file_section(POSE),
-        "## Displacement CSV\n", "| column | meaning |\n| --- | --- |", columns, "",
+        "## Displacement CSV\n", columns[0], "## Series CSV\n", columns[1],
     ]  # fmt: skip
     return "\n".join(parts)
+
+
+def _columns(file: str, meaning: dict[str, str]) -> str:
+    """The table of the columns of a file that a session names."""
+    known = import_module(FILES + file)._COLUMNS
+    if set(known) != {name for names in meaning for name in names.split(", ")}:
+        raise SystemExit(f"the columns of a {file} file are {known}: say what they are")
+    rows = "\n".join(f"| `{names}` | {text} |" for names, text in meaning.items())
+    return f"| column | meaning |\n| --- | --- |\n{rows}\n"
 
 
 def programs_page() -> str:

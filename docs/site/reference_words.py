@@ -76,6 +76,9 @@ WORDS = {
     "contact": "where it presses: a table, below",
     "force": "on the object [N]",
     ("[errors]", "force"): "of a force without `force_std`, as a share of its length",
+    "series": "CSV file of force and motion over time: [its columns](#series-csv)",
+    "measured_at": "time of the series at which the probing's own displacement was measured; by default"
+    " its last instant",
     "displacement": "CSV file of what was measured: [its columns](#displacement-csv)",
     "support_displacement": "CSV file of what was measured on the supports that move",
     "support_motion": "the motion of the support, where it is known",
@@ -120,7 +123,8 @@ FORMS = {
     "touched_radius": "share", "length_scale": "share", "acceleration": "three numbers", "cameras": "file",
     "contact": "table", "errors": "table", "triangles": "text file", "probe": "tables", "step": "tables", "object": "table", "gravity": "table",
     "rig": "table", "camera": "tables", "format": "text", "name": "text",
-    "length_unit": "text",
+    "length_unit": "text", "series": "file",
+    "measured_at": "number, or text with its unit (`s`, `ms`)",
     "region": "tables", "ratio": "number", "ratio_std": "number", "faces": "table",
     ("[[region]], a part with a modulus of its own", "plane"): "table",
     ("[[region]], a part with a modulus of its own", "box"): "table",
@@ -137,4 +141,13 @@ COLUMNS = {
     "sx, sy, sz": "optional: 1 sigma of each component",
     "sigma": "optional, in their place: 1 sigma of all three",
     "vertex": "optional: the vertex of the mesh that this place is, from 0",
+}
+
+# Columns of a series.
+SERIES = {
+    "t": "time, increasing, from before the contact, in s; each heading may name another unit: `t [ms]`",
+    "fx, fy, fz": "force on the object at that instant, in N",
+    "tx, ty, tz": "optional: displacement of the contact point, in the session's `length_unit`",
+    "displacement": "optional: name of a file of that instant with the points of the probing's own; empty"
+    " where none was taken",
 }

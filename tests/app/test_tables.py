@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 from cube_session import cube_session as cube_session
+from estimate_relaxation import sample_relaxation
 from estimate_samples import sample_result
 from rich.console import Console
 
@@ -14,6 +15,7 @@ from palpate.app.tables import (
     number_text,
     probes_table,
     regions_table,
+    relaxation_table,
     terminal_table,
     truth_text,
 )
@@ -173,6 +175,20 @@ def test_regions_have_a_table(cube_session):
     (row,) = (line for line in lines if "insert" in line)
     assert all(text in row for text in ("60.0 \u00b1 1.5 kPa", "57.0 to 63.0 kPa", "2.80 to 3.20"))
     assert any("skin" in line and "not seen" in line for line in lines)
+
+
+def test_the_modulus_over_time_has_a_table():
+    lines = printed(relaxation_table(sample_relaxation(2e4)), 120).splitlines()
+    rows = {line.split("  ")[0].strip(): line for line in lines if "  " in line.strip()}
+    assert "20.00 \u00b1 0.40" in rows["G at once"]
+    # 0.5556 + 0.2379 exp(-10 / 2.297) + 0.2065 exp(-10 / 43.54), of 20 kPa.
+    assert "14.45 \u00b1 0.29" in rows["G at 10 s"]
+    assert "not determined" in rows["G in the long term"]
+    assert "2.297 \u00b1 0.046" in rows["time constant, 24 % of G"]
+    assert not any("G at 2" in line for line in lines)
+    text = " ".join(" ".join(lines).split())
+    assert "The constants above are those at 12 s after contact" in text
+    assert "hold for 200 s." in text
 
 
 def test_the_truth_of_a_virtual_bench_stands_beside_the_estimate(cube_session):

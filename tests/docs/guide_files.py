@@ -28,6 +28,7 @@ from scan_views import camera_at, seen_points, toy
 from scipy.spatial.transform import Rotation
 
 from benchmarks.boards import draw_board, true_bundle
+from benchmarks.creep import TWO, write_creeping_session
 from palpate.api import Result
 from palpate.app.cli import main
 from palpate.calibration import Charuco
@@ -275,6 +276,11 @@ def _next(here):
     yield
 
 
+def _creep(here):
+    write_creeping_session(here / "my_object", TWO, noise=0.01, instants=range(20, 320, 8))
+    yield
+
+
 def _pokes(here):
     """A half space of 30 kPa, poked in nine places."""
     rows = ["poke,x,y,z,force"]
@@ -370,6 +376,7 @@ GUIDES = {
     "mesh": _mesh,
     "next": _next,
     "poke": _poke,
+    "creep": _creep,
     "pokes": _pokes,
     "record": _record,
     "report": _report,

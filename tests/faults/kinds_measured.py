@@ -49,8 +49,62 @@ def _error(line: str, sensor: str = "") -> Callable[[Path], object]:
     return replaced("session.toml", "[[probe]]", f"[errors]\n{line}\n[[probe]]\n{named}")
 
 
+def _series(
+    *rows: str, head: str = "t,fx,fy,fz,tz,tx,ty", more: str = ""
+) -> Callable[[Path], None]:
+    """Damage: a series of these rows."""
+
+    def damage(folder: Path) -> None:
+        (folder / "n01_series.csv").write_text("\n".join([head, *rows]) + "\n")
+        _said(f'series = "n01_series.csv"\n{more}')(folder)
+
+    return damage
+
+
+_RISING = [f"{t},0,0,{-0.6 * min(t, 2)},{-2e-4 * min(t, 2)},0,0" for t in range(8)]
+_NAMED = [f"{t},0,0,{-0.6 * min(t, 2)},{'n01.csv' if t > 2 else ''}" for t in range(8)]
+_FRAMES = "t,fx,fy,fz,displacement"
+
+
+def _of_no_force(folder: Path) -> None:
+    """Damage: a series of a probing whose only load is a pressure."""
+    _series(*_RISING)(folder)
+    load = "[[probe.load]]\ncontact = { triangles = 'faces.txt' }\npressure = 100.0"
+    (folder / "faces.txt").write_text("0\n1\n")
+    text = (folder / "session.toml").read_text()
+    lines = [line for line in text.splitlines() if not line.startswith(("contact", "force"))]
+    (folder / "session.toml").write_text("\n".join([*lines, load]) + "\n")
+
+
+def _other_points(folder: Path) -> None:
+    """Damage: a series with a frame of points that the probing does not have."""
+    (folder / "far.csv").write_text(f"{_HEAD}\n0.001,0.0015,0.0172,0,0,-1e-4\n")
+    _series(*_NAMED, "8,0,0,-1.2,far.csv", head=_FRAMES)(folder)
+
+
 # What is wrong, damage, pieces of the message.
 _CHECKED = [
+    ("a series out of order", _series(*_RISING[:4], *_RISING[:2]),
+     ("n01_series.csv: row 5 is at 0 s, after 3 s", "the times must increase")),
+    ("a series that begins under load", _series(*_RISING[2:]),
+     ("n01_series.csv: begins at 1.2 N of 1.2 N", "begin before that")),
+    ("a series without motion", _series(*(f"{t},0,0,{-0.6 * min(t, 2)}" for t in range(8)), head="t,fx,fy,fz"),
+     ("n01_series.csv", "has forces and no motion")),
+    ("a series without a force", _series(*_RISING, head="t,fx,fy,f,tz,tx,ty"),
+     ("n01_series.csv: the column 'fz' is missing",)),
+    ("a series in another unit", _series(*_RISING, head="t,fx [mN],fy [mN],fz [mN],tz,tx,ty"),
+     ("the force at 7 s is", "they are the same push")),
+    ("a series with a gap in a row", _series(*_RISING, "8,0,0,,-4e-4,0,0"),
+     ("n01_series.csv: line 10: t, fx, fy and fz must be numbers",)),
+    ("an instant after the series", _series(*_RISING, more='measured_at = "9 s"'),
+     ("'n01' measured_at: is 9 s", "7 s at most")),
+    ("a series of no force", _of_no_force, ("'n01' series", "the probing has none")),
+    ("an instant of no series", _said('measured_at = "9 s"'),
+     ("'n01' measured_at", "given without series")),
+    ("a frame that is not there", _series(*_NAMED, "8,0,0,-1.2,n02.csv", head=_FRAMES),
+     ("n01_series.csv: line 10: no such file", "n02.csv")),
+    ("a frame of other points", _other_points,
+     ("far.csv: none of its points is measured and one of", "the same points")),
     *(
         (f"a sigma of {value}", _sigma(value), ("n01.csv: line 4: the standard", f" is {said} m"))
         for value, said in {

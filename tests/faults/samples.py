@@ -1,5 +1,6 @@
 """A good example of every kind of file that is read, and what reads it: what the fuzz spoils."""
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -98,6 +99,14 @@ stiffness = "5 kPa/mm"
 motion = "fixed"
 """,
 ).replace("[[probe]]", '[[probe]]\nforce_sensor = "gauge"', 1)
+# And one whose probing was followed over time.
+CREEPING = SESSION.replace(
+    "[[probe]]", '[[probe]]\nseries = "series.csv"\nmeasured_at = "1500 ms"', 1
+)
+SERIES = "t [ms],fx,fy,fz,tx,ty,tz,displacement\n" + "".join(
+    f"{100 * k},0,0,{-0.12 * min(k, 10):.2f},,,{-4e-5 * k:g},{'frame.csv' if k == 12 else ''}\n"
+    for k in range(20)
+)
 SCAN = """\
 format = "palpate-scan/1"
 length_unit = "mm"
@@ -295,6 +304,13 @@ def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     ]
     (folder / "giving.toml").write_text(GIVING)
     found.append((folder / "giving.toml", read_session))
+    (folder / "creeping.toml").write_text(CREEPING)
+    (folder / "series.csv").write_text(SERIES)
+    shutil.copyfile(folder / "n01.csv", folder / "frame.csv")
+    found += [
+        (folder / name, lambda _path: read_session(folder / "creeping.toml"))
+        for name in ("series.csv", "frame.csv")
+    ]
     found += [(file, read_mesh) for file in write_meshes(folder)]
     found += [(file, read_rig) for file in write_rigs(folder)]
     for kind, file in write_results(folder):

@@ -147,6 +147,36 @@ def test_a_log_of_poses_gives_contact_and_travel(recording: Path, tmp_path: Path
         write_recorded(tmp_path / "t", given, found)
 
 
+@pytest.mark.slow
+def test_a_long_hold_under_a_log_of_poses_is_written_as_a_series(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The bench's holds are about as long as its ramps.
+    monkeypatch.setattr("palpate.recording.record._CREEPS", 0.5)
+    folder = tmp_path / "bench"
+    shutil.copytree(recording, folder)
+    time = np.arange(0.0, 20.0, 0.01)
+    rows = np.column_stack([time, 0.0 * time, 0.0 * time, -1e-3 * push(time, PEAKS)])
+    np.savetxt(folder / "p.csv", rows, delimiter=",", header="time,x,y,z", comments="")
+    text = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(f'{text[: text.index("points")]}poses = "p.csv"\n')
+    assert main(["record", str(folder), "--out", str(tmp_path / "s")]) == 0
+    for probing, peak, begin in zip(
+        read_session(tmp_path / "s").probings, PEAKS, begins(3), strict=True
+    ):
+        series = probing.series
+        assert series is not None
+        assert series.tip is not None
+        # The log is averaged over bins of some hundredths of a second.
+        assert series.contact == pytest.approx(begin, abs=0.1)
+        # 95 % of a force that rises and settles smoothly.
+        assert 0.7 * RAMP < series.rise < RAMP
+        assert series.time[-1] < begin + RAMP + HOLD
+        assert series.force[series.reference] == pytest.approx(peak, rel=0.01)
+        assert series.tip[series.reference, 2] == pytest.approx(-1e-3 * peak, rel=0.02)
+        assert np.isnan(series.tip[0]).all()
+
+
 def test_memory_does_not_grow_with_the_video(recording: Path, tmp_path: Path) -> None:
     whole = read_recording(recording).footage[0]
     capture = cv2.VideoCapture(str(whole.video))

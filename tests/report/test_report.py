@@ -9,12 +9,13 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from estimate_relaxation import sample_relaxation
 from estimate_samples import constants, sample_result
 
 from palpate.api import Result
 from palpate.errors import RecordError
 from palpate.pipeline import read_fitted_surface
-from palpate.records import Status, check_fit_result
+from palpate.records import Status, check_fit_result, read_estimate, write_estimate
 from palpate.report import write_report
 from palpate.report.scene import scene
 
@@ -236,3 +237,18 @@ def test_pictures_are_drawings_of_the_result(saved):
     assert [kind for kind, _ in found] == ["svg+xml", "svg+xml", "webp"]
     assert base64.b64decode(found[0][1]) == (saved / "probings.svg").read_bytes()
     assert base64.b64decode(found[2][1]).startswith(b"RIFF")
+
+
+def test_a_body_that_creeps_has_a_section(saved, tmp_path):
+    folder = tmp_path / "creeping"
+    shutil.copytree(saved, folder)
+    assert "Over time" not in page_of(saved).text
+    estimate = read_estimate(folder / "estimate.json")
+    relaxation = sample_relaxation(2e4)
+    write_estimate(folder / "estimate.json", replace(estimate, relaxation=relaxation))
+    write_report(folder, folder / "report.html")
+    text = page_of(folder).text
+    assert "Over time" in text
+    assert "The constants above are those at 12 s after contact." in text
+    assert relaxation.remarks[0] in text
+    assert "G at 10 s 14.45 \u00b1 0.29" in text

@@ -24,6 +24,7 @@ from palpate.records import (
     BudgetEntry,
     Estimate,
     ProbeEstimate,
+    RelaxationEstimate,
     Rig,
     budget_text,
     constant_row,
@@ -32,6 +33,7 @@ from palpate.records import (
     length_unit,
     modulus_unit,
     region_row,
+    relaxation_rows,
     value_text,
 )
 
@@ -154,6 +156,24 @@ def regions_table(estimate: Estimate) -> Table:
     caption = "The constants above are those of the rest, Poisson's ratio that of all."
     rows = map(region_row, estimate.regions)
     return terminal_table("Regions", columns, rows, caption=caption)
+
+
+def relaxation_table(relaxation: RelaxationEstimate) -> Table:
+    """The modulus as a function of time.
+
+    Parameters
+    ----------
+    relaxation : RelaxationEstimate
+    """
+    shown = (
+        f"The constants above are those at {relaxation.age:.3g} s after contact; the window is"
+        f" {relaxation.rise:.2g} to {relaxation.hold:.3g} s."
+    )
+    columns = ("modulus over time", "value ± 1 sigma", "95 % interval", "unit")
+    rows = relaxation_rows(relaxation)
+    return terminal_table(
+        "Relaxation", columns, rows, caption=" ".join([shown, *relaxation.remarks])
+    )
 
 
 def held_out_table(predictions: Sequence[Prediction]) -> Table:

@@ -3,7 +3,7 @@
 Purpose    : shear modulus, Poisson's ratio and Young's modulus with intervals, from probings.
 Takes      : `ProbeObservations` (measured displacements, force, a `ResponseModel`), `FitSettings`.
 Gives      : `FitResult`: the `Estimate`, its likelihood, predictions and residuals per probing.
-Depends on : `records`, `geometry`.
+Depends on : `relaxation`, `records`, `geometry`.
 Read first : `problem.py`, `gauss_newton.py`, `posterior.py`, then `fit.py`.
 """
 

@@ -59,6 +59,7 @@ from palpate.records import (
     error_texts,
     length_unit,
 )
+from palpate.relaxation import CreepFit
 
 _MAX_EVALUATIONS = 1000
 # Of nu, and of the logarithm of G.
@@ -141,6 +142,7 @@ class FitResult:
                                         ranges for constants that are not determined
     model : Evaluation or None          the objective at the estimate; None: read from files
     map : ModulusMap or None            None: one modulus everywhere
+    creep : CreepFit or None            None: no probing has a series
     predict : callable                  Session of the same object on the same supports -> tuple of
                                         Prediction, from the forces of its probings
     """
@@ -151,6 +153,7 @@ class FitResult:
     intervals: IntervalSet | None = None
     model: Evaluation | None = None
     map: ModulusMap | None = None
+    creep: CreepFit | None = None
     predict: Callable[[Session], tuple[Prediction, ...]] = _no_prediction
 
     @property

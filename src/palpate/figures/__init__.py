@@ -4,7 +4,7 @@ Purpose    : draw results with matplotlib in one style; compute only what a figu
 Takes      : `Session`, `FitResult`, `RangeFlow`, `VertexDisplacement`, `Recorded`.
 Gives      : matplotlib figures, PNG files, pixels.
 Depends on : `pipeline`, `calibration`, `scanning`, `recording`, `vision`, `estimation`, `probe`,
-             `records`, `geometry`.
+             `relaxation`, `records`, `geometry`.
 Read first : `style.py`, then `estimate.py` and `flow.py`.
 """
 

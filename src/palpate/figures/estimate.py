@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import RectBivariateSpline
 
 from palpate.estimation import FitResult, LikelihoodMap, ProbeFit
+from palpate.figures.creep import creep_figure
 from palpate.figures.displacement import OUTLIER_WEIGHT, displacement_figure
 from palpate.figures.modulus import modulus_figure
 from palpate.figures.style import (
@@ -73,7 +74,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
     constants of each probing alone, `predictions.png` the predictions of each probing from the
     others, `errors.png` the estimated systematic errors, `budget.png` the uncertainty budget,
     `reciprocity.png` how well pushes agree whatever the material, `modulus.png` where the modulus
-    differs,
+    differs, `creep.png` force and motion over time and the modulus over time,
     `displacement/NAME.png` the measured and predicted displacement of each probing on the object's
     surface.
 
@@ -101,6 +102,7 @@ def write_plots(folder: Path, session: Session, result: FitResult) -> list[Path]
         ("budget", budget_figure(result.estimate)),
         ("reciprocity", None if tested is None else reciprocity_figure(tested)),
         ("modulus", modulus_map_figure(result)),
+        ("creep", creep_figure(result)),
     ):
         if drawn is not None:
             written += save_drawing(drawn, folder / f"{name}.png")

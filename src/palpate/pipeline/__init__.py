@@ -4,8 +4,8 @@ Purpose    : measure the motion of a session's object from its pictures, estimat
              poke it; warm up: compile the kernels of all that.
 Takes      : a `Session`.
 Gives      : `SessionFlow`, `FitResult`, the model that links them, and the files that hold them.
-Depends on : `field`, `lab`, `vision`, `probe`, `bem`, `solids`, `estimation`, `records`,
-             `geometry`.
+Depends on : `field`, `lab`, `vision`, `probe`, `bem`, `solids`, `relaxation`, `estimation`,
+             `records`, `geometry`.
 Read first : `fit_session.py`, then `result_files.py`.
 """
 
@@ -91,6 +91,7 @@ from palpate.pipeline.result_files import (
     write_held_out as write_held_out,
     write_modulus as write_modulus,
     write_motion as write_motion,
+    write_relaxation as write_relaxation,
     write_residuals as write_residuals,
     write_vertices as write_vertices,
 )

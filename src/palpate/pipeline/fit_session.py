@@ -17,6 +17,7 @@ from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
+from palpate.pipeline.creep import with_relaxation
 from palpate.pipeline.heterogeneous import (
     Material,
     Predictor,
@@ -106,7 +107,8 @@ def fit_session(
     if without_pictures(session):
         if finite_strain:
             raise InputError("pokes without pictures take --strain small: press less far")
-        return fit_pokes(session, settings=settings, material=material, progress=progress)
+        result = fit_pokes(session, settings=settings, material=material, progress=progress)
+        return with_relaxation(session, result)
     if finite_strain and session.regions and material in (Material.REGIONS, Material.AUTO):
         raise InputError(
             f"{session.path}: has regions with moduli of their own, which take --strain small; or"
@@ -169,8 +171,9 @@ def _fit_displacements(
         seconds=stages | {"total": time.perf_counter() - start},
         settings=result.estimate.settings | chosen | _described(session, refined, graded),
     )
+    result = with_relaxation(refined, replace(result, estimate=estimate))
     return replace(
-        result, estimate=estimate, probes=_on_given_mesh(result.probes, session),
+        result, probes=_on_given_mesh(result.probes, session),
         predict=Predictor(result.minimum, field, settings),
     )  # fmt: skip
 

@@ -23,6 +23,7 @@ from palpate.pipeline.motion.measure_motion import MeasuredMotion
 from palpate.records import (
     Camera,
     ModulusMap,
+    RelaxationEstimate,
     Rig,
     Session,
     file_stems,
@@ -95,6 +96,23 @@ def write_modulus(path: Path, modulus: ModulusMap) -> None:
     """
     content = {each.name: getattr(modulus, each.name) for each in fields(modulus)}
     np.savez_compressed(path, format=np.array(MODULUS_FORMAT), **content)
+
+
+def write_relaxation(path: Path, relaxation: RelaxationEstimate) -> None:
+    """Write the modulus over time as CSV: time [s], modulus and its 95 % interval [Pa].
+
+    Parameters
+    ----------
+    path : Path                     ending .csv
+    relaxation : RelaxationEstimate
+
+    Raises
+    ------
+    OSError                         the file cannot be written
+    """
+    rows = [(each.time, each.modulus.value, *each.modulus.ci95) for each in relaxation.curve]
+    head = f"t [s],{relaxation.constant} [Pa],low [Pa],high [Pa]"
+    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=head, comments="")
 
 
 def read_modulus(path: Path) -> ModulusMap | None:

@@ -57,6 +57,10 @@ _HEADINGS = (
 )
 _COLUMNS = {"time": ("time", "t"), "x": ("x",), "y": ("y",), "z": ("z",)}
 _CURE = "a log of poses is a table with the columns time, x, y, z"
+# A press held for so many times as long as its force rose shows how the object creeps; its series
+# begins so long before the contact [s].
+_CREEPS, _BEFORE = 10.0, 0.5
+_SERIES = "{name}_series.csv"
 # Largest delay between the true contact and its detection in the force [s].
 _MAX_DELAY = 0.1
 
@@ -198,6 +202,8 @@ class PlacedPress:
     travel : (3,) float [m] or None     displacement of the contact point, from a log of poses
     travel_std : float [m]          standard deviation of each component; NaN without a log
     frames : int                    number of frames averaged for the picture under load
+    series : str                    force and motion of the tip over time, as CSV in the recording's
+                                    unit of length; empty without a log of poses or a long hold
     """
 
     press: Press
@@ -206,6 +212,7 @@ class PlacedPress:
     travel: Vector3 | None
     travel_std: float
     frames: int
+    series: str = ""
 
 
 def write_recorded(
@@ -246,7 +253,9 @@ def write_recorded(
     for k, press in enumerate(found.presses):
         report(f"contact of {press.name}", k / len(found.presses))
         frame_count = frames[_LOADED.format(name=press.name)]
-        placed.append(_place_press(folder, recording, press, model, frame_count))
+        placed.append(_place_press(folder, recording, press, model, frame_count, found))
+        if placed[-1].series:
+            write_text(folder / _SERIES.format(name=press.name), placed[-1].series)
     _write_session(folder, recording, placed)
     write_text(folder / "presses.csv", _table(found, placed))
     try:
@@ -282,16 +291,18 @@ def _write_pictures(
 
 
 def _place_press(
-    folder: Path, recording: Recording, press: Press, model: ContactModel | None, frames: int
-) -> PlacedPress:
+    folder: Path, recording: Recording, press: Press, model: ContactModel | None, frames: int,
+    found: Recorded,
+) -> PlacedPress:  # fmt: skip
     """Contact point of a press: given, from the log of poses, or from the surface's motion."""
     source, unit = recording.contact_source, recording.metres_per_unit
-    travel, travel_std, std = None, np.nan, np.nan
+    travel, travel_std, std, series = None, np.nan, np.nan, ""
     if source.points is not None:
         point = source.points[press.number - 1]
     elif source.poses is not None:
         poses = read_poses(source.poses, metres_per_unit=unit, topic=source.topic)
         point, travel, travel_std = _tip_motion(poses, press.touch, press.reading)
+        series = _series(found, poses, press, point, unit)
     elif model is not None:
         point, std = _contact_from_motion(folder, recording, press, model)
     place = closest_points(recording.mesh, point[None])
@@ -303,7 +314,7 @@ def _place_press(
             " contact: the sign is turned, or the axes; readings of the force on the tool need sign"
             ' = "on tool" in [force]'
         )
-    return PlacedPress(press, point, std, travel, travel_std, frames)
+    return PlacedPress(press, point, std, travel, travel_std, frames, series)
 
 
 def _contact_from_motion(
@@ -364,6 +375,9 @@ def _probe(recording: Recording, placed: PlacedPress) -> dict[str, Any]:
     if placed.travel is not None:
         table["tip_displacement"] = (placed.travel / unit).tolist()
         table["tip_displacement_std"] = placed.travel_std / unit
+    if placed.series:
+        table["series"] = _SERIES.format(name=press.name)
+        table["measured_at"] = press.reading.time
     rest, loaded = (f"{_PICTURES}/{name.format(name=press.name)}" for name in (_REST, _LOADED))
     table["images"] = {"rest": rest, "loaded": [loaded]}
     return table
@@ -493,3 +507,24 @@ def _tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3
     point = 0.5 * (late + early)
     std = float(np.linalg.norm(late - early)) / np.sqrt(12.0)
     return point, poses.at(reading.time) - point, max(std, 1e-6)
+
+
+def _series(
+    found: Recorded, poses: PoseLog, press: Press, point: Vector3, metres_per_unit: float
+) -> str:
+    """`PlacedPress.series`: up to the end of the plateau, where the force or the tool is held."""
+    begin, reading = press.touch.begin, press.reading
+    if reading.end - reading.begin < _CREEPS * (reading.begin - begin):
+        return ""
+    every = found.resampled.time
+    used = (every > begin - _BEFORE) & (every <= min(reading.end, poses.time[-1]))
+    time = every[used]
+    force = found.resampled.force[used] - found.zero.at(time)
+    if not np.isfinite(force).all():
+        return ""
+    tip = [np.interp(time, poses.time, part) for part in (poses.position - point).T]
+    # On its way to the object it is nobody's displacement.
+    moved = np.where(time[:, None] < begin, np.nan, np.column_stack(tip) / metres_per_unit)
+    rows = np.column_stack([time, force, moved]).tolist()
+    lines = [",".join(f"{x:.9g}" for x in row) for row in rows]
+    return "\n".join(["t,fx,fy,fz,tx,ty,tz", *lines, ""])

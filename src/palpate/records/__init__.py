@@ -34,6 +34,9 @@ from palpate.records.estimate import (
     Estimate as Estimate,
     ProbeEstimate as ProbeEstimate,
     RegionEstimate as RegionEstimate,
+    RelaxationEstimate as RelaxationEstimate,
+    RelaxationPoint as RelaxationPoint,
+    RelaxationTerm as RelaxationTerm,
     Status as Status,
     SupportEstimate as SupportEstimate,
 )
@@ -136,6 +139,7 @@ from palpate.records.quantities import (
     quantities as quantities,
     quantity as quantity,
     region_row as region_row,
+    relaxation_rows as relaxation_rows,
     value_text as value_text,
     verdict_text as verdict_text,
 )
@@ -166,6 +170,7 @@ from palpate.records.rig import (
     read_rig_covariance as read_rig_covariance,
     write_rig_covariance as write_rig_covariance,
 )
+from palpate.records.series import Series as Series
 from palpate.records.session import (
     Session as Session,
     require_probings as require_probings,

@@ -350,6 +350,62 @@ class RegionEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class RelaxationPoint:
+    """The relaxation modulus at one time.
+
+    Parameters
+    ----------
+    time : float [s]                since the displacement began
+    modulus : Constant              [Pa]
+    """
+
+    time: float
+    modulus: Constant
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationTerm:
+    """A term of the Prony series of the modulus.
+
+    Parameters
+    ----------
+    time : Constant                 relaxation time [s]
+    share : float [-]               of the unrelaxed modulus
+    """
+
+    time: Constant
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationEstimate:
+    """The modulus of a body that creeps, as a function of time; Poisson's ratio is constant.
+
+    Parameters
+    ----------
+    constant : str                  `shear_modulus`, or `young_modulus` where only that is known
+    age : float [s]                 from the first contact to the displacement of the static fit
+    rise, hold : float [s]          of the force; the window that is observed is in between
+    unrelaxed : float [Pa]          modulus of the series at once, of which terms are shares
+    terms : tuple of RelaxationTerm     shortest times first; none: elastic
+    curve : tuple of RelaxationPoint    ten a decade, whole decades among them, inside the window
+    instantaneous, long_term : Constant or None [Pa]   None: not shown by the window
+    remarks : tuple of str          why not, whether Poisson's ratio is constant, in sentences
+    """
+
+    constant: str
+    age: float
+    rise: float
+    hold: float
+    unrelaxed: float
+    terms: tuple[RelaxationTerm, ...]
+    curve: tuple[RelaxationPoint, ...]
+    instantaneous: Constant | None
+    long_term: Constant | None
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """The elastic constants of the object, estimated from all its probings.
 
@@ -372,6 +428,7 @@ class Estimate:
     field : FieldEstimate or None   None: one modulus everywhere, or regions
     regions : tuple of RegionEstimate   parts with moduli of their own; the constants are then those
                                     of the rest
+    relaxation : RelaxationEstimate or None     None: no probing has a series
 
     Raises
     ------
@@ -395,6 +452,7 @@ class Estimate:
     reciprocity: Reciprocity | None = None
     field: FieldEstimate | None = None
     regions: tuple[RegionEstimate, ...] = ()
+    relaxation: RelaxationEstimate | None = None
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

@@ -14,6 +14,7 @@ from palpate.arrays import fix_fields
 from palpate.errors import InputError
 from palpate.geometry import SurfacePoints
 from palpate.records.contact import RIGID, Contact
+from palpate.records.series import Series
 from palpate.records.support import RigidMotion
 from palpate.shapes import Flags, Indices, PointIndices, Points, PointScalars, Vector3
 
@@ -345,6 +346,7 @@ class Probing:
     support_motion : RigidMotion or None                that motion, given as a rigid motion instead
     force_sensor : str              name of the sensor that read the force, or of the weights that
                                     were the force; empty where a session has one sensor only
+    series : Series or None         force and motion over time, from before the contact
 
     Raises
     ------
@@ -365,6 +367,7 @@ class Probing:
     support_displacement: DisplacementField | None = None
     support_motion: RigidMotion | None = None
     force_sensor: str = ""
+    series: Series | None = None
 
     def __post_init__(self) -> None:
         fix_fields(self, force=(3,))

@@ -16,6 +16,7 @@ from palpate.records.estimate import (
     ErrorEstimate,
     Estimate,
     RegionEstimate,
+    RelaxationEstimate,
     Status,
 )
 from palpate.shapes import Vector3
@@ -196,6 +197,37 @@ def region_row(region: RegionEstimate) -> tuple[str, str, str, str, str]:
         for each in (region.shear_modulus, region.young_modulus)
     )
     return region.name, shear, young, interval, interval_text(region.ratio)
+
+
+def relaxation_rows(relaxation: RelaxationEstimate) -> list[tuple[str, str, str, str]]:
+    """The modulus over time in a table: at whole decades, at its ends, and its time constants.
+
+    Parameters
+    ----------
+    relaxation : RelaxationEstimate
+
+    Returns
+    -------
+    list of four str                what; value; 95 % interval; unit
+    """
+    symbol = _SYMBOLS[relaxation.constant]
+    factor, unit = modulus_unit(relaxation.unrelaxed)
+    rows = []
+
+    def add(label: str, one: Constant | None, factor: float, unit: str) -> None:
+        texts = (NOT_DETERMINED, "-")
+        if one is not None:
+            texts = constant_text(one, factor=factor), interval_text(one, factor=factor)
+        rows.append((label, *texts, unit))
+
+    add(f"{symbol} at once", relaxation.instantaneous, factor, unit)
+    for point in relaxation.curve:
+        if abs(math.log10(point.time) - round(math.log10(point.time))) < 1e-6:
+            add(f"{symbol} at {point.time:g} s", point.modulus, factor, unit)
+    add(f"{symbol} in the long term", relaxation.long_term, factor, unit)
+    for term in relaxation.terms:
+        add(f"time constant, {100 * term.share:.0f} % of {symbol}", term.time, 1.0, "s")
+    return rows
 
 
 def verdict_text(estimate: Estimate) -> str:

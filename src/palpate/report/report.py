@@ -24,6 +24,7 @@ from palpate.pipeline import (
     read_fitted_surface,
     write_fitted_surface,
     write_modulus,
+    write_relaxation,
     write_residuals,
 )
 from palpate.records import (
@@ -40,6 +41,7 @@ from palpate.records import (
     read_estimate,
     read_text,
     region_row,
+    relaxation_rows,
     verdict_text,
     without_pictures,
     write_estimate,
@@ -54,6 +56,7 @@ _DRAWINGS = {
     "probings": "The constants as each probing alone gives them",
     "predictions": "Displacements predicted by the other probings against measured ones",
     "reciprocity": "Work of every two pushes in each other's motion: equal, whatever the material",
+    "creep": "Force and motion over time; the modulus over time, with its 95 % interval",
     "modulus": "Modulus in three sections through the body",
     "errors": "What the data say about the assumed errors",
     "budget": "What each source adds to the standard deviations of the constants",
@@ -127,6 +130,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "reciprocity": "" if estimate.reciprocity is None else estimate.reciprocity.text,
         "field": estimate.field,
         "regions": [region_row(each) for each in estimate.regions],
+        "relaxation": _relaxation(estimate),
         "notes": [_with_greek(note) for note in (*estimate.notes, *estimate.details)],
         "seconds": _second_rows(estimate),
         "settings": _setting_rows(estimate),
@@ -205,6 +209,8 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     write_plots(folder, session, result)
     if result.map is not None:
         write_modulus(folder / "modulus.npz", result.map)
+    if result.estimate.relaxation is not None:
+        write_relaxation(folder / "relaxation.csv", result.estimate.relaxation)
     seconds = dict(result.estimate.seconds)
     drawing = time.perf_counter() - start
     total = seconds.pop("total", 0.0) + drawing
@@ -212,6 +218,15 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
     estimate = replace(result.estimate, seconds=seconds)
     write_estimate(folder / "estimate.json", estimate)
     return estimate
+
+
+def _relaxation(estimate: Estimate) -> dict[str, Any] | None:
+    """The modulus over time: rows of its table, and what is said of it."""
+    found = estimate.relaxation
+    if found is None:
+        return None
+    remarks = [_with_greek(each) for each in found.remarks]
+    return {"rows": relaxation_rows(found), "age": f"{found.age:.3g}", "remarks": remarks}
 
 
 def _with_greek(text: str) -> str:

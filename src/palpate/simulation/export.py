@@ -43,7 +43,7 @@ from palpate.simulation.estimated_object import (
     make_estimated_object,
     make_solid_model,
 )
-from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
+from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU, prony
 from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPENUSD
 
 EXPORT_FORMAT = "palpate-export/1"
@@ -254,7 +254,8 @@ def export_fit(
             f"the object is not the same everywhere, but {form.title} takes one modulus: that of"
             " the table was written, so its push ends elsewhere"
         )
-    notes = [note for note in (_status_advice(source.estimate), changed, uneven) if note]
+    timed = _creep_advice(source.estimate)
+    notes = [note for note in (_status_advice(source.estimate), timed, changed, uneven) if note]
     body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
@@ -276,6 +277,18 @@ def _status_advice(estimate: Estimate) -> str:
     if estimate.status is Status.OK:
         return ""
     return estimate.status.advice
+
+
+def _creep_advice(estimate: Estimate) -> str:
+    """What one modulus means of a body that creeps; empty of another one."""
+    found = estimate.relaxation
+    if found is None or not found.terms:
+        return ""
+    return (
+        f"the object creeps: its modulus was written as at {found.age:.3g} s after contact;"
+        " palpate.json has the Prony series (`relaxation`), viscoelastic.inp and viscoelastic.xml"
+        " have it as materials of Abaqus and FEBio, where these are written"
+    )
 
 
 def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
@@ -304,6 +317,7 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
             "density": body.density,
             "materials": len(model.materials) if model and form.by_element else 1,
         },
+        "relaxation": prony(body),
         "push": push
         and {
             "probing": push.name,

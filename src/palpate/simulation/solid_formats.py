@@ -14,13 +14,14 @@ TetrahedronFEMForceField, FixedProjectiveConstraint and ConstantForceField
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
 from palpate.geometry import enclosed_volume
 from palpate.records import json_text, write_text
-from palpate.simulation.estimated_object import Format, SolidModel
+from palpate.simulation.estimated_object import EstimatedObject, Format, SolidModel
 
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <!-- SI units; made by Palpate, see README.txt -->
@@ -110,8 +111,78 @@ print("apart by", np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 '''
 
 
+def prony(body: EstimatedObject) -> dict[str, Any] | None:
+    """Young's modulus over time as a Prony series: `at_once` and `long_term` [Pa], and `terms`, a
+    share of the former and its time [s] each; None of a body that is elastic.
+
+    Parameters
+    ----------
+    body : EstimatedObject
+    """
+    found = body.estimate.relaxation
+    if found is None or not found.terms:
+        return None
+    at_once = found.unrelaxed
+    if found.constant == "shear_modulus":
+        at_once *= 2.0 * (1.0 + body.material.poisson_ratio)
+    terms = [(each.share, each.time.value) for each in found.terms]
+    long_term = at_once * (1.0 - sum(share for share, _ in terms))
+    return {"at_once": at_once, "long_term": long_term, "terms": terms}
+
+
+def _write_abaqus_prony(folder: Path, model: SolidModel) -> None:
+    """Write viscoelastic.inp: the materials of model.inp for Abaqus, as far as they creep.
+
+    Bulk and shear modulus relax alike: Poisson's ratio is constant.
+    """
+    series = prony(model.body)
+    if series is None:
+        return
+    lines = [
+        "** In Abaqus, in place of the materials of model.inp, in a *VISCO step; see README.txt"
+    ]
+    for number, (young, _) in enumerate(model.materials, start=1):
+        modulus = series["at_once"] * young / model.body.material.young_modulus
+        lines += [
+            f"*MATERIAL, NAME=ESTIMATED{number}",
+            "*ELASTIC, MODULI=INSTANTANEOUS",
+            f"{modulus:.9g}, {model.body.material.poisson_ratio:.9g}",
+            "*VISCOELASTIC, TIME=PRONY",
+            *(f"{share:.9g}, {share:.9g}, {time:.9g}" for share, time in series["terms"]),
+            "*DENSITY",
+            f"{model.body.density:.9g}",
+        ]
+    write_text(folder / "viscoelastic.inp", "\n".join([*lines, ""]))
+
+
+def _write_febio_prony(folder: Path, model: SolidModel) -> None:
+    """Write viscoelastic.xml: the section Material of model.feb for a body that creeps.
+
+    FEBio's stress is int (1 + sum_i g_i exp(-(t - s) / t_i)) dS(s) of an elastic S, that of the
+    long term.
+    """
+    series = prony(model.body)
+    if series is None:
+        return
+    lines = ["<Material>"]
+    for number, (young, _) in enumerate(model.materials, start=1):
+        modulus = series["long_term"] * young / model.body.material.young_modulus
+        lines.append(f'  <material id="{number}" name="estimated{number}" type="viscoelastic">')
+        for k, (share, time) in enumerate(series["terms"], start=1):
+            weight = share * series["at_once"] / series["long_term"]
+            lines.append(f"    <g{k}>{weight:.9g}</g{k}><t{k}>{time:.9g}</t{k}>")
+        lines += [
+            '    <elastic type="isotropic elastic">',
+            f"      <density>{model.body.density:.9g}</density>",
+            f"      <E>{modulus:.9g}</E><v>{model.body.material.poisson_ratio:.9g}</v>",
+            "    </elastic>",
+            "  </material>",
+        ]
+    write_text(folder / "viscoelastic.xml", "\n".join([*lines, "</Material>", ""]))
+
+
 def write_calculix(folder: Path, model: SolidModel) -> None:
-    """Write model.inp and replay.json.
+    """Write model.inp and replay.json; for a body that creeps viscoelastic.inp.
 
     Parameters
     ----------
@@ -162,6 +233,7 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
             "U",
             "*END STEP",
         ]
+    _write_abaqus_prony(folder, model)
     write_replay(folder, model, model.load)
     write_text(folder / "model.inp", "\n".join(lines) + "\n")
 
@@ -177,7 +249,7 @@ CALCULIX = Format(
 
 
 def write_febio(folder: Path, model: SolidModel) -> None:
-    """Write model.feb and replay.json.
+    """Write model.feb and replay.json; for a body that creeps viscoelastic.xml.
 
     Parameters
     ----------
@@ -236,6 +308,7 @@ def write_febio(folder: Path, model: SolidModel) -> None:
         ]
     )
     write_text(folder / "model.feb", text)
+    _write_febio_prony(folder, model)
     write_replay(folder, model, model.load)
 
 

@@ -21,6 +21,7 @@ from palpate.app.tables import (
     number_text,
     probes_table,
     regions_table,
+    relaxation_table,
     terminal_table,
     truth_text,
 )
@@ -404,6 +405,8 @@ def _print(estimate: Estimate, session: Session, predictions: Sequence[Predictio
         print_text(truth_text(estimate, true_material(session)))
     if estimate.regions:
         print_tables(regions_table(estimate))
+    if estimate.relaxation is not None:
+        print_tables(relaxation_table(estimate.relaxation))
     for note in estimate.notes:
         if note not in session.notes:
             print_text(f"Note: {note}")

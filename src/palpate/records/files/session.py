@@ -19,6 +19,7 @@ from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.records.error_priors import read_error_priors
 from palpate.records.files.displacement import read_displacement
 from palpate.records.files.loads import read_loads, read_push, read_support_motion
+from palpate.records.files.series import read_series
 from palpate.records.load_checks import (
     check_contact,
     check_copies,
@@ -57,8 +58,8 @@ _ROOT_KEYS = (
 _STEP_KEYS = [field.name for field in fields(Step)]
 _PROBE_KEYS = [
     *("load" if field.name == "loads" else field.name for field in fields(Probing)),
-    "tip_displacement_offset_std",
-]
+    "tip_displacement_offset_std", "measured_at",
+]  # fmt: skip
 
 
 def _allow_any_size(*counts: int) -> None:
@@ -287,6 +288,7 @@ def _probing(
     with table.error_context():
         loads = read_loads(table, body)
         contact, force = read_push(table, body, loads)
+        series, doubts = read_series(table, body, force, field) if observations else (None, ())
         probing = Probing(
             name=table.text("name"),
             contact=contact,
@@ -300,6 +302,7 @@ def _probing(
             support_displacement=support_field,
             support_motion=read_support_motion(table, metres_per_unit=body.metres_per_unit),
             force_sensor=table.optional("force_sensor", table.label) or "",
+            series=series,
         )
         if observations:
             for each in (contact, *(load.contact for load in loads)):
@@ -309,7 +312,7 @@ def _probing(
                 check_load(mesh, probing)
         if field is not None:
             check_observed_points(mesh, still, field)
-    return probing, notes + support_notes
+    return probing, notes + support_notes + doubts
 
 
 def _tip(table: TomlTable, metres: float) -> tuple[Vector3 | None, Vector3 | None]:
