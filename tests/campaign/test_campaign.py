@@ -242,7 +242,8 @@ def test_a_disk_that_fills_ends_it(cubes, scheduler, tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(results, "write_text", full)
+        # Of what is written last, the list of a result's files.
+        patched.setattr(results, "sums_text", full)
         with pytest.raises(RecordError) as raised:
             run_campaign(items, folder, scheduler=scheduler)
     assert "No space left on device" in str(raised.value)
