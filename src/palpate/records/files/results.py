@@ -20,6 +20,7 @@ from typing import Any
 from palpate.disk import atomic_replacement, roll_back_interrupted
 from palpate.errors import InputError, RecordError, print_message
 from palpate.files import checked_file
+from palpate.records.files.series import frame_files
 from palpate.records.files.session import session_file
 from palpate.records.rig import covariance_file
 from palpate.records.text.text_file import read_text, write_text
@@ -542,6 +543,10 @@ def session_files(path: Path | str) -> list[Path]:
             continue
         start = Path(relative.anchor) if relative.is_absolute() else file.parent
         found |= set(start.glob(str(relative.relative_to(relative.anchor))))
+    for series in _texts_of(values.get("probe"), "series"):
+        # What is no series any more names no frames.
+        with suppress(RecordError):
+            found |= set(frame_files(file.parent / series))
     rig = values.get("rig")
     if isinstance(rig, dict) and isinstance(rig.get("cameras"), str):
         covariance = covariance_file(file.parent / rig["cameras"])
@@ -553,6 +558,13 @@ def session_files(path: Path | str) -> list[Path]:
 def _files_in(path: Path) -> list[Path]:
     """A path itself, or the regular files in a folder."""
     return [file for file in path.glob("*") if file.is_file()] if path.is_dir() else [path]
+
+
+def _texts_of(tables: Any, key: str) -> list[str]:
+    """The texts under a key of some tables."""
+    given = tables if isinstance(tables, list) else []
+    texts = [table.get(key) for table in given if isinstance(table, dict)]
+    return [text for text in texts if isinstance(text, str)]
 
 
 def _texts(value: Any) -> Iterator[str]:

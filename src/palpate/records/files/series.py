@@ -87,6 +87,29 @@ def read_series(
     return series, series.notes
 
 
+def frame_files(path: Path) -> list[Path]:
+    """The displacement files that a series names, whether they exist or not.
+
+    Parameters
+    ----------
+    path : Path                     of the series
+
+    Raises
+    ------
+    RecordError                     no table
+    """
+    rows = read_text_table(path, cure=_CURE)
+    names = _frame_names(rows, _column(rows, "displacement"))
+    return [path.parent / name for name in names if name]
+
+
+def _frame_names(rows: TextTable, column: Column | None) -> list[str]:
+    """What a series names in every row; empty where no displacement was measured."""
+    if column is None:
+        return []
+    return [split_cells(row, rows.delimiter)[column.index].strip() for row in rows.rows]
+
+
 def _column(rows: TextTable, name: str) -> Column | None:
     return rows.find((name,), normalise=str.lower)
 
@@ -123,9 +146,7 @@ def _frames(
     rows: TextTable, column: Column | None, body: HeldObject, own: DisplacementField | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Instants with a displacement file, and the displacements of the probing's own points."""
-    if column is None:
-        return np.zeros(0, dtype=np.int64), np.zeros((0, 0, 3))
-    cells = [split_cells(row, rows.delimiter)[column.index].strip() for row in rows.rows]
+    cells = _frame_names(rows, column)
     named = [k for k, cell in enumerate(cells) if cell]
     if named and own is None:
         raise RecordError(
