@@ -10,6 +10,10 @@ Read first : `field_prior.py`, `field_responses.py`, then `field_fit.py`; of pok
              `poke_responses.py`.
 """
 
+from palpate.field.elements import (
+    no_field_reason as no_field_reason,
+    nodal_load as nodal_load,
+)
 from palpate.field.explanations import (
     Cause as Cause,
     Explanation as Explanation,
@@ -25,10 +29,6 @@ from palpate.field.field_map import (
     FieldPosterior as FieldPosterior,
     MapResponse as MapResponse,
     make_map_response as make_map_response,
-)
-from palpate.field.field_responses import (
-    no_field_reason as no_field_reason,
-    nodal_load as nodal_load,
 )
 from palpate.field.poke_responses import (
     PokeModel as PokeModel,

@@ -33,7 +33,12 @@ from scipy.spatial import cKDTree
 from palpate.estimation import Evaluation, ProbeObservations
 from palpate.field.field_fit import information_about, make_model
 from palpate.field.field_prior import STDS, best_evidence
-from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
+from palpate.field.field_responses import (
+    FieldExpansion,
+    FieldModel,
+    PushModel,
+    smooth_prior,
+)
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness
@@ -170,7 +175,10 @@ def _expansions(
         else:
             derivative = _by_support(model.body, stiffness, seen, moved)
         none = np.zeros(derivative.shape[-1])
-        expansions.append(FieldExpansion(model, none, poisson_ratio, change, change, derivative))
+        same = np.ones(len(model.load.T)), np.zeros((len(model.load.T), len(none))), change
+        expansions.append(
+            FieldExpansion(model, none, poisson_ratio, *same, change, change, derivative)
+        )
     return expansions
 
 

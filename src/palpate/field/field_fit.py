@@ -17,10 +17,12 @@ from palpate.estimation import (
     observed_rows_of,
     with_noise,
 )
+from palpate.field.elements import (
+    ELEMENTS,
+)
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
 from palpate.field.field_responses import (
-    ELEMENTS,
     FieldExpansion,
     FieldModel,
     make_field_model,
@@ -36,8 +38,6 @@ _TOLERANCE = 0.03
 # Change of Poisson's ratio for which the finite elements are solved anew: what a field changes
 # hardly depends on it.
 SAME_RATIO = 0.02
-# A change over the one before it, above which the fields go to and fro.
-_FALLS = 0.7
 # Longest step of log G: derivatives are those of the body as it is.
 _LONGEST = 1.5
 # Evidence over that of a body that is the same everywhere from which it is not: exp(10).
@@ -138,7 +138,7 @@ def fit_field(
     modes, minimum = model.modes, plain
     coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
     homogeneous = model.moved(coefficients, ratio)
-    new, before, step = coefficients, np.inf, 1.0
+    new, step = coefficients, np.zeros_like(coefficients)
     for iteration in range(_MOST_ROUNDS):
         progress("field of the modulus", 1.0 - 0.7**iteration)
         expansion = model.expanded(coefficients, ratio, homogeneous)
@@ -154,9 +154,9 @@ def fit_field(
             observed = expansion.observations(smooth_prior(modes.mixing_of(prior)))
             return FieldFit(expansion, prior, evidence, observed)
         # Of steps that go to and fro the middle is nearer.
-        step = 0.5 * step if change > _FALLS * before else 1.0
-        coefficients = coefficients + min(step, _LONGEST / change) * (new - coefficients)
-        before = change
+        step, before = new - coefficients, step
+        share = 0.5 if step @ before < 0.0 else 1.0
+        coefficients = coefficients + min(share, _LONGEST / change) * step
         if abs(minimum.poisson_ratio - ratio) > SAME_RATIO:
             ratio = minimum.poisson_ratio
             homogeneous = model.moved(np.zeros_like(coefficients), ratio)

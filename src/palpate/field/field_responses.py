@@ -1,11 +1,13 @@
 """What a field of moduli changes in the responses of a session's probings.
 
 The homogeneous body's response stays that of the boundary elements; finite elements give the
-difference of a body with a field from one without, so that their own error cancels to first order:
+difference of a body with a field from one without. Their own error is mostly in the dent under the
+tool, and that goes with the modulus there: of what boundary and finite elements differ by for the
+homogeneous body, s times as much is missed, s the mean modulus over that under the tool.
 
-    u(b, nu) = u(0, nu) + d(b0, nu) + S(b0) (b - b0),
+    u(b, nu) = u(0, nu) + d(b0, nu) + (s(b0) - 1) (u(0) - u_FE(0)) + S(b0) (b - b0),
 
-d the difference at the coefficients b0 about which it is expanded, S its derivative there.
+d the difference at the coefficients b0 about which it is expanded, S the derivative of all of it.
 """
 
 from abc import ABC, abstractmethod
@@ -17,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, kron, vstack
 
-from palpate.errors import InputError, MeshError
+from palpate.errors import InputError
 from palpate.estimation import (
     Nuisance,
     NuisanceParameter,
@@ -26,29 +28,30 @@ from palpate.estimation import (
     ResponseTerms,
     Settlement,
 )
+from palpate.field.elements import (
+    ELEMENTS,
+    depth_below,
+    elements_under,
+    filled,
+    no_field_reason,
+    nodal_loads,
+)
 from palpate.field.field_prior import FieldModes, make_field_modes
-from palpate.geometry import TriangleMesh, closest_points, enclosed_volume
-from palpate.probe import find_contact_patch
-from palpate.records import FIXED, RIGID, Probing, Session
+from palpate.geometry import TriangleMesh, closest_points
+from palpate.records import Session
 from palpate.shapes import Points
 from palpate.solids import (
     GradedBody,
     GradedStiffness,
     Solid,
     held_nodes,
-    inner_points,
     make_graded_body,
-    make_solid,
     surface_values,
     with_moduli,
 )
 
-# Number of elements; the volume of one over the cube of its edge.
-ELEMENTS, VOLUME = 4500, 0.118
 # Change of Poisson's ratio for the derivative of d.
 _STEP = 0.005
-# Points along the side of a triangle where the pressure of a contact is taken.
-_SAMPLES = 12
 # Begins the names of a field's coefficients; what the budget calls them together.
 _MODE, _SOURCE = "mode of the modulus", "modulus that differs from place to place"
 
@@ -129,6 +132,11 @@ class FieldModel(ABC):
     def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, "*n"]:
         """What an expansion keeps of the displacements of every node under each load."""
 
+    @property
+    def under_loads(self) -> Float[np.ndarray, "k b"]:
+        """Modes under each load, by which s changes: means over the elements there."""
+        return np.zeros((self.load.shape[1], self.modes.modes.shape[1]))
+
     @abstractmethod
     def derivative(
         self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
@@ -185,10 +193,14 @@ class FieldModel(ABC):
         """
         stiffness = self.stiffness(coefficients, poisson_ratio)
         moved = stiffness.displacements(self.load)
-        change, derivative = self.seen(moved - homogeneous), self.derivative(stiffness, moved)
+        local = self.under_loads
+        scale = np.exp(-local @ coefficients)
+        change = self.seen(moved - homogeneous)
         return FieldExpansion(
-            self, coefficients, poisson_ratio, change, np.zeros_like(change), derivative
-        )
+            self, coefficients, poisson_ratio, scale, -scale[:, None] * local,
+            self.seen(homogeneous), change, np.zeros_like(change),
+            self.derivative(stiffness, moved),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,6 +212,9 @@ class FieldExpansion:
     model : FieldModel
     coefficients : (b,) float                   b0
     poisson_ratio : float [-]                   nu0
+    scale : (k,) float                          s of each probing
+    scale_change : (k, b) float                 its derivative
+    homogeneous : (..., k) float                u_FE(0), as `change`
     change : (..., k) float                     d under the load of each probing (`FieldModel.seen`)
     slope : (..., k) float                      its derivative with respect to Poisson's ratio; zero
                                                 until it is asked for
@@ -209,6 +224,9 @@ class FieldExpansion:
     model: FieldModel
     coefficients: Float[np.ndarray, " b"]
     poisson_ratio: float
+    scale: Float[np.ndarray, " k"]
+    scale_change: Float[np.ndarray, "k b"]
+    homogeneous: Float[np.ndarray, "*n"]
     change: Float[np.ndarray, "*n"]
     slope: Float[np.ndarray, "*n"]
     derivative: Float[np.ndarray, "*d b"]
@@ -271,18 +289,25 @@ class PushModel(FieldModel):
     corners : (c,) int              nodes on the surface at which derivatives are computed: those
                                     about the observed points
     points : tuple of SeenPoints    of every probing
+    near : (k, m) sparse [-]        weights of the elements under each load; rows add up to 1
     """
 
     corners: Int[np.ndarray, " c"]
     points: tuple[SeenPoints, ...]
+    near: csr_array
 
     def under(
         self, session: Session, observations: Sequence[ProbeObservations] = ()
     ) -> "PushModel":
         """See `FieldModel`."""
-        seen = _seen(self.body, session, observations)
-        load = _nodal_loads(session, self.body.solid)
-        return PushModel(self.body, self.modes, load, session, tuple(observations), *seen)
+        seen, load = _seen(self.body, session, observations), nodal_loads(session, self.body.solid)
+        near = elements_under(self.body.solid, load)
+        return PushModel(self.body, self.modes, load, session, tuple(observations), *seen, near)
+
+    @property
+    def under_loads(self) -> Float[np.ndarray, "k b"]:
+        """See `FieldModel`."""
+        return self.near @ self.body.means(self.modes.modes)
 
     def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, "n3 k"]:
         """All of it."""
@@ -330,14 +355,25 @@ def _changed(
 ) -> ProbeObservations:
     """Observations of one probing with what a field changes."""
     derivative = points.from_corners @ expansion.derivative[index]
+    more = expansion.scale[index] - 1.0
+
+    def missed(response: ResponseModel, rows: csr_array) -> Float[np.ndarray, " r"]:
+        """What finite elements lack of the homogeneous body's displacement."""
+        moved = response.value(expansion.poisson_ratio)[:, :3] @ probe.force
+        return np.asarray(moved - rows @ expansion.homogeneous[:, index])
+
+    own = missed(probe.response, points.from_nodes)
+    derivative += own[:, None] * expansion.scale_change[index]
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
     here = points.from_nodes @ moved + derivative @ expected
+    here[:, 0] += more * own
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
     if vertices is not None:
         there = points.vertices @ moved
+        there[:, 0] += more * missed(vertices, points.vertices)
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
     mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
 
@@ -474,116 +510,6 @@ def push_model(
     modes_of : callable             gives `FieldModel.modes`
     """
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
-    seen, load = _seen(body, session, observations), _nodal_loads(session, solid)
-    return PushModel(body, modes_of(body), load, session, tuple(observations), *seen)
-
-
-def depth_below(session: Session, points: Points) -> Float[np.ndarray, " p"]:
-    """Distance of points from the free surface [m].
-
-    Parameters
-    ----------
-    session : Session
-    points : (p, 3) float [m]
-    """
-    free = np.delete(session.mesh.triangles, session.held_triangles, axis=0)
-    return closest_points(TriangleMesh(session.mesh.vertices, free), points).distance
-
-
-def no_field_reason(session: Session) -> str:
-    """Why no modulus that differs from place to place is computed for a session, as a full
-    sentence; empty where one is.
-
-    Parameters
-    ----------
-    session : Session
-    """
-    if len(session.probings) < 2:
-        return (
-            "A modulus that differs from place to place takes pushes at several places; this is a"
-            " single one."
-        )
-    supports = session.supports
-    # One support that moves takes the whole body along, whatever its moduli.
-    still = len(supports) == 1 or all(support.motion == FIXED for support in supports)
-    rigid = all(each.stiffness is None and each.directions is None for each in supports)
-    pulled = any(probing.contact.profile == RIGID for probing in session.probings)
-    loaded = session.gravity is not None or any(each.loads for each in session.probings)
-    if still and rigid and not pulled and not loaded:
-        return ""
-    return (
-        "A modulus that differs from place to place is computed for an object on a support that"
-        " holds it still, pushed by one tool at a time: springs, rollers, supports that move"
-        " against each other, further loads and weight are not among that."
-    )
-
-
-def filled(mesh: TriangleMesh, counts: Sequence[int]) -> tuple[Solid, float]:
-    """The body in the fewest elements that fit into it, and their edge [m].
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    counts : sequence of int        of elements, about, ascending
-
-    Raises
-    ------
-    MeshError                       not even the most of them fit
-    """
-    volume = enclosed_volume(mesh)
-    for count in counts:
-        edge = (volume / (VOLUME * count)) ** (1.0 / 3.0)
-        try:
-            return make_solid(mesh, edge=edge), edge
-        except MeshError:
-            if count == counts[-1]:
-                raise
-    raise AssertionError
-
-
-def _nodal_loads(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k"]:
-    """Nodal forces of every probing, (3 n, k) [N]."""
-    loads = [_nodal_load(session, probing, solid) for probing in session.probings]
-    return np.stack(loads, axis=1)
-
-
-def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.ndarray, " n3"]:
-    """Nodal forces of the traction under a tool, (3 n,) [N]."""
-    patch = find_contact_patch(
-        session.mesh, probing.contact, session.held_triangles, name=probing.name
-    )
-    return nodal_load(session.mesh, patch.triangles, patch.density, probing.force, solid)
-
-
-def nodal_load(
-    mesh: TriangleMesh,
-    triangles: Int[np.ndarray, " k"],
-    density: Callable[..., Float[np.ndarray, " s"]],
-    force: Float[np.ndarray, "3"],
-    solid: Solid,
-) -> Float[np.ndarray, " n3"]:
-    """Nodal forces of a traction on a surface.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    triangles : (k,) int            that carry it
-    density : function              triangle, barycentric coordinates, position -> (s,) float: the
-                                    traction there, up to a factor
-    force : (3,) float [N]          its resultant
-    solid : Solid
-
-    Returns
-    -------
-    (3 n,) float [N]
-    """
-    inside = inner_points(_SAMPLES)
-    triangle = np.repeat(triangles, len(inside))
-    barycentric = np.tile(inside, (len(triangles), 1))
-    corner = mesh.vertices[mesh.triangles[triangle]]
-    position = np.einsum("nv,nva->na", barycentric, corner)
-    side = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    weight = density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
-    pressed = weight > 0.0
-    share = surface_values(solid, position[pressed]).T @ weight[pressed]
-    return np.outer(share / share.sum(), force).ravel()
+    seen, load = _seen(body, session, observations), nodal_loads(session, solid)
+    near = elements_under(solid, load)
+    return PushModel(body, modes_of(body), load, session, tuple(observations), *seen, near)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 
 from palpate.estimation import (
     Nuisance,
@@ -24,14 +24,17 @@ from palpate.estimation import (
     ResponseModel,
     ResponseTerms,
 )
+from palpate.field.elements import (
+    ELEMENTS,
+    depth_below,
+    elements_under,
+    filled,
+)
 from palpate.field.field_prior import make_field_modes
 from palpate.field.field_responses import (
-    ELEMENTS,
     CoefficientPrior,
     FieldExpansion,
     FieldModel,
-    depth_below,
-    filled,
 )
 from palpate.geometry import CREASE_ANGLE, triangle_distances, unit_normals
 from palpate.probe import GROWTH, dent
@@ -239,24 +242,19 @@ def _loads(
     body: GradedBody, edge: float, session: Session
 ) -> tuple[Float[np.ndarray, "n3 k"], Float[np.ndarray, " k"], csr_array]:
     """`load`, `spread` and `near` of the pokes of a session."""
-    solid, share, load, spread = body.solid, list[np.ndarray](), list[np.ndarray](), []
+    solid, load, spread = body.solid, list[np.ndarray](), []
     normals = unit_normals(session.mesh)
     for probing in session.probings:
         away = triangle_distances(session.mesh, probing.contact.point)
         turned = normals @ normals[int(away.argmin())] < np.cos(CREASE_ANGLE)
         radius = float(away[turned].min(initial=_SPREAD * edge))
         patch = probing.contact.point, max(radius, _LEAST_SPREAD * edge), _smooth
-        share.append(pressure_load(solid, *patch))
+        share = pressure_load(solid, *patch)
         spread.append(half_space_compliance(solid, *patch))
         push = probing.force / np.linalg.norm(probing.force)
-        load.append(np.outer(share[-1], push).ravel())
-    count = len(solid.elements)
-    row = np.repeat(np.arange(count), solid.elements.shape[1])
-    entries = (np.ones(row.size), (row, solid.elements.ravel()))
-    incidence = csr_array(coo_array(entries, shape=(count, len(solid.nodes))))
-    # A node's share of the load to the elements about it.
-    near = csr_array(np.stack(share) / incidence.sum(axis=0) @ incidence.T)
-    return np.stack(load, axis=1), np.array(spread), near
+        load.append(np.outer(share, push).ravel())
+    every = np.stack(load, axis=1)
+    return every, np.array(spread), elements_under(solid, every)
 
 
 def _smooth(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
