@@ -9,9 +9,7 @@ from surfaces import box
 
 from palpate.estimation import ProbeObservations
 from palpate.field.explanations import Cause, _parts
-from palpate.field.field_responses import (
-    at_points,
-)
+from palpate.field.field_responses import at_points
 from palpate.records import Contact, Probing, Session
 from palpate.solids.finite_elements import hooke_moduli, quadratic_basis, stiffness_matrix
 

@@ -16,9 +16,7 @@ from palpate.field.explanations import (
     evidence_of_errors,
     explanations,
 )
-from palpate.field.field_responses import (
-    make_field_model,
-)
+from palpate.field.field_responses import make_field_model
 
 
 @pytest.fixture(scope="module")

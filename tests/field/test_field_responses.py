@@ -9,15 +9,8 @@ from surfaces import box
 
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, ResponseTerms
-from palpate.field.elements import (
-    no_field_reason,
-)
-from palpate.field.field_responses import (
-    PushModel,
-    at_points,
-    make_field_model,
-    smooth_prior,
-)
+from palpate.field.elements import no_field_reason
+from palpate.field.field_responses import PushModel, at_points, make_field_model, smooth_prior
 from palpate.records import Contact, Probing, Session, Support
 
 RATIO, PUSHES = 0.3, (((0.02, 0.02, 0.04), (0.3, 0.1, -1.0)), ((0.01, 0.0, 0.025), (0.0, 2.0, 0.5)))

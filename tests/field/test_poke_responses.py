@@ -8,9 +8,7 @@ from surfaces import box
 
 from palpate.estimation import ProbeObservations, ResponseTerms, Settlement
 from palpate.field import PokeResponse, dents, growths, make_poke_model
-from palpate.field.field_responses import (
-    smooth_prior,
-)
+from palpate.field.field_responses import smooth_prior
 from palpate.records import Contact, Probing, Session, Tool
 from palpate.solids import (
     held_nodes,

@@ -12,10 +12,7 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, fit
 from palpate.field.field_prior import FieldModes
-from palpate.field.field_responses import (
-    at_points,
-    push_model,
-)
+from palpate.field.field_responses import at_points, push_model
 from palpate.field.regions import check_regions, fit_regions, make_region_model
 from palpate.records import (
     RATIO,

@@ -5,9 +5,7 @@ from field.caused import NU, noisy, session
 
 from palpate.estimation import FitSettings, fit
 from palpate.field import Cause
-from palpate.field.field_responses import (
-    make_field_model,
-)
+from palpate.field.field_responses import make_field_model
 from palpate.pipeline.heterogeneous import Material, fit_other_causes
 from palpate.progress import silent
 from palpate.records import Status

@@ -33,12 +33,7 @@ from scipy.spatial import cKDTree
 from palpate.estimation import Evaluation, ProbeObservations
 from palpate.field.field_fit import information_about, make_model
 from palpate.field.field_prior import STDS, best_evidence
-from palpate.field.field_responses import (
-    FieldExpansion,
-    FieldModel,
-    PushModel,
-    smooth_prior,
-)
+from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness
@@ -164,7 +159,7 @@ def _expansions(
     moved = stiffness.displacements(model.load)
     change = model.seen(0.0 * moved)
     seen = stiffness.displacements(model.unit_loads) if isinstance(model, PushModel) else None
-    expansions = []
+    expansions, count = list[FieldExpansion](), model.load.shape[1]
     for cause in causes:
         if seen is None:
             derivative = model.derivative(stiffness, moved)
@@ -175,7 +170,7 @@ def _expansions(
         else:
             derivative = _by_support(model.body, stiffness, seen, moved)
         none = np.zeros(derivative.shape[-1])
-        same = np.ones(len(model.load.T)), np.zeros((len(model.load.T), len(none))), change
+        same = np.ones(count), np.zeros((count, len(none))), change
         expansions.append(
             FieldExpansion(model, none, poisson_ratio, *same, change, change, derivative)
         )

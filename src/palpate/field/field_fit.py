@@ -17,17 +17,10 @@ from palpate.estimation import (
     observed_rows_of,
     with_noise,
 )
-from palpate.field.elements import (
-    ELEMENTS,
-)
+from palpate.field.elements import ELEMENTS
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
-from palpate.field.field_responses import (
-    FieldExpansion,
-    FieldModel,
-    make_field_model,
-    smooth_prior,
-)
+from palpate.field.field_responses import FieldExpansion, FieldModel, make_field_model, smooth_prior
 from palpate.field.poke_responses import make_poke_model
 from palpate.progress import Progress, silent
 from palpate.records import FieldEstimate, Session, without_pictures

@@ -24,18 +24,9 @@ from palpate.estimation import (
     ResponseModel,
     ResponseTerms,
 )
-from palpate.field.elements import (
-    ELEMENTS,
-    depth_below,
-    elements_under,
-    filled,
-)
+from palpate.field.elements import ELEMENTS, depth_below, elements_under, filled
 from palpate.field.field_prior import make_field_modes
-from palpate.field.field_responses import (
-    CoefficientPrior,
-    FieldExpansion,
-    FieldModel,
-)
+from palpate.field.field_responses import CoefficientPrior, FieldExpansion, FieldModel
 from palpate.geometry import CREASE_ANGLE, triangle_distances, unit_normals
 from palpate.probe import GROWTH, dent
 from palpate.records import Session, Tool

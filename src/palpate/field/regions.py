@@ -21,20 +21,11 @@ from palpate.estimation import (
     ResponseTerms,
     joint_minimum,
 )
-from palpate.field.elements import (
-    ELEMENTS,
-    VOLUME,
-    no_field_reason,
-)
+from palpate.field.elements import ELEMENTS, VOLUME, no_field_reason
 from palpate.field.field_fit import SAME_RATIO, modes_in
 from palpate.field.field_map import leading_directions
 from palpate.field.field_prior import FieldModes
-from palpate.field.field_responses import (
-    CoefficientPrior,
-    FieldExpansion,
-    PushModel,
-    push_model,
-)
+from palpate.field.field_responses import CoefficientPrior, FieldExpansion, PushModel, push_model
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
 from palpate.progress import Progress, silent
 from palpate.records import (

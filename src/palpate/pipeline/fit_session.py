@@ -337,7 +337,7 @@ def _agreement(tested: Reciprocity | None) -> list[str]:
 
 def _load_notes(session: Session, result: FitResult) -> list[str]:
     """A note on a modulus that changes with the load."""
-    found = None if result.minimum is None else load_dependence(session, result.minimum)
+    found = load_dependence(session, result.minimum)
     if found is None or not found.is_significant:
         return []
     estimate = result.estimate
