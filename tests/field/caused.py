@@ -24,13 +24,13 @@ PUSHES = (
 PAIRS, COUNTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)), np.sqrt([1, 1, 1, 2, 2, 2])
 
 
-def session():
-    mesh = box(size=(SIDE, SIDE, SIDE), cells=6)
+def session(pushes=PUSHES, cells=6):
+    mesh = box(size=(SIDE, SIDE, SIDE), cells=cells)
     held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1))
     probings = tuple(
         Probing(f"n{k}", Contact(np.array(point), 6e-3, "smooth"), np.array(force), None, None,
                 None, None, None)
-        for k, (point, force) in enumerate(PUSHES)
+        for k, (point, force) in enumerate(pushes)
     )  # fmt: skip
     return Session("cube", Path(), mesh, held, probings, None, None, None, ())
 

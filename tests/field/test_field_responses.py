@@ -1,17 +1,16 @@
 """Responses with a field against bodies that are solved with it, and the loads' resultants."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from surfaces import box
+from field.caused import session as pushed_cube
 
 from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, ResponseTerms
 from palpate.field.elements import no_field_reason
 from palpate.field.field_responses import PushModel, at_points, make_field_model, smooth_prior
-from palpate.records import Contact, Probing, Session, Support
+from palpate.records import Support
 
 RATIO, PUSHES = 0.3, (((0.02, 0.02, 0.04), (0.3, 0.1, -1.0)), ((0.01, 0.0, 0.025), (0.0, 2.0, 0.5)))
 
@@ -27,14 +26,7 @@ class Rigid:
 
 
 def session():
-    mesh = box(size=(0.04, 0.04, 0.04), cells=4)
-    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1))
-    probings = tuple(
-        Probing(f"n{k}", Contact(np.array(point), 6e-3, "smooth"), np.array(force), None, None,
-                None, None, None)
-        for k, (point, force) in enumerate(PUSHES)
-    )  # fmt: skip
-    return Session("cube", Path(), mesh, held, probings, None, None, None, ())
+    return pushed_cube(PUSHES, cells=4)
 
 
 @pytest.fixture(scope="module")
