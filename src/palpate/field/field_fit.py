@@ -146,7 +146,7 @@ def fit_field(
             evidence = _log_bayes_factor(minimum, plain, settings)
             observed = expansion.observations(smooth_prior(modes.mixing_of(prior)))
             return FieldFit(expansion, prior, evidence, observed)
-        # Of steps that go to and fro the middle is nearer.
+        # Of steps that alternate the middle is nearer.
         step, before = new - coefficients, step
         share = 0.5 if step @ before < 0.0 else 1.0
         coefficients = coefficients + min(share, _LONGEST / change) * step
