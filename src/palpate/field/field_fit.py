@@ -1,7 +1,8 @@
 """The field of moduli that explains a session's displacements, and its evidence."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,21 +21,31 @@ from palpate.estimation import (
 from palpate.field.elements import ELEMENTS
 from palpate.field.field_map import FieldPosterior
 from palpate.field.field_prior import FieldPrior
-from palpate.field.field_responses import FieldExpansion, FieldModel, make_field_model, smooth_prior
+from palpate.field.field_responses import (
+    CoefficientPrior,
+    FieldExpansion,
+    FieldModel,
+    make_field_model,
+    smooth_prior,
+)
 from palpate.field.poke_responses import make_poke_model
 from palpate.progress import Progress, silent
 from palpate.records import FieldEstimate, Session, without_pictures
 
-_MOST_ROUNDS = 10
+_MOST_ROUNDS = 20
+# In the first of these the prior of most evidence is looked for.
+_CHOOSING = 5
 # Change of log G anywhere that ends the rounds: of second order in what it leaves.
 _TOLERANCE = 0.03
 # Change of Poisson's ratio for which the finite elements are solved anew: what a field changes
 # hardly depends on it.
-SAME_RATIO = 0.02
+_SAME_RATIO = 0.02
 # Longest step of log G: derivatives are those of the body as it is.
 _LONGEST = 1.5
 # Evidence over that of a body that is the same everywhere from which it is not: exp(10).
 DECISIVE = 10.0
+
+Prior = TypeVar("Prior", bound=FieldPrior | CoefficientPrior)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,35 +138,93 @@ def fit_field(
     """
     progress("finite elements", 0.0)
     model = make_model(session, observations)
-    plain = joint_minimum(observations, settings)
-    modes, minimum = model.modes, plain
-    coefficients, ratio = np.zeros(modes.modes.shape[1]), plain.poisson_ratio
-    homogeneous = model.moved(coefficients, ratio)
-    new, step = coefficients, np.zeros_like(coefficients)
-    for iteration in range(_MOST_ROUNDS):
-        progress("field of the modulus", 1.0 - 0.7**iteration)
-        expansion = model.expanded(coefficients, ratio, homogeneous)
+    plain, modes = joint_minimum(observations, settings), model.modes
+
+    def fitted(
+        expansion: FieldExpansion, last: Fitted[FieldPrior], iteration: int
+    ) -> Fitted[FieldPrior]:
+        prior = last.prior
         # Two priors of nearly the same evidence must not take turns.
-        if iteration < _MOST_ROUNDS // 2:
-            prior = modes.best_prior(*information_about(expansion, minimum, new))
-        minimum = _minimum(expansion, prior, minimum, new, settings)
-        new = modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)]
-        change = float(np.abs(modes.modes @ (new - coefficients)).max())
-        if change < _TOLERANCE:
-            expansion = expansion.with_slope()
-            evidence = _log_bayes_factor(minimum, plain, settings)
-            observed = expansion.observations(smooth_prior(modes.mixing_of(prior)))
-            return FieldFit(expansion, prior, evidence, observed)
+        if iteration < _CHOOSING:
+            prior = modes.best_prior(*information_about(expansion, last.minimum, last.coefficients))
+        minimum = _minimum(expansion, prior, last.minimum, last.coefficients, settings)
+        return Fitted(minimum, modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)], prior)
+
+    start = Fitted(plain, np.zeros(modes.modes.shape[1]), FieldPrior(0.0, 0.0))
+    expansion, found = expanded_about_best(
+        model, start, fitted, tolerance=_TOLERANCE, what="the field of the modulus",
+        progress=progress,
+    )  # fmt: skip
+    evidence = _log_bayes_factor(found.minimum, plain, settings)
+    observed = expansion.observations(smooth_prior(modes.mixing_of(found.prior)))
+    return FieldFit(expansion, found.prior, evidence, observed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted(Generic[Prior]):
+    """What best explains the data to first order about other coefficients.
+
+    Attributes
+    ----------
+    minimum : Evaluation
+    coefficients : (b,) float
+    prior : FieldPrior or CoefficientPrior      under which they were found
+    """
+
+    minimum: Evaluation
+    coefficients: Float[np.ndarray, " b"]
+    prior: Prior
+
+
+def expanded_about_best(
+    model: FieldModel,
+    start: Fitted[Prior],
+    fitted: Callable[[FieldExpansion, Fitted[Prior], int], Fitted[Prior]],
+    *,
+    tolerance: float,
+    what: str,
+    progress: Progress = silent,
+) -> tuple[FieldExpansion, Fitted[Prior]]:
+    """Expand about coefficients until those that fit best are the same.
+
+    Parameters
+    ----------
+    model : FieldModel
+    start : Fitted
+    fitted : callable               an expansion, what fitted best before and the number of rounds
+                                    before -> what fits best with this expansion
+    tolerance : float               change of log G anywhere that ends the rounds
+    what : str                      of which the modulus is looked for, for messages
+    progress : callable
+
+    Returns
+    -------
+    FieldExpansion, Fitted
+
+    Raises
+    ------
+    NotConvergedError               the coefficients do not settle
+    """
+    coefficients, ratio, best = start.coefficients, start.minimum.poisson_ratio, start
+    homogeneous = model.moved(np.zeros_like(coefficients), ratio)
+    step = np.zeros_like(coefficients)
+    for iteration in range(_MOST_ROUNDS):
+        progress(what, 1.0 - 0.7**iteration)
+        expansion = model.expanded(coefficients, ratio, homogeneous)
+        best = fitted(expansion, best, iteration)
+        change = float(np.abs(model.modes.modes @ (best.coefficients - coefficients)).max())
+        if change < tolerance:
+            return expansion.with_slope(), best
         # Of steps that alternate the middle is nearer.
-        step, before = new - coefficients, step
+        step, before = best.coefficients - coefficients, step
         share = 0.5 if step @ before < 0.0 else 1.0
         coefficients = coefficients + min(share, _LONGEST / change) * step
-        if abs(minimum.poisson_ratio - ratio) > SAME_RATIO:
-            ratio = minimum.poisson_ratio
+        if abs(best.minimum.poisson_ratio - ratio) > _SAME_RATIO:
+            ratio = best.minimum.poisson_ratio
             homogeneous = model.moved(np.zeros_like(coefficients), ratio)
     raise NotConvergedError(
-        f"the field of the modulus still changes by {100.0 * change:.0f} % after {_MOST_ROUNDS}"
-        " rounds: the displacements contradict each other; check units, forces and contacts"
+        f"{what} still changes by {100.0 * change:.0f} % after {_MOST_ROUNDS} rounds: the"
+        " displacements contradict each other; check units, forces and contacts"
     )
 
 

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float
 
-from palpate.errors import InputError, NotConvergedError
+from palpate.errors import InputError
 from palpate.estimation import (
     Evaluation,
     FitSettings,
@@ -22,7 +22,7 @@ from palpate.estimation import (
     joint_minimum,
 )
 from palpate.field.elements import ELEMENTS, VOLUME, no_field_reason
-from palpate.field.field_fit import SAME_RATIO, modes_in
+from palpate.field.field_fit import Fitted, expanded_about_best, modes_in
 from palpate.field.field_map import leading_directions
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import CoefficientPrior, FieldExpansion, PushModel, push_model
@@ -50,10 +50,8 @@ from palpate.solids import (
     with_moduli,
 )
 
-_MOST_ROUNDS = 20
 # Change of the logarithm of a modulus that ends the rounds: of second order in what it leaves.
 _TOLERANCE = 0.01
-_LONGEST = 1.5
 # Standard deviation of the logarithm of a ratio of which nothing is known: within a factor of 100.
 _UNKNOWN = float(np.log(10.0))
 # Points along the longest side of a body at which its regions are looked at.
@@ -195,31 +193,22 @@ def fit_regions(
     """
     progress("finite elements", 0.0)
     model = make_region_model(session, observations)
-    minimum = joint_minimum(observations, settings)
-    ratio, modulus = minimum.poisson_ratio, minimum.shear_modulus
-    coefficients = _prior(session.regions, ratio, modulus).mean
-    homogeneous = model.moved(0.0 * coefficients, ratio)
-    for iteration in range(_MOST_ROUNDS):
-        progress("moduli of the regions", 1.0 - 0.7**iteration)
-        expansion = model.expanded(coefficients, ratio, homogeneous)
-        prior = _prior(session.regions, ratio, modulus)
+
+    def fitted(
+        expansion: FieldExpansion, last: Fitted[CoefficientPrior], _iteration: int
+    ) -> Fitted[CoefficientPrior]:
+        prior = _prior(session.regions, expansion.poisson_ratio, last.minimum.shear_modulus)
         minimum = joint_minimum(expansion.observations(prior), settings)
-        new, _ = _log_ratios(minimum, prior)
-        change = float(np.abs(new - coefficients).max())
-        if change < _TOLERANCE:
-            expansion = expansion.with_slope()
-            observed = _with_cut_elements(expansion, prior)
-            return RegionFit(session.regions, expansion, prior, observed)
-        step = min(1.0, _LONGEST / change)
-        coefficients = coefficients + step * (new - coefficients)
-        modulus = minimum.shear_modulus
-        if abs(minimum.poisson_ratio - ratio) > SAME_RATIO:
-            ratio = minimum.poisson_ratio
-            homogeneous = model.moved(0.0 * coefficients, ratio)
-    raise NotConvergedError(
-        f"the moduli of the regions still change by {100.0 * change:.0f} % after {_MOST_ROUNDS}"
-        " rounds: the displacements contradict each other; check units, forces and contacts"
-    )
+        return Fitted(minimum, _log_ratios(minimum, prior)[0], prior)
+
+    plain = joint_minimum(observations, settings)
+    prior = _prior(session.regions, plain.poisson_ratio, plain.shear_modulus)
+    expansion, found = expanded_about_best(
+        model, Fitted(plain, prior.mean, prior), fitted, tolerance=_TOLERANCE,
+        what="the modulus of a region", progress=progress,
+    )  # fmt: skip
+    observed = _with_cut_elements(expansion, found.prior)
+    return RegionFit(session.regions, expansion, found.prior, observed)
 
 
 def _with_cut_elements(
