@@ -13,7 +13,7 @@ from palpate.estimation import (
     ProbeFit,
     at_constants,
 )
-from palpate.estimation.predictions import probe_estimate, probe_fits
+from palpate.estimation.predictions import probe_estimate, probe_fits, size_of_errors
 from palpate.pipeline.model.shared_errors import force_gain
 from palpate.records import Constant
 
@@ -126,3 +126,29 @@ def test_points_are_counted_and_residuals_averaged() -> None:
         IntervalSet(ratio, modulus, modulus), KNOWN, replace(fit, left_out_predicted=None)
     )
     assert alone.prediction_error is None
+
+
+def test_the_size_of_errors_is_that_with_which_they_were_drawn():
+    rng = np.random.default_rng(8)
+    count, draws = 30, 300
+    for size in (0.2, 1.0, 3.0):
+        for noise in (0.1, 0.5):
+            logs = []
+            for _ in range(draws):
+                measured = size * rng.normal(size=count) + noise * rng.normal(size=count)
+                told = 1.0 / (1.0 + noise**2)
+                std = np.full(count, np.sqrt(1.0 - told))
+                logs.append(np.log(size_of_errors(told * measured, std) / size))
+            # A standard deviation from 30 of them has a relative error of 1 / sqrt(60), more by
+            # what the noise hides of the smaller ones.
+            expected = (1.0 + (noise / size) ** 2) / np.sqrt(2.0 * count)
+            assert abs(np.median(logs)) < expected
+            # Six tenths: what noise hides is not known better than before.
+            assert np.std(logs) < max(1.6 * expected, 0.2)
+
+
+def test_where_the_data_tell_nothing_errors_are_as_large_as_their_prior_says():
+    nothing = size_of_errors(np.zeros(5), np.ones(5))
+    # The nearest size of those that are looked at.
+    assert nothing == pytest.approx(1.0, rel=0.02)
+    assert size_of_errors(np.zeros(0), np.zeros(0)) == nothing

@@ -12,12 +12,16 @@ from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import NuisanceParameter, ProbeObservations
 from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.posterior import IntervalSet
+from palpate.estimation.problem import MODEL
 from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices
 
 # A point of smaller robust weight counts as rejected: 4.9 sigma for three components.
 _MIN_WEIGHT = 0.25
 _LONGEST_STEP = 2.0
+# Sizes of errors over those of their priors that are looked at, and how far off a prior may be:
+# the standard deviation of the logarithm of the size.
+_SIZES, _FACTOR = np.geomspace(0.05, 20.0, 200), float(np.log(3.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +68,9 @@ class Prediction:
     std : (n, 3) float [m]                  of the prediction: constants, forces, all other errors
                                             and the model's own; without the measurement's noise
     noise : (n, 3) float [m]                standard deviation of that noise; NaN where not measured
+    sizes : mapping                         source of errors of single probings -> how large those
+                                            of the fitted ones are over their priors, which `std`
+                                            takes these to be, too
     """
 
     name: str
@@ -72,6 +79,7 @@ class Prediction:
     predicted: Points
     std: Points
     noise: Points
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
 
 def predictions_of(
@@ -95,23 +103,65 @@ def predictions_of(
     whole = np.zeros(problem.layout.size)
     whole[:common] = theta[:common]
     residuals, derivatives = problem.linearised(whole)
-    predictions = []
-    for probe, seen, unknown, residual, table in zip(
-        probes, measured, problem.unknown, residuals, derivatives, strict=True
-    ):
-        variance = np.square(table[common:]).sum(axis=0)
+    sizes, sources, predictions = _sizes(minimum), problem.sources, []
+    for probe, seen, block, unknown, residual, table in zip(
+        probes, measured, problem.layout.blocks, problem.unknown, residuals, derivatives,
+        strict=True,
+    ):  # fmt: skip
+        named = sources[block.whole.start : block.errors.stop]
+        own = np.array([sizes.get(source, 1.0) for source in named])
+        variance = np.square(own) @ np.square(table[common:])
         variance += np.einsum(
             "sr,st,tr->r", table[:common], minimum.normal.covariance, table[:common]
         )
-        variance += problem.scale**2 * unknown.total_variance()
+        variance += (problem.scale * sizes.get(MODEL, 1.0)) ** 2 * unknown.total_variance()
         count = 3 * len(probe.position)
         moved, std = (each[:count].reshape(-1, 3) for each in (-residual, np.sqrt(variance)))
         noise = np.full(count + 3, np.nan)
         level = seen.sigma(minimum.problem.level) ** 2
         noise[seen.rows] = np.sqrt(seen.component_variance(level))
         here = (probe.position, probe.displacement, moved, std, noise[:count].reshape(-1, 3))
-        predictions.append(Prediction(probe.name, *here))
+        predictions.append(Prediction(probe.name, *here, sizes))
     return tuple(predictions)
+
+
+def _sizes(minimum: Evaluation) -> dict[str, float]:
+    """Size of the errors of single probings over that of their priors, by source."""
+    problem, common = minimum.problem, minimum.problem.layout.common
+    source = np.array(problem.sources[common:])
+    value, std = minimum.theta[common:], minimum.normal.std[common:]
+    return {
+        str(name): size_of_errors(value[source == name], std[source == name])
+        for name in np.unique(source)
+    }
+
+
+def size_of_errors(value: Float[np.ndarray, " n"], std: Float[np.ndarray, " n"]) -> float:
+    """How large errors are over what their prior says, from their posteriors under it.
+
+    Parameters
+    ----------
+    value, std : (n,) float         of each, in units of its prior's standard deviation
+
+    Returns
+    -------
+    float                           median of the posterior, 1 where the data tell nothing; before
+                                    the data, the size is 1 within a factor of 3
+
+    Source
+    ------
+    Empirical Bayes: Efron and Morris, Data analysis using Stein's estimator and its
+    generalizations, Journal of the American Statistical Association 70 (1975)
+    """
+    told = 1.0 - np.square(std)
+    known = told > 1e-9
+    told, value = told[known], value[known]
+    # A prior of variance 1 leaves these of a likelihood with mean `value / told`.
+    variance = np.square(_SIZES)[:, None] + (1.0 - told) / told
+    log = -0.5 * (np.log(variance) + np.square(value / told) / variance).sum(axis=1)
+    log -= 0.5 * np.square(np.log(_SIZES) / _FACTOR)
+    share = np.cumsum(np.exp(log - log.max()))
+    return float(_SIZES[np.searchsorted(share, 0.5 * share[-1])])
 
 
 def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple[ProbeFit, ...]:

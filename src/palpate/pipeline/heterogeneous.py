@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+
 from palpate.errors import InputError, MeshError, NotConvergedError, SingularSystemError
 from palpate.estimation import (
     Evaluation,
@@ -34,7 +36,7 @@ from palpate.pipeline.model.object_model import make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
 from palpate.pipeline.observations import converged_observations
 from palpate.progress import Progress, part_of
-from palpate.records import Session, Status
+from palpate.records import ProbeEstimate, Session, Status
 
 # Fraction of the work that finding the field takes, and where other causes are asked for.
 _FOUND, _ASKED = 0.7, 0.97
@@ -295,8 +297,32 @@ def _fit_with_field(
     described = field.estimate(posterior)
     estimate = result.estimate
     status = Status.HETEROGENEOUS if estimate.status is Status.OK else estimate.status
+    probes = tuple(
+        replace(probe, homogeneous_error=alone.prediction_error)
+        for probe, alone in zip(estimate.probes, plain.estimate.probes, strict=True)
+    )
     verdict, *parts = described.sentences
+    verdict += _gain(probes)
     sentences = [verdict, *(["; ".join(parts)] if parts else [])]
     notes = tuple(f"{each[0].upper()}{each[1:]}." for each in sentences)
-    estimate = replace(estimate, status=status, field=described, notes=(*notes, *estimate.notes))
+    estimate = replace(
+        estimate, status=status, field=described, probes=probes, notes=(*notes, *estimate.notes)
+    )
     return replace(result, estimate=estimate, map=posterior.map()), field
+
+
+def _gain(probes: Sequence[ProbeEstimate]) -> str:
+    """How much better pushes are predicted from the others with a field, as the end of a
+    sentence; empty of a single push."""
+    pairs = [
+        (probe.prediction_error, probe.homogeneous_error)
+        for probe in probes
+        if probe.prediction_error and probe.homogeneous_error
+    ]
+    if not pairs:
+        return ""
+    share = float(np.median([with_field / with_one for with_field, with_one in pairs]))
+    return (
+        f"; predicted from the others, a push is off by {100.0 * share:.2g} % as much as with one"
+        " modulus, noise included"
+    )

@@ -271,6 +271,8 @@ class ProbeEstimate:
     errors : tuple of ErrorEstimate         systematic errors of this probing alone
     identifiable : mapping                  constant's name -> whether this probing alone determines
                                             it; empty if that was not computed
+    homogeneous_error : float [m] or None   where the body is not the same everywhere:
+                                            `prediction_error` with one modulus
 
     Raises
     ------
@@ -290,12 +292,15 @@ class ProbeEstimate:
     supports: tuple[SupportEstimate, ...] = ()
     errors: tuple[ErrorEstimate, ...] = ()
     identifiable: Mapping[str, bool] = field(default_factory=dict)
+    homogeneous_error: float | None = None
 
     def __post_init__(self) -> None:
         if not self.name.strip():
             raise InputError("name is blank; must be a text")
         _check_not_negative(
-            rms_residual=self.rms_residual, prediction_error=self.prediction_error or 0.0
+            rms_residual=self.rms_residual,
+            prediction_error=self.prediction_error or 0.0,
+            homogeneous_error=self.homogeneous_error or 0.0,
         )
         if self.identifiable:
             _check_identifiable(self.identifiable)

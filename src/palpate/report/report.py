@@ -309,7 +309,8 @@ def _prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[st
 
     Returns
     -------
-    list of list of str             name, rms displacement, prediction error and noise [mm], and
+    list of list of str             name, rms displacement, prediction error (with a field, and with
+                                    one modulus where both were fitted) and noise [mm], and
                                     prediction error over noise
     """
     rows = []
@@ -321,9 +322,12 @@ def _prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[st
         seen = measured[probe.name]
         noise = _rms(np.where(np.isfinite(seen.displacement), seen.sigma, np.nan))
         over = probe.prediction_error / noise if noise > 0.0 else math.nan
+        errors = [probe.prediction_error]
+        if probe.homogeneous_error is not None:
+            errors.append(probe.homogeneous_error)
         rows.append(
             [
-                probe.name, _millimetres(typical), _millimetres(probe.prediction_error),
+                probe.name, _millimetres(typical), *map(_millimetres, errors),
                 _millimetres(noise), f"{over:.2f}" if math.isfinite(over) else "\N{EN DASH}",
             ]
         )  # fmt: skip
