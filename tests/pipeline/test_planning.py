@@ -18,9 +18,9 @@ from palpate.pipeline import (
     NextProbings,
     graded_observations,
     make_object_model,
+    places,
     plan_measurement,
     plan_next,
-    places,
     session_observations,
     with_pictures_measured,
 )

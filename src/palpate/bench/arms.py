@@ -1,7 +1,7 @@
 """Limits of an arm, without which no arm is driven, and the guard that keeps them.
 
-They are checked twice: before a push, over all of its way (`check_push`), and in front of the driver
-in every single move (`GuardedArm`).
+They are checked twice: before a push, over all of its way (`check_push`), and in front of the
+driver in every single move (`GuardedArm`).
 """
 
 from dataclasses import dataclass
@@ -90,8 +90,8 @@ def _millimetres(position: Vector3) -> str:
 
 
 class GuardedArm:
-    """An arm behind its limits: no move leaves them, and none goes deeper while the tool presses too
-    hard. Every arm of a bench is inside one."""
+    """An arm behind its limits: no move leaves them, and none goes deeper while the tool presses
+    too hard. Every arm of a bench is inside one."""
 
     def __init__(self, arm: Arm, limits: ArmLimits) -> None:
         self.limits = limits
@@ -140,8 +140,10 @@ class GuardedArm:
         elif depth > before and depth > self.limits.depth:
             reason = f"{1e3 * depth:.3g} mm is deeper than {1e3 * self.limits.depth:g} mm"
         elif depth > before and self._force > self.limits.force:
-            reason = f"the tool presses with {self._force:.3g} N, the limit is {self.limits.force:g}"
+            reason = f"the tool presses with {self._force:.3g} N of {self.limits.force:g} at most"
         if reason:
             self._arm.stop()
-            raise DeviceError(f"the arm was stopped: {reason}; see that all is well before going on")
+            raise DeviceError(
+                f"the arm was stopped: {reason}; see that all is well before going on"
+            )
         self._arm.move(position, direction, speed)

@@ -41,8 +41,8 @@ class SerialProtocol:
     units: dict[str, str] | None = None
 
 
-# A gauge more is one line more. From the makers' manuals: Mark-10 series 3 to 7 (GCL), IMADA DST and
-# DSV, Sauter FH (sign first: 0 is pressure; no line ends). HX711 boards send a number a line.
+# A gauge more is one line more. From the makers' manuals: Mark-10 series 3 to 7 (GCL), IMADA DST
+# and DSV, Sauter FH (sign first: 0 is pressure; no line ends). HX711 boards send a number a line.
 GAUGES = {
     "mark-10": SerialProtocol(
         _NUMBER + rb" *(?P<unit>lbF|ozF|kgF|gF|N|kN|mN)?\r\n",
@@ -238,7 +238,7 @@ class TypedForce:
     """
 
     typed = True
-    limit = None
+    limit: float | None = None
 
     def __init__(self, *, unit: str = "gf") -> None:
         self.unit = unit
