@@ -18,9 +18,9 @@ from palpate.pipeline import (
     NextProbings,
     graded_observations,
     make_object_model,
+    places,
     plan_measurement,
     plan_next,
-    planning as next_probings,
     session_observations,
     with_pictures_measured,
 )
@@ -136,7 +136,7 @@ def _session(depth: float = 1.0) -> Session:
 @pytest.fixture(scope="module")
 def found() -> NextProbings:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(next_probings, "_CANDIDATES", 10)
+        patch.setattr(places, "_CANDIDATES", 10)
         return plan_next(_session(), count=3)
 
 

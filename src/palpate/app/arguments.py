@@ -50,6 +50,10 @@ _COMMANDS = {
         "sessions:record",
         "Build a session from videos of presses and a force gauge's log.",
     ),
+    "measure": (
+        "measure:measure",
+        "Measure an object live: cameras, a gauge or a scale, pushes by hand or by an arm.",
+    ),
     "init": (
         "sessions:init",
         "Write a commented session.toml from the files in a folder.",
@@ -138,7 +142,7 @@ _GROUPS = {
 }
 # The help lists commands in this order: those of a measurement as one needs them, rare ones last.
 _HEADINGS = {
-    "Measure": "init calibrate scan mesh record import flow check plan",
+    "Measure": "measure init calibrate scan mesh record import flow check plan",
     "Estimate": "fit compression campaign report",
     "Use": "view poke export",
     "Laboratory": "lab",

@@ -62,6 +62,7 @@ from palpate.pipeline.observations import (
     graded_observations as graded_observations,
     session_observations as session_observations,
 )
+from palpate.pipeline.places import first_place as first_place
 from palpate.pipeline.planning import (
     MeasurementPlan as MeasurementPlan,
     NextProbings as NextProbings,

@@ -11,18 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt
-from scipy.spatial import cKDTree
+from jaxtyping import Bool, UInt
 
 from palpate.errors import InputError
-from palpate.estimation import Information, ProbeObservations, fisher_information
+from palpate.estimation import FitResult, Information, ProbeObservations, fisher_information
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
     closest_points,
-    split_sides,
-    unit_normals,
-    vertex_normals,
 )
 from palpate.lab import Material, Pictures, Variant, planned_pictures
 from palpate.pipeline.contacts import with_contact_radii
@@ -32,6 +28,7 @@ from palpate.pipeline.model.object_model import make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
 from palpate.pipeline.motion.displacement import vertex_field
 from palpate.pipeline.observations import graded_observations, session_observations
+from palpate.pipeline.places import reachable_places
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BudgetEntry,
@@ -56,13 +53,6 @@ _PICTURES, _POINTS = 0.1, 0.8
 Show = Callable[[str, UInt[np.ndarray, "_ _"]], None]
 # Accepted range, from the softest gel to diamond [Pa].
 _YOUNG_RANGE = (1.0, 1.2e12)
-# Number of places that are compared.
-_CANDIDATES = 40
-# Distance of a contact's centre from creases and rims of held parts, in contact radii.
-_CLEARANCE = 1.3
-# A tool approaches along the surface normal: radius of its shaft and height at which it begins, in
-# contact radii; and the largest cosine between that normal and the mean normal of the supports.
-_SHAFT_RADII, _SHAFT_STARTS, _FROM_BELOW = 1.5, 1.0, 0.3
 # The tool hides the surface within this distance, in contact radii.
 _HIDDEN_RADII = 2.0
 # Poisson's ratios that are tried where the constants are only to be known roughly.
@@ -214,6 +204,7 @@ def plan_next(
     session: Session,
     *,
     count: int = 3,
+    fitted: FitResult | None = None,
     progress: Progress = silent,
 ) -> NextProbings:
     """Find the most informative places for further probings, one at a time (greedy D-optimal).
@@ -223,8 +214,9 @@ def plan_next(
 
     Parameters
     ----------
-    session : Session               with measured probings; the first under a round patch
+    session : Session               with measured probings; the first under a round patch or a tool
     count : int                     number of places to choose, at least 1
+    fitted : FitResult or None      the fit of this session; None: it is fitted first
     progress : callable
 
     Returns
@@ -242,24 +234,30 @@ def plan_next(
     Fedorov, Theory of Optimal Experiments (1972).
     """
     require_probings(session)
-    first = session.probings[0]
-    radius = first.contact.radius
     if count < 1:
         raise InputError(f"count is {count}; must be at least 1")
-    if radius is None or first.displacement is None:
+    first = session.probings[0]
+    if first.displacement is None or (first.contact.radius is None and first.contact.tool is None):
         raise InputError(
             f"probing '{first.name}' has no contact radius or no displacement: further probings"
             " are planned like the first one; put one first that has both"
         )
     progress("the constants", 0.0)
-    fitted = fit_session(session, progress=part_of(progress, 0.0, 0.4))
+    if fitted is None:
+        fitted = fit_session(session, progress=part_of(progress, 0.0, 0.4))
     estimate = fitted.estimate
+    session = with_contact_radii(
+        session,
+        shear_modulus=estimate.shear_modulus.value,
+        poisson_ratio=estimate.poisson_ratio.value,
+    )
+    radius = session.probings[0].contact.radius or 0.0
     given = [
         _with_std(probing, fit.rms_residual)
         for probing, fit in zip(session.probings, estimate.probes, strict=True)
     ]
     force = float(np.median([np.linalg.norm(probing.force) for probing in given]))
-    point, inward = _reachable(session, radius)
+    point, inward = reachable_places(session, radius=radius)
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
     # Resolved about the measured contacts only: about all places it would be the whole surface.
@@ -522,64 +520,3 @@ def _like(
         name, replace(contact, point=place), force, force_std, None, None, planned, None,
         force_sensor=first.force_sensor,
     )  # fmt: skip
-
-
-def _reachable(session: Session, radius: float) -> tuple[Points, Points]:
-    """Evenly spread places at which a tool can press, and the inward normals there."""
-    mesh = session.mesh
-    normals = vertex_normals(mesh.vertices, mesh.triangles)
-    free = _far_from_edges(session, radius) & ~_from_the_support(session, normals)
-    taken = np.array([probing.contact.point for probing in session.probings])
-    free &= cKDTree(taken).query(mesh.vertices)[0] > radius
-    vertices = _spread(mesh.vertices, np.flatnonzero(free), taken, 3 * _CANDIDATES)
-    reachable = [k for k in vertices if _shaft_is_free(mesh, mesh.vertices[k], normals[k], radius)]
-    chosen = np.array(reachable[:_CANDIDATES], dtype=np.int64)
-    return mesh.vertices[chosen], -normals[chosen]
-
-
-def _far_from_edges(session: Session, radius: float) -> Bool[np.ndarray, " v"]:
-    """Vertices that keep clear of creases, rims and what is held."""
-    mesh = session.mesh
-    held = np.zeros(len(mesh.triangles), dtype=np.int64)
-    held[session.held_triangles] = 1
-    sides = split_sides(mesh, held)
-    corner = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2)
-    ends = corner[sides.cut[sides.edge]]
-    free = np.ones(len(mesh.vertices), dtype=bool)
-    if len(ends):
-        along = np.linspace(0.0, 1.0, 9)[:, None, None]
-        line = mesh.vertices[ends[:, 0]] * (1 - along) + mesh.vertices[ends[:, 1]] * along
-        free = cKDTree(line.reshape(-1, 3)).query(mesh.vertices)[0] > _CLEARANCE * radius
-    free[np.unique(mesh.triangles[session.held_triangles])] = False
-    return free
-
-
-def _from_the_support(session: Session, normals: Points) -> Bool[np.ndarray, " v"]:
-    """Vertices that face the same way as the supports, where the fixture obstructs the tool."""
-    outward = unit_normals(session.mesh)[session.held_triangles].mean(axis=0)
-    return normals @ outward > _FROM_BELOW
-
-
-def _shaft_is_free(
-    mesh: TriangleMesh, place: np.ndarray, outward: np.ndarray, radius: float
-) -> bool:
-    """Whether the tool's shaft would be clear of the object."""
-    offset = mesh.vertices[mesh.triangles].mean(axis=1) - place
-    along = offset @ outward
-    off_axis = np.linalg.norm(offset - along[:, None] * outward, axis=1)
-    return not bool(((along > _SHAFT_STARTS * radius) & (off_axis < _SHAFT_RADII * radius)).any())
-
-
-def _spread(
-    vertices: Points, free: Int[np.ndarray, " f"], taken: Float[np.ndarray, "p 3"], count: int
-) -> list[int]:
-    """Farthest-point sample of the free vertices, starting from the points already taken."""
-    if not len(free):
-        return []
-    gap = cKDTree(taken).query(vertices[free])[0]
-    chosen = []
-    for _ in range(min(count, len(free))):
-        k = int(gap.argmax())
-        chosen.append(int(free[k]))
-        gap = np.minimum(gap, np.linalg.norm(vertices[free] - vertices[free[k]], axis=1))
-    return chosen

@@ -9,6 +9,15 @@ Depends on : `vision`, `bem`, `probe`, `records`, `geometry`.
 Read first : `record.py`, then `touches.py`, `clock.py` and `footage.py`.
 """
 
+from palpate.recording.contact_point import (
+    ContactModel as ContactModel,
+    find_contact as find_contact,
+    make_contact_model as make_contact_model,
+)
+from palpate.recording.force_log import (
+    ForceLog as ForceLog,
+    make_force_log as make_force_log,
+)
 from palpate.recording.outline import (
     TEMPLATES as TEMPLATES,
     FolderSurvey as FolderSurvey,
@@ -40,4 +49,16 @@ from palpate.recording.record import (
 from palpate.recording.recording_file import (
     Recording as Recording,
     read_recording as read_recording,
+)
+from palpate.recording.touches import (
+    Reading as Reading,
+    Touch as Touch,
+    Zero as Zero,
+    find_plateau as find_plateau,
+    find_touches as find_touches,
+    find_zero as find_zero,
+    read_force as read_force,
+    resample_force as resample_force,
+    still_force as still_force,
+    unreadable_reason as unreadable_reason,
 )

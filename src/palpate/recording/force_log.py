@@ -169,21 +169,51 @@ def read_force_log(gauge: Gauge) -> ForceLog:
     times, reading = seconds * values[valid, 0], newtons * values[valid, 1:]
     _check_times(table.path, times, line_numbers)
     _check_force_range(table.path, reading)
-    gaps = _gaps(times)
-    if missing := int((~valid).sum()):
-        notes.append(f"{table.path.name}: {missing} rows without a number were left out.")
+    return make_force_log(
+        times, reading, axes=gauge.axes, on_tool=gauge.on_tool, limit=gauge.limit,
+        source=str(table.path), missing=int((~valid).sum()), notes=notes,
+    )  # fmt: skip
+
+
+def make_force_log(
+    time: Float[np.ndarray, " n"],
+    reading: Float[np.ndarray, "n k"],
+    *,
+    axes: Float[np.ndarray, "k 3"],
+    source: str,
+    on_tool: bool = False,
+    limit: float | None = None,
+    missing: int = 0,
+    notes: Sequence[str] = (),
+) -> ForceLog:
+    """A log of readings, with the gaps and the saturation found in it.
+
+    Parameters
+    ----------
+    time : (n,) float [s]           not decreasing
+    reading : (n, k) float [N]
+    axes : (k, 3) float             direction of a positive reading of each column, unit vectors
+    source : str                    file or device, for messages
+    on_tool : bool                  the readings are the force on the tool
+    limit : float [N] or None       end of the gauge's range
+    missing : int                   rows without a number, which were left out
+    notes : sequence of str         what was assumed, in sentences
+
+    Returns
+    -------
+    ForceLog
+    """
+    name, gaps, texts = Path(source).name, _gaps(time), list(notes)
+    if missing:
+        texts.append(f"{name}: {missing} rows without a number were left out.")
     if gaps:
         longest = max(end - begin for begin, end in gaps)
-        notes.append(
-            f"{table.path.name}: {len(gaps)} gaps, the longest of {longest:.2f} s; nothing is read"
-            " there."
+        texts.append(
+            f"{name}: {len(gaps)} gaps, the longest of {longest:.2f} s; nothing is read there."
         )
-    sign = -1.0 if gauge.on_tool else 1.0
-    saturated = np.any([_saturated(column, gauge.limit) for column in reading.T], axis=0)
-    force = sign * reading @ gauge.axes
-    return ForceLog(
-        times, force, saturated, gauge.axes, gaps, missing, str(table.path), tuple(notes)
-    )
+    saturated = np.any([_saturated(column, limit) for column in reading.T], axis=0)
+    force = (-1.0 if on_tool else 1.0) * reading @ axes
+    return ForceLog(time, force, saturated, axes, gaps, missing, source, tuple(texts))
 
 
 def _bare_heading(heading: str) -> str:

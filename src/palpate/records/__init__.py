@@ -173,6 +173,7 @@ from palpate.records.rig import (
 from palpate.records.series import Series as Series
 from palpate.records.session import (
     Session as Session,
+    Step as Step,
     require_probings as require_probings,
     without_pictures as without_pictures,
 )
@@ -180,6 +181,7 @@ from palpate.records.support import (
     FIXED as FIXED,
     FREE as FREE,
     GIVEN as GIVEN,
+    HeldObject as HeldObject,
     RigidMotion as RigidMotion,
     Support as Support,
     read_support as read_support,

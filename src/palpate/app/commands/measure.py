@@ -1,0 +1,95 @@
+"""`palpate measure`: the guided measurement, at the terminal."""
+
+from pathlib import Path
+
+from rich.prompt import Prompt
+
+from palpate.app.process import check_cache
+from palpate.app.tables import constants_table
+from palpate.app.terminal import print_tables, print_text
+from palpate.bench import measure as measure_live, read_bench, wanted_precision
+from palpate.disk import created_folder
+from palpate.errors import InputError, visible
+
+
+class _Terminal:
+    """A person at the terminal."""
+
+    def tell(self, text: str) -> None:
+        """Print a line."""
+        print_text(text)
+
+    def choose(self, text: str, options: list[str]) -> str:
+        """One of some words; the first on Enter."""
+        shown = {visible(word): word for word in options}
+        return shown[_asked(text, choices=list(shown), default=visible(options[0]))]
+
+    def ask(self, text: str, usual: str) -> str:
+        """A number or a word."""
+        return _asked(text, default=usual)
+
+    def wait(self, text: str) -> None:
+        """Until Enter."""
+        _asked(f"{text}; then Enter", default="", show_default=False)
+
+
+def _asked(text: str, **options: object) -> str:
+    try:
+        return str(Prompt.ask(visible(text), **options))  # type: ignore[call-overload]
+    except EOFError:
+        raise InputError(
+            "there is nobody to answer: standard input has ended; say --until or --pushes, and all"
+            " that is asked for in bench.toml"
+        ) from None
+
+
+def measure(
+    bench: str,
+    /,
+    *,
+    out: Path,
+    until: str | None = None,
+    pushes: int | None = None,
+    cache: Path | None = None,
+    dry_run: bool = False,
+) -> int:
+    """Measure an object live: cameras, a gauge or a scale, pushes by hand or by an arm.
+
+    Looks at the devices, asks what the object is, says where to press, and after each push prints
+    the constants with their intervals and how many more pushes the wanted precision takes. The
+    session is whole after each push; begun again with the same folder, it goes on.
+
+    Parameters
+    ----------
+    bench
+        bench.toml, or its folder; a configuration of the virtual laboratory, or the word virtual.
+    out
+        Folder of the session.
+    until
+        Stop when a constant's 95 % interval is as narrow: "E 3 %" is 3 % to either side; "nu 0.02",
+        "G 2 kPa".
+    pushes
+        Stop after so many pushes. Without this and --until, it asks after each.
+    cache
+        Folder in which to keep factors and reduced models of this object, as in `palpate fit`.
+    dry_run
+        Say what the arm would do for the first push, without moving it.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    if pushes is not None and pushes < 1:
+        raise InputError(f"--pushes is {pushes}; must be 1 or more")
+    check_cache(cache)
+    wanted = None if until is None else wanted_precision(until)
+    devices = read_bench(bench)
+    with created_folder(out):
+        result = measure_live(
+            devices, _Terminal(), out, until=wanted, pushes=pushes, cache=cache, dry_run=dry_run
+        )
+    if result is not None:
+        print_tables(constants_table(result.estimate))
+        print_text(f"Session in {out}; a report: palpate fit {out}", wrapped=False)
+    return 0

@@ -1,0 +1,29 @@
+"""Measuring live: devices, and the guided way from plugged-in devices to constants.
+
+Purpose    : drive cameras, a gauge and an arm, or guide a person, push after push, until the
+             constants are known as well as wanted.
+Takes      : bench.toml, or a configuration of the virtual laboratory; answers to questions.
+Gives      : a session's folder that is whole after each push, and its `FitResult`.
+Depends on : `pipeline`, `estimation`, `recording`, `lab`, `solids`, `vision`, `records`,
+             `geometry`.
+Read first : `devices.py`, `measure.py`, then `pushing.py` and `live_session.py`.
+"""
+
+from palpate.bench.bench_file import (
+    Bench as Bench,
+    read_bench as read_bench,
+    virtual_bench as virtual_bench,
+)
+from palpate.bench.devices import (
+    Arm as Arm,
+    Camera as Camera,
+    DeviceError as DeviceError,
+    ForceSource as ForceSource,
+)
+from palpate.bench.measure import (
+    Wanted as Wanted,
+    measure as measure,
+    wanted_precision as wanted_precision,
+)
+from palpate.bench.pushing import Questions as Questions
+from palpate.bench.virtual import DrawnBody as DrawnBody

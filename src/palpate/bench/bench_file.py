@@ -1,0 +1,310 @@
+"""Reads bench.toml, format `palpate-bench/1`: the devices, the object, and how to push.
+
+A driver more is one file and one line in `CAMERA_DRIVERS`, `FORCE_DRIVERS` or `ARM_DRIVERS`.
+"""
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.bench.arms import ArmLimits, GuardedArm
+from palpate.bench.cameras import STREAMS, OpenCvCamera
+from palpate.bench.devices import Arm, Camera, ForceSource
+from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce
+from palpate.bench.virtual import DrawnBody, rendered_body, virtual_devices
+from palpate.errors import quoted
+from palpate.geometry import write_mesh
+from palpate.lab import (
+    LabConfig,
+    built_in,
+    choose_variant,
+    make_head,
+    miscalibrated,
+    read_lab_config,
+)
+from palpate.records import (
+    FORCE_UNITS,
+    LENGTH_UNITS,
+    Rig,
+    TomlTable,
+    covariance_file,
+    read_rig,
+    read_toml,
+    write_rig,
+)
+from palpate.shapes import Vector3
+
+BENCH_FORMAT = "palpate-bench/1"
+VIRTUAL = "virtual"
+# Tables that the session takes over as they are.
+_HEAD = ("object", "support", "gravity")
+_KEYS = ("format", "name", *_HEAD, "rig", "contact", "camera", "force", "arm", "push")
+_SPEED_UNITS = {f"{unit}/s": value for unit, value in LENGTH_UNITS.items()}
+# Time for which a push is held [s], and its force on a virtual bench [N].
+_HOLD, _VIRTUAL_FORCE = 1.5, 0.45
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """Devices, and what they look at.
+
+    Attributes
+    ----------
+    name : str                      of the session
+    folder : Path                   in which files of the object are looked for
+    rig : Rig
+    cameras : tuple of Camera       in the rig's order
+    force : ForceSource
+    arm : GuardedArm or None        None: the person presses
+    head : dict                     tables of the session's file: object, support, gravity, as far
+                                    as they are known
+    contact : dict or None          keys of every probing's contact: tool, radius, ...
+    supply : callable               puts the rig, and the mesh where it is known, into a folder
+    direction : (3,) float or None  unit vector in which a scale under the object reads; None: the
+                                    gauge is in line with the tool
+    push_force : float [N] or None  that pushes are to have; None: as the person likes
+    hold : float [s]                how long a push is held
+    force_std : float [N]           standard deviation of the gauge's calibration
+    """
+
+    name: str
+    folder: Path
+    rig: Rig
+    cameras: tuple[Camera, ...]
+    force: ForceSource
+    arm: GuardedArm | None
+    head: dict[str, Any]
+    contact: dict[str, Any] | None
+    supply: Callable[[Path], object]
+    direction: Vector3 | None = None
+    push_force: float | None = None
+    hold: float = _HOLD
+    force_std: float = 0.0
+
+    @property
+    def devices(self) -> tuple[Camera | ForceSource | GuardedArm, ...]:
+        """All of them."""
+        return (*self.cameras, self.force, *(() if self.arm is None else (self.arm,)))
+
+    @contextmanager
+    def started(self) -> Iterator[None]:
+        """All devices started, and closed when the block ends.
+
+        Raises
+        ------
+        DeviceError                 one does not start
+        """
+        with ExitStack() as stack:
+            for device in self.devices:
+                stack.callback(device.close)
+                device.start()
+            yield
+
+
+def read_bench(source: Path | str) -> Bench:
+    """Read bench.toml; nothing is started.
+
+    Parameters
+    ----------
+    source : path or str            bench.toml or its folder; a configuration of the virtual
+                                    laboratory, or "virtual": the built-in one, "demo"
+
+    Returns
+    -------
+    Bench
+
+    Raises
+    ------
+    RecordError                     any mistake in the file; the text names file, table and key
+    CalibrationError                an invalid rig
+    InputError                      a driver's package is missing
+    """
+    if str(source) == VIRTUAL:
+        return virtual_bench(read_lab_config(built_in()["demo"]))
+    path = Path(source)
+    root = read_toml(path / "bench.toml" if path.is_dir() else path)
+    if root.values.get("format") == "palpate-lab/1":
+        return virtual_bench(read_lab_config(root.file))
+    root.check_keys(_KEYS)
+    root.check_format(BENCH_FORMAT)
+    rig_file = root.table("rig").existing_file("cameras")
+    rig = read_rig(rig_file)
+    force = root.table("force")
+    push = root.optional("push", root.table) or TomlTable(root.file, "[push]", {})
+    push.check_keys(("force", "hold"))
+    arm = _arm(root.table("arm")) if "arm" in root.values else None
+    if arm is not None:
+        push.get("force")
+    direction = force.optional("direction", force.vector)
+    hold = push.optional("hold", push.number)
+    return Bench(
+        name=root.optional("name", root.label) or root.file.parent.resolve().name,
+        folder=root.file.parent,
+        rig=rig,
+        cameras=_cameras(root, rig),
+        force=_driver(force, FORCE_DRIVERS),
+        arm=arm,
+        head={key: root.values[key] for key in _HEAD if key in root.values},
+        contact=root.table("contact").values if "contact" in root.values else None,
+        supply=partial(_copy, root, rig_file),
+        direction=None if direction is None else direction / np.linalg.norm(direction),
+        push_force=push.optional("force", lambda key: push.quantity(key, FORCE_UNITS)),
+        hold=_HOLD if hold is None else hold,
+        force_std=force.optional("std", lambda key: force.quantity(key, FORCE_UNITS)) or 0.0,
+    )
+
+
+def virtual_bench(
+    config: LabConfig, *, draw: Callable[[LabConfig, Rig], DrawnBody] | None = None
+) -> Bench:
+    """The virtual bench of a configuration; its probings say with which force to push.
+
+    Parameters
+    ----------
+    config : LabConfig
+    draw : callable or None         makes the body that the cameras see; None: Mitsuba renders it
+
+    Returns
+    -------
+    Bench
+
+    Raises
+    ------
+    InputError                      Mitsuba is wanted and not installed
+    """
+    rig = make_head(config.head, config.specimen.mesh)
+    body = draw(config, rig) if draw else rendered_body(config, rig, choose_variant())
+    force = next((probe.force for probe in config.probes if probe.force), _VIRTUAL_FORCE)
+    cameras, gauge, arm = virtual_devices(config, rig, body, force=force)
+
+    def supply(folder: Path) -> None:
+        rng = np.random.default_rng([config.seed, 3])
+        write_mesh(folder / "mesh.ply", config.specimen.mesh)
+        known = miscalibrated(rig, config.calibration, config.specimen.mesh, rng=rng)
+        write_rig(folder / "rig.toml", known)
+
+    head = {
+        "object": {"mesh": "mesh.ply", "length_unit": "m"},
+        "support": dict(config.specimen.support),
+    }
+    shape = "sphere" if config.arm.tip == "sphere" else "flat"
+    contact = {"tool": shape, "tool_radius": config.arm.radius}
+    return Bench(
+        config.name, Path(), rig, cameras, gauge, arm, head, contact, supply, push_force=force
+    )
+
+
+def _copy(root: TomlTable, rig_file: Path, folder: Path) -> None:
+    """Copy rig, its covariance and mesh into a session's folder."""
+    shutil.copyfile(rig_file, folder / "rig.toml")
+    if covariance := covariance_file(rig_file):
+        shutil.copyfile(covariance, folder / covariance.name)
+    if "object" in root.values:
+        mesh = root.table("object").existing_file("mesh")
+        shutil.copyfile(mesh, folder / mesh.name)
+
+
+def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]]) -> Any:
+    """The device of a table, made by the driver that it names."""
+    if not drivers:
+        table.fail("driver", "no arm is built in; docs/howto/measure.md says how to add a driver")
+    make = drivers[table.choice("driver", tuple(drivers))]
+    with table.error_context():
+        return make(table)
+
+
+def _cameras(root: TomlTable, rig: Rig) -> tuple[Camera, ...]:
+    """A camera for each of the rig's, in its order."""
+    found: dict[str, Camera] = {}
+    sources: dict[object, str] = {}
+    names = [camera.name for camera in rig.cameras]
+    for table in root.tables("camera"):
+        name = table.choice("name", names)
+        if name in found:
+            table.fail("name", f"camera '{name}' is there twice; give each its own name")
+        source = table.get("source")
+        if source in sources:
+            table.fail(
+                "source", f"is {quoted(source)}, as that of camera '{sources[source]}'; two cameras"
+                " have two sources: swap them if the pictures are those of the other"
+            )  # fmt: skip
+        sources[source] = name
+        found[name] = _driver(table, CAMERA_DRIVERS)
+    if missing := [name for name in names if name not in found]:
+        root.fail("[[camera]]", f"the rig's cameras {', '.join(missing)} have no table")
+    return tuple(found[name] for name in names)
+
+
+def _opencv(table: TomlTable) -> OpenCvCamera:
+    table.check_keys(("name", "driver", "source", "size"))
+    source = table.get("source")
+    if type(source) is not int:
+        source = table.text("source")
+        if not source.startswith(STREAMS):
+            source = str(table.existing_file("source"))
+    size = table.optional("size", lambda key: tuple(table.each(TomlTable.count, key)))
+    if size is not None and (len(size) != 2 or 0 in size):
+        table.fail("size", f"is {list(size)}; must be [columns, rows], in pixels")
+    return OpenCvCamera(table.text("name"), source, size)
+
+
+def _serial(table: TomlTable) -> SerialGauge:
+    table.check_keys(("driver", "port", "gauge", "unit", "limit", "baud", "direction", "std"))
+    return SerialGauge(
+        table.text("port"),
+        table.choice("gauge", tuple(GAUGES)),
+        unit=table.optional("unit", lambda key: table.choice(key, tuple(FORCE_UNITS))),
+        limit=table.optional("limit", lambda key: table.quantity(key, FORCE_UNITS)),
+        baud=table.optional("baud", table.count),
+    )
+
+
+def _table(table: TomlTable) -> TableGauge:
+    table.check_keys(("driver", "file", "unit", "limit", "direction", "std"))
+    return TableGauge(
+        table.existing_file("file"),
+        unit=table.choice("unit", tuple(FORCE_UNITS)),
+        limit=table.optional("limit", lambda key: table.quantity(key, FORCE_UNITS)),
+    )
+
+
+def _typed(table: TomlTable) -> TypedForce:
+    table.check_keys(("driver", "unit", "direction", "std"))
+    return TypedForce(unit=table.choice("unit", tuple(FORCE_UNITS)))
+
+
+def _arm(table: TomlTable) -> GuardedArm:
+    """An arm behind its limits, without which it is refused."""
+    limits = table.table("limits", "[arm.limits]")
+    limits.check_keys(("force", "depth", "speed", "low", "high"))
+    with limits.error_context():
+        checked = ArmLimits(
+            limits.quantity("force", FORCE_UNITS),
+            limits.quantity("depth", LENGTH_UNITS),
+            limits.quantity("speed", _SPEED_UNITS),
+            *(np.array([_metres(limits, key, k) for k in range(3)]) for key in ("low", "high")),
+        )
+    return GuardedArm(_driver(table, ARM_DRIVERS), checked)
+
+
+def _metres(table: TomlTable, key: str, k: int) -> float:
+    """One of three lengths with their units."""
+    lengths = table.each(lambda item, name: item.quantity(name, LENGTH_UNITS), key)
+    if len(lengths) != 3:
+        table.fail(key, f'is {len(lengths)} lengths; must be three: ["-5 cm", "-5 cm", "0 cm"]')
+    return lengths[k]
+
+
+CAMERA_DRIVERS: dict[str, Callable[[TomlTable], Camera]] = {"opencv": _opencv}
+FORCE_DRIVERS: dict[str, Callable[[TomlTable], ForceSource]] = {
+    "serial": _serial,
+    "table": _table,
+    "typed": _typed,
+}
+ARM_DRIVERS: dict[str, Callable[[TomlTable], Arm]] = {}

@@ -1,0 +1,267 @@
+"""A session that grows push by push: whole on disk after each, and fitted.
+
+Pictures come first, then session.toml, which names them, in one step: whenever the process ends,
+the folder holds a session of all pushes but the one in hand.
+"""
+
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tomlkit
+
+from palpate.bench.pushing import Pictures, PushError, TakenPush
+from palpate.disk import atomic_replacement, write_bytes
+from palpate.errors import InputError, RecordError
+from palpate.estimation import FitResult
+from palpate.geometry import TriangleMesh, bounding_diagonal
+from palpate.pipeline import (
+    Material,
+    ProbingMotion,
+    fit_session,
+    measure_pictures,
+    survey_cameras,
+    survey_probing,
+    survey_view,
+    with_motions,
+)
+from palpate.progress import Progress, silent
+from palpate.recording import ContactModel, find_contact, make_contact_model
+from palpate.records import (
+    FILE_LENGTH_UNITS,
+    LENGTH_UNITS,
+    SESSION_FORMAT,
+    HeldObject,
+    Rig,
+    Session,
+    Step,
+    TomlTable,
+    read_object_mesh,
+    read_rig,
+    read_session,
+    read_supports,
+    read_toml,
+)
+from palpate.shapes import Vector3
+from palpate.vision import JointFlow, is_valid, picture_path
+
+_IMAGES, _REST, _LOADED = "images", "images/{}_rest_{{camera}}.png", "images/{}_{{camera}}.png"
+_LOOKS = tuple(Step(name, f"{_IMAGES}/{name}_{{camera}}.png") for name in ("look1", "look2"))
+# Half the vectors of a push are below so many standard deviations: it was too light.
+_CLEAR = 3.0
+# Share of the surface that pictures at rest must let follow.
+_FOLLOWED = 0.8
+# An object that has moved by more than this share of its size since the first push, and by more
+# than so many standard deviations, has been moved.
+_MOVED, _SURE = 2e-3, 5.0
+# Standard deviation of a push's direction about each axis [rad]: 3 degrees, and 1 degree.
+_TURNED_BY_HAND, _TURNED_BY_ARM = 0.05, 0.017
+# Contact radius assumed where the contact is searched for, over the tool's.
+_TOUCHED = 0.5
+
+
+class LiveSession:
+    """A session's folder while it is measured.
+
+    Parameters
+    ----------
+    folder : Path                   made if missing; a session that is in it is gone on with
+    head : dict                     tables object, support, rig, ... of session.toml
+    contact : dict                  keys of every probing's contact, but the point
+    by_hand : bool                  the point is where the surface shows it, not where it was asked
+
+    Raises
+    ------
+    RecordError                     another session is there; invalid tables
+    """
+
+    def __init__(
+        self, folder: Path, head: dict[str, Any], contact: dict[str, Any], *, by_hand: bool
+    ) -> None:
+        self.folder, self.contact, self.by_hand = folder, contact, by_hand
+        self.content: dict[str, Any] = {"format": SESSION_FORMAT, **head, "probe": []}
+        self._motions: dict[str, ProbingMotion] = {}
+        self._model: ContactModel | None = None
+        self._first: tuple[Any, JointFlow] | None = None
+        (folder / _IMAGES).mkdir(exist_ok=True)
+        if (folder / "session.toml").exists():
+            self._go_on()
+        root = TomlTable(folder / "session.toml", "", self.content)
+        body = root.table("object")
+        self.metres = FILE_LENGTH_UNITS[body.choice("length_unit", tuple(FILE_LENGTH_UNITS))]
+        self.mesh: TriangleMesh = read_object_mesh(body, self.metres)[0]
+        supports = read_supports(root, self.mesh, metres_per_unit=self.metres)
+        held = HeldObject(self.mesh, supports, self.metres)
+        self.rig: Rig = read_rig(root.table("rig").existing_file("cameras"))
+        self.bare = Session(
+            str(head.get("name", folder.name)), root.file, self.mesh, held.held_triangles(), (),
+            None, None, root.table("rig").existing_file("cameras"), (), supports=supports,
+            steps=_LOOKS, metres_per_unit=self.metres,
+        )  # fmt: skip
+
+    @property
+    def file(self) -> Path:
+        """session.toml."""
+        return self.folder / "session.toml"
+
+    @property
+    def count(self) -> int:
+        """Number of pushes so far."""
+        return len(self.content["probe"])
+
+    def look(self, *pictures: Pictures) -> tuple[tuple[str, ...], bool]:
+        """What two pictures at rest, one after the other, show, in sentences; and whether that will
+        do: nothing is wrong with a camera's pictures, and most of the surface can be followed.
+
+        Raises
+        ------
+        InputError                  pictures that cannot be used: black, of another size than the
+                                    rig's, the same twice
+        """
+        files = [each.images for each in _LOOKS]
+        try:
+            for file, views in zip(files, pictures, strict=True):
+                self._write(file, views)
+            wrong = survey_cameras(self.bare)[1]
+            view, remarks = survey_view(self.bare)
+            seen = view is not None and view.followed >= _FOLLOWED * view.points
+            return (*wrong, *remarks), seen and not wrong
+        finally:
+            for camera, file in product(self.rig.cameras, files):
+                picture_path(camera, file, self.folder).unlink(missing_ok=True)
+
+    def moved(self, pictures: Pictures) -> float:
+        """How far the object has moved since the first pictures at rest that this was asked of [m];
+        0 where that is no more than can be seen."""
+        grey = tuple(picture.astype(np.float32) for picture in pictures)
+        if self._first is None:
+            method = JointFlow()
+            self._first = method.start(self.rig, grey, self.mesh), method
+            return 0.0
+        state, method = self._first
+        _, flow = method.follow(state, grey)
+        valid = is_valid(flow)
+        if not valid.any():
+            return float("inf")
+        moved = float(np.median(np.linalg.norm(flow.displacement[valid], axis=1)))
+        sigma = float(np.sqrt(np.median(np.trace(flow.covariance[valid], axis1=1, axis2=2))))
+        limit = max(_MOVED * bounding_diagonal(self.mesh), _SURE * sigma)
+        return moved if moved > limit else 0.0
+
+    def add(self, taken: TakenPush, place: Vector3, inward: Vector3) -> Session:
+        """Add a push: judge it, then write it.
+
+        Parameters
+        ----------
+        taken : TakenPush
+        place : (3,) float [m]      where it was asked for
+        inward : (3,) float [-]
+
+        Returns
+        -------
+        Session                     of all pushes, with their displacements
+
+        Raises
+        ------
+        PushError                   too light, or nothing can be followed; nothing was added
+        """
+        name = f"n{self.count + 1:02d}"
+        self._write(_REST.format(name), taken.rest)
+        self._write(_LOADED.format(name), taken.loaded)
+        probe = {
+            "name": name,
+            "contact": {"point": (place / self.metres).tolist(), **self.contact},
+            "force": (taken.force * inward).tolist(),
+            "force_std": self._force_std(taken, inward),
+            "images": {"rest": _REST.format(name), "loaded": [_LOADED.format(name)]},
+        }
+        content = self.content | {"probe": [*self.content["probe"], probe]}
+        with atomic_replacement([self.file]) as (staged,):
+            staged.write_text(tomlkit.dumps(content), encoding="utf-8")
+            motions = self._measured(read_session(staged), name)
+            if self.by_hand:
+                probe["contact"] |= self._found_contact(motions[name], taken.force * inward)
+                staged.write_text(tomlkit.dumps(content), encoding="utf-8")
+                read_session(staged)
+        self.content, self._motions = content, motions
+        return self.measured()
+
+    def measured(self) -> Session:
+        """The session of all pushes, with their displacements."""
+        session = read_session(self.file)
+        self._motions = measure_pictures(session, known=self._motions)
+        return with_motions(session, self._motions)
+
+    def fit(
+        self, measured: Session, *, cache: Path | None, progress: Progress = silent
+    ) -> FitResult:
+        """The constants, as `palpate fit` finds them."""
+        return fit_session(measured, cache=cache, material=Material.AUTO, progress=progress)
+
+    def _force_std(self, taken: TakenPush, inward: Vector3) -> list[float]:
+        """Standard deviation of each component [N]: of the gauge along the normal, across it of the
+        direction, which nobody measures."""
+        turned = taken.force * (_TURNED_BY_HAND if self.by_hand else _TURNED_BY_ARM)
+        std: np.ndarray = np.sqrt((taken.force_std * inward) ** 2 + turned**2 * (1.0 - inward**2))
+        return std.tolist()
+
+    def _go_on(self) -> None:
+        """Take the pushes over that the folder holds, if they are of the same object and bench."""
+        there = read_toml(self.file)
+        for key in ("object", "support", "rig"):
+            if there.values.get(key) != self.content.get(key):
+                there.fail(
+                    f"[{key}]", "is not that of this bench; choose another folder with --out, or"
+                    " correct bench.toml"
+                )  # fmt: skip
+        self.content["probe"] = list(there.values.get("probe", ()))
+
+    def _write(self, pattern: str, pictures: Pictures) -> None:
+        for camera, picture in zip(self.rig.cameras, pictures, strict=True):
+            content = cv2.imencode(".png", picture)[1].tobytes()
+            write_bytes(picture_path(camera, pattern, self.folder), content)
+
+    def _measured(self, session: Session, name: str) -> dict[str, ProbingMotion]:
+        """The motions of all pushes; the new one is refused where it shows too little."""
+        try:
+            motions = measure_pictures(session, known=self._motions)
+        except InputError as error:
+            raise PushError(f"the pictures of this push cannot be used: {error}") from error
+        probing = replace(session.probings[-1], displacement=motions[name].field)
+        survey = survey_probing(session, probing)
+        if not survey.signal_to_noise >= _CLEAR:
+            raise PushError(
+                f"too light: half of what moved did so by {survey.signal_to_noise:.1f} standard"
+                f" deviations or less ({1e3 * survey.median_displacement:.2g} mm); press harder"
+            )
+        return motions
+
+    def _found_contact(self, motion: ProbingMotion, force: Vector3) -> dict[str, Any]:
+        """Contact point with its standard deviation, from the motion of the surface."""
+        if self._model is None:
+            self._model = make_contact_model(self.mesh, self.bare.held_triangles)
+        field = motion.field
+        known = np.isfinite(field.displacement).all(axis=1)
+        radius = self.contact_radius
+        try:
+            point, std, _ = find_contact(
+                self._model, field.points[known], field.displacement[known], force,
+                radius=radius, profile=self.contact.get("profile", "smooth"),
+            )  # fmt: skip
+        except RecordError as error:
+            raise PushError(
+                f"the place of this push is not clear from how the surface moved ({error}); press"
+                " straight in, on the surface of the mesh"
+            ) from error
+        return {"point": (point / self.metres).tolist(), "point_std": std / self.metres}
+
+    @property
+    def contact_radius(self) -> float:
+        """Radius of a contact, about [m]."""
+        table = TomlTable(self.file, "[contact]", self.contact)
+        key = "radius" if "radius" in self.contact else "tool_radius"
+        share = 1.0 if key == "radius" else _TOUCHED
+        return share * table.quantity(key, LENGTH_UNITS, self.metres)

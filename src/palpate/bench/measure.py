@@ -1,0 +1,352 @@
+"""The guided measurement: devices looked at, object named, then push after push until the constants
+are known as well as wanted.
+
+Whatever goes wrong is said, with a way on; nothing here knows whether a person, a script or a page
+in the browser answers.
+"""
+
+import re
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.bench.arms import check_push
+from palpate.bench.bench_file import Bench
+from palpate.bench.devices import DeviceError
+from palpate.bench.live_session import LiveSession
+from palpate.bench.pushing import PushError, Questions, take_push
+from palpate.errors import InputError, PalpateError
+from palpate.estimation import FitResult
+from palpate.pipeline import NextProbings, first_place, plan_next
+from palpate.progress import Progress, part_of, silent
+from palpate.recording import (
+    chosen_side,
+    default_radius,
+    flat_sides,
+    likely_unit,
+    read_surface,
+    survey_folder,
+)
+from palpate.records import (
+    FILE_LENGTH_UNITS,
+    MODULUS_UNITS,
+    Constant,
+    Estimate,
+    Session,
+    verdict_text,
+)
+from palpate.shapes import Vector3
+
+_CONSTANTS = {"E": "young_modulus", "G": "shear_modulus", "nu": "poisson_ratio"}
+_WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
+# Pushes that are planned ahead, to say how many more are needed.
+_AHEAD = 6
+# A scale under the object reads a push whose direction has at least this component along its own.
+_FROM_ABOVE = 0.7
+# What a person can say to a push that failed.
+AGAIN, STOP = "again", "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A constant, and half the 95 % interval that it is to have: relative, or in SI units."""
+
+    constant: str
+    half: float
+    relative: bool
+
+    def share(self, estimate: Estimate) -> float:
+        """Half the interval over the wanted one; 1 or less: reached; infinite: not determined."""
+        if not estimate.identifiable[self.constant]:
+            return np.inf
+        constant: Constant = getattr(estimate, self.constant)
+        half = 0.5 * (constant.ci95[1] - constant.ci95[0])
+        share = half / (self.half * (constant.value if self.relative else 1.0))
+        return float(share) if np.isfinite(share) else np.inf
+
+
+def wanted_precision(text: str) -> Wanted:
+    """What `--until` says: "E 3 %", "nu 0.02", "G 2 kPa".
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    Wanted
+
+    Raises
+    ------
+    InputError                      something else
+    """
+    match = _WANTED.fullmatch(text.strip())
+    units = {"%": 0.01, **({"": 1.0} if match and match[1] == "nu" else MODULUS_UNITS)}
+    if match is None or match[3] not in units or not float(match[2]) > 0.0:
+        raise InputError(
+            f'--until is "{text}"; must be a constant and half the width of its 95 % interval: "E 3'
+            ' %", "G 2 kPa", "nu 0.02"'
+        )
+    return Wanted(_CONSTANTS[match[1]], float(match[2]) * units[match[3]], match[3] == "%")
+
+
+def measure(
+    bench: Bench,
+    questions: Questions,
+    folder: Path,
+    *,
+    until: Wanted | None = None,
+    pushes: int | None = None,
+    cache: Path | None = None,
+    dry_run: bool = False,
+    progress: Progress = silent,
+) -> FitResult | None:
+    """Measure an object push by push; the folder is a session after each.
+
+    Parameters
+    ----------
+    bench : Bench
+    questions : Questions
+    folder : Path                   of the session; one that is there is gone on with
+    until : Wanted or None          stop when this is reached
+    pushes : int or None            stop after so many in the session; None: ask after each where
+                                    nothing else ends it
+    cache : Path or None            folder in which what is computed of the body is kept
+    dry_run : bool                  say where the arm would press first, and stop
+    progress : callable             called with the current step (text) and the fraction done
+
+    Returns
+    -------
+    FitResult or None               of all pushes; None where there is none
+
+    Raises
+    ------
+    DeviceError                     a device that fails, where the person stops
+    PalpateError                    as in `read_session`, `fit_session`
+    """
+    with bench.started():
+        session = _begun(bench, questions, folder)
+        place = first_place(session.bare, radius=session.contact_radius)
+        if dry_run:
+            _rehearse(bench, questions, *place)
+            return None
+        _look(bench, questions, session)
+        judge = partial(
+            _judged, bench, session, questions, until=until, cache=cache, progress=progress
+        )
+        result: FitResult | None = None
+        if session.count:
+            result, place = judge(session.measured())
+        while not _enough(session, result, until, pushes, questions):
+            measured = _push(bench, session, questions, *place)
+            if measured is None:
+                break
+            result, place = judge(measured)
+    return result
+
+
+def _begun(bench: Bench, questions: Questions, folder: Path) -> LiveSession:
+    """The session, once object, support and tool are known."""
+    for camera in bench.cameras:
+        shown = ", ".join(f"{key} {value}" for key, value in camera.settings.items())
+        questions.tell(f"Camera {camera.name}: {shown}")
+    bench.supply(folder)
+    head: dict[str, Any] = {"name": bench.name, **bench.head, "rig": {"cameras": "rig.toml"}}
+    if "object" not in head or "support" not in head:
+        head |= _asked_object(questions, bench.folder, folder)
+    else:
+        head["object"] = {**head["object"], "mesh": Path(head["object"]["mesh"]).name}
+    contact = bench.contact
+    if contact is None:
+        unit = head["object"]["length_unit"]
+        usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
+        radius = questions.ask(f"Radius of the ball that presses, in {unit}", usual)
+        contact = {"tool": "sphere", "tool_radius": _number(radius)}
+    return LiveSession(folder, head, contact, by_hand=bench.arm is None)
+
+
+def _asked_object(questions: Questions, there: Path, folder: Path) -> dict[str, Any]:
+    """Tables object and support, as `palpate init` asks for them; the mesh goes into the folder."""
+    survey = survey_folder(there)
+    if not survey.meshes:
+        raise InputError(
+            f"{there}: holds no surface of the object (PLY, STL, OBJ, ...); put it there"
+        )
+    name = questions.choose("Which file is the object?", list(survey.meshes))
+    surface = read_surface(survey, name)
+    likely = likely_unit(surface)
+    units = [likely, *(unit for unit in FILE_LENGTH_UNITS if unit != likely)]
+    size = " x ".join(f"{x:.3g}" for x in np.ptp(surface.vertices, axis=0))
+    unit = questions.choose(f"It is {size}; in which unit?", units)
+    sides = flat_sides(surface)
+    if not sides:
+        raise InputError(f"{name}: has no flat side along an axis; say what is held as [support]")
+    side = chosen_side(sides, questions.choose("Which side is held?", [s.name for s in sides]))
+    (folder / Path(name).name).write_bytes((there / name).read_bytes())
+    plane = {
+        "point": side.point.tolist(), "normal": side.normal.tolist(), "tolerance": side.tolerance
+    } if side else {}  # fmt: skip
+    return {
+        "object": {"mesh": Path(name).name, "length_unit": unit}, "support": {"plane": plane}
+    }  # fmt: skip
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f'"{text}" is no number; measure again') from None
+
+
+def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
+    """Look at the object at rest until nothing is wrong, or the person goes on regardless."""
+    while True:
+        views = [tuple(camera.grab()[0] for camera in bench.cameras) for _ in range(2)]
+        try:
+            notes, good = session.look(*views)
+        except InputError as error:
+            notes, good = (str(error),), False
+        for note in notes:
+            questions.tell(note)
+        if good or questions.choose("Look again, once that is better?", ["yes", "no"]) == "no":
+            return
+
+
+def _push(
+    bench: Bench, session: LiveSession, questions: Questions, place: Vector3, inward: Vector3
+) -> Session | None:
+    """One push that can be used, whatever comes between; None: the person stops."""
+    while True:
+        try:
+            taken = take_push(bench, questions, session.mesh, place, inward)
+            if moved := session.moved(taken.rest):
+                raise PushError(
+                    f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
+                    " back, or stop and begin another session"
+                )
+            return session.add(taken, place, inward)
+        except PushError as error:
+            questions.tell(f"This push does not count: {error}")
+        except DeviceError as error:
+            questions.tell(str(error))
+            if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
+                raise
+            _restart(bench, questions)
+            continue
+        if questions.choose("Push again?", [AGAIN, STOP]) == STOP:
+            return None
+
+
+def _restart(bench: Bench, questions: Questions) -> None:
+    """Start the devices again, until all are there."""
+    for device in bench.devices:
+        while True:
+            try:
+                device.close()
+                device.start()
+                break
+            except DeviceError as error:
+                questions.tell(str(error))
+                if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
+                    raise
+
+
+def _judged(
+    bench: Bench,
+    session: LiveSession,
+    questions: Questions,
+    measured: Session,
+    *,
+    until: Wanted | None,
+    cache: Path | None,
+    progress: Progress,
+) -> tuple[FitResult, tuple[Vector3, Vector3]]:
+    """The constants of all pushes, said; and the place of the next one."""
+    result = session.fit(measured, cache=cache, progress=part_of(progress, 0.0, 0.5))
+    estimate = result.estimate
+    questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
+    try:
+        plan = plan_next(
+            measured, count=_AHEAD, fitted=result, progress=part_of(progress, 0.5, 1.0)
+        )
+    except PalpateError as error:
+        questions.tell(f"Where to push next is not clear yet: {error}")
+        bare = replace(session.bare, probings=measured.probings, steps=())
+        return result, first_place(bare, radius=session.contact_radius)
+    if until is not None:
+        questions.tell(_still_needed(estimate, plan, until))
+    return result, _allowed(bench, plan)
+
+
+def _still_needed(estimate: Estimate, plan: NextProbings, until: Wanted) -> str:
+    """How many more pushes the wanted precision takes, in words."""
+    share = until.share(estimate)
+    if share <= 1.0:
+        return "That is as precise as wanted."
+    now = plan.now[until.constant]
+    for count, after in enumerate(plan.after, start=1):
+        if share * after[until.constant] / now <= 1.0:
+            return f"About {count} more for the wanted precision."
+    return f"More than {len(plan.after)} more for the wanted precision."
+
+
+def _allowed(bench: Bench, plan: NextProbings) -> tuple[Vector3, Vector3]:
+    """The best place that scale and arm allow."""
+    order = [*plan.chosen, *(k for k in range(len(plan.point)) if k not in plan.chosen)]
+    for k in order:
+        place, inward = plan.point[k], plan.inward[k]
+        if bench.direction is not None and inward @ bench.direction < _FROM_ABOVE:
+            continue
+        try:
+            _check(bench, place, inward)
+        except InputError:
+            continue
+        return place, inward
+    raise InputError("no further place is within what the scale reads and the arm's limits allow")
+
+
+def _check(bench: Bench, place: Vector3, inward: Vector3) -> None:
+    if bench.arm is not None:
+        limits = bench.arm.limits
+        force = float(bench.push_force or 0.0)
+        check_push(limits, place, inward, clearance=limits.depth, force=force)
+
+
+def _rehearse(bench: Bench, questions: Questions, place: Vector3, inward: Vector3) -> None:
+    """Say what the arm would do, without moving it."""
+    _check(bench, place, inward)
+    if bench.arm is None:
+        questions.tell("There is no arm: a person presses.")
+        return
+    limits = bench.arm.limits
+    above, speed = place - limits.depth * inward, 1e3 * limits.speed
+    questions.tell(
+        f"From {_mm(bench.arm.pose())} mm round the object to {_mm(above)} mm at {speed:.3g} mm/s;"
+        f" down along {np.round(inward, 3).tolist()} to {_mm(place)} mm and on, up to"
+        f" {bench.push_force:g} N, never beyond {limits.force:g} N or {1e3 * limits.depth:.3g} mm"
+        f" deep; hold for {bench.hold:g} s, and back to {_mm(above)} mm."
+    )
+
+
+def _mm(position: Vector3) -> str:
+    return str(np.round(1e3 * position, 1).tolist())
+
+
+def _enough(
+    session: LiveSession,
+    result: FitResult | None,
+    until: Wanted | None,
+    pushes: int | None,
+    questions: Questions,
+) -> bool:
+    """Whether the measurement ends here."""
+    if pushes is not None and session.count >= pushes:
+        return True
+    if result is None:
+        return False
+    if until is not None:
+        return until.share(result.estimate) <= 1.0
+    return pushes is None and questions.choose("Another push?", ["yes", "no"]) == "no"

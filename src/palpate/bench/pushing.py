@@ -1,0 +1,376 @@
+"""One push: pictures at rest and under load, and the force of that moment.
+
+Cameras and gauge are on one clock but for the time that each takes to deliver, some hundredths to
+three tenths of a second. So a push is held, and read where force and pictures were still for longer
+than that; pictures that move there are refused.
+"""
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from palpate.arrays import tangents_of
+from palpate.bench.arms import GuardedArm, check_push
+from palpate.bench.bench_file import Bench
+from palpate.bench.devices import DeviceError
+from palpate.bench.gauges import TypedForce
+from palpate.errors import InputError, RecordError
+from palpate.geometry import TriangleMesh
+from palpate.recording import (
+    ForceLog,
+    Reading,
+    Touch,
+    Zero,
+    find_plateau,
+    find_touches,
+    find_zero,
+    make_force_log,
+    read_force,
+    resample_force,
+    still_force,
+    unreadable_reason,
+)
+from palpate.shapes import Vector3
+
+# Time at rest before and after a push, and what a delivery may take [s].
+_REST, _DELIVERY = 0.8, 0.3
+# Pictures kept, and most pictures that are averaged; they need so many to show that nothing moves.
+_KEPT, _AVERAGED, _FEWEST = 60, 8, 4
+# A person who does not press, or does not lift off, is asked after so long [s].
+_PATIENCE = 60.0
+# Change of the pictures while a push is held, over their change since rest, that is a slip; and
+# sharpness over that at rest that is a blur.
+_SLIP, _BLUR = 0.15, 0.5
+# Percentile of the contrasts of neighbouring pixels that is the texture's, not the background's.
+_TEXTURED = 95.0
+# Steps of an arm's way down to the largest depth; angle of a step around the object [rad].
+_STEPS, _TURN = 100, 0.2
+# Pause while a reading is waited for [s]; directions that differ by less are the same.
+_PAUSE, _SAME = 2e-3, 1e-6
+# Standard deviation of a force that was read by eye, over the force.
+_BY_EYE = 0.02
+Pictures = tuple[UInt8[np.ndarray, "_ _"], ...]
+
+
+class Questions(Protocol):
+    """How a person is spoken to: at the terminal, in the browser, or by a script."""
+
+    def tell(self, text: str) -> None:
+        """Say something."""
+
+    def choose(self, text: str, options: list[str]) -> str:
+        """One of some words; the first is the usual one."""
+
+    def ask(self, text: str, usual: str) -> str:
+        """A number or a word; empty: the usual one."""
+
+    def wait(self, text: str) -> None:
+        """Until the person has done something."""
+
+
+class PushError(InputError):
+    """A push that cannot be measured; the text says why, and what to do otherwise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakenPush:
+    """What one push gave.
+
+    Attributes
+    ----------
+    rest, loaded : Pictures         before it, and while it was held; of each camera
+    force : float [N]               of the tool, along the inward normal
+    force_std : float [N]
+    """
+
+    rest: Pictures
+    loaded: Pictures
+    force: float
+    force_std: float
+
+
+class _Watch:
+    """The latest pictures, and all readings since it began."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.frames: deque[tuple[float, Pictures]] = deque(maxlen=_KEPT)
+        self.time: list[float] = []
+        self.reading: list[float] = []
+
+    def poll(self) -> None:
+        """Take a picture with every camera, and what the gauge has sent."""
+        grabbed = [camera.grab() for camera in self.bench.cameras]
+        pictures = tuple(np.asarray(picture, dtype=np.uint8) for picture, _ in grabbed)
+        self.frames.append((max(when for _, when in grabbed), pictures))
+        self.read()
+
+    def read(self) -> int:
+        """Take what the gauge has sent; how many readings."""
+        when, newtons = self.bench.force.read()
+        self.time += when.tolist()
+        self.reading += newtons.tolist()
+        return len(when)
+
+    def seen_for(self, seconds: float, rest: Pictures | None = None) -> Pictures:
+        """Mean picture of the next seconds; of a push, since rest."""
+        self.poll()
+        begun = self.frames[-1][0]
+        while self.frames[-1][0] < begun + seconds or self.since(begun) < _FEWEST:
+            self.poll()
+        return self.mean(begun, self.frames[-1][0], rest)
+
+    def since(self, begun: float) -> int:
+        """How many pictures there are since a time."""
+        return sum(when >= begun for when, _ in self.frames)
+
+    def mean(self, begin: float, end: float, rest: Pictures | None = None) -> Pictures:
+        """Mean picture of a span of time; a push that slips in it since rest is refused."""
+        chosen = [pictures for when, pictures in self.frames if begin <= when <= end][-_AVERAGED:]
+        if len(chosen) < _FEWEST:
+            raise PushError(
+                f"only {len(chosen)} pictures came while it was still; hold longer, or have the"
+                " cameras send more pictures a second"
+            )
+        if rest is not None and (share := _moved(chosen, rest)) > _SLIP:
+            raise PushError(
+                f"it moved while it was held, by {100 * share:.0f} % of the push: did the tool"
+                " slip, or does a camera deliver late? Press straight in, and hold still"
+            )
+        stacks = [np.stack(views) for views in zip(*chosen, strict=True)]
+        return tuple(np.rint(s.mean(axis=0)).astype(np.uint8) for s in stacks)
+
+    def force(self) -> "_Force | None":
+        """The push in the readings so far; None before there is one."""
+        if len(self.time) < 2 or self.time[-1] - self.time[0] < _REST / 2.0:
+            return None
+        log = make_force_log(
+            np.array(self.time), np.array(self.reading)[:, None], axes=np.array([[0.0, 0.0, 1.0]]),
+            limit=self.bench.force.limit, source="gauge",
+        )  # fmt: skip
+        resampled = resample_force(log)
+        try:
+            touches, _ = find_touches(resampled)
+            if not touches:
+                return None
+            zero = find_zero(log, touches)
+        except RecordError as error:
+            raise PushError(str(error)) from error
+        span = find_plateau(resampled, zero, touches[-1], still_force(resampled, zero))
+        return _Force(log, zero, touches[-1], span)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Force:
+    """A push as the gauge saw it; `span` is where it was held."""
+
+    log: ForceLog
+    zero: Zero
+    touch: Touch
+    span: tuple[float, float] | None
+
+    @property
+    def held(self) -> float:
+        """How long it was held [s]."""
+        return 0.0 if self.span is None else self.span[1] - self.span[0]
+
+    def reading(self) -> Reading:
+        """The force where it was held."""
+        if reason := unreadable_reason(self.log, self.span):
+            raise PushError(reason)
+        begin, end = self.span or (0.0, 0.0)
+        return read_force(self.log, self.zero, (begin, end), 0.5 * (begin + end))
+
+
+def take_push(
+    bench: Bench, questions: Questions, mesh: TriangleMesh, place: Vector3, inward: Vector3
+) -> TakenPush:
+    """Have the arm, or the person, press at a place, and take pictures and force.
+
+    Parameters
+    ----------
+    bench : Bench                   started
+    questions : Questions
+    mesh : TriangleMesh             the object
+    place : (3,) float [m]          on its surface
+    inward : (3,) float [-]         unit normal into the object
+
+    Returns
+    -------
+    TakenPush
+
+    Raises
+    ------
+    PushError                       a push that cannot be measured
+    DeviceError                     a device that fails
+    InputError                      a push that leaves the arm's limits
+    """
+    watch, where = _Watch(bench), f"{np.round(1e3 * place, 1).tolist()} mm"
+    if bench.arm is not None:
+        rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, place, inward)
+    elif isinstance(bench.force, TypedForce):
+        rest, loaded, (force, std) = _typed(bench.force, questions, watch, where)
+    else:
+        rest, loaded, (force, std) = _by_hand(bench, questions, watch, where)
+    if (sharp := _sharpness(loaded, rest)) < _BLUR:
+        raise PushError(
+            f"the pictures under load are blurred, {100 * sharp:.0f} % as sharp as those at rest:"
+            " hold still, and have the cameras' focus fixed"
+        )
+    if bench.direction is not None:
+        # A tool that slides presses along the normal: the scale reads one component of that.
+        force, std = (x / float(inward @ bench.direction) for x in (force, std))
+    return TakenPush(rest, loaded, force, float(np.hypot(std, bench.force_std)))
+
+
+def _by_hand(
+    bench: Bench, questions: Questions, watch: _Watch, where: str
+) -> tuple[Pictures, Pictures, tuple[float, float]]:
+    """A person presses, the gauge says when it is held and when it is over."""
+    questions.wait(f"Tool off the object, hands out of the pictures. Next push: near {where}")
+    rest = watch.seen_for(_REST)
+    questions.tell(f"Press straight in near {where}, and hold still for {bench.hold:g} s")
+    begun, found = time.monotonic(), None
+    while found is None or found.held < bench.hold:
+        watch.poll()
+        found = watch.force()
+        if time.monotonic() - begun > _PATIENCE:
+            raise PushError(f"no push was held for {bench.hold:g} s within a minute; try again")
+    begin, end = found.span or (0.0, 0.0)
+    loaded = watch.mean(begin + _DELIVERY, end, rest)
+    questions.tell("Got it: lift off")
+    while not found.touch.ended:
+        watch.poll()
+        found = watch.force() or found
+        if time.monotonic() - begun > 2.0 * _PATIENCE:
+            raise PushError("the tool was not lifted off, so the gauge's zero is not known")
+    return rest, loaded, _size(found.reading())
+
+
+def _typed(
+    force: TypedForce, questions: Questions, watch: _Watch, where: str
+) -> tuple[Pictures, Pictures, tuple[float, float]]:
+    """A person presses and reads the force."""
+    questions.wait(f"Tool off the object, hands out of the pictures. Next push: near {where}")
+    rest = watch.seen_for(_REST)
+    questions.wait(f"Press straight in near {where}, and hold still")
+    loaded = watch.seen_for(_DELIVERY)
+    while True:
+        try:
+            newtons = force.newtons(questions.ask("What does the scale show more than before?", ""))
+        except InputError as error:
+            questions.tell(str(error))
+        else:
+            return rest, loaded, (newtons, _BY_EYE * newtons)
+
+
+def _by_arm(
+    bench: Bench,
+    arm: GuardedArm,
+    watch: _Watch,
+    mesh: TriangleMesh,
+    place: Vector3,
+    inward: Vector3,
+) -> tuple[Pictures, Pictures, tuple[float, float]]:
+    """The arm approaches along the normal, presses to a force, holds, and retracts."""
+    limits, wanted = arm.limits, float(bench.push_force or 0.0)
+    above = place - limits.depth * inward
+    check_push(limits, place, inward, clearance=limits.depth, force=wanted)
+    arm.press_at(place, inward)
+    try:
+        for position in way_round(arm.pose(), above, mesh, clearance=limits.depth):
+            arm.move(position, inward, limits.speed)
+        rest = watch.seen_for(_REST)
+        try:
+            _press(arm, watch, place, inward, wanted)
+            watch.seen_for(_DELIVERY)
+            loaded = watch.seen_for(bench.hold, rest)
+        finally:
+            arm.move(above, inward, limits.speed)
+        watch.seen_for(_REST)
+    except DeviceError:
+        arm.stop()
+        raise
+    if (found := watch.force()) is None:
+        raise PushError("the gauge shows no push that was held; is it in line with the tool?")
+    return rest, loaded, _size(found.reading())
+
+
+def _press(arm: GuardedArm, watch: _Watch, place: Vector3, inward: Vector3, wanted: float) -> None:
+    """Go down step by step until the tool presses with a force; each step knows a new reading."""
+    limits, force = arm.limits, 0.0
+    zero = float(np.median(watch.reading))
+    for depth in limits.depth * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)[1:]:
+        arm.move(place + depth * inward, inward, limits.speed)
+        while not watch.read():
+            time.sleep(_PAUSE)
+        force = abs(watch.reading[-1] - zero)
+        if force >= wanted:
+            return
+        arm.felt(force)
+    raise PushError(
+        f"at the largest depth of {1e3 * limits.depth:g} mm the tool presses with {force:.2g} N of"
+        f" {wanted:g} N: ask for less force, or raise [arm.limits] depth if that is safe"
+    )
+
+
+def way_round(
+    here: Vector3, there: Vector3, mesh: TriangleMesh, *, clearance: float
+) -> list[Vector3]:
+    """Positions on a way that keeps clear of the object: out to a ball around it, along the ball,
+    and in.
+
+    Parameters
+    ----------
+    here, there : (3,) float [m]
+    mesh : TriangleMesh             the object
+    clearance : float [m]           of the ball from the object
+
+    Returns
+    -------
+    list of (3,) float [m]          the last one is `there`
+    """
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + clearance
+    first, last = (x / np.linalg.norm(x) for x in (here - middle, there - middle))
+    angle = float(np.arccos(np.clip(first @ last, -1.0, 1.0)))
+    across = last - (first @ last) * first
+    if np.linalg.norm(across) < _SAME:
+        across = tangents_of(first)[0]
+    across = across / np.linalg.norm(across)
+    turns = np.linspace(0.0, angle, int(np.ceil(angle / _TURN)) + 1)
+    around = [middle + radius * (np.cos(a) * first + np.sin(a) * across) for a in turns]
+    return [*around, there]
+
+
+def _size(reading: Reading) -> tuple[float, float]:
+    """Size of the force, whatever its sign, and its standard deviation [N]."""
+    return float(np.linalg.norm(reading.force)), float(np.linalg.norm(reading.std))
+
+
+def _moved(chosen: list[Pictures], rest: Pictures) -> float:
+    """Change over some pictures, over that since rest; noise taken off both."""
+    half, shares = len(chosen) // 2, []
+    for k, still in enumerate(rest):
+        views = np.stack([pictures[k] for pictures in chosen]).astype(np.float32)
+        noise = float(np.mean(np.diff(views, axis=0) ** 2)) / 2.0
+        early, late = views[:half].mean(axis=0), views[half:].mean(axis=0)
+        halves = noise * (1.0 / half + 1.0 / (len(chosen) - half))
+        within = float(np.mean((late - early) ** 2)) - halves
+        since = float(np.mean((views.mean(axis=0) - still) ** 2)) - noise / len(chosen)
+        shares.append(np.sqrt(max(within, 0.0) / max(since, noise, 1e-6)))
+    return float(np.median(shares))
+
+
+def _sharpness(loaded: Pictures, rest: Pictures) -> float:
+    """Contrast of neighbouring pixels under load over that at rest, of the worst camera."""
+
+    def contrast(picture: np.ndarray) -> float:
+        return float(np.percentile(np.abs(cv2.Laplacian(picture, cv2.CV_32F)), _TEXTURED))
+
+    return min(contrast(a) / max(contrast(b), 1e-6) for a, b in zip(loaded, rest, strict=True))
