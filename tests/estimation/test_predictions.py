@@ -12,6 +12,8 @@ from palpate.estimation import (
     IntervalSet,
     ProbeFit,
     at_constants,
+    fisher_information,
+    predictions_of,
 )
 from palpate.estimation.predictions import probe_estimate, probe_fits, size_of_errors
 from palpate.pipeline.model.shared_errors import force_gain
@@ -152,3 +154,16 @@ def test_where_the_data_tell_nothing_errors_are_as_large_as_their_prior_says():
     # The nearest size of those that are looked at.
     assert nothing == pytest.approx(1.0, rel=0.02)
     assert size_of_errors(np.zeros(0), np.zeros(0)) == nothing
+
+
+def test_planned_pushes_predict_as_well_as_a_fit_of_them_does():
+    rng = np.random.default_rng(9)
+    probes = half_space_probes(rng, count=4, grid=8, noise=5e-5)
+    probes = [replace(each, nuisances=(force_gain(0.01),)) for each in probes]
+    fitted = minimum_of(problem_of(probes[:3]))
+    (found,) = predictions_of(fitted, probes[3:])
+    information = fisher_information(probes, poisson_ratio=0.3, shear_modulus=2e4)
+    expected = np.sqrt((found.std**2).sum() / (found.predicted**2).sum())
+    # At the true constants in place of the fitted ones, which are off by a percent.
+    assert information.prediction([0, 1, 2], [3]) == pytest.approx(expected, rel=0.05)
+    assert information.prediction([0], [3]) > 1.2 * expected

@@ -12,9 +12,11 @@ from surfaces import box
 
 from palpate.errors import InputError
 from palpate.estimation import fisher_information
+from palpate.field.field_responses import at_points, make_field_model
 from palpate.geometry import closest_points
 from palpate.lab import choose_variant, make_session, read_lab_config
 from palpate.pipeline import (
+    PREDICTION,
     NextProbings,
     graded_observations,
     make_object_model,
@@ -25,6 +27,7 @@ from palpate.pipeline import (
     with_pictures_measured,
 )
 from palpate.records import Contact, DisplacementField, Probing, Session, read_session
+from palpate.solids import with_moduli
 
 GUESS = {"young_modulus": 52e3, "poisson_ratio": 0.21}
 SHEAR, NU, RADIUS = 2e4, 0.3, 5e-3
@@ -173,6 +176,50 @@ def test_information_is_that_of_the_bound(found: NextProbings) -> None:
     for name, value in found.now.items():
         # The plan's mesh has more vertices at the edges.
         assert value == pytest.approx(of_one[name], rel=0.1)
+
+
+def _two_halves() -> Session:
+    """The cube, pressed on top and from three sides; one half is three times as stiff."""
+    plain, side = _session(), 0.04
+    pressed = (
+        ([0.02, 0.02, side], [0.0, 0.0, -1.0]),
+        ([0.0, 0.015, 0.025], [1.0, 0.0, 0.0]),
+        ([side, 0.02, 0.03], [-1.0, 0.0, 0.0]),
+        ([0.025, 0.0, 0.02], [0.0, 1.0, 0.0]),
+    )
+    (first,) = plain.probings
+    probings = tuple(
+        replace(
+            first, name=f"n{k}", contact=replace(first.contact, point=np.array(point)),
+            force=np.array(force),
+        )
+        for k, (point, force) in enumerate(pressed)
+    )  # fmt: skip
+    session = replace(plain, probings=probings)
+    model = make_field_model(session, elements=600)
+    log_modulus = np.where(model.body.points[..., 0].ravel() > 0.5 * side, np.log(3.0), 0.0)
+    nodes = with_moduli(model.body, log_modulus, NU).displacements(model.load) / SHEAR
+    moved = (at_points(model.body.solid, first.displacement.points) @ nodes).T
+    rng = np.random.default_rng(1)
+    fields = [
+        replace(
+            first.displacement,
+            displacement=u.reshape(-1, 3) + 2e-5 * rng.normal(size=(len(u) // 3, 3)),
+        )
+        for u in moved
+    ]
+    pairs = zip(probings, fields, strict=True)
+    return replace(session, probings=tuple(replace(a, displacement=b) for a, b in pairs))
+
+
+@pytest.mark.slow
+def test_of_a_body_of_two_materials_pushes_tell_what_others_will_do(monkeypatch):
+    monkeypatch.setattr(places, "_CANDIDATES", 6)
+    found = plan_next(_two_halves(), count=2)
+    sd = [found.now[PREDICTION], *(each[PREDICTION] for each in found.after)]
+    assert all(after < before for before, after in itertools.pairwise(sd))
+    alone = [each[PREDICTION] for each in found.alone]
+    assert found.chosen[0] == int(np.argmin(alone))
 
 
 def test_what_cannot_be_planned() -> None:

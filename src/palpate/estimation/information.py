@@ -1,6 +1,6 @@
 """Fisher information of probings before they are made, and the Cramer-Rao bound from it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import ProbeObservations
 from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.posterior import directions, posterior_of, uncertainty_budget
-from palpate.estimation.problem import make_problem
+from palpate.estimation.problem import Problem, make_problem
 from palpate.records import CONSTANT_NAMES, BudgetEntry
 
 _ANY_RATIO = (-0.99, 0.4999)
@@ -30,12 +30,15 @@ class Information:
     ----------
     parts : (k, d, d) float         of nu, log G and the d - 2 shared errors, these in prior
                                     standard deviations
+    moved : (k, d, d) float         sum of the outer products of the derivatives of the observed
+                                    components, over the sum of these components' squares
     budget : tuple of BudgetEntry   contributions of the sources to the bound of all probings
     poisson_ratio : float [-]       at which it is taken
     shear_modulus : float [Pa]
     """
 
     parts: Float[np.ndarray, "k d d"]
+    moved: Float[np.ndarray, "k d d"]
     budget: tuple[BudgetEntry, ...]
     poisson_ratio: float
     shear_modulus: float
@@ -43,11 +46,28 @@ class Information:
     def of(self, probings: Sequence[int]) -> Float[np.ndarray, "2 2"]:
         """Information of some probings together about (nu, log G), (2, 2), shared errors
         eliminated."""
-        information = self.parts[list(probings)].sum(axis=0)
-        information[2:, 2:] += np.eye(len(information) - 2)
+        information = self._of(probings)
         return information[:2, :2] - information[:2, 2:] @ np.linalg.solve(
             information[2:, 2:], information[2:, :2]
         )
+
+    def prediction(self, probings: Sequence[int], others: Sequence[int]) -> float:
+        """Standard deviation with which some probings predict the displacements of others from
+        their force, by what all have in common: relative, root mean square over the others.
+
+        Parameters
+        ----------
+        probings, others : sequence of int
+        """
+        covariance = np.linalg.pinv(self._of(probings), hermitian=True)
+        variance = np.einsum("kij,ij->k", self.moved[list(others)], covariance)
+        return float(np.sqrt(variance.mean()))
+
+    def _of(self, probings: Sequence[int]) -> Float[np.ndarray, "d d"]:
+        """Information of some probings and the priors about all parameters."""
+        information = np.asarray(self.parts[list(probings)].sum(axis=0))
+        information[2:, 2:] += np.eye(len(information) - 2)
+        return information
 
     def bound(self, probings: Sequence[int] | None = None) -> dict[str, float]:
         """Cramer-Rao bound: the smallest standard deviations that any unbiased estimate can have.
@@ -74,7 +94,11 @@ class Information:
 
 
 def fisher_information(
-    probes: Sequence[ProbeObservations], *, poisson_ratio: float, shear_modulus: float
+    probes: Sequence[ProbeObservations],
+    *,
+    poisson_ratio: float,
+    shear_modulus: float,
+    errors: Mapping[str, float] | None = None,
 ) -> Information:
     """Information of some probings at given constants.
 
@@ -84,6 +108,8 @@ def fisher_information(
                                             the correlation of neighbouring points
     poisson_ratio : float [-]
     shear_modulus : float [Pa]              > 0
+    errors : mapping or None                name -> value of shared errors that are not 0, in their
+                                            priors' standard deviations
 
     Returns
     -------
@@ -104,10 +130,22 @@ def fisher_information(
     )
     theta = np.zeros(problem.layout.size)
     theta[:2] = poisson_ratio, np.log(shear_modulus)
+    theta[problem.layout.errors] = [(errors or {}).get(each.name, 0.0) for each in problem.shared]
     excess = stated_excess(Evaluation(problem, theta))
     at = Evaluation(replace(problem, information=problem.information / excess), theta)
-    information = Information(at.normal.parts, (), poisson_ratio, shear_modulus)
+    moved = _moved(problem, theta)
+    information = Information(at.normal.parts, moved, (), poisson_ratio, shear_modulus)
     bound = information.bound()
     determined = {name: bool(np.isfinite(bound[name])) for name in CONSTANT_NAMES}
     budget = uncertainty_budget(posterior_of(at, _ANY_RATIO, np.inf), determined)
     return replace(information, budget=budget)
+
+
+def _moved(problem: Problem, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, "k d d"]:
+    """`Information.moved`."""
+    residuals, derivatives = problem.linearised(theta)
+    common = problem.layout.common
+    return np.stack([
+        table[:common] @ table[:common].T / np.square(probe.measured - residual).sum()
+        for probe, residual, table in zip(problem.probes, residuals, derivatives, strict=True)
+    ])  # fmt: skip

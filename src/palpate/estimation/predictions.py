@@ -114,7 +114,7 @@ def predictions_of(
         variance += np.einsum(
             "sr,st,tr->r", table[:common], minimum.normal.covariance, table[:common]
         )
-        variance += (problem.scale * sizes.get(MODEL, 1.0)) ** 2 * unknown.total_variance()
+        variance += problem.scale**2 * unknown.total_variance()
         count = 3 * len(probe.position)
         moved, std = (each[:count].reshape(-1, 3) for each in (-residual, np.sqrt(variance)))
         noise = np.full(count + 3, np.nan)
@@ -126,13 +126,15 @@ def predictions_of(
 
 
 def _sizes(minimum: Evaluation) -> dict[str, float]:
-    """Size of the errors of single probings over that of their priors, by source."""
+    """Size of the errors of single probings over that of their priors, by source. Where the points
+    that were fitted are few about a tool, they tell little of the model's error there: it stays."""
     problem, common = minimum.problem, minimum.problem.layout.common
     source = np.array(problem.sources[common:])
     value, std = minimum.theta[common:], minimum.normal.std[common:]
     return {
         str(name): size_of_errors(value[source == name], std[source == name])
         for name in np.unique(source)
+        if name != MODEL
     }
 
 

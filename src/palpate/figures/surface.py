@@ -25,7 +25,7 @@ from palpate.figures.style import (
     title_panel,
 )
 from palpate.geometry import TriangleMesh, bounding_diagonal, triangle_areas
-from palpate.pipeline import NextProbings
+from palpate.pipeline import PREDICTION, NextProbings
 from palpate.scanning import PreparedSurface, ScannedSurface, distances
 from palpate.shapes import Points, TriangleScalars, Vector3
 
@@ -247,7 +247,9 @@ def next_probings_figure(name: str, found: NextProbings) -> Figure:
         draw_body(axes, view, np.isin(view.triangle, found.session.held_triangles))
         _mark_places(axes, view, found, gain, norm)
         title_panel(axes, title)
-    add_colour_bar(figure, panels, _MAP, norm, "one push there narrows the interval of nu by [%]")
+    of = "predicted displacements" if PREDICTION in found.now else "nu"
+    label = f"one push there narrows the interval of {of} by [%]"
+    add_colour_bar(figure, panels, _MAP, norm, label)
     held = np.isin(np.concatenate([one.triangle for one in views]), found.session.held_triangles)
     note = "grey: held" if held.any() else ""
     add_texts(figure, name, "crosses: measured; rings: push here, in this order", note)
@@ -255,9 +257,11 @@ def next_probings_figure(name: str, found: NextProbings) -> Figure:
 
 
 def _gain(found: NextProbings) -> np.ndarray:
-    """Relative reduction of the interval of nu by a push at each place alone [%]."""
-    now = found.now["poisson_ratio"]
-    after = np.array([one["poisson_ratio"] for one in found.alone])
+    """Relative reduction of an interval by a push at each place alone [%]: of nu, or of
+    displacements where these decide."""
+    name = PREDICTION if PREDICTION in found.now else "poisson_ratio"
+    now = found.now[name]
+    after = np.array([one[name] for one in found.alone])
     if not np.isfinite(now):
         now = float(np.max(after[np.isfinite(after)], initial=1.0))
     return 100.0 * np.clip(1.0 - np.where(np.isfinite(after), after, now) / now, 0.0, 1.0)

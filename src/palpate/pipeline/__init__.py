@@ -64,6 +64,7 @@ from palpate.pipeline.observations import (
 )
 from palpate.pipeline.places import first_place as first_place
 from palpate.pipeline.planning import (
+    PREDICTION as PREDICTION,
     MeasurementPlan as MeasurementPlan,
     NextProbings as NextProbings,
     expected_precision as expected_precision,

@@ -23,6 +23,7 @@ from palpate.geometry import (
 from palpate.lab import Material, Pictures, Variant, planned_pictures
 from palpate.pipeline.contacts import with_contact_radii
 from palpate.pipeline.fit_session import fit_session
+from palpate.pipeline.heterogeneous import Material as Substance, Predictor
 from palpate.pipeline.model.grading import refined_session
 from palpate.pipeline.model.object_model import make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
@@ -57,6 +58,8 @@ _YOUNG_RANGE = (1.0, 1.2e12)
 _HIDDEN_RADII = 2.0
 # Poisson's ratios that are tried where the constants are only to be known roughly.
 _RATIOS = (0.05, 0.2, 0.35, 0.48)
+# In `NextProbings`, beside the constants.
+PREDICTION = "prediction"
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +184,9 @@ class NextProbings:
     radius : float [m]              of its contact
     point : (c, 3) float [m]        places that a tool can reach
     inward : (c, 3) float [-]       unit inward normals there
-    now : name -> float             standard deviations of the constants from the measured probings
+    now : name -> float             standard deviations of the constants from the measured probings;
+                                    and of predicted displacements, relative, `PREDICTION`, where
+                                    the body is not the same everywhere
     alone : tuple of name -> float  the same with one of the c places added
     chosen : tuple of int           indices of the best places, best first
     after : tuple of name -> float  the same with each chosen place and those before it
@@ -207,7 +212,9 @@ def plan_next(
     fitted: FitResult | None = None,
     progress: Progress = silent,
 ) -> NextProbings:
-    """Find the most informative places for further probings, one at a time (greedy D-optimal).
+    """Find the most informative places for further probings, one at a time (greedy): of a body that
+    is the same everywhere about its constants (D-optimal), of others about the displacements under
+    a push at any of the places.
 
     A further probing has the contact of the first one, its points except those that the tool hides,
     and their standard deviations; its force is the median of the session's.
@@ -242,15 +249,12 @@ def plan_next(
             f"probing '{first.name}' has no contact radius or no displacement: further probings"
             " are planned like the first one; put one first that has both"
         )
-    progress("the constants", 0.0)
     if fitted is None:
-        fitted = fit_session(session, progress=part_of(progress, 0.0, 0.4))
+        report = part_of(progress, 0.0, 0.4)
+        fitted = fit_session(session, material=Substance.AUTO, progress=report)
     estimate = fitted.estimate
-    session = with_contact_radii(
-        session,
-        shear_modulus=estimate.shear_modulus.value,
-        poisson_ratio=estimate.poisson_ratio.value,
-    )
+    shear, ratio = estimate.shear_modulus.value, estimate.poisson_ratio.value
+    session = with_contact_radii(session, shear_modulus=shear, poisson_ratio=ratio)
     radius = session.probings[0].contact.radius or 0.0
     given = [
         _with_std(probing, fit.rms_residual)
@@ -260,32 +264,64 @@ def plan_next(
     point, inward = reachable_places(session, radius=radius)
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
-    # Resolved about the measured contacts only: about all places it would be the whole surface.
-    resolved = refined_session(replace(session, probings=tuple(given)))
-    further = [
-        _like(resolved.probings[0], resolved.mesh, place, force * direction, f"further {k}")
-        for k, (place, direction) in enumerate(zip(point, inward, strict=True))
-    ]
-    whole = replace(resolved, probings=(*resolved.probings, *further))
+    whole = _with_pushes_at(replace(session, probings=tuple(given)), point, force * inward)
     progress("what every place tells", 0.4)
-    observed = session_observations(whole, make_object_model(whole))
-    information = fisher_information(
-        observed,
-        poisson_ratio=estimate.poisson_ratio.value,
-        shear_modulus=estimate.shear_modulus.value,
-    )
+    information, is_uniform = _information_of(whole, fitted)
     made = list(range(len(given)))
-    chosen = _greedy(information, made, len(point), min(count, len(point)))
+
+    def expected(places: Sequence[int]) -> dict[str, float]:
+        pushes = made + [len(made) + k for k in places]
+        found = information.bound(pushes)
+        if not is_uniform:
+            others = range(len(made), len(made) + len(point))
+            found[PREDICTION] = information.prediction(pushes, others)
+        return found
+
+    def gain(places: Sequence[int]) -> float:
+        if is_uniform:
+            return float(np.linalg.det(information.of(made + [len(made) + k for k in places])))
+        return -expected(places)[PREDICTION]
+
+    chosen = _greedy(gain, len(point), min(count, len(point)))
     progress("done", 1.0)
-    sets = [made + [len(made) + k for k in chosen[: n + 1]] for n in range(len(chosen))]
     return NextProbings(
         session, force, radius, point, inward,
-        now=information.bound(made),
-        alone=tuple(information.bound([*made, len(made) + k]) for k in range(len(point))),
+        now=expected([]),
+        alone=tuple(expected([k]) for k in range(len(point))),
         chosen=tuple(chosen),
-        after=tuple(information.bound(probings) for probings in sets),
+        after=tuple(expected(chosen[: n + 1]) for n in range(len(chosen))),
         information=information,
     )  # fmt: skip
+
+
+def _with_pushes_at(session: Session, places: Points, forces: Points) -> Session:
+    """The session with further probings like the first, one at each place."""
+    # Resolved about the measured contacts only: about all places it would be the whole surface.
+    resolved = refined_session(session)
+    further = [
+        _like(resolved.probings[0], resolved.mesh, place, force, f"further {k}")
+        for k, (place, force) in enumerate(zip(places, forces, strict=True))
+    ]
+    return replace(resolved, probings=(*resolved.probings, *further))
+
+
+def _information_of(session: Session, fitted: FitResult) -> tuple[Information, bool]:
+    """What the probings of a session tell, those that are planned included, and whether the body
+    that was fitted is the same everywhere."""
+    observed, minimum = session_observations(session, make_object_model(session)), fitted.minimum
+    predict, constants = fitted.predict, fitted.estimate
+    field = predict.field if isinstance(predict, Predictor) else None
+    if field is not None:
+        observed = field.with_field(session, observed)
+    values = minimum.theta[minimum.problem.layout.errors]
+    shared = zip(minimum.problem.shared, values.tolist(), strict=True)
+    information = fisher_information(
+        observed,
+        poisson_ratio=constants.poisson_ratio.value,
+        shear_modulus=constants.shear_modulus.value,
+        errors={each.name: value for each, value in shared if each.is_material},
+    )
+    return information, field is None
 
 
 def expected_precision(session: Session) -> dict[str, float]:
@@ -479,14 +515,12 @@ def _planned(probing: Probing, precision: dict[str, float]) -> PlannedProbing:
     )
 
 
-def _greedy(information: Information, made: list[int], places: int, count: int) -> list[int]:
-    """Places that increase the determinant of the information most, one at a time."""
+def _greedy(gain: Callable[[Sequence[int]], float], places: int, count: int) -> list[int]:
+    """Places that gain most, one at a time."""
     chosen: list[int] = []
     for _ in range(count):
         left = [k for k in range(places) if k not in chosen]
-        so_far = made + [len(made) + k for k in chosen]
-        gain = [np.linalg.det(information.of([*so_far, len(made) + k])) for k in left]
-        chosen.append(left[int(np.argmax(gain))])
+        chosen.append(max(left, key=lambda k: gain([*chosen, k])))
     return chosen
 
 

@@ -14,6 +14,7 @@ from palpate.errors import InputError
 from palpate.figures import next_probings_figure, save_figure
 from palpate.lab import Pictures, choose_variant
 from palpate.pipeline import (
+    PREDICTION,
     MeasurementPlan,
     NextProbings,
     plan_measurement,
@@ -49,7 +50,8 @@ def plan(
 
     Fits the session as it is, compares some forty places within reach of a tool like its first one
     by their Fisher information (shared errors included), and names the best in order, with the
-    standard deviations to expect after each.
+    standard deviations to expect after each. Of a body that is not the same everywhere these are
+    the places from which displacements under a push anywhere become most certain.
 
     Parameters
     ----------
@@ -149,20 +151,29 @@ def plan_pictures(
 def _table(found: NextProbings) -> Table:
     """What is measured, and one row for each chosen place."""
     factor, unit = modulus_unit(found.information.shear_modulus)
-    rows = [("now", "", "", *_deviations(found.now, factor))]
+
+    def expected(precision: dict[str, float]) -> tuple[str, ...]:
+        if PREDICTION not in precision:
+            return _deviations(precision, factor)
+        return (*_deviations(precision, factor), f"{100.0 * precision[PREDICTION]:.2g}")
+
+    rows = [("now", "", "", *expected(found.now))]
     for number, (k, after) in enumerate(zip(found.chosen, found.after, strict=True), start=1):
         place = ", ".join(f"{1e3 * x:.1f}" for x in found.point[k])
         # What is rounded to zero has no sign.
         parts = np.round(found.force * found.inward[k], 12) + 0.0
         force = ", ".join(f"{x:.2g}" for x in parts)
-        rows.append((f"+ {number}", place, force, *_deviations(after, factor)))
-    return terminal_table(
-        f"Where to push next, with a radius of {1e3 * found.radius:.3g} mm",
-        ("pushes", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"),
-        rows,
-        caption=f"best of {len(found.point)} places; sd: standard deviations to expect with all"
-        " pushes up to this row",
+        rows.append((f"+ {number}", place, force, *expected(after)))
+    columns = ["pushes", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"]
+    caption = (
+        f"best of {len(found.point)} places; sd: standard deviations to expect with all pushes up"
+        " to this row"
     )
+    if PREDICTION in found.now:
+        columns.append("sd |u| %")
+        caption += "; |u|: displacements under a push at any of the places, from its force"
+    title = f"Where to push next, with a radius of {1e3 * found.radius:.3g} mm"
+    return terminal_table(title, columns, rows, caption=caption)
 
 
 def _save(file: Path, picture: np.ndarray) -> None:
