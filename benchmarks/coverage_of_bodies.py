@@ -32,8 +32,8 @@ from benchmarks.body_truth import (
 )
 from benchmarks.drawn_bodies import DRAWN_BODIES
 from palpate.geometry import TriangleMesh, closest_points
-from palpate.pipeline import fit_session
-from palpate.records import EXACT, Contact, DisplacementField, Estimate, Probing, Session
+from palpate.pipeline import Material, fit_session
+from palpate.records import EXACT, Contact, DisplacementField, Estimate, Probing, Session, Status
 from palpate.records.error_priors import ErrorPriors
 
 NOISE = 0.01
@@ -223,6 +223,7 @@ def main() -> None:
     """Print errors of clean data, and how often intervals hold."""
     folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 20
     every: list[np.ndarray] = []
+    uneven = 0
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder)
         clean = fit_session(session(body, EXACT, 0.0, 0), cache=folder / "integrals").estimate
@@ -234,7 +235,9 @@ def main() -> None:
         found = []
         for seed in range(count):
             noisy = session(body, ErrorPriors(), NOISE, seed)
-            estimate = fit_session(noisy, cache=folder / "integrals").estimate
+            fitted = fit_session(noisy, cache=folder / "integrals", material=Material.AUTO)
+            estimate = fitted.estimate
+            uneven += estimate.status is Status.HETEROGENEOUS
             found.append(held(estimate, body.truth))
             print(
                 f"{'':10s} session {seed:2d}            {errors_of(estimate, body.truth)}",
@@ -242,7 +245,9 @@ def main() -> None:
             )
         every += found
         print(f"{'':10s} of {count}: {counts(found)}", flush=True)
-    print(f"of {len(every)} sessions intervals hold: {counts(every)}")
+    print(
+        f"of {len(every)} sessions intervals hold: {counts(every)}; called heterogeneous: {uneven}"
+    )
 
 
 if __name__ == "__main__":

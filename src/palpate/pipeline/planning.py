@@ -34,6 +34,7 @@ from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BudgetEntry,
     DisplacementField,
+    Estimate,
     Probing,
     Rig,
     Session,
@@ -253,8 +254,7 @@ def plan_next(
         report = part_of(progress, 0.0, 0.4)
         fitted = fit_session(session, material=Substance.AUTO, progress=report)
     estimate = fitted.estimate
-    shear, ratio = estimate.shear_modulus.value, estimate.poisson_ratio.value
-    session = with_contact_radii(session, shear_modulus=shear, poisson_ratio=ratio)
+    session = _with_radii(session, estimate)
     radius = session.probings[0].contact.radius or 0.0
     given = [
         _with_std(probing, fit.rms_residual)
@@ -267,10 +267,10 @@ def plan_next(
     whole = _with_pushes_at(replace(session, probings=tuple(given)), point, force * inward)
     progress("what every place tells", 0.4)
     information, is_uniform = _information_of(whole, fitted)
-    made = list(range(len(given)))
+    made = range(len(given))
 
     def expected(places: Sequence[int]) -> dict[str, float]:
-        pushes = made + [len(made) + k for k in places]
+        pushes = [*made, *(len(made) + k for k in places)]
         found = information.bound(pushes)
         if not is_uniform:
             others = range(len(made), len(made) + len(point))
@@ -279,7 +279,7 @@ def plan_next(
 
     def gain(places: Sequence[int]) -> float:
         if is_uniform:
-            return float(np.linalg.det(information.of(made + [len(made) + k for k in places])))
+            return float(np.linalg.det(information.of([*made, *(len(made) + k for k in places)])))
         return -expected(places)[PREDICTION]
 
     chosen = _greedy(gain, len(point), min(count, len(point)))
@@ -292,6 +292,11 @@ def plan_next(
         after=tuple(expected(chosen[: n + 1]) for n in range(len(chosen))),
         information=information,
     )  # fmt: skip
+
+
+def _with_radii(session: Session, estimate: Estimate) -> Session:
+    modulus, ratio = estimate.shear_modulus.value, estimate.poisson_ratio.value
+    return with_contact_radii(session, shear_modulus=modulus, poisson_ratio=ratio)
 
 
 def _with_pushes_at(session: Session, places: Points, forces: Points) -> Session:
