@@ -283,7 +283,6 @@ def plan_next(
         return -expected(places)[PREDICTION]
 
     chosen = _greedy(gain, len(point), min(count, len(point)))
-    progress("done", 1.0)
     return NextProbings(
         session, force, radius, point, inward,
         now=expected([]),
