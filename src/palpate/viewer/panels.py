@@ -14,7 +14,7 @@ from palpate.errors import PalpateError
 from palpate.estimation import FitResult, at_constants
 from palpate.geometry import closest_points
 from palpate.pipeline import FittedProbing
-from palpate.records import length_unit, modulus_unit
+from palpate.records import ModulusMap, length_unit, modulus_unit
 from palpate.shapes import Vector3
 from palpate.viewer.clicking import (
     Draft,
@@ -31,10 +31,13 @@ from palpate.viewer.drawings import LikelihoodPlot, camera_picture, frames
 from palpate.viewer.stage import (
     FIELDS,
     MEASURED,
+    MODULI,
     PREDICTED,
+    ColouredField,
     Stage,
     coloured_field,
     length_colours,
+    modulus_span,
     scale_html,
     text_html,
 )
@@ -53,6 +56,7 @@ _PRESS, _CONTACT, _FACE, _HOLD, _FREE = _CLICKS = (
     "presses the object", "sets the contact of the probing", "holds the flat face",
     "holds what is near", "frees what is near",
 )  # fmt: skip
+_CLOSED, _CUTS = "no", ("across x", "across y", "across z")
 # Initial radius of "near", as a fraction of the object's size.
 _NEAR = 0.06
 # Radius of the ball, depth of a click, and largest depth, as fractions of the object's size.
@@ -135,7 +139,7 @@ class LookPanel:
         self._stage.draw_probings(self._background.probings, one.name)
         self._draw_body(one, what, magnification)
         known = field is not None
-        self.scale.content = scale_html(field.top, field.unit, field.cmap) if field else ""
+        self.scale.content = scale_html(_numbers(field), field.cmap) if field else ""
         self.note.content = "" if known else text_html(_why(what), italic=True)
 
     def _draw_body(self, one: FittedProbing, what: str, magnification: float) -> None:
@@ -152,6 +156,46 @@ def _why(what: str) -> str:
     if what == MEASURED:
         return "nothing is measured in this probing yet"
     return "not known before the session is fitted; the fit may still be running"
+
+
+def _numbers(field: ColouredField) -> tuple[str, str, str]:
+    """Below the colour bar."""
+    return "0", f"{field.top / 2:.3g}", f"{field.top:.3g} {field.unit} and more"
+
+
+class InsidePanel:
+    """Cuts the object open, to show its modulus inside.
+
+    Parameters
+    ----------
+    gui : GuiApi of viser           of the tab
+    stage : Stage                   of an object that is not the same everywhere
+    modulus : ModulusMap            its
+    """
+
+    def __init__(self, gui: Any, stage: Stage, modulus: ModulusMap) -> None:
+        self._stage, self._nodes = stage, modulus.nodes
+        estimate = stage.subject.estimate
+        base = "mean" if estimate is not None and estimate.field is not None else "rest"
+        self.axis = gui.add_dropdown("cut open", (_CLOSED, *_CUTS))
+        self.at = gui.add_slider("cut at, share of the side", 0.0, 1.0, 0.02, 0.5)
+        span = modulus_span(modulus)
+        ends = (f"1/{span:.3g}", "1", f"{span:.3g} times the {base}")
+        gui.add_html(scale_html(ends, MODULI))
+        if not modulus.is_known.all():
+            gui.add_html(text_html("Grey: the data do not tell the modulus.", italic=True))
+        for control in (self.axis, self.at):
+            control.on_update(lambda _: self.draw())
+
+    def draw(self) -> None:
+        """Redraw the object, cut or whole."""
+        with self._stage.lock:
+            if self.axis.value == _CLOSED:
+                self._stage.draw_inside(None)
+                return
+            axis = _CUTS.index(self.axis.value)
+            low, high = self._nodes[:, axis].min(), self._nodes[:, axis].max()
+            self._stage.draw_inside(axis, float(low + self.at.value * (high - low)))
 
 
 class MaterialPanel:
@@ -523,7 +567,9 @@ class TouchPanel:
             pressed.centre, pressed.state.tools[0].tool.bounding_radius, pressed.force, force
         )
         self.text.content = text_html(end + warning, bold=force)
-        self.scale.content = scale_html(top, "mm", "viridis")
+        self.scale.content = scale_html(
+            ("0", f"{top / 2:.3g}", f"{top:.3g} mm and more"), "viridis"
+        )
 
     def release(self) -> None:
         """Remove the ball and show the object as before."""

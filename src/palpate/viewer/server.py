@@ -22,7 +22,14 @@ from palpate.errors import InputError, PalpateError
 from palpate.optional_imports import late_import
 from palpate.records import verdict_text
 from palpate.viewer.clicking import ray_intersection
-from palpate.viewer.panels import LookPanel, MaterialPanel, PicturesPanel, SettingPanel, TouchPanel
+from palpate.viewer.panels import (
+    InsidePanel,
+    LookPanel,
+    MaterialPanel,
+    PicturesPanel,
+    SettingPanel,
+    TouchPanel,
+)
 from palpate.viewer.stage import Stage, text_html
 from palpate.viewer.subject import BackgroundWork, Subject
 
@@ -55,6 +62,8 @@ class Tab:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Look"):
             self.look = LookPanel(gui, background, self.stage)
+            if subject.modulus is not None:
+                self.inside = InsidePanel(gui, self.stage, subject.modulus)
         with tabs.add_tab("Material"):
             self.material = MaterialPanel(gui, background, self.look)
             self._material_folder = gui.add_folder("constants")

@@ -5,7 +5,7 @@ Lengths in the scene are in millimetres. viser puts HTML into the page unchecked
 """
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any, cast
@@ -30,7 +30,7 @@ from palpate.figures import (
 )
 from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
 from palpate.pipeline import FittedProbing
-from palpate.records import Camera
+from palpate.records import Camera, ModulusMap
 from palpate.shapes import Indices, Points, PointScalars, Vector3, Vertices
 from palpate.viewer.drawings import camera_picture, frames
 from palpate.viewer.subject import Subject
@@ -54,6 +54,10 @@ Colours = UInt8[np.ndarray, "n 3"]
 # As viser sets its own texts.
 _STYLE = "padding:0 .8em .7em;font-size:.875rem;white-space:pre-line;overflow-wrap:anywhere"
 _STOPS = 12
+# Colours of a modulus, and the least factor from its mean at their ends.
+MODULI, _LEAST_SPAN = "RdBu_r", 1.5
+# Corners of a tetrahedron's faces.
+_FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -102,6 +106,7 @@ class Stage:
         self._held = subject.session.held_triangles
         self._marked: Indices | None = None
         self._body: Any = None
+        self._inside: Any = None
         self._loose: dict[str, Any] = {}
         self._groups = {
             name: self.scene.add_frame(f"/{name}", show_axes=False)
@@ -178,11 +183,29 @@ class Stage:
         corner[self._held if self._marked is None else self._marked] = rgb(HELD)
         if self._marked is not None:
             corner[np.setdiff1d(self._marked, self._held)] = rgb(_SET)
-        light = np.rint(255 * linear_light(corner.reshape(-1, 3) / 255))
-        faces = np.arange(3 * len(triangles)).reshape(-1, 3)
-        shape = trimesh.Trimesh(vertices[triangles].reshape(-1, 3), faces, process=False)
-        shape.visual = trimesh.visual.ColorVisuals(shape, vertex_colors=light.astype(np.uint8))
-        return cast(bytes, shape.export(file_type="glb", include_normals=True))
+        return _facets(vertices[triangles], corner)
+
+    def draw_inside(self, axis: int | None, at: float = 0.0) -> None:
+        """Draw the modulus inside the object, what lies beyond a plane cut away.
+
+        Parameters
+        ----------
+        axis : int or None              0, 1, 2: the plane is at right angles to x, y, z; None: the
+                                        whole surface, as before
+        at : float [m]                  where the plane meets the axis
+        """
+        modulus = self.subject.modulus
+        if self._inside is not None:
+            self._inside.remove()
+            self._inside = None
+        is_whole = modulus is None or axis is None
+        self._body.visible = is_whole
+        if modulus is None or axis is None:
+            return
+        corners, element = cut_faces(modulus, axis, at)
+        colour = modulus_colours(modulus)[element].astype(float)
+        glb = _facets(1e3 * corners, np.repeat(colour[:, None], 3, axis=1))
+        self._inside = self.scene.add_glb("/inside", glb)
 
     def draw_points(self, field: ColouredField | None, magnification: float) -> None:
         """Draw the points of a probing, with displacement magnified by `magnification`."""
@@ -431,6 +454,70 @@ def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
     )
 
 
+def _facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3 3"]) -> bytes:
+    """Triangles as binary glTF, shaded flat, their corners in mm and colours 0 to 255."""
+    light = np.rint(255 * linear_light(colours.reshape(-1, 3) / 255))
+    faces = np.arange(3 * len(corners)).reshape(-1, 3)
+    shape = trimesh.Trimesh(corners.reshape(-1, 3), faces, process=False)
+    shape.visual = trimesh.visual.ColorVisuals(shape, vertex_colors=light.astype(np.uint8))
+    return cast(bytes, shape.export(file_type="glb", include_normals=True))
+
+
+def cut_faces(
+    modulus: ModulusMap, axis: int, at: float
+) -> tuple[Float[np.ndarray, "f 3 3"], Indices]:
+    """Faces that bound the elements on the near side of a plane.
+
+    Parameters
+    ----------
+    modulus : ModulusMap
+    axis : int                      0, 1, 2: the plane is at right angles to x, y, z
+    at : float [m]                  where it meets the axis; elements centred below are kept
+
+    Returns
+    -------
+    (f, 3, 3) float [m]             corners of every face, seen from outside anticlockwise
+    (f,) int                        its element
+    """
+    centre = modulus.nodes[modulus.tetrahedra].mean(axis=1)
+    kept = np.flatnonzero(centre[:, axis] <= at)
+    faces = modulus.tetrahedra[kept][:, _FACES].reshape(-1, 3)
+    _, first, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    outer = first[count == 1]
+    element = kept[outer // len(_FACES)]
+    corners = modulus.nodes[faces[outer]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("fi,fi->f", normal, corners[:, 0] - centre[element]) < 0.0
+    corners[inward] = corners[inward][:, ::-1]
+    return corners, element
+
+
+def modulus_span(modulus: ModulusMap) -> float:
+    """Factor from the mean at the ends of the colours of a modulus.
+
+    Parameters
+    ----------
+    modulus : ModulusMap
+    """
+    farthest = float(np.abs(modulus.log_modulus[modulus.is_known]).max(initial=0.0))
+    return max(_LEAST_SPAN, float(np.exp(farthest)))
+
+
+def modulus_colours(modulus: ModulusMap) -> Colours:
+    """Colour of every element: red stiffer, blue softer, grey where the data do not tell.
+
+    Parameters
+    ----------
+    modulus : ModulusMap
+    """
+    share = 0.5 + 0.5 * modulus.log_modulus / np.log(modulus_span(modulus))
+    colours = np.rint(255 * mpl.colormaps[MODULI](np.clip(share, 0.0, 1.0))[:, :3])
+    colours[~modulus.is_known] = rgb(_BODY)
+    return np.asarray(colours, dtype=np.uint8)
+
+
 def colours_of(values: PointScalars, top: float, cmap: str) -> Colours:
     """RGB colours of values on a scale from zero.
 
@@ -479,13 +566,12 @@ def text_html(text: str, *, bold: str = "", italic: bool = False) -> str:
     return f'<div style="{_STYLE}">{f"<i>{shown}</i>" if italic else shown}</div>'
 
 
-def scale_html(top: float, unit: str, cmap: str) -> str:
+def scale_html(numbers: Sequence[str], cmap: str) -> str:
     """A colour bar with its numbers, as HTML.
 
     Parameters
     ----------
-    top : float                         value at its right end
-    unit : str
+    numbers : sequence of str           evenly spaced below it, from left to right
     cmap : str                          colour map of matplotlib
 
     Returns
@@ -493,11 +579,11 @@ def scale_html(top: float, unit: str, cmap: str) -> str:
     str
     """
     stops = ", ".join(to_hex(c) for c in mpl.colormaps[cmap](np.linspace(0.0, 1.0, _STOPS)))
-    numbers = "".join(f"<span>{value:.3g}</span>" for value in (0.0, top / 2))
+    below = "".join(f"<span>{escape(number)}</span>" for number in numbers)
     return (
         '<div style="margin:.3em 1em;font-size:.8em">'
         '<div style="height:.9em;border:1px solid #888;'
         f'background:linear-gradient(to right,{stops})">'
         '</div><div style="display:flex;justify-content:space-between">'
-        f"{numbers}<span>{top:.3g} {unit} and more</span></div></div>"
+        f"{below}</div></div>"
     )
