@@ -7,6 +7,7 @@ Depends on : `relaxation`, `records`, `geometry`.
 Read first : `problem.py`, `gauss_newton.py`, `posterior.py`, then `fit.py`.
 """
 
+from palpate.estimation.checks import FALSE_ALARM as FALSE_ALARM
 from palpate.estimation.fit import (
     FitMethod as FitMethod,
     FitResult as FitResult,

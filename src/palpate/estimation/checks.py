@@ -18,8 +18,9 @@ from palpate.geometry import morton_order
 from palpate.records import IMPOSSIBLE
 from palpate.shapes import Points, Vector3
 
-# Probability that a sound session has a force set free, or is contradicted by its errors together.
-_FALSE_ALARM = 1 / 400
+# Chance that a check says of a sound session that something is wrong: that a force is off, that the
+# errors together contradict the model, that pushes contradict each other, and so on.
+FALSE_ALARM = 1 / 400
 # So many forces must agree for each that does not.
 _AGREEING = 3
 # A force is as good as unknown with a standard deviation of so many times its size.
@@ -95,7 +96,7 @@ def with_outlying_forces_freed(
     """
     freed: dict[str, float] = {}
     count = len(minimum.problem.probes)
-    limit = -float(ndtri(0.5 * _FALSE_ALARM / count))
+    limit = -float(ndtri(0.5 * FALSE_ALARM / count))
     for _ in range((count - 1) // _AGREEING):
         deviation = np.abs(force_deviations(minimum))
         deviation[[probe.name in freed for probe in minimum.problem.probes]] = 0.0
@@ -191,7 +192,7 @@ def _impossible_families(minimum: Evaluation) -> list[Contradiction]:
         if _chance(family) < _IMPOSSIBLE_FAMILY or farthest > IMPOSSIBLE:
             found.append(Contradiction("errors", farthest, source))
     if not found and _chance([each for family in families.values() for each in family]) < (
-        _FALSE_ALARM
+        FALSE_ALARM
     ):
         source = min(families, key=lambda name: _chance(families[name]))
         found = [Contradiction("errors", max(value for value, _ in families[source]), source)]

@@ -12,14 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
-from palpate.estimation import Evaluation
+from palpate.estimation import FALSE_ALARM, Evaluation
 from palpate.records import Contact, Session, modulus_unit
 
 # Forces less unlike than so tell nothing of a dependence; contacts nearer than so many radii, under
 # forces of about one direction (its cosine), are at one place.
 _UNLIKE, _NEAR, _ALONG = 1.25, 0.1, 0.98
-# Chance that a linear object is said to depend on the load, as of the other checks of a fit.
-_FALSE_ALARM = 1 / 400
 # Fewest points that several pushes have in common, for what they leave over to be compared.
 _FEWEST = 3
 
@@ -44,7 +42,7 @@ class LoadDependence:
     @property
     def is_significant(self) -> bool:
         """Whether a linear object is ruled out."""
-        return abs(self.exponent) > -float(ndtri(0.5 * _FALSE_ALARM)) * self.std
+        return abs(self.exponent) > -float(ndtri(0.5 * FALSE_ALARM)) * self.std
 
     def note(self, modulus: str, constant: float) -> str:
         """What it means for the constants, in full sentences.

@@ -17,6 +17,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtri
 
 from palpate.arrays import tangents_of
+from palpate.estimation import FALSE_ALARM
 from palpate.geometry import (
     TriangleMesh,
     closest_points,
@@ -34,8 +35,8 @@ _PLANE = 1e6
 _LENGTHS, _RATIOS = np.geomspace(0.5, 20.0, 7), np.geomspace(1e-6, 1e16, 45)
 # Tried for the noise: its standard deviation over that of the motion, or over what was claimed.
 _QUIET, _LOUD = np.geomspace(1e-5, 2.0, 22), np.geomspace(1.0, 100.0, 22)
-# Chance that a sound place has a point left out, as of the checks of a fit; passes that leave out.
-_FALSE_ALARM, _ROUNDS = 1 / 400, 4
+# Passes that leave points out.
+_ROUNDS = 4
 # Fewest points: a plane has four coefficients.
 _FEWEST = 12
 
@@ -172,7 +173,7 @@ def local_field(
         sharp = np.einsum("ann->na", found.inverse)
         scaled = np.einsum("anm,ma->na", found.inverse, found.moved)
         off = np.abs(scaled) / (np.sqrt(sharp) * found.level)
-        kept = off.max(axis=1) < -float(ndtri(0.5 * _FALSE_ALARM / off.size))
+        kept = off.max(axis=1) < -float(ndtri(0.5 * FALSE_ALARM / off.size))
         if kept.all():
             break
         rows, points, moved = rows[kept], points[kept], moved[kept]

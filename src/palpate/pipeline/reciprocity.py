@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import null_space
 from scipy.special import chdtrc, ndtri
 
+from palpate.estimation import FALSE_ALARM
 from palpate.geometry import area_vectors
 from palpate.pipeline.model.shared_errors import calibration_strains
 from palpate.pipeline.model.supports import (
@@ -38,9 +39,6 @@ from palpate.records import (
 from palpate.shapes import Vector3
 from palpate.threads import map_in_threads
 
-# Chance that chi-square, or the push that is farthest off, condemns a sound session, as of the
-# checks of a fit.
-_FALSE_ALARM = 1 / 400
 # The push that explains the pairs best is named alone if all other ones together are less likely.
 _DOUBT = 0.05
 # Relative standard deviation of the radius of a tool's contact before it is known.
@@ -317,8 +315,8 @@ def _judged(
     pushes, growth = _excesses(session, works, pairs, inverse, white)
     chance = float(chdtrc(degrees, chi_square))
     far = [abs(each.sigmas) for each in (*pushes, growth) if each is not None]
-    limit = -float(ndtri(0.5 * _FALSE_ALARM / max(len(far), 1)))
-    holds = chance > _FALSE_ALARM and max(far, default=0.0) < limit
+    limit = -float(ndtri(0.5 * FALSE_ALARM / max(len(far), 1)))
+    holds = chance > FALSE_ALARM and max(far, default=0.0) < limit
     odd: tuple[str, ...] = ()
     grows = False
     if not holds and max(far, default=0.0) > limit:
@@ -397,7 +395,7 @@ def _suspects(
     be the cause instead; nothing where no such cause explains the pairs."""
     every = [*pushes, *([growth] if growth is not None else [])]
     fall = np.array([each.sigmas**2 for each in every])
-    if degrees > 1 and chdtrc(degrees - 1, chi_square - fall.max()) < _FALSE_ALARM:
+    if degrees > 1 and chdtrc(degrees - 1, chi_square - fall.max()) < FALSE_ALARM:
         return (), False
     likely = np.exp(0.5 * (fall - fall.max()))
     order = np.argsort(-likely, kind="stable")
