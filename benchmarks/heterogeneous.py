@@ -183,7 +183,7 @@ def true_motion(
         shape = BODIES[name]
         mesh, fine = shape.make(shape.edge), shape.make(0.5 * shape.edge)
         box = Box(mesh.vertices.min(0), np.ptp(mesh.vertices, axis=0), mesh)
-        if kind in REGIONS:
+        if kind in REGIONS and name == "block":
             solid = layered_solid(mesh)
             fine = mesh
         else:
