@@ -1,5 +1,6 @@
 """Loops over independent items, run in several threads or processes at once."""
 
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -7,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numba
+from threadpoolctl import ThreadpoolController
 
 T = TypeVar("T")
 
@@ -16,6 +18,8 @@ Distribute = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
 # Ranges per thread: items that take longer than others delay the end by one range at most.
 _RANGES_PER_THREAD = 4
+# Rows of a matrix from which linear algebra gains by several threads.
+_LARGE = 3000
 
 
 def in_threads(
@@ -86,3 +90,39 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(before)
+
+
+@contextmanager
+def serial_algebra() -> Iterator[None]:
+    """Limit linear algebra to one thread for the duration of the block.
+
+    The libraries of numpy and scipy have threads of their own, as many each as there are cores. For
+    the small matrices of an estimate they wait for each other, busily: twice the processor time for
+    a whole fit, and several times the time where other programs run.
+    """
+    controller, _ = _linear_algebra()
+    with controller.limit(limits=1):
+        yield
+
+
+@contextmanager
+def parallel_algebra(rows: int) -> Iterator[None]:
+    """Give linear algebra its threads back for the duration of the block, if that pays.
+
+    Parameters
+    ----------
+    rows : int              of the matrix
+    """
+    controller, threads = _linear_algebra()
+    if rows < _LARGE or threads == 1:
+        yield
+        return
+    with controller.limit(limits=threads):
+        yield
+
+
+@functools.cache
+def _linear_algebra() -> tuple[ThreadpoolController, int]:
+    """The libraries in use, and the threads that they began with."""
+    controller = ThreadpoolController().select(user_api="blas")
+    return controller, max((each["num_threads"] for each in controller.info()), default=1)

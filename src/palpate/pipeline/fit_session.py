@@ -54,6 +54,7 @@ from palpate.records import (
     require_probings,
     without_pictures,
 )
+from palpate.threads import serial_algebra
 
 # Fractions of the work that are done when the graded mesh's model, its factorisation and the
 # estimation start.
@@ -71,6 +72,7 @@ _FAR, _REACH = 0.1, 3.0
 _MENTIONED = 0.05
 
 
+@serial_algebra()
 def fit_session(
     session: Session,
     *,

@@ -33,6 +33,7 @@ from palpate.bem.system.matrix import SystemSlope, matrix_and_slope, system_matr
 from palpate.bem.system.system import BoundarySystem, Precision, Unknowns, find_unknowns
 from palpate.errors import SingularSystemError
 from palpate.parts import content_digest
+from palpate.threads import parallel_algebra
 
 # An unsupported body has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
 SMALLEST_RCOND = 1e-13
@@ -171,7 +172,8 @@ def solve(
     scaled = right if elimination is None else elimination.right(right)
     # Of another type, the factors would be copied.
     scaled = scaled.astype(factorised.lu.dtype, copy=False)
-    solution = lu_solve(pair, scaled, check_finite=False).astype(float, copy=False)
+    with parallel_algebra(len(factorised.lu)):
+        solution = lu_solve(pair, scaled, check_finite=False).astype(float, copy=False)
     return solution if elimination is None else elimination.unknowns(solution)
 
 
@@ -349,10 +351,11 @@ def _factors(
     """LU factors of a square matrix, which they overwrite."""
     gecon, lange = get_lapack_funcs(("gecon", "lange"), (matrix,))
     norm = lange("1", matrix)
-    if len(matrix) > _LARGEST_WHOLE:
-        lu, pivots = lu_by_panels(matrix)
-    else:
-        lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
+    with parallel_algebra(len(matrix)):
+        if len(matrix) > _LARGEST_WHOLE:
+            lu, pivots = lu_by_panels(matrix)
+        else:
+            lu, pivots = lu_factor(matrix, overwrite_a=True, check_finite=False)
     rcond = float(gecon(lu, norm)[0])
     if not rcond > SMALLEST_RCOND:
         raise SingularSystemError(

@@ -28,6 +28,7 @@ from palpate.bem.system.system import (
     for_each_block,
 )
 from palpate.geometry import quadratic_shapes
+from palpate.threads import parallel_algebra
 
 # A point with a barycentric coordinate above this is treated as the vertex.
 _AT_VERTEX = 1 - 1e-6
@@ -265,7 +266,8 @@ def _product(a: Float[np.ndarray, "r n"], b: Float[np.ndarray, "n c"]) -> Float[
     """a @ b by the library that solves the system, in turns with these products: that of numpy has
     threads of its own, and the idle ones of either take the processors from the other."""
     (gemm,) = get_blas_funcs(("gemm",), (a, b))
-    return gemm(1.0, b.T, a.T).T
+    with parallel_algebra(3 * len(a)):
+        return gemm(1.0, b.T, a.T).T
 
 
 def _slope_to_fill(
