@@ -18,6 +18,8 @@ from palpate.errors import InputError, PalpateError, RecordError
 _MAX_BYTES = 4 * 2**30
 # Largest compression ratio of measurements, and size [bytes] up to which any ratio is accepted.
 _MAX_RATIO, _ANY_RATIO_BYTES = 100, 2**28
+# What Git LFS leaves for a large file that was not fetched, shorter than this [bytes].
+_POINTER, _MOST_POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
 # Neither follow a link, nor wait for the other end of a pipe (Windows knows neither).
 _OWN_FILE_FLAGS = (
     os.O_RDONLY
@@ -52,14 +54,25 @@ def checked_file(
 
     Raises
     ------
-    InputError of that kind         missing, not a regular file, too large
+    InputError of that kind         missing, not a regular file, too large, in Git LFS
     """
     try:
         found = os.stat(path)
     except (OSError, ValueError) as error:
         raise kind(f"{path}: cannot be read ({reason(error)})") from error
     _check_kind(path, found, max_bytes, kind)
+    if found.st_size < _MOST_POINTER_BYTES and _is_pointer(path):
+        raise kind(f"{path}: is a Git LFS pointer in place of the file; get that by: git lfs pull")
     return path
+
+
+def _is_pointer(path: Path) -> bool:
+    """Whether a file starts as a Git LFS pointer; False if it cannot be opened."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_POINTER)) == _POINTER
+    except OSError:
+        return False
 
 
 def _check_kind(path: Path, found: os.stat_result, max_bytes: int, kind: type[InputError]) -> None:

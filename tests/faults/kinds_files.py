@@ -42,6 +42,11 @@ def _noise(file: Path) -> None:
     file.write_bytes(bytes((i * i * 37 + 255 - i) % 256 for i in range(3000)))
 
 
+def _pointer(file: Path) -> None:
+    text = f"version https://git-lfs.github.com/spec/v1\noid sha256:{64 * '0'}\nsize 12345\n"
+    file.write_text(text)
+
+
 def _endless(file: Path) -> None:
     # A hole: it takes no place on the disk.
     os.truncate(file, 2**40)
@@ -56,6 +61,7 @@ PLACES: dict[str, tuple[Damage, str]] = {
     "is a link to an endless device": (_device, "no regular file"),
     "is a link to itself": (_loop, ""),
     "is noise": (_noise, ""),
+    "is in Git LFS": (_pointer, "git lfs pull"),
     "has a terabyte": (_endless, ""),
 }
 _CHECK = ("check", ".")
