@@ -1,6 +1,7 @@
 """Reading and writing of triangle surfaces: PLY, OBJ, STL, OFF, MSH, VTU; reading of VTP, STEP."""
 
 import re
+from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -142,8 +143,8 @@ def read_mesh(
         raise MeshError(f"{path}: {error}") from error
 
 
-def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
-    """Write a surface in metres, atomically: the file holds all of it or its old content.
+def write_mesh(path: Path | str, mesh: TriangleMesh, *, metres_per_unit: float = 1.0) -> None:
+    """Write a surface atomically: the file holds all of it or its old content.
 
     PLY and VTU keep every digit, OBJ and OFF eight decimals or more.
 
@@ -151,6 +152,7 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
     ----------
     path : path                     suffix .ply .obj .stl .off .msh .vtu
     mesh : TriangleMesh
+    metres_per_unit : float         unit of the coordinates in the file
 
     Raises
     ------
@@ -159,6 +161,7 @@ def write_mesh(path: Path | str, mesh: TriangleMesh) -> None:
     RecordError                     the file cannot be written; an existing one is unchanged
     """
     path = Path(path)
+    mesh = replace(mesh, vertices=mesh.vertices / metres_per_unit)
     with write_errors(path):
         _write_surface(path, path.suffix.lower(), mesh)
 
@@ -327,7 +330,7 @@ def _surface_of_cells(content: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.nd
 def _write_ply(path: Path, mesh: TriangleMesh) -> None:
     """Binary PLY in double precision."""
     header = (
-        "ply\nformat binary_little_endian 1.0\ncomment metres\n"
+        "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(mesh.vertices)}\n"
         "property double x\nproperty double y\nproperty double z\n"
         f"element face {len(mesh.triangles)}\n"

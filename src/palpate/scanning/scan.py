@@ -255,19 +255,22 @@ def _agreement(views: Sequence[View], k: int, near: float) -> Agreement:
     return Agreement(view.name, len(view.points), float(seen.mean()), off)
 
 
-def write_surface(folder: Path, surface: PreparedSurface | ScannedSurface) -> None:
-    """Write mesh.ply, in metres, and surface.json; for a scan also vertex_sigma.csv.
+def write_surface(
+    folder: Path, surface: PreparedSurface | ScannedSurface, *, metres_per_unit: float = 1.0
+) -> None:
+    """Write mesh.ply and surface.json; for a scan also vertex_sigma.csv.
 
     Parameters
     ----------
     folder : Path                   exists
     surface : PreparedSurface or ScannedSurface
+    metres_per_unit : float         unit of mesh.ply; all else is in metres
 
     Raises
     ------
     RecordError                     a file cannot be written
     """
-    write_mesh(folder / "mesh.ply", surface.mesh)
+    write_mesh(folder / "mesh.ply", surface.mesh, metres_per_unit=metres_per_unit)
     if isinstance(surface, ScannedSurface):
         details = _of_views(surface)
         rows = np.column_stack([surface.mesh.vertices, surface.sigma])

@@ -29,10 +29,13 @@ def test_a_broken_file_becomes_a_sound_mesh(palpate, scan, tmp_path):
     options = ("--length-unit", "mm", "--vertices", "400", "--near", "touch.xyz")
     code, out, _ = palpate("mesh", scan, *options)
     assert code == 0
+    assert 'its mesh.ply is in mm: write length_unit = "mm"' in " ".join(out.split())
     assert "stray piece" in out
     assert "hole" in out
-    mesh, notes = checked_mesh(read_mesh(tmp_path / "scan-mesh" / "mesh.ply"))
+    mesh, notes = checked_mesh(read_mesh(tmp_path / "scan-mesh" / "mesh.ply", metres_per_unit=1e-3))
     assert notes == ()
+    # As large as the file, to the 1.5 % that chords lack: in the unit in which it was given.
+    assert np.ptp(mesh.vertices[:, 0]) == pytest.approx(0.06, rel=0.015)
     assert len(mesh.vertices) == pytest.approx(400, rel=0.1)
     content = json.loads((tmp_path / "scan-mesh" / "surface.json").read_text())
     assert content["format"] == "palpate-mesh/1"
@@ -58,8 +61,7 @@ def test_a_unit_that_looks_wrong_is_noticed(palpate, scan):
     code, out, err = palpate("mesh", scan, "--vertices", "300", "--length-unit", "m")
     assert code == 0
     assert "m across; is the file in another unit than m?" in err
-    # Whatever the unit of the file was.
-    assert 'its mesh.ply is in metres: write length_unit = "m"' in " ".join(out.split())
+    assert 'its mesh.ply is in m: write length_unit = "m"' in " ".join(out.split())
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,8 @@ from palpate.scanning import (
 _MAX_TRIANGLES = 2_000_000
 # Beyond, a file in millimetres was probably taken for one in metres [m].
 _LARGEST_SIZE = 3.0
-_Unit = Literal["m", "cm", "mm", "um", "in"]
+# Those that a session may have.
+_Unit = Literal["m", "cm", "mm", "in"]
 
 
 def mesh(
@@ -74,8 +75,8 @@ def mesh(
         Plane that the object stood on: z=0, or a point and a normal,
         0,0,0,0,0,1. An open base is closed there; what is below is cut off.
     length_unit
-        Unit of the file, the points and the plane; default: m. A drawing states its own unit; this
-        is then that of the others.
+        Unit of the file, the points, the plane and the mesh that is written; default: m. A drawing
+        states its own unit; this is then that of the others.
     out
         Result folder. Default: the file's name followed by -mesh, in the current folder.
     force
@@ -101,12 +102,12 @@ def mesh(
                 )
         except MeshError as error:
             raise MeshError(f"{file}: {error}") from error
-        write_surface(folder, made)
+        write_surface(folder, made, metres_per_unit=unit)
         save_figure(surface_figure(file.name, made), folder / "mesh.png")
     if made.actions:
         print_tables(_actions_table(made))
     print_tables(_figures_table(made))
-    print_text(_result_text(destination))
+    print_text(_result_text(destination, length_unit or "m"))
     return 0
 
 
@@ -162,7 +163,7 @@ def scan(
         save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
     print_tables(_views_table(made))
     print_tables(_scan_table(made))
-    print_text(_result_text(destination))
+    print_text(_result_text(destination, "m"))
     return 0
 
 
@@ -212,10 +213,10 @@ def _check_size(file: Path, given: TriangleMesh, unit: _Unit | None) -> None:
     )
 
 
-def _result_text(destination: Path) -> str:
+def _result_text(destination: Path, unit: _Unit) -> str:
     """Where the result is, and what a session says of its mesh."""
     return (
-        f'Result in {destination}; its mesh.ply is in metres: write length_unit = "m" under'
+        f'Result in {destination}; its mesh.ply is in {unit}: write length_unit = "{unit}" under'
         " [object] in session.toml"
     )
 
