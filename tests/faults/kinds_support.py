@@ -34,6 +34,12 @@ def _region(name: str, regions: tuple[str, ...], *says: str, command: tuple[str,
 
 
 _INSERT = 'name = "insert"\nbox = { min = [0.01, 0.01, 0.02], max = [0.02, 0.02, 0.03] }'
+# Elements are counted by the thickness of the part, so they would not be too many for this one.
+_LEAF = 'name = "leaf"\nbox = { min = [0, 0, 0.02], max = [0.04, 0.04, 0.020001] }'
+_LEAVES = [
+    f'name = "{k}"\nbox = {{ min = [0, 0, {k}e-4], max = [0.04, 0.04, {k + 1}e-4] }}'
+    for k in range(99)
+]
 _FILM = 'name = "film"\nplane = { point = [0, 0, 0.03], normal = [0, 0, 1] }\nthickness = "10 um"'
 REGIONS = [
     _region("a region elsewhere",
@@ -42,6 +48,8 @@ REGIONS = [
     _region("two regions in one place", (_INSERT, _INSERT.replace('"insert"', '"other"')),
             "100 % of region 'other' lie in region 'insert'"),
     _region("a region thinner than elements can be", (_FILM,), "'film'", "mm thick", "elements"),
+    _region("a region as thin as a leaf", (_LEAF,), "'leaf', which is 0.001 mm thick", "thicker ones"),
+    _region("as many regions as a book has leaves", tuple(_LEAVES), "0.1 mm thick", "fewer regions"),
     _region("a region that is not said", ('name = "insert"',), "[[region]]", "surface", "skin"),
     _region("two regions of one name", (_INSERT, _INSERT), "'insert' is that of another region"),
     _region("regions at finite strain", (_INSERT,), "--strain small",

@@ -41,7 +41,7 @@ from palpate.records import (
     Session,
     Skin,
 )
-from palpate.shapes import Points
+from palpate.shapes import Points, Vector3
 from palpate.solids import (
     GradedBody,
     Solid,
@@ -54,8 +54,9 @@ from palpate.solids import (
 _TOLERANCE = 0.01
 # Standard deviation of the logarithm of a ratio of which nothing is known: within a factor of 100.
 _UNKNOWN = float(np.log(10.0))
-# Points along the longest side of a body at which its regions are looked at.
-_LATTICE = 32
+# Points along the longest side of a body at which its regions are looked at, and points of all
+# regions that there is time for: half a minute.
+_LATTICE, _MOST_POINTS = 32, 1_000_000
 # Elements that a fit has time for, and that a region has at least where half its thickness asks for
 # more.
 _MOST_ELEMENTS, _IN_A_REGION = 25_000, 5000
@@ -322,6 +323,7 @@ def check_regions(session: Session) -> list[Points]:
 def _separate_points(mesh: TriangleMesh, regions: Sequence[Region]) -> list[Points]:
     """Evenly spaced points in each region, in which no other is."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    _check_thickness(mesh, regions)
     found = [_points_in(region, mesh) for region in regions]
     for k, (region, points) in enumerate(zip(regions, found, strict=True)):
         if not len(points):
@@ -349,20 +351,42 @@ def _separate_points(mesh: TriangleMesh, regions: Sequence[Region]) -> list[Poin
 
 def _points_in(region: Region, mesh: TriangleMesh) -> Points:
     """Evenly spaced points in the part of a region that lies in the object."""
-    shape, step = region.shape, _step(region, mesh)
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    if isinstance(shape, Skin | Layer):
-        area = enclosed_volume(mesh) ** (2.0 / 3.0)
-        if isinstance(shape, Skin):
-            area = float(triangle_areas(shape.faces).sum())
-        _check_count(region, area / (VOLUME * shape.thickness**2))
-    else:
-        corners = np.stack(shape.bounds)
-        low, high = np.maximum(low, corners[0]), np.minimum(high, corners[1])
-    axes = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
+    step = _step(region, mesh)
+    ends = zip(*_bounds(region, mesh), strict=True)
+    axes = [np.arange(a + 0.5 * step, b, step) for a, b in ends]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     points = points[_within(region, points)]
     return points[inside(mesh, points)] if len(points) else points
+
+
+def _bounds(region: Region, mesh: TriangleMesh) -> tuple[Vector3, Vector3]:
+    """Lowest and highest corner of a box around what of a region lies in the object."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    if isinstance(region.shape, Skin | Layer):
+        return low, high
+    corners = region.shape.bounds
+    return np.maximum(low, corners[0]), np.minimum(high, corners[1])
+
+
+def _check_thickness(mesh: TriangleMesh, regions: Sequence[Region]) -> None:
+    """Refuse regions too thin, or too many, before a point of them is made."""
+    counts = []
+    for region in regions:
+        shape = region.shape
+        if isinstance(shape, Skin | Layer):
+            area = enclosed_volume(mesh) ** (2.0 / 3.0)
+            if isinstance(shape, Skin):
+                area = float(triangle_areas(shape.faces).sum())
+            _check_count(region, area / (VOLUME * shape.thickness**2))
+        low, high = _bounds(region, mesh)
+        counts.append(float(np.prod(np.clip(high - low, 0.0, None) / _step(region, mesh))))
+    if sum(counts) > _MOST_POINTS:
+        worst = regions[int(np.argmax(counts))]
+        raise InputError(
+            f"to tell the regions from the rest takes {sum(counts):.2g} points, most of them for"
+            f" {worst.name!r}, which is {1e3 * worst.shape.thickness:.2g} mm thick; there is time"
+            f" for {_MOST_POINTS:g}: give fewer regions, or thicker ones"
+        )
 
 
 def _step(region: Region, mesh: TriangleMesh) -> float:
