@@ -76,6 +76,12 @@ def _of_no_force(folder: Path) -> None:
     (folder / "session.toml").write_text("\n".join([*lines, load]) + "\n")
 
 
+def _to_infinity(folder: Path) -> None:
+    """Damage: a frame with an infinite displacement."""
+    (folder / "far.csv").write_text(f"{_HEAD}\n0.04,0.04,0.04,inf,0,0\n")
+    _series(*_NAMED, "8,0,0,-1.2,far.csv", head=_FRAMES)(folder)
+
+
 def _other_points(folder: Path) -> None:
     """Damage: a series with a frame of points that the probing does not have."""
     (folder / "far.csv").write_text(f"{_HEAD}\n0.001,0.0015,0.0172,0,0,-1e-4\n")
@@ -96,6 +102,9 @@ _CHECKED = [
      ("the force at 7 s is", "they are the same push")),
     ("a series with a gap in a row", _series(*_RISING, "8,0,0,,-4e-4,0,0"),
      ("n01_series.csv: line 10: t, fx, fy and fz must be numbers",)),
+    ("a series that ends in infinity", _series(*_RISING, "8,0,0,-1.2,-4e-4,-inf,0"),
+     ("n01_series.csv: line 10: column 'tx' holds '-inf'",)),
+    ("a frame that moved to infinity", _to_infinity, ("far.csv: line 2: column 'ux' holds 'inf'",)),
     ("an instant after the series", _series(*_RISING, more='measured_at = "9 s"'),
      ("'n01' measured_at: is 9 s", "7 s at most")),
     ("a series of no force", _of_no_force, ("'n01' series", "the probing has none")),

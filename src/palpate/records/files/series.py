@@ -9,12 +9,13 @@ from scipy.spatial import cKDTree
 from palpate.errors import InputError, RecordError
 from palpate.files import is_file
 from palpate.geometry import bounding_diagonal
+from palpate.machine import check_memory_for
 from palpate.records.probing import DisplacementField
 from palpate.records.quantities import FORCE_UNITS, LENGTH_UNITS, TIME_UNITS
 from palpate.records.series import Series
 from palpate.records.support import HeldObject
 from palpate.records.text.csv_table import Column, TextTable, read_text_table, split_cells
-from palpate.records.text.toml_table import TomlTable, nearest_file, nearest_word
+from palpate.records.text.toml_table import TomlTable, nearest_file
 from palpate.shapes import Vector3
 
 _FORCE, _TIP = ("fx", "fy", "fz"), ("tx", "ty", "tz")
@@ -25,6 +26,8 @@ _CURE = "give a header t,fx,fy,fz,tx,ty,tz or t,fx,fy,fz,displacement and a row 
 _APART = 0.2
 # A point of a frame is one of the probing's own up to this share of the body's size.
 _SAME = 1e-4
+# Peak of the memory for a point of a frame: what is read, stacked, and checked in a copy [bytes].
+_FRAME_BYTES = 3.0 * 3 * 8
 
 
 def read_series(
@@ -126,7 +129,7 @@ def _values(
             f" {rows.listed}: {_CURE}"
         )
     wanted = [column for column in found if column is not None]
-    return rows.factor(wanted, units, default) * rows.values(wanted)
+    return rows.factor(wanted, units, default) * rows.values(wanted, finite=True)
 
 
 def _reference(table: TomlTable, time: Float[np.ndarray, " n"]) -> int:
@@ -155,6 +158,10 @@ def _frames(
         )
     if own is None or not named:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 0, 3))
+    check_memory_for(
+        f"{rows.path}: {len(named)} frames of {len(own.points)} points",
+        len(named) * len(own.points) * _FRAME_BYTES, "name fewer frames, or measure fewer points",
+    )  # fmt: skip
     same = _SAME * bounding_diagonal(body.mesh)
     frames = []
     for k in named:
@@ -175,11 +182,9 @@ def _frame(
     columns = table.require(
         {name: (name,) for name in _FRAME},
         normalise=str.lower,
-        reason=lambda missing: (
-            f"the first line must hold {','.join(_FRAME)}{nearest_word(missing[0], table.listed)}"
-        ),
+        reason=lambda _: f"the first line must hold {','.join(_FRAME)}",
     )
-    values = metres * table.values(columns)
+    values = metres * table.values(columns, finite=True)
     values = values[np.isfinite(values[:, :3]).all(axis=1)]
     # Of a point without a neighbour there is none in the row after the last.
     row = cKDTree(values[:, :3]).query(own.points, distance_upper_bound=same)[1]

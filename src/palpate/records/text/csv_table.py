@@ -175,14 +175,14 @@ class TextTable:
             )
         return default if unit is None else known[unit]
 
-    def values(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
+    def values(self, wanted: Sequence[Column], *, finite: bool = False) -> Float[np.ndarray, "n k"]:
         """Numbers of some columns; NaN where a cell is empty or marked as not a number.
-
-        Infinities are kept: the caller decides whether they mean a failure or a mistake.
 
         Parameters
         ----------
         wanted : sequence of Column     of this table
+        finite : bool                   refuse infinities; else they are kept: the caller decides
+                                        whether they mean a failure or a mistake
 
         Returns
         -------
@@ -194,8 +194,11 @@ class TextTable:
                                     beyond `LARGEST_NUMBER`
         """
         found = self._values(wanted)
-        if (beyond := np.argwhere(np.isfinite(found) & (np.abs(found) > LARGEST_NUMBER))).size:
-            row, k = beyond[0]
+        refused = np.abs(found) > LARGEST_NUMBER
+        if not finite:
+            refused &= np.isfinite(found)
+        if refused.any():
+            row, k = np.argwhere(refused)[0]
             raise self._cell_error(self.numbers[row], wanted[k], f"{found[row, k]:g}")
         # Powers of smaller numbers would underflow.
         found[np.abs(found) < 1.0 / LARGEST_NUMBER] = 0.0
