@@ -51,6 +51,14 @@ def _arrays(**arrays: object) -> Callable[[Path], object]:
 
 
 _POKES = "x,y,z,force\n" + "1,2,-1,-0.5\n" * 30
+
+
+def _pushes(power: float) -> Callable[[Path], object]:
+    """Damage: four pokes a centimetre apart, all but on a line, with a power of the depth."""
+    rows = [f"{10 * k},{1e-3 * (k % 2)},{-d},{0.02 * d**power}" for k in range(4) for d in range(6)]
+    return written("p.csv", "\n".join(["x,y,z,force", *rows]) + "\n")
+
+
 _POOR = [row.replace("0.95", "0.07") for row in _ROWS]
 _KEPT = ["not one of its 7 points was measured"]
 
@@ -86,6 +94,15 @@ KINDS = [
            "p.csv: not one of its 30 rows has all its numbers"),
     _poked("three metres for p.csv", written("p.csv", _POKES), "--tool-radius", "3 m", "like 3mm",
            options="--tool-radius 3"),
+    _poked("a body of twenty metres for p.csv", _pushes(1.5), "--margin is 20 m",
+           options="--margin 20"),
+    _poked("metres in p.csv", _pushes(1.5), "into a body 20 mm thick", "--length-unit",
+           options="--length-unit m"),
+    _poked("pokes on a line in p.csv", _pushes(1.5), "are on a line", "--margin",
+           options="--margin 0mm"),
+    _poked("a force that does not rise in p.csv", _pushes(0.0), "0 of 4 pokes have contact"),
+    _poked("no rows in p.npz", _arrays(position=np.zeros((0, 3)), force=np.zeros(0)),
+           "p.npz: not one of its 0 rows"),
     _poked("a bomb p.npz", _bomb, "p.npz: is damaged", "holds 1000"),
     _poked("complex numbers in p.npz", _arrays(x=np.zeros(9) + 1j, y=np.zeros(9)), "p.npz: has no column"),
     _poked("no arrays in p.npz", _arrays(), "p.npz: holds no columns"),

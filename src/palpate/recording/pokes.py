@@ -36,6 +36,8 @@ _BESIDE = 0.25
 _CLEAR = 4.0
 # Cells across the shorter side of a height field, and how many touched points make a height.
 _CELLS, _NEIGHBOURS = 12, 30
+# Width over length of a strip that still counts as a surface.
+_NARROWEST = 0.02
 # The surface under a tool may be this many radii from where it touched.
 _OFF = 1.0
 # Heights of a level surface: cosine of the steepest normal; those of the base over the body's.
@@ -155,7 +157,8 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
 def _parts(table: PokeTable, radius: float) -> Iterator[Int[np.ndarray, " n"]]:
     """Rows of each poke."""
     if table.poke is not None:
-        yield from (np.flatnonzero(table.poke == k) for k in range(int(table.poke.max()) + 1))
+        order = np.argsort(table.poke, kind="stable")
+        yield from np.split(order, np.flatnonzero(np.diff(table.poke[order])) + 1)
         return
     first = 0
     for row in range(1, len(table.position) + 1):
@@ -247,7 +250,9 @@ def _noise(curves: list[_Curve], power: float) -> float:
 
 def _has_contact(curve: _Curve, noise: float) -> bool:
     touching = int((curve.fitted > 0.0).sum())
-    return touching >= _FEWEST and bool(curve.fitted.max() > _CLEAR * noise)
+    # A force that is there and does not rise says nothing of the depth.
+    seen = min(float(curve.fitted.max()), float(np.ptp(curve.force)))
+    return touching >= _FEWEST and seen > _CLEAR * noise
 
 
 def _reading(curve: _Curve, noise: float, power: float) -> tuple[float, float, float]:
@@ -294,7 +299,7 @@ def height_field(pokes: Pokes, *, thickness: float, margin: float) -> TriangleMe
             " (--surface), or turn the frame so that z points out of the surface"
         )
     low, high = pokes.point[:, :2].min(axis=0) - margin, pokes.point[:, :2].max(axis=0) + margin
-    if not (high > low).all():
+    if not (high - low).min() > _NARROWEST * (high - low).max():
         raise InputError("all pokes are on a line: give the width beside it (--margin)")
     count = np.ceil(_CELLS * (high - low) / (high - low).min()).astype(int) + 1
     x, y = (np.linspace(*ends) for ends in zip(low, high, count, strict=True))

@@ -23,8 +23,8 @@ from palpate.records import (
 # what grams taken for newtons make of one: a hundred times as much.
 _STIFF = 1e6
 _GRAM = 9.80665e-3
-# Of a tool that pokes [m]: larger ones are millimetres without their unit.
-_LARGEST_RADIUS = 0.5
+# Of a tool and of a body that is poked [m]: larger ones are millimetres without their unit.
+_LARGEST = 0.5
 _Length = Literal["um", "mm", "cm", "m", "in"]
 _Columns = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 
@@ -92,12 +92,7 @@ def import_pokes(
         Overwrite even if the target is not an unchanged result of this command; the old content is
         kept as NAME.old.
     """
-    tip = Tool(tool, quantity(tool_radius, LENGTH_UNITS, "--tool-radius"), friction)
-    if tip.radius > _LARGEST_RADIUS:
-        raise InputError(
-            f"--tool-radius is {tip.radius:g} m; must be {_LARGEST_RADIUS:g} m at most: name its"
-            " unit, like 3mm"
-        )
+    tip = Tool(tool, _length(tool_radius, "--tool-radius"), friction)
     if (thickness is None) == (surface is None):
         raise InputError("give the body as --thickness, below the poked surface, or as --surface")
     samples = read_poke_table(
@@ -126,15 +121,29 @@ def import_pokes(
     return 0
 
 
+def _length(text: str, option: str) -> float:
+    value = quantity(text, LENGTH_UNITS, option)
+    if value > _LARGEST:
+        raise InputError(
+            f"{option} is {value:g} m; must be {_LARGEST:g} m at most: name its unit, like 3mm"
+        )
+    return value
+
+
 def _surface(
     pokes: Pokes, thickness: str | None, margin: str | None, surface: Path | None, unit: str
 ) -> TriangleMesh:
     if surface is not None:
         return checked_mesh(read_mesh(surface, metres_per_unit=LENGTH_UNITS[unit]))[0]
-    thick = quantity(thickness or "", LENGTH_UNITS, "--thickness")
-    wide = thick if margin is None else quantity(margin, LENGTH_UNITS, "--margin")
-    if not thick > 0.0 or wide < 0.0:
-        raise InputError("--thickness must be positive, and --margin not negative")
+    thick = _length(thickness or "", "--thickness")
+    wide = thick if margin is None else _length(margin, "--margin")
+    if wide < 0.0:
+        raise InputError("--margin must not be negative")
+    if (deepest := float(pokes.depth.max())) >= thick:
+        raise InputError(
+            f"the tool goes {1e3 * deepest:.3g} mm into a body {1e3 * thick:.3g} mm thick: check"
+            " --thickness and --length-unit"
+        )
     return height_field(pokes, thickness=thick, margin=wide)
 
 

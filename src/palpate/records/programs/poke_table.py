@@ -1,6 +1,7 @@
 """Tables of pokes: position and force of a tool, one row a sample, in text, MATLAB's or NumPy's
 files."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -200,7 +201,11 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         values = table.values(table.columns)
         found = {column.name: values[:, column.index] for column in table.columns}
         units = {column.name: column.unit for column in table.columns if column.unit}
-    wide = {name: value.reshape(len(value), -1) for name, value in found.items() if value.ndim}
+    wide = {
+        name: value.reshape(len(value), math.prod(value.shape[1:]))
+        for name, value in found.items()
+        if value.ndim
+    }
     if not wide:
         raise RecordError(f"{path}: holds no columns of numbers; {_CURE}")
     for name, value in wide.items():
