@@ -17,6 +17,12 @@ SIZES = ("--diameter", "50mm", "--height", "30mm")
 COMPRESSION = ("compression", "record.csv", *SIZES, "--out")
 _HELD = []
 
+_TERM = {"time": {"value": 3.0, "std": 0.1, "ci95": [2.8, 3.2]}, "share": 0.6}
+_RELAXATION = {
+    "constant": "shear_modulus", "age": 12.0, "rise": 0.5, "hold": 100.0, "unrelaxed": 2e4,
+    "terms": [_TERM], "curve": [], "instantaneous": None, "long_term": None, "remarks": [],
+}  # fmt: skip
+
 
 def _value(*keys: str | int, to: Any) -> Callable[[Path], object]:
     """Damage: another value in the estimate, whatever its sum says."""
@@ -202,6 +208,16 @@ _ESTIMATE_KINDS = [
     _estimate("an E that is known worse than G and nu",
                    _value("young_modulus", to={"value": 6e4, "std": 1e4, "ci95": [4e4, 8e4]}),
                    "young_modulus has std 10000", "as E is 2 G (1 + nu)"),
+    _estimate("a relaxation of Poisson's ratio",
+                   _value("relaxation", to=_RELAXATION | {"constant": "poisson_ratio"}),
+                   "[relaxation]: constant is 'poisson_ratio'"),
+    _estimate("a Prony series that leaves nothing",
+                   _value("relaxation", to=_RELAXATION | {"terms": 2 * _RELAXATION["terms"]}),
+                   "[relaxation]", "sum to 1 or more"),
+    _estimate("a relaxation at no time",
+                   _value("relaxation", to=_RELAXATION | {"hold": None}), "[relaxation]", "a time"),
+    _estimate("more rejected points than can be counted",
+                   _value("probes", 0, "rejected", to=10**400), "number 1 rejected"),
     _estimate("a negative residual", _value("probes", 0, "rms_residual", to=-1e-4),
                    "number 1: rms_residual is -0.0001"),
     _estimate("a negative prediction error", _value("probes", 0, "prediction_error", to=-1),

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.disk import write_bytes
-from palpate.errors import RecordError
+from palpate.errors import InputError, RecordError
 from palpate.estimation import FitResult, LikelihoodMap, Prediction
 from palpate.files import stored_arrays
 from palpate.geometry import TriangleMesh
@@ -136,7 +136,10 @@ def read_modulus(path: Path) -> ModulusMap | None:
     with stored_arrays(path, cure, what="is damaged or of another version") as kept:
         if str(kept.pop("format")) != MODULUS_FORMAT:
             raise ValueError(f"format is not '{MODULUS_FORMAT}'")
-        return ModulusMap(**kept)
+        try:
+            return ModulusMap(**kept)
+        except InputError as error:
+            raise RecordError(f"{path}: {error}; {cure}") from error
 
 
 def write_residuals(folder: Path, session: Session, result: FitResult) -> None:

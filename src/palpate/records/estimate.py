@@ -396,6 +396,10 @@ class RelaxationEstimate:
     curve : tuple of RelaxationPoint    ten a decade, whole decades among them, inside the window
     instantaneous, long_term : Constant or None [Pa]   None: not shown by the window
     remarks : tuple of str          why not, whether Poisson's ratio is constant, in sentences
+
+    Raises
+    ------
+    InputError                      another constant; a time, modulus or share that cannot be
     """
 
     constant: str
@@ -408,6 +412,23 @@ class RelaxationEstimate:
     instantaneous: Constant | None
     long_term: Constant | None
     remarks: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if self.constant not in ("shear_modulus", "young_modulus"):
+            raise InputError(f"constant is {self.constant!r}; must be shear_modulus, young_modulus")
+        positive = [self.age, self.rise, self.hold, self.unrelaxed]
+        positive += [each.time.value for each in self.terms]
+        positive += [number for each in self.curve for number in (each.time, each.modulus.value)]
+        shares = [each.share for each in self.terms]
+        if not (
+            all(0.0 < each < math.inf for each in positive)
+            and all(each >= 0.0 for each in shares)
+            and sum(shares) < 1.0
+        ):
+            raise InputError(
+                "has a time or modulus that is not positive, or shares that are negative or sum to"
+                " 1 or more; fit the session again"
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """A shear modulus that differs from place to place, as estimated."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from palpate.shapes import Points
 # Elements that may hold a point: the nearest ones; and how far outside one still counts, over its
 # size.
 _NEAREST, _OUTSIDE = 24, -0.02
+# Logarithm of a modulus over the mean one that no body has.
+_LARGEST = 50.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +44,15 @@ class StiffPart:
 
     def __post_init__(self) -> None:
         if not (
-            self.size > 0.0 and self.depth >= 0.0 and 0.0 < self.low <= self.ratio <= self.high
+            0.0 < self.size < math.inf
+            and 0.0 <= self.depth < math.inf
+            and 0.0 < self.low <= self.ratio <= self.high
+            and all(map(math.isfinite, self.centre))
         ):
             raise InputError(
-                f"a part has size {self.size:g} m and ratio {self.ratio:g} in {self.low:g} to"
-                f" {self.high:g}; they must be positive, the ratio within its interval"
+                f"a part has size {self.size:g} m, depth {self.depth:g} m, centre {self.centre} m"
+                f" and ratio {self.ratio:g} in {self.low:g} to {self.high:g}; they must be finite,"
+                " all but the centre positive, the ratio within its interval"
             )
 
     @property
@@ -132,6 +139,8 @@ class ModulusMap:
         fix_fields(self, directions=(None, count))
         fix_fields(self, nodes=(None, 3), log_modulus=(count,), std=(count,))
         fix_fields(self, integer=True, tetrahedra=(None, 4))
+        if (largest := float(np.abs(self.log_modulus).max(initial=0.0))) > _LARGEST:
+            raise InputError(f"log_modulus reaches {largest:g}; must be {_LARGEST:g} at most")
         if self.tetrahedra.min(initial=0) < 0 or self.tetrahedra.max(initial=0) >= len(self.nodes):
             raise InputError(f"tetrahedra name nodes outside 0 to {len(self.nodes) - 1}")
         if self.is_known.shape != (count,):

@@ -80,8 +80,18 @@ def test_regions_come_back(tmp_path):
     assert (seen.note, again[1].note[:28]) == ("", "No push sees region 'insert'")
 
 
+_NOWHERE = {"centre": [0, None, 0], "size": 0.01, "ratio": 2.0, "low": 1.0, "high": 3.0, "depth": 0}
+
+
 @pytest.mark.parametrize(
-    "change", [{"std": 0.0}, {"length": -1.0}, {"known": 1.2}, {"parts": [{"size": 0.01}]}]
+    "change",
+    [
+        {"std": 0.0},
+        {"length": -1.0},
+        {"known": 1.2},
+        {"parts": [{"size": 0.01}]},
+        {"parts": [_NOWHERE]},
+    ],
 )
 def test_an_impossible_field_is_refused(tmp_path, change):
     field = FieldEstimate(0.4, 0.011, 174.2, 0.8)

@@ -246,8 +246,9 @@ class TomlTable:
     def count(self, key: str) -> int:
         """A non-negative integer."""
         return self.checked(
-            lambda value: type(value) is int and value >= 0, key, "be a whole number, 0 or more"
-        )
+            lambda value: type(value) is int and 0 <= value < 2**53, key,
+            "be a whole number, 0 or more, less than 2^53",
+        )  # fmt: skip
 
     def boolean(self, key: str) -> bool:
         """True or false."""
