@@ -35,7 +35,7 @@ from palpate.geometry import read_mesh, write_mesh
 from palpate.lab import read_lab_config
 from palpate.pipeline import read_fitted_surface
 from palpate.probe import read_compression
-from palpate.recording import read_recording
+from palpate.recording import read_pokes, read_recording
 from palpate.recording.footage import Footage, camera_motion, read_times
 from palpate.recording.force_log import read_force_log
 from palpate.recording.record import read_poses
@@ -47,10 +47,12 @@ from palpate.records import (
     ProbeEstimate,
     Rig,
     Status,
+    Tool,
     folder_changes,
     read_estimate,
     read_import_pose,
     read_measured,
+    read_poke_table,
     read_rig,
     read_rig_covariance,
     read_session,
@@ -82,6 +84,18 @@ images = "png_{camera}.png"
 name = "s1"
 images = "tif_{camera}.tif"
 """
+REGIONS = """\
+[[region]]
+name = "skin"
+skin = "4 mm"
+faces = { box = { min = [0, 0, 0.03], max = [0.04, 0.04, 0.04] } }
+ratio = 2.5
+ratio_std = 0.5
+[[region]]
+name = "half"
+plane = { point = [0, 0, 0.01], normal = [0, 0, -1] }
+thickness = "6 mm"
+"""
 # A session whose supports and errors say all that they may.
 GIVING = SESSION.replace(
     "[support]",
@@ -98,7 +112,7 @@ directions = [[0, 0, 1], [1, 0, 0]]
 stiffness = "5 kPa/mm"
 motion = "fixed"
 """,
-).replace("[[probe]]", '[[probe]]\nforce_sensor = "gauge"', 1)
+).replace("[[probe]]", REGIONS + '[[probe]]\nforce_sensor = "gauge"', 1)
 # And one whose probing was followed over time.
 CREEPING = SESSION.replace(
     "[[probe]]", '[[probe]]\nseries = "series.csv"\nmeasured_at = "1500 ms"', 1
@@ -106,6 +120,9 @@ CREEPING = SESSION.replace(
 SERIES = "t [ms],fx,fy,fz,tx,ty,tz,displacement\n" + "".join(
     f"{100 * k},0,0,{-0.12 * min(k, 10):.2f},,,{-4e-5 * k:g},{'frame.csv' if k == 12 else ''}\n"
     for k in range(20)
+)
+POKES = "poke,x [mm],y [mm],z [mm],force [mN]\n" + "".join(
+    f"{k},{5 * k},{k % 2},{-d},{20.0 * d**1.5:.3f}\n" for k in range(4) for d in range(5)
 )
 SCAN = """\
 format = "palpate-scan/1"
@@ -262,12 +279,13 @@ _TEXTS: dict[str, Reader] = {
     "press.csv": read_compression,
     "ball.toml": read_lab_config,
     "stage.toml": read_lab_config,
+    "pokes.csv": lambda path: read_pokes(read_poke_table(path), Tool("sphere", 4e-3, "slides")),
 }
 
 
 def write_texts(folder: Path) -> list[Path]:
     """Files of `_TEXTS`."""
-    for name, text in zip(_TEXTS, (POSE, COMPRESSION, HALF_BALL, STAGE), strict=True):
+    for name, text in zip(_TEXTS, (POSE, COMPRESSION, HALF_BALL, STAGE, POKES), strict=True):
         (folder / name).write_text(text)
     return [folder / name for name in _TEXTS]
 
