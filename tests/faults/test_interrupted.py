@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from fault_injection import all_states, in_child
 from faults.bench import write_scan, write_shots
+from faults.samples import POKES
 
 from palpate.app import commands
 from palpate.app.cli import main
@@ -50,6 +51,10 @@ _COMMANDS = {
     "report": ("report", "result", "--out", "made.html"),
     "a campaign's table": ("campaign", "table", "many", "--out", "made.csv"),
     "a campaign's picture": ("campaign", "plot", "many", "--out", "made.png"),
+    "pokes": (
+        "import", "pokes", "pokes.csv", "--tool-radius", "4mm", "--thickness", "20mm", "--out",
+        "made",
+    ),
     "a compression": (
         "compression", "record.csv", "--diameter", "50mm", "--height", "30mm", "--out", "made.json",
     ),
@@ -72,11 +77,12 @@ _READS = {
     "report": ("result", "cube"),
     "a campaign's table": ("many", "list.txt", "cube"),
     "a campaign's picture": ("many", "list.txt", "cube"),
+    "pokes": ("pokes.csv",),
     "a compression": ("record.csv",),
 }
 # They leave result folders as `fit` does, by whom some steps are tried.
 _LIKE_FIT = (
-    "flow", "scan", "calibrate", "export", "an object before a rig", "a plan", "a recording"
+    "flow", "scan", "calibrate", "pokes", "export", "an object before a rig", "a plan", "a recording"
 )  # fmt: skip
 # Seconds each: in `make slow` every fifth step, which the four faults take in turn.
 _SLOW = ("flow", "scan", "a recording")
@@ -115,6 +121,7 @@ def place(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(bench, folder)
     (folder / "new").mkdir()
     strain = np.linspace(0.0, 0.1, 40)
+    (folder / "pokes.csv").write_text(POKES)
     rows = np.stack([30.0 * strain, 1e5 * strain * np.pi * 0.025**2], axis=1)
     np.savetxt(folder / "record.csv", rows, delimiter=",", header="displacement,force", comments="")
     constants = {"young_modulus": 5e4, "poisson_ratio": 0.3, "shear_modulus": 2e4}

@@ -20,6 +20,7 @@ from pkgutil import walk_packages
 import numpy as np
 import pytest
 from faults.bench import write_shots
+from faults.samples import POKES
 
 from palpate.app import commands
 from palpate.app.cli import main
@@ -56,6 +57,10 @@ _ALL = _QUICK | {
     "report": ("report", "result", "--out", "report.html"),
     "a campaign's picture": ("campaign", "plot", "many", "--out", "plot.png"),
     "pictures that are not there": ("flow", "pictured", "--out", "flowed"),
+    "pokes": (
+        "import", "pokes", "pokes.csv", "--tool-radius", "4mm", "--thickness", "20mm", "--out",
+        "poked",
+    ),
     "a compression": (
         "compression", "record.csv", "--diameter", "50mm", "--height", "30mm", "--out", "made.json",
     ),
@@ -118,6 +123,7 @@ def bench_and_more(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     folder = tmp_path_factory.mktemp("surroundings") / "work"
     shutil.copytree(bench, folder)
     (folder / "new").mkdir()
+    (folder / "pokes.csv").write_text(POKES)
     strain = np.linspace(0.0, 0.1, 40)
     rows = np.stack([30.0 * strain, 1e5 * strain * np.pi * 0.025**2], axis=1)
     np.savetxt(folder / "record.csv", rows, delimiter=",", header="displacement,force", comments="")
