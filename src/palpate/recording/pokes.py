@@ -130,14 +130,19 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
         _curve(number, table, rows, sign, power) for number, rows in enumerate(parts, start=1)
     ]
     noise = _noise(curves, power)
-    clear = [each for each in curves if _has_contact(each, noise)]
+    found = [
+        (each, reading)
+        for each in curves
+        if _has_contact(each, noise) and (reading := _reading(each, noise, power))
+    ]
+    clear = [each for each, _ in found]
     if len(clear) < _FEWEST:
         raise InputError(
             f"{len(clear)} of {len(curves)} pokes have contact: in the others the force stays"
             f" within {_CLEAR:g} times its noise of {noise:.2g} N, or does not rise with the depth;"
             " check which column is the force, its unit, and how deep the tool went"
         )
-    force, depth, std = np.array([_reading(each, noise, power) for each in clear]).T
+    force, depth, std = np.array([reading for _, reading in found]).T
     kept = {each.number for each in clear}
     used = sum(len(each.depth) for each in curves)
     return Pokes(
@@ -255,8 +260,8 @@ def _has_contact(curve: _Curve, noise: float) -> bool:
     return touching >= _FEWEST and seen > _CLEAR * noise
 
 
-def _reading(curve: _Curve, noise: float, power: float) -> tuple[float, float, float]:
-    """F_e, the depth there, and its standard deviation."""
+def _reading(curve: _Curve, noise: float, power: float) -> tuple[float, float, float] | None:
+    """F_e, the depth there, and its standard deviation; None where the force falls with depth."""
     touching = curve.fitted > 0.0
     depth, force, fitted = (part[touching] for part in (curve.depth, curve.force, curve.fitted))
     # What a force that is off means in depth.
@@ -266,6 +271,8 @@ def _reading(curve: _Curve, noise: float, power: float) -> tuple[float, float, f
     combined = weight * (shape - weight @ shape / weight.sum())
     dented = float(combined @ (np.sign(force) * np.abs(force) ** (1.0 / power)))
     linear = float(combined @ force)
+    if dented <= 0.0 or linear <= 0.0:
+        return None
     effective = float(fitted.max())
     if power > 1.0:
         effective = float((linear / dented) ** (power / (power - 1.0)))
