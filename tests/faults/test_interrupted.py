@@ -82,7 +82,8 @@ _READS = {
 }
 # They leave result folders as `fit` does, by whom some steps are tried.
 _LIKE_FIT = (
-    "flow", "scan", "calibrate", "pokes", "export", "an object before a rig", "a plan", "a recording"
+    "flow", "scan", "calibrate", "pokes", "export", "an object before a rig", "a plan",
+    "a recording",
 )  # fmt: skip
 # Seconds each: in `make slow` every fifth step, which the four faults take in turn.
 _SLOW = ("flow", "scan", "a recording")
