@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import brentq
 from surfaces import box
 
+from benchmarks import pokes
 from palpate.errors import InputError
 from palpate.estimation import FitSettings
 from palpate.field import make_poke_model
@@ -114,3 +115,12 @@ def test_a_block_of_two_halves_is_not_the_same_everywhere(poked):
     # size stays behind a step.
     assert 0.5 * np.log(1.5) < stiff - soft < 1.1 * np.log(1.5)
     assert abs(stiff - soft - np.log(1.5)) < 2.0 * std
+
+
+@pytest.mark.slow
+def test_a_field_of_pokes_predicts_better_than_a_map_of_the_tips_stiffness(tmp_path, capsys):
+    """Inclusions that no length of two elements tells from noise."""
+    pokes.run(40, "inclusions", tmp_path, 0)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if " pokes " in line]
+    error = {words[3]: float(words[words.index("rms") + 1]) for words in lines}
+    assert error["field"] < error["peer"] < error["homogeneous"]

@@ -221,7 +221,8 @@ def make_poke_model(
     solid, edge = filled(session.mesh, [each * elements for each in times])
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
     points = body.points.reshape(-1, 3)
-    modes = make_field_modes(points, body.weight.ravel(), depth_below(session, points))
+    depth = depth_below(session, points)
+    modes = make_field_modes(points, body.weight.ravel(), depth, edges=1)
     # Layers change every poke of a face alike, as a modulus or Poisson's ratio does.
     modes = replace(modes, modes=modes.modes[:, : len(modes.mixing[0])])
     load, spread, near = _loads(body, edge, session)
