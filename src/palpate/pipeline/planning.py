@@ -242,7 +242,14 @@ def plan_next(
     Fedorov, Theory of Optimal Experiments (1972).
     """
     require_probings(session)
-    _check_first(session, count)
+    if count < 1:
+        raise InputError(f"count is {count}; must be at least 1")
+    first = session.probings[0]
+    if first.displacement is None or (first.contact.radius is None and first.contact.tool is None):
+        raise InputError(
+            f"probing '{first.name}' has no contact radius or no displacement: further probings"
+            " are planned like the first one; put one first that has both"
+        )
     if fitted is None:
         report = part_of(progress, 0.0, 0.4)
         fitted = fit_session(session, material=Substance.AUTO, progress=report)
@@ -497,18 +504,6 @@ def _at_guess(session: Session, material: Material) -> Session:
         shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio,
     )
-
-
-def _check_first(session: Session, count: int) -> None:
-    """Refuse to plan nothing, or after a first probing that is no example."""
-    if count < 1:
-        raise InputError(f"count is {count}; must be at least 1")
-    first = session.probings[0]
-    if first.displacement is None or (first.contact.radius is None and first.contact.tool is None):
-        raise InputError(
-            f"probing '{first.name}' has no contact radius or no displacement: further probings"
-            " are planned like the first one; put one first that has both"
-        )
 
 
 def _planned(probing: Probing, precision: dict[str, float]) -> PlannedProbing:
