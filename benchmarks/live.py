@@ -133,9 +133,9 @@ def _push_figures() -> list[Figure]:
 
         def anywhere(
             bench: Bench, plan: NextProbings, rng: np.random.Generator = rng
-        ) -> tuple[Vector3, Vector3]:
-            k = int(rng.integers(len(plan.point)))
-            return plan.point[k], plan.inward[k]
+        ) -> list[tuple[Vector3, Vector3]]:
+            order = rng.permutation(len(plan.point))
+            return [(plan.point[k], plan.inward[k]) for k in order]
 
         drawn.append(
             _pushes(patch.object(sys.modules[measure_live.__module__], "_allowed", anywhere))[0]
