@@ -10,6 +10,7 @@ FACILITY = "Virtual facility"
 SIMULATION = "Simulation"
 CAMPAIGN = "Campaigns"
 DOOR = "From a rig to a session"
+LIVE = "Measuring live"
 # Of rows that stand for a subject that stopped before its figures.
 NOT_MEASURED = "Not measured"
 
@@ -20,7 +21,7 @@ class Figure:
 
     Parameters
     ----------
-    section : str               BEM, ESTIMATION, FLOW, FACILITY, SIMULATION, CAMPAIGN, DOOR or
+    section : str               BEM, ESTIMATION, FLOW, FACILITY, SIMULATION, CAMPAIGN, DOOR, LIVE or
                                 NOT_MEASURED
     name : str                  what was measured, on what
     reached : float or None     None where it could not be measured; the note says why

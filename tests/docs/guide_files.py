@@ -363,6 +363,12 @@ def _view(here):
         yield
 
 
+def _measure(_here):
+    # The virtual bench; then one with devices.
+    yield
+    yield
+
+
 GUIDES = {
     "calibrate": _calibrate,
     "campaign": _campaign,
@@ -372,6 +378,7 @@ GUIDES = {
     "heterogeneous": _heterogeneous,
     "import": _import,
     "init": _init,
+    "measure": _measure,
     "lab": _lab,
     "mesh": _mesh,
     "next": _next,

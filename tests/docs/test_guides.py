@@ -22,9 +22,11 @@ _INSTALLS = "installs from the network what the tests have"
 _STAYS = "serves a page for a browser until it is interrupted; tests/viewer opens one"
 _KEYS = "makes a key with a program that not every machine has"
 _CLUSTER = "needs several machines; tests/campaign runs a scheduler and workers on this one"
+_DEVICES = "needs cameras and a scale; tests/bench plays them"
 NOT_RUN = {
     "pip install 'palpate[surface]'": _INSTALLS,
     "pip install 'palpate[view]'": _INSTALLS,
+    "palpate measure . --out sponge --until 'E 5 %'": _DEVICES,
     "palpate view examples/half_ball": _STAYS,
     "palpate view half_ball": _STAYS,
     "openssl req -x509 -newkey rsa:2048 -nodes -days 365 -subj /CN=dask"
@@ -40,6 +42,7 @@ _LONG = {
     "export",
     "flow",
     "lab",
+    "measure",
     "next",
     "poke",
     "record",

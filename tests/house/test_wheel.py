@@ -60,6 +60,7 @@ def test_what_it_says_of_itself(wheel):
         "batch",
         "cad",
         "e57",
+        "gauge",
         "hdf5",
         "lab",
         "parquet",

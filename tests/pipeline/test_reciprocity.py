@@ -6,15 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import kstest
+from surfaces import box
 
 from benchmarks.bodies import box_mesh
-from palpate.geometry import SurfacePoints, TriangleMesh
+from palpate.geometry import SurfacePoints, TriangleMesh, closest_points
 from palpate.pipeline import reciprocity
+from palpate.pipeline.patch_motion import _spread
 from palpate.records import (
     EXACT,
     FREE,
     Contact,
     DisplacementField,
+    PointCorrelation,
     Probing,
     Session,
     Support,
@@ -268,3 +271,25 @@ def test_chances_are_even(block):
         few_of = tuple(session.probings[k] for k in few)
         chances.append(reciprocity(replace(session, probings=few_of)).chance)
     assert kstest(chances, "uniform").pvalue > 1e-3
+
+
+def test_pairs_that_do_not_fit_together_leave_a_covariance():
+    """Three points, two pairs of which share 0.9 and the third nothing: no covariance has that, and
+    the mean with weights 1, -1.4, 1 would have a variance of -1.08."""
+    mesh = box(size=(1.0, 1.0, 1.0), cells=1)
+    points = mesh.vertices[:3]
+    field = DisplacementField(
+        points=points,
+        displacement=np.zeros((3, 3)),
+        std=np.ones((3, 3)),
+        vertex=None,
+        surface=closest_points(mesh, points),
+        source="",
+        correlation=PointCorrelation(np.array([[0, 1], [1, 2]]), np.array([0.9, 0.9])),
+    )
+    weights = np.tile([1.0, -1.4, 1.0], (1, 3, 1))
+    spread = _spread(field, np.arange(3), weights).reshape(3, 3)
+    assert np.linalg.eigvalsh(spread).min() >= 0.0
+    # What does fit together stays as it is: alone, a point has its own variance.
+    alone = _spread(field, np.arange(3), np.tile([0.0, 1.0, 0.0], (1, 3, 1))).reshape(3, 3)
+    np.testing.assert_allclose(alone, np.eye(3), atol=1e-12)

@@ -6,7 +6,7 @@ a push is therefore measured where force and pictures have been still for longer
 """
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -22,6 +22,7 @@ class DeviceError(InputError):
     do. Measuring can go on once that is done."""
 
 
+@runtime_checkable
 class Camera(Protocol):
     """A camera that is recording.
 
@@ -47,6 +48,7 @@ class Camera(Protocol):
         """End recording; harmless where it has not begun."""
 
 
+@runtime_checkable
 class ForceSource(Protocol):
     """A gauge in line with the tool, or a scale under the object.
 
@@ -70,6 +72,7 @@ class ForceSource(Protocol):
         """End reading; harmless where it has not begun."""
 
 
+@runtime_checkable
 class Arm(Protocol):
     """What moves the tool."""
 

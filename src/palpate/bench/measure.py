@@ -47,7 +47,8 @@ _AHEAD = 6
 # A scale under the object reads a push whose direction has at least this component along its own.
 _FROM_ABOVE = 0.7
 # What a person can say to a push that failed.
-AGAIN, STOP = "again", "stop"
+AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
+_Places = list[tuple[Vector3, Vector3]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,9 +130,9 @@ def measure(
     """
     with bench.started():
         session = _begun(bench, questions, folder)
-        place = first_place(session.bare, radius=session.contact_radius)
+        places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
-            _rehearse(bench, questions, *place)
+            _rehearse(bench, questions, *places[0])
             return None
         _look(bench, questions, session)
         judge = partial(
@@ -139,12 +140,12 @@ def measure(
         )
         result: FitResult | None = None
         if session.count:
-            result, place = judge(session.measured())
+            result, places = judge(session.measured())
         while not _enough(session, result, until, pushes, questions):
-            measured = _push(bench, session, questions, *place)
+            measured = _push(bench, session, questions, places)
             if measured is None:
                 break
-            result, place = judge(measured)
+            result, places = judge(measured)
     return result
 
 
@@ -216,10 +217,12 @@ def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
 
 
 def _push(
-    bench: Bench, session: LiveSession, questions: Questions, place: Vector3, inward: Vector3
+    bench: Bench, session: LiveSession, questions: Questions, places: _Places
 ) -> Session | None:
-    """One push that can be used, whatever comes between; None: the person stops."""
-    while True:
+    """One push that can be used, whatever comes between; None: the person stops. An arm that fails
+    at a place would fail there again: it goes to the next best one, while there are any."""
+    while places:
+        place, inward = places[0]
         try:
             taken = take_push(bench, questions, session.mesh, place, inward)
             if moved := session.moved(taken.rest):
@@ -236,8 +239,11 @@ def _push(
                 raise
             _restart(bench, questions)
             continue
-        if questions.choose("Push again?", [AGAIN, STOP]) == STOP:
+        again = AGAIN if bench.arm is None else ELSEWHERE
+        if questions.choose("Push again?", [again, STOP]) == STOP:
             return None
+        places = places if bench.arm is None else places[1:]
+    return None
 
 
 def _restart(bench: Bench, questions: Questions) -> None:
@@ -263,8 +269,8 @@ def _judged(
     until: Wanted | None,
     cache: Path | None,
     progress: Progress,
-) -> tuple[FitResult, tuple[Vector3, Vector3]]:
-    """The constants of all pushes, said; and the place of the next one."""
+) -> tuple[FitResult, _Places]:
+    """The constants of all pushes, said; and the places for the next one, the best first."""
     result = session.fit(measured, cache=cache, progress=part_of(progress, 0.0, 0.5))
     estimate = result.estimate
     questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
@@ -275,7 +281,7 @@ def _judged(
     except PalpateError as error:
         questions.tell(f"Where to push next is not clear yet: {error}")
         bare = replace(session.bare, probings=measured.probings, steps=())
-        return result, first_place(bare, radius=session.contact_radius)
+        return result, [first_place(bare, radius=session.contact_radius)]
     if until is not None:
         questions.tell(_still_needed(estimate, plan, until))
     return result, _allowed(bench, plan)
@@ -293,8 +299,9 @@ def _still_needed(estimate: Estimate, plan: NextProbings, until: Wanted) -> str:
     return f"More than {len(plan.after)} more for the wanted precision."
 
 
-def _allowed(bench: Bench, plan: NextProbings) -> tuple[Vector3, Vector3]:
-    """The best place that scale and arm allow."""
+def _allowed(bench: Bench, plan: NextProbings) -> _Places:
+    """The places that scale and arm allow, the best first."""
+    places = []
     order = [*plan.chosen, *(k for k in range(len(plan.point)) if k not in plan.chosen)]
     for k in order:
         place, inward = plan.point[k], plan.inward[k]
@@ -304,7 +311,9 @@ def _allowed(bench: Bench, plan: NextProbings) -> tuple[Vector3, Vector3]:
             _check(bench, place, inward)
         except InputError:
             continue
-        return place, inward
+        places.append((place, inward))
+    if places:
+        return places
     raise InputError("no further place is within what the scale reads and the arm's limits allow")
 
 

@@ -8,7 +8,7 @@ than that; pictures that move there are refused.
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -57,6 +57,7 @@ _BY_EYE = 0.02
 Pictures = tuple[UInt8[np.ndarray, "_ _"], ...]
 
 
+@runtime_checkable
 class Questions(Protocol):
     """How a person is spoken to: at the terminal, in the browser, or by a script."""
 

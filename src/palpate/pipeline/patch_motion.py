@@ -508,4 +508,6 @@ def _spread(
     across = np.einsum("pam,qam->apq", one, other)
     for a in range(3):
         spread[:, a, :, a] += across[a] + across[a].T
-    return np.asarray(spread)
+    # As above: what pairs have in common need not make a covariance.
+    size, axes = np.linalg.eigh(spread.reshape(3 * len(weights), -1))
+    return np.asarray((axes * np.clip(size, 0.0, None)) @ axes.T).reshape(spread.shape)

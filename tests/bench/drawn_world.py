@@ -1,0 +1,95 @@
+"""A virtual bench whose pictures are drawn in milliseconds, and answers for it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from palpate.bench import Bench, DrawnBody, virtual_bench
+from palpate.geometry import TriangleMesh
+from palpate.lab import LabConfig, built_in, make_render_mesh, read_lab_config, texture
+from palpate.records import Rig
+from palpate.vision import surface_map
+
+
+def drawn_body(config: LabConfig, rig: Rig) -> DrawnBody:
+    """The object as a surface with the texture as its light: no lamp, no shadows."""
+    surface = config.specimen.mesh
+    mesh = make_render_mesh(surface, rig.cameras, edge=1.5)
+    rng = np.random.default_rng(0)
+    look = config.look
+    level = 40.0 + 180.0 * texture(look.texture, mesh.vertices, surface, size=look.size, rng=rng)
+
+    def draw(vertices: np.ndarray, rod: TriangleMesh | None) -> tuple[np.ndarray, ...]:
+        points, triangles = vertices, mesh.triangles
+        grey = level
+        if rod is not None:
+            points = np.concatenate([vertices, rod.vertices])
+            triangles = np.concatenate([triangles, rod.triangles + len(vertices)])
+            grey = np.concatenate([level, np.full(len(rod.vertices), 8.0)])
+        pictures = []
+        for camera in rig.cameras:
+            columns, rows = camera.size
+            seen = surface_map(camera, (rows, columns), points, triangles)
+            there = seen.triangle >= 0
+            corner = points[triangles[seen.triangle[there]]]
+            share = _barycentric(corner, seen.point[there])
+            picture = np.full((rows, columns), 5.0, dtype=np.float32)
+            picture[there] = (share * grey[triangles[seen.triangle[there]]]).sum(axis=1)
+            pictures.append(cv2.GaussianBlur(picture, (0, 0), 0.6))
+        return tuple(pictures)
+
+    return DrawnBody(mesh.vertices, draw)
+
+
+def _barycentric(corner: np.ndarray, point: np.ndarray) -> np.ndarray:
+    a, b, c = (corner[:, k] for k in range(3))
+
+    def area(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(np.cross(q - p, r - p), axis=1)
+
+    parts = np.stack([area(point, b, c), area(a, point, c), area(a, b, point)], axis=1)
+    return parts / parts.sum(axis=1, keepdims=True)
+
+
+def small_config() -> LabConfig:
+    """The demo's half ball with coarser elements."""
+    demo = read_lab_config(built_in()["demo"])
+    return replace(demo, specimen=replace(demo.specimen, element=0.012))
+
+
+def drawn_bench() -> Bench:
+    """The virtual bench of that."""
+    return virtual_bench(small_config(), draw=drawn_body)
+
+
+class Script:
+    """Answers by the beginnings of questions, others with the first choice; remembers all texts."""
+
+    def __init__(self, *answers: tuple[str, str], on_tell: Callable[[str], None] | None = None):
+        self.answers = list(answers)
+        self.told: list[str] = []
+        self.asked: list[str] = []
+        self.on_tell = on_tell
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+        if self.on_tell:
+            self.on_tell(text)
+
+    def choose(self, text: str, options: list[str]) -> str:
+        return self.ask(text, options[0])
+
+    def ask(self, text: str, usual: str) -> str:
+        self.asked.append(text)
+        for k, (beginning, answer) in enumerate(self.answers):
+            if text.startswith(beginning):
+                del self.answers[k]
+                return answer
+        return usual
+
+    def wait(self, text: str) -> None:
+        self.asked.append(text)
+        if self.on_tell:
+            self.on_tell(text)

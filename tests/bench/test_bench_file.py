@@ -1,0 +1,97 @@
+"""bench.toml: what is read, and what is wrong with it."""
+
+import numpy as np
+import pytest
+from bench.test_devices import Straight
+
+from palpate.bench import bench_file, read_bench
+from palpate.errors import RecordError
+from palpate.records import Camera, Rig, write_rig
+
+CAMERAS = """
+[[camera]]
+name = "c0"
+driver = "opencv"
+source = 0
+[[camera]]
+name = "c1"
+driver = "opencv"
+source = "http://10.0.0.7:8080/"
+"""
+FORCE = """
+[force]
+driver = "serial"
+port = "/dev/ttyUSB0"
+gauge = "mark-10"
+limit = "50 N"
+"""
+ARM = """
+[arm]
+driver = "straight"
+[arm.limits]
+force = "2 N"
+depth = "5 mm"
+speed = "10 mm/s"
+low = ["-5 cm", "-5 cm", "0 cm"]
+high = ["5 cm", "5 cm", "10 cm"]
+[push]
+force = "1 N"
+"""
+HEAD = 'format = "palpate-bench/1"\n[rig]\ncameras = "rig.toml"\n'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    matrix = np.array([[700.0, 0.0, 79.5], [0.0, 700.0, 59.5], [0.0, 0.0, 1.0]])
+    cameras = []
+    for name, x in (("c0", 0.0), ("c1", 0.1)):
+        pose = np.diag([1.0, -1.0, -1.0, 1.0])
+        pose[:3, 3] = [-x, 0.0, 0.4]
+        cameras.append(Camera(name, (160, 120), matrix, np.zeros(5), pose))
+    write_rig(tmp_path / "rig.toml", Rig(tuple(cameras), 0, "rig"))
+    return tmp_path
+
+
+def read(folder, text):
+    (folder / "bench.toml").write_text(text)
+    return read_bench(folder)
+
+
+def test_a_bench(folder, monkeypatch):
+    monkeypatch.setitem(bench_file.ARM_DRIVERS, "straight", lambda _table: Straight())
+    bench = read(folder, HEAD + CAMERAS + FORCE + ARM)
+    assert [camera.source for camera in bench.cameras] == [0, "http://10.0.0.7:8080/"]
+    assert bench.force.limit == 50.0
+    assert bench.push_force == 1.0
+    assert bench.arm.limits.speed == pytest.approx(0.01)
+    np.testing.assert_allclose(bench.arm.limits.high, [0.05, 0.05, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name = "c1"', 'name = "c0"', "camera 'c0' is there twice"),
+        ('"http://10.0.0.7:8080/"', "0", "source: is 0, as that of camera 'c0'"),
+        ('"http://10.0.0.7:8080/"', '"film.avi"', "no such file"),
+        ('driver = "opencv"', 'driver = "opencvv"', "did you mean 'opencv'"),
+        ('gauge = "mark-10"', 'gauge = "mark10"', "did you mean 'mark-10'"),
+        ('limit = "50 N"', "limit = 50", "must be a number with its unit"),
+        ('driver = "straight"', 'driver = "ur"', "did|allowed: straight"),
+        ('speed = "10 mm/s"\n', "", "the key 'speed' is missing"),
+        ('depth = "5 mm"', 'depth = "-5 mm"', "depth is -0.005; must be positive"),
+        ('high = ["5 cm"', 'high = ["-9 cm"', "every number of low must be below that of high"),
+        ('[push]\nforce = "1 N"', "", "the key 'force' is missing"),
+        ("[force]", "[gauge]", "unknown key 'gauge'"),
+    ],
+)
+def test_what_is_wrong(folder, monkeypatch, old, new, words):
+    monkeypatch.setitem(bench_file.ARM_DRIVERS, "straight", lambda _table: Straight())
+    text = HEAD + CAMERAS + FORCE + ARM
+    assert old in text
+    with pytest.raises(RecordError, match=f"bench.toml.*({words})"):
+        read(folder, text.replace(old, new))
+
+
+def test_no_arm_is_built_in(folder):
+    with pytest.raises(RecordError, match=r"no arm is built in; docs/howto/measure\.md"):
+        read(folder, HEAD + CAMERAS + FORCE + ARM)

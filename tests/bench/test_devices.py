@@ -1,0 +1,277 @@
+"""The laws of cameras, gauges and arms, over every implementation; and devices that fail."""
+
+import itertools
+import time
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+import pytest
+from bench.drawn_world import drawn_bench
+from bench.live_devices import REPLIES, gauge_line, mjpeg_stream
+
+from palpate.bench import Arm, Camera, DeviceError, ForceSource
+from palpate.bench.arms import ArmLimits, GuardedArm, check_push
+from palpate.bench.cameras import OpenCvCamera
+from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce
+from palpate.errors import InputError
+
+
+def repeat(ask):
+    """Until it fails, for three seconds at least."""
+    for _ in range(600):
+        ask()
+        time.sleep(0.005)
+
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@contextmanager
+def film(tmp_path):
+    path = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (64, 48))
+    for k in range(60):
+        picture = np.full((48, 64, 3), 2 * k + 20, np.uint8)
+        writer.write(picture)
+    writer.release()
+    yield OpenCvCamera("c0", str(path))
+
+
+@contextmanager
+def stream(_):
+    with mjpeg_stream(1000) as address:
+        yield OpenCvCamera("c0", address)
+
+
+@contextmanager
+def virtual_camera(_):
+    yield drawn_bench().cameras[0]
+
+
+@pytest.mark.parametrize("make", [film, stream, virtual_camera])
+def test_laws_of_cameras(make, tmp_path):
+    with make(tmp_path) as camera:
+        assert isinstance(camera, Camera)
+        # Twice: again after an interruption.
+        for _ in range(2):
+            camera.start()
+            grabbed = [camera.grab() for _ in range(5)]
+            times = [when for _, when in grabbed]
+            assert all(a < b for a, b in itertools.pairwise(times))
+            for picture, _ in grabbed:
+                assert picture.shape == grabbed[0][0].shape
+                assert picture.ndim == 2
+            levels = [picture.astype(float).sum() for picture, _ in grabbed]
+            assert len(set(levels)) == 5
+            assert all(isinstance(text, str) for text in camera.settings.values())
+            camera.close()
+            camera.close()
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [(97, "it does not open"), ("http://127.0.0.1:9/", "it does not open")],
+)
+def test_a_camera_that_is_not_there(source, words):
+    camera = OpenCvCamera("c0", source)
+    with pytest.raises(DeviceError, match=f"camera 'c0' .*{words}.*plugged in"):
+        camera.start()
+    camera.close()
+
+
+def test_a_camera_that_is_unplugged():
+    """After 20 pictures; the ones before are good."""
+    with mjpeg_stream(20) as address:
+        camera = OpenCvCamera("c0", address)
+        camera.start()
+        with pytest.raises(DeviceError, match=r"camera 'c0' .* stopped sending"):
+            repeat(camera.grab)
+        camera.close()
+
+
+@contextmanager
+def table(tmp_path):
+    path = tmp_path / "force.csv"
+    path.write_text("time,force\n0.0,9.9\n")
+    gauge = TableGauge(path, unit="N")
+    read = gauge.read
+
+    def fed():
+        with path.open("a") as file:
+            file.write("0.1,-1.5\n0.2,1.5")
+            file.flush()
+            found = read()
+            file.write("\n")
+        return found
+
+    gauge.read = fed
+    yield gauge
+
+
+def serial(name):
+    @contextmanager
+    def make(_):
+        with gauge_line(*REPLIES[name]) as port:
+            yield SerialGauge(port, name)
+
+    make.__name__ = name
+    return make
+
+
+@contextmanager
+def sauter(_):
+    with gauge_line(*REPLIES["sauter"]) as port:
+        yield SerialGauge(port, "sauter", unit="N")
+
+
+@contextmanager
+def virtual_gauge(_):
+    bench = drawn_bench()
+    read = bench.force.read
+
+    def waited():
+        bench.cameras[0]._world.wait(0.1)
+        return read()
+
+    bench.force.read = waited
+    yield bench.force
+
+
+@pytest.mark.parametrize(
+    "make", [serial("mark-10"), serial("imada"), serial("hx711"), sauter, table, virtual_gauge]
+)
+def test_laws_of_forces(make, tmp_path):
+    with make(tmp_path) as gauge:
+        assert isinstance(gauge, ForceSource)
+        assert not gauge.typed
+        for _ in range(2):
+            gauge.start()
+            times, forces = [], []
+            end = time.monotonic() + 5.0
+            while len(forces) < 10 and time.monotonic() < end:
+                when, newtons = gauge.read()
+                assert len(when) == len(newtons)
+                times += when.tolist()
+                forces += newtons.tolist()
+            assert len(forces) >= 10
+            assert (np.diff(times) >= 0.0).all()
+            # 152.96 gf are 1.5 N within 1e-4; the virtual gauge shows its tool's weight, 0.2 N.
+            expected = 0.2 if make is virtual_gauge else 1.5
+            assert np.abs(np.median(np.abs(forces)) - expected) < 2e-3
+            gauge.close()
+            gauge.close()
+
+
+def test_every_gauge_is_tried():
+    assert set(REPLIES) == set(GAUGES)
+
+
+@pytest.mark.parametrize(
+    ("gauge", "unit", "reply", "words"),
+    [
+        ("mark-10", None, b"", "has sent no reading for 2 s: is it on"),
+        ("mark-10", None, b"\x00\xff!\r\n" * 9, "is no reading of 'mark-10'.*another gauge"),
+        ("mark-10", "N", b"1.2 lbF\r\n", "sends lbf, and .force. says N"),
+        ("mark-10", None, b"1.2 ozF\r\n", "sends ozF; switch it to one of"),
+        ("hx711", None, b"12.5\r\n", "without a unit; say it as `unit`"),
+        ("imada", None, b"+50.00NTE\r", "is overloaded"),
+    ],
+)
+def test_a_gauge_that_cannot_be_used(gauge, unit, reply, words):
+    with gauge_line(REPLIES[gauge][0], reply) as port:
+        line = SerialGauge(port, gauge, unit=unit)
+        line.start()
+        with pytest.raises(DeviceError, match=words):
+            repeat(line.read)
+        line.close()
+
+
+def test_a_gauge_that_is_not_there():
+    with pytest.raises(DeviceError, match="at /dev/no-such-port cannot be opened"):
+        SerialGauge("/dev/no-such-port", "imada").start()
+
+
+@pytest.mark.parametrize(
+    ("text", "newtons"),
+    [("320", 3.138128), ("320 g", 3.138128), ("0,5 kg", 4.903325), ("3 N", 3.0)],
+)
+def test_what_a_person_types(text, newtons):
+    assert TypedForce(unit="gf").newtons(text) == pytest.approx(newtons, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["", "much", "-3 N", "3 mm", "0"])
+def test_what_is_no_force(text):
+    with pytest.raises(InputError, match="is no force; type what the scale shows"):
+        TypedForce(unit="gf").newtons(text)
+
+
+class Straight:
+    """An arm that is at once where it is to be."""
+
+    def __init__(self):
+        self.position, self.stopped = np.array([0.0, 0.0, 0.1]), 0
+
+    def start(self):
+        pass
+
+    def pose(self):
+        return self.position
+
+    def move(self, position, direction, speed):
+        self.position = position
+
+    def stop(self):
+        self.stopped += 1
+
+    def close(self):
+        pass
+
+
+def limits():
+    return ArmLimits(2.0, 5e-3, 0.01, np.full(3, -0.2), np.full(3, 0.2))
+
+
+@pytest.mark.parametrize("make", [Straight, lambda: drawn_bench().arm])
+def test_laws_of_arms(make):
+    arm = make()
+    assert isinstance(arm, Arm)
+    arm.start()
+    for place in ([0.0, 0.0, 0.09], [0.01, 0.0, 0.08]):
+        arm.move(np.array(place), DOWN, 0.005)
+        np.testing.assert_allclose(arm.pose(), place, atol=1e-12)
+    arm.stop()
+    arm.close()
+    arm.close()
+
+
+def test_the_planner_keeps_the_limits():
+    place = np.array([0.0, 0.0, 0.05])
+    check_push(limits(), place, DOWN, clearance=0.005, force=1.0)
+    with pytest.raises(InputError, match="a push of 3 N is asked for; the arm may press with 2 N"):
+        check_push(limits(), place, DOWN, clearance=0.005, force=3.0)
+    with pytest.raises(InputError, match="out of the box from"):
+        check_push(limits(), np.array([0.0, 0.0, 0.198]), DOWN, clearance=0.005, force=1.0)
+
+
+@pytest.mark.parametrize(
+    ("depth", "speed", "force", "words"),
+    [
+        (6e-3, 0.01, 0.0, "6 mm is deeper than 5 mm"),
+        (4e-3, 0.02, 0.0, "20 mm/s is faster than 10 mm/s"),
+        (4e-3, 0.01, 2.5, "presses with 2.5 N of 2 at most"),
+        (-0.2, 0.01, 0.0, "out of the box"),
+    ],
+)
+def test_the_driver_keeps_the_limits(depth, speed, force, words):
+    arm, place = Straight(), np.array([0.0, 0.0, 0.05])
+    guard = GuardedArm(arm, limits())
+    guard.press_at(place, DOWN)
+    guard.felt(force)
+    before = arm.position
+    with pytest.raises(DeviceError, match=words):
+        guard.move(place + depth * DOWN, DOWN, speed)
+    assert arm.stopped == 1
+    np.testing.assert_array_equal(arm.position, before)
+    # Away from the object it may go whatever the gauge reads.
+    guard.move(place - 0.06 * DOWN, DOWN, 0.01)

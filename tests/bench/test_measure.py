@@ -1,0 +1,165 @@
+"""The whole way with the virtual bench, its pictures drawn: a session whole after each push."""
+
+import numpy as np
+import pytest
+from bench.drawn_world import Script, drawn_bench, small_config
+
+import palpate
+from palpate.bench import DeviceError, measure, wanted_precision
+from palpate.bench.measure import Wanted
+from palpate.errors import InputError
+from palpate.records import read_session
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Two pushes, then one more by a bench that is started anew on the same folder."""
+    folder = tmp_path_factory.mktemp("session")
+    script = Script()
+    result = measure(drawn_bench(), script, folder, pushes=2)
+    return folder, script, result
+
+
+@pytest.mark.slow
+def test_constants_are_those_of_the_body(run):
+    _, script, result = run
+    material = small_config().material
+    estimate = result.estimate
+    # The gain of the gauge alone has 1 % (1 sigma); elements of 12 mm make the body stiffer.
+    assert estimate.young_modulus.value == pytest.approx(material.young_modulus, rel=0.1)
+    assert estimate.poisson_ratio.value == pytest.approx(material.poisson_ratio, abs=0.04)
+    assert [text for text in script.told if text.startswith("After push")] == [
+        text for text in script.told if text.startswith(("After push 1: ", "After push 2: "))
+    ]
+    # Nobody had to decide anything.
+    assert script.asked == []
+
+
+@pytest.mark.slow
+def test_the_fit_of_the_folder_has_the_same_numbers(run):
+    folder, _, result = run
+    again = palpate.fit(folder)
+    for name in ("young_modulus", "shear_modulus", "poisson_ratio"):
+        assert getattr(again.estimate, name) == getattr(result.estimate, name)
+
+
+@pytest.mark.slow
+def test_a_session_is_gone_on_with(run, tmp_path):
+    folder, _, _ = run
+    before = (folder / "session.toml").read_text()
+    script = Script()
+    result = measure(drawn_bench(), script, folder, pushes=3)
+    session = read_session(folder)
+    assert [probing.name for probing in session.probings] == ["n01", "n02", "n03"]
+    assert len(result.estimate.probes) == 3
+    points = np.array([probing.contact.point for probing in session.probings])
+    # Never twice at one place: 5 mm is less than any two of the planned places are apart.
+    gaps = np.linalg.norm(points[:, None] - points, axis=2)[np.triu_indices(3, 1)]
+    assert gaps.min() > 5e-3
+    (folder / "session.toml").write_text(before)
+
+
+@pytest.mark.slow
+def test_a_kill_loses_the_push_in_hand_only(run, tmp_path, monkeypatch):
+    """Pictures of a third push are there, and session.toml does not name them."""
+    folder, _, _ = run
+    before = sorted((folder / "images").iterdir())
+
+    def killed(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("palpate.bench.live_session.measure_pictures", killed)
+    bench = drawn_bench()
+    with pytest.raises(KeyboardInterrupt):
+        measure(bench, Script(), folder, pushes=3)
+    monkeypatch.undo()
+    assert len(read_session(folder).probings) == 2
+    assert not list(folder.glob(".session*partial"))
+    assert sorted((folder / "images").iterdir()) >= before
+
+
+@pytest.mark.slow
+def test_a_camera_that_goes_is_said_and_started_again(tmp_path):
+    bench, script = drawn_bench(), Script()
+    camera, fails = bench.cameras[1], [1]
+    grab, starts = camera.grab, []
+
+    def failing():
+        if fails and bench.arm.pose()[2] < 0.08:
+            fails.pop()
+            raise DeviceError("camera 'c1': it has stopped sending")
+        return grab()
+
+    camera.grab, camera.start = failing, lambda: starts.append(1)
+    result = measure(bench, script, tmp_path, pushes=1)
+    assert "camera 'c1': it has stopped sending" in script.told
+    assert script.asked == ["Go on?"]
+    assert len(starts) == 2
+    assert len(result.estimate.probes) == 1
+
+
+@pytest.mark.slow
+def test_an_object_that_was_moved_is_noticed(tmp_path):
+    """By 1 mm between the first push and the second; then the person stops."""
+    bench = drawn_bench()
+    world = bench.cameras[0]._world
+    rest = world.body.vertices
+
+    def shift(text):
+        if text.startswith("After push 1"):
+            object.__setattr__(world.body, "vertices", rest + np.array([1e-3, 0.0, 0.0]))
+            world._drawn = None
+
+    script = Script(("Push again?", "stop"), on_tell=shift)
+    measure(bench, script, tmp_path, pushes=2)
+    (said,) = [text for text in script.told if "does not count" in text]
+    assert "the object has moved by 1" in said
+    assert len(read_session(tmp_path).probings) == 1
+
+
+@pytest.mark.slow
+def test_a_push_that_is_too_light_does_not_count(tmp_path):
+    bench = drawn_bench()
+    object.__setattr__(bench, "push_force", 0.015)
+    script = Script(("Push again?", "stop"))
+    assert measure(bench, script, tmp_path, pushes=1) is None
+    assert any("too light" in text for text in script.told), script.told
+    assert not (tmp_path / "session.toml").exists()
+
+
+def test_a_rehearsal_moves_nothing(tmp_path):
+    bench, script = drawn_bench(), Script()
+    before = bench.arm.pose()
+    assert measure(bench, script, tmp_path, dry_run=True) is None
+    np.testing.assert_array_equal(bench.arm.pose(), before)
+    assert "never beyond 0.585 N" in script.told[-1]
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("E 3 %", Wanted("young_modulus", 0.03, True)),
+        ("nu 0.02", Wanted("poisson_ratio", 0.02, False)),
+        ("G 2 kPa", Wanted("shear_modulus", 2000.0, False)),
+    ],
+)
+def test_wanted_precision(text, wanted):
+    assert wanted_precision(text) == wanted
+
+
+@pytest.mark.parametrize("text", ["E", "E 3 mm", "E 0 %", "F 3 %", "nu 2 kPa"])
+def test_wanted_precision_that_is_none(text):
+    with pytest.raises(InputError, match="must be a constant and half the width"):
+        wanted_precision(text)
+
+
+@pytest.mark.slow
+def test_share_of_the_wanted_interval(run):
+    _, _, result = run
+    low, high = result.estimate.young_modulus.ci95
+    half = 0.5 * (high - low)
+    assert Wanted("young_modulus", half, False).share(result.estimate) == pytest.approx(1.0)
+    relative = half / result.estimate.young_modulus.value
+    assert Wanted("young_modulus", 2.0 * relative, True).share(result.estimate) == pytest.approx(
+        0.5
+    )

@@ -1,0 +1,127 @@
+"""One push by a person: with a gauge that says when it is held, and with a scale that is read."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench.drawn_world import Script, drawn_bench
+
+from palpate.bench.gauges import TypedForce
+from palpate.bench.pushing import PushError, take_push, way_round
+
+TOP, DOWN = np.array([0.0, 0.0, 0.04]), np.array([0.0, 0.0, -1.0])
+
+
+class Person:
+    """Presses when told to, over half a second, holds, and lifts off when told to."""
+
+    def __init__(self, bench, *, slides=False):
+        self.slides = slides
+        self.world = bench.cameras[0]._world
+        self.begun, self.left, self.wait = np.inf, np.inf, self.world.wait
+        self.world.position = TOP - 0.02 * DOWN
+        self.world.wait = self.go_on
+
+    def __call__(self, text):
+        if text.startswith("Press"):
+            self.world.aim_at(TOP, DOWN)
+            self.begun = self.world.time
+        if text.startswith("Got it"):
+            self.left = self.world.time
+
+    def go_on(self, seconds):
+        now = self.world.time + seconds
+        if now > self.begun:
+            share = np.clip((now - self.begun) / 0.5, 0.0, 1.0) - (now > self.left)
+            depth = 0.8 * share * self.world._press.depth
+            self.world.position = TOP + (depth if share > 0.0 else -0.02) * DOWN
+        self.wait(seconds)
+        if self.slides and now > self.begun + 0.5:
+            self.world._drawn = None
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    # A person's patience, however busy the machine is that draws the pictures.
+    monkeypatch.setattr("palpate.bench.pushing._PATIENCE", 600.0)
+    return replace(drawn_bench(), arm=None)
+
+
+def taken(bench, script):
+    mesh = bench.cameras[0]._world.config.specimen.mesh
+    return take_push(bench, script, mesh, TOP, DOWN)
+
+
+@pytest.mark.slow
+def test_a_gauge_says_when_a_push_is_held(bench):
+    person = Person(bench)
+    script = Script(on_tell=person)
+    push = taken(bench, script)
+    press = person.world._press
+    force = float(press.force_at(np.array([0.8]))[0] @ press.tip.direction)
+    # Each reading has 0.5 % and 1 mN; some hundred of them, and the zero, are averaged.
+    assert push.force == pytest.approx(force, rel=2e-3)
+    assert 0.0 < push.force_std < 5e-3 * force
+    assert script.told[-1] == "Got it: lift off"
+    # The first 0.3 s of the hold are left out: there is no trace of the way down.
+    still = person.world.body.draw(person.world.body.vertices + person.world._surface(0.8), None)
+    assert np.abs(np.median(push.loaded[0][still[0] > 30] - still[0][still[0] > 30])) < 1.0
+
+
+@pytest.mark.slow
+def test_a_slip_is_refused(bench):
+    """The object slides by 2 mm a second under the tool, whose force stays as it is."""
+    person = Person(bench, slides=True)
+    world = person.world
+    draw = world.body.draw
+
+    def sliding(vertices, rod):
+        aside = 2e-3 * max(world.time - person.begun - 0.5, 0.0)
+        return draw(vertices + np.array([aside, 0.0, 0.0]), rod)
+
+    object.__setattr__(world.body, "draw", sliding)
+    with pytest.raises(PushError, match=r"it moved while it was held, by .* did the tool slip"):
+        taken(bench, Script(on_tell=person))
+
+
+def test_a_blurred_push_is_refused(bench):
+    person = Person(bench)
+    world = person.world
+    draw = world.body.draw
+
+    def shaken(vertices, rod):
+        pictures = draw(vertices, rod)
+        if rod is None:
+            return pictures
+        return tuple(
+            (p + np.roll(p, 3, 1) + np.roll(p, 6, 1) + np.roll(p, 9, 1)) / 4 for p in pictures
+        )
+
+    object.__setattr__(world.body, "draw", shaken)
+    with pytest.raises(PushError, match=r"blurred, .* as sharp as those at rest"):
+        taken(bench, Script(on_tell=person))
+
+
+def test_a_scale_under_the_object_is_read(bench):
+    """It reads the vertical part of a push along the normal: cos 60 degrees here."""
+    person = Person(bench)
+    aslant = np.array([0.0, np.sqrt(0.75), -0.5])
+    script = Script(("What", "much"), ("What", "46 g"), on_tell=person)
+    scale = replace(bench, force=TypedForce(unit="gf"), direction=DOWN)
+    mesh = person.world.config.specimen.mesh
+    push = take_push(scale, script, mesh, TOP, aslant)
+    assert push.force == pytest.approx(2.0 * 46 * 9.80665e-3, rel=1e-12)
+    # Two per cent by eye.
+    assert push.force_std == pytest.approx(0.02 * push.force, rel=1e-12)
+    assert any("'much' is no force" in text for text in script.told)
+
+
+def test_the_way_round_keeps_clear(bench):
+    mesh = bench.cameras[0]._world.config.specimen.mesh
+    way = way_round(np.array([0.09, 0.0, 0.02]), np.array([-0.06, 0.0, 0.02]), mesh, clearance=0.01)
+    path = np.concatenate([np.linspace(a, b, 20) for a, b in itertools.pairwise(way)])
+    gaps = np.linalg.norm(path[:, None] - mesh.vertices, axis=2).min(axis=1)
+    # Chords of 0.2 rad come nearer than the ball by half a per cent of its radius.
+    assert gaps[: -len(path) // len(way)].min() > 0.009
+    np.testing.assert_array_equal(way[-1], [-0.06, 0.0, 0.02])
