@@ -54,6 +54,8 @@ REGIONS = [
     _region("two regions of one name", (_INSERT, _INSERT), "'insert' is that of another region"),
     _region("regions at finite strain", (_INSERT,), "--strain small",
             command=("fit", ".", "--strain", "finite")),
+    _region("a field at finite strain", (), "--strain small",
+            command=("fit", ".", "--strain", "finite", "--material", "field")),
 ]  # fmt: skip
 
 KINDS = [

@@ -32,7 +32,7 @@ from palpate.field.poke_responses import make_poke_model
 from palpate.progress import Progress, silent
 from palpate.records import FieldEstimate, Session, without_pictures
 
-_MOST_ROUNDS = 20
+_MOST_ROUNDS = 10
 # In the first of these the prior of most evidence is looked for.
 _CHOOSING = 5
 # Change of log G anywhere that ends the rounds: of second order in what it leaves.

@@ -111,9 +111,10 @@ def fit_session(
             raise InputError("pokes without pictures take --strain small: press less far")
         result = fit_pokes(session, settings=settings, material=material, progress=progress)
         return with_relaxation(session, result)
-    if finite_strain and session.regions and material in (Material.REGIONS, Material.AUTO):
+    with_regions = session.regions and material in (Material.REGIONS, Material.AUTO)
+    if finite_strain and (with_regions or material is Material.FIELD):
         raise InputError(
-            f"{session.path}: has regions with moduli of their own, which take --strain small; or"
+            f"{session.path}: regions and fields with moduli of their own take --strain small; or"
             " leave them out with --material homogeneous"
         )
     return _fit_displacements(session, settings, cache, finite_strain, material, progress)
