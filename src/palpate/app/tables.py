@@ -193,14 +193,16 @@ def held_out_table(predictions: Sequence[Prediction]) -> Table:
         inside = np.abs(off) < _INSIDE * sigma
         share = float(inside.mean()) if inside.size else math.nan
         rows.append((each.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f")))
-    sizes = [f"{source} {size:.2g}" for source, size in predictions[0].sizes.items()]
     columns = ("probing", "error, rms (%)", "within 95 % (%)")
     caption = (
         "Error: with the noise and the outliers of what was measured. Within: of the measured"
-        " displacements, by intervals of prediction and noise together. Errors of a probing are"
-        " taken to be as large as in those fitted, over what the session says of them:"
-        f" {', '.join(sizes)}."
+        " displacements, by intervals of prediction and noise together."
     )
+    if sizes := [f"{source} {size:.2g}" for source, size in predictions[0].sizes.items()]:
+        caption += (
+            " Errors of a probing are taken to be as large as in those fitted, over what the"
+            f" session says of them: {', '.join(sizes)}."
+        )
     return terminal_table("Probings held out", columns, rows, caption=caption)
 
 
