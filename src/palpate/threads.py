@@ -114,7 +114,7 @@ def parallel_algebra(rows: int) -> Iterator[None]:
     rows : int              of the matrix
     """
     controller, threads = _linear_algebra()
-    if rows < _LARGE or threads == 1:
+    if rows < _LARGE:
         yield
         return
     with controller.limit(limits=threads):

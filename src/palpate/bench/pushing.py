@@ -229,12 +229,17 @@ def take_push(
     return TakenPush(rest, loaded, force, float(np.hypot(std, bench.force_std)))
 
 
+def _at_rest(questions: Questions, watch: _Watch, where: str) -> Pictures:
+    """Pictures of the object before a person presses."""
+    questions.wait(f"Tool off the object, hands out of the pictures. Next push: near {where}")
+    return watch.seen_for(_REST)
+
+
 def _by_hand(
     bench: Bench, questions: Questions, watch: _Watch, where: str
 ) -> tuple[Pictures, Pictures, tuple[float, float]]:
     """A person presses, the gauge says when it is held and when it is over."""
-    questions.wait(f"Tool off the object, hands out of the pictures. Next push: near {where}")
-    rest = watch.seen_for(_REST)
+    rest = _at_rest(questions, watch, where)
     questions.tell(f"Press straight in near {where}, and hold still for {bench.hold:g} s")
     begun, found = time.monotonic(), None
     while found is None or found.held < bench.hold:
@@ -257,8 +262,7 @@ def _typed(
     force: TypedForce, questions: Questions, watch: _Watch, where: str
 ) -> tuple[Pictures, Pictures, tuple[float, float]]:
     """A person presses and reads the force."""
-    questions.wait(f"Tool off the object, hands out of the pictures. Next push: near {where}")
-    rest = watch.seen_for(_REST)
+    rest = _at_rest(questions, watch, where)
     questions.wait(f"Press straight in near {where}, and hold still")
     loaded = watch.seen_for(_DELIVERY)
     while True:

@@ -13,6 +13,8 @@ _PIXELS = 240
 # Horizontal and vertical axis of each section.
 _PLANES = ((0, 1), (0, 2), (1, 2))
 _NAMES = "xyz"
+# Colour map of matplotlib: softer, mean, stiffer.
+MODULI = "RdBu_r"
 # Least range of the colours, as a factor from the mean: less than that is no difference to show.
 _LEAST_RANGE = 1.5
 
@@ -44,8 +46,7 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     grid = figure.add_gridspec(
         1, 3, width_ratios=widths, left=0.065, right=0.86, top=0.86, bottom=0.15, wspace=0.28
     )
-    farthest = float(np.abs(modulus.log_modulus[modulus.is_known]).max(initial=0.0))
-    span = max(_LEAST_RANGE, float(np.exp(farthest)))
+    span = modulus_span(modulus)
     colours = LogNorm(1.0 / span, span)
     for k, (i, j) in enumerate(_PLANES):
         step = float(max(size[i], size[j])) / _PIXELS
@@ -63,7 +64,7 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
         )
         image = axes.imshow(
             np.ma.masked_where(~shown, ratio), extent=extent, origin="lower", norm=colours,
-            cmap="RdBu_r",
+            cmap=MODULI,
         )  # fmt: skip
         third = 3 - i - j
         axes.set_title(f"{_NAMES[third]} = {round(_MM * through[third])} mm", color=INK)
@@ -77,6 +78,17 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     if not modulus.is_known.all():
         figure.text(0.065, 0.965, "Grey: the data do not tell the modulus", color=GREY, va="top")
     return figure
+
+
+def modulus_span(modulus: ModulusMap) -> float:
+    """Factor from the mean at the ends of the colours of a modulus.
+
+    Parameters
+    ----------
+    modulus : ModulusMap
+    """
+    farthest = float(np.abs(modulus.log_modulus[modulus.is_known]).max(initial=0.0))
+    return max(_LEAST_RANGE, float(np.exp(farthest)))
 
 
 def _ticks(span: float) -> list[float]:

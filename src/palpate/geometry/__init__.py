@@ -63,6 +63,7 @@ from palpate.geometry.triangle_mesh import (
     cut_distance as cut_distance,
     enclosed_volume as enclosed_volume,
     half_edges as half_edges,
+    is_outer as is_outer,
     morton_order as morton_order,
     random_points as random_points,
     split_sides as split_sides,

@@ -24,7 +24,7 @@ from palpate.geometry.mesh_content import (
     parse_vtp,
     whole_numbers,
 )
-from palpate.geometry.triangle_mesh import TriangleMesh, connected_components
+from palpate.geometry.triangle_mesh import TriangleMesh, connected_components, is_outer
 from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
 
@@ -317,10 +317,7 @@ def _surface_of_cells(content: Any) -> tuple[Float[np.ndarray, "v 3"], Int[np.nd
     ]
     if not facets and solids:
         faces = np.concatenate(solids)[:, _TETRAHEDRON_FACES].reshape(-1, 3)
-        _, where, count = np.unique(
-            np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
-        )
-        facets = [faces[count[where.ravel()] == 1]]
+        facets = [faces[is_outer(faces)]]
     points = np.zeros((len(content.points), 3))
     points[:, : content.points.shape[1]] = content.points
     empty = np.zeros((0, 3), dtype=np.int64)

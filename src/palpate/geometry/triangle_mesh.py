@@ -427,3 +427,20 @@ def convex_planes(mesh: TriangleMesh) -> Float[np.ndarray, "p 4"]:
         )
     planes = np.unique(np.round(hull.equations, _PLANE_DECIMALS), axis=0)
     return np.column_stack([planes[:, :3], -size * planes[:, 3]])
+
+
+def is_outer(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
+    """Which faces of tetrahedra belong to one of them only, and so bound all.
+
+    Parameters
+    ----------
+    faces : (f, 3) int              vertices, in any order
+
+    Returns
+    -------
+    (f,) bool
+    """
+    _, where, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return np.asarray(count[where.ravel()] == 1)

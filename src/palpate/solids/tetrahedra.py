@@ -26,6 +26,7 @@ from palpate.geometry import (
     checked_mesh,
     closest_points,
     half_edges,
+    is_outer,
     split_sides,
     unit_normals,
 )
@@ -193,7 +194,7 @@ def quadratic_solid(
     nodes = np.concatenate([points, points[edge].mean(axis=1)])
     elements = np.concatenate([tetrahedra, len(points) + where.reshape(-1, 6)], axis=1)
     faces = elements[:, FACES].reshape(-1, 6)
-    facets = faces[_is_outer(faces[:, :3])]
+    facets = faces[is_outer(faces[:, :3])]
     nodes = _curved(nodes, elements, np.unique(facets[:, 3:]), mesh)
     centre = np.einsum("v,fva->fa", _CENTRE, nodes[facets])
     closest = closest_points(mesh, centre)
@@ -276,14 +277,6 @@ def _shape(corner: Float[np.ndarray, "m 4 3"]) -> Float[np.ndarray, " m"]:
     return 6.0 * np.sqrt(2.0) * np.abs(_volumes(corner)) / np.mean(length**2, axis=1) ** 1.5
 
 
-def _is_outer(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Faces that belong to one element only."""
-    _, where, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    return count[where.ravel()] == 1
-
-
 def _tetrahedra(
     mesh: TriangleMesh, shell: Points, inner: Float[np.ndarray, "k 3"], spacing: _Spacing
 ) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "m 4"]]:
@@ -336,7 +329,7 @@ def _inner_cells(
     keep[surface_only[not_flat][~inside(mesh, centre)]] = False
     cells = cells[keep]
     while True:
-        outer = _is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
+        outer = is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
         peel = (cells < count).all(axis=1) & (outer >= 1) & (_shape(points[cells]) < _MIN_SHAPE)
         if not peel.any():
             return cells

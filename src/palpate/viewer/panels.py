@@ -12,6 +12,7 @@ import numpy as np
 
 from palpate.errors import PalpateError
 from palpate.estimation import FitResult, at_constants
+from palpate.figures import MODULI, modulus_span
 from palpate.geometry import closest_points
 from palpate.pipeline import FittedProbing
 from palpate.records import ModulusMap, length_unit, modulus_unit
@@ -31,13 +32,10 @@ from palpate.viewer.drawings import LikelihoodPlot, camera_picture, frames
 from palpate.viewer.stage import (
     FIELDS,
     MEASURED,
-    MODULI,
     PREDICTED,
-    ColouredField,
     Stage,
     coloured_field,
     length_colours,
-    modulus_span,
     scale_html,
     text_html,
 )
@@ -139,7 +137,9 @@ class LookPanel:
         self._stage.draw_probings(self._background.probings, one.name)
         self._draw_body(one, what, magnification)
         known = field is not None
-        self.scale.content = scale_html(_numbers(field), field.cmap) if field else ""
+        self.scale.content = ""
+        if field is not None:
+            self.scale.content = scale_html(_numbers(field.top, field.unit), field.cmap)
         self.note.content = "" if known else text_html(_why(what), italic=True)
 
     def _draw_body(self, one: FittedProbing, what: str, magnification: float) -> None:
@@ -158,9 +158,9 @@ def _why(what: str) -> str:
     return "not known before the session is fitted; the fit may still be running"
 
 
-def _numbers(field: ColouredField) -> tuple[str, str, str]:
-    """Below the colour bar."""
-    return "0", f"{field.top / 2:.3g}", f"{field.top:.3g} {field.unit} and more"
+def _numbers(top: float, unit: str) -> tuple[str, str, str]:
+    """Below a colour bar from 0."""
+    return "0", f"{top / 2:.3g}", f"{top:.3g} {unit} and more"
 
 
 class InsidePanel:
@@ -567,9 +567,7 @@ class TouchPanel:
             pressed.centre, pressed.state.tools[0].tool.bounding_radius, pressed.force, force
         )
         self.text.content = text_html(end + warning, bold=force)
-        self.scale.content = scale_html(
-            ("0", f"{top / 2:.3g}", f"{top:.3g} mm and more"), "viridis"
-        )
+        self.scale.content = scale_html(_numbers(top, "mm"), "viridis")
 
     def release(self) -> None:
         """Remove the ball and show the object as before."""

@@ -22,13 +22,21 @@ from palpate.figures import (
     HELD,
     INK,
     LENGTHS,
+    MODULI,
     MOST_SIGMAS,
     ORANGE,
     PALE_BLUE,
     RESIDUALS,
     best_direction,
+    modulus_span,
 )
-from palpate.geometry import TriangleMesh, bounding_diagonal, closest_points, unit_normals
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    closest_points,
+    is_outer,
+    unit_normals,
+)
 from palpate.pipeline import FittedProbing
 from palpate.records import Camera, ModulusMap
 from palpate.shapes import Indices, Points, PointScalars, Vector3, Vertices
@@ -54,8 +62,6 @@ Colours = UInt8[np.ndarray, "n 3"]
 # As viser sets its own texts.
 _STYLE = "padding:0 .8em .7em;font-size:.875rem;white-space:pre-line;overflow-wrap:anywhere"
 _STOPS = 12
-# Colours of a modulus, and the least factor from its mean at their ends.
-MODULI, _LEAST_SPAN = "RdBu_r", 1.5
 # Corners of a tetrahedron's faces.
 _FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
@@ -482,27 +488,13 @@ def cut_faces(
     centre = modulus.nodes[modulus.tetrahedra].mean(axis=1)
     kept = np.flatnonzero(centre[:, axis] <= at)
     faces = modulus.tetrahedra[kept][:, _FACES].reshape(-1, 3)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    outer = first[count == 1]
+    outer = np.flatnonzero(is_outer(faces))
     element = kept[outer // len(_FACES)]
     corners = modulus.nodes[faces[outer]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = np.einsum("fi,fi->f", normal, corners[:, 0] - centre[element]) < 0.0
     corners[inward] = corners[inward][:, ::-1]
     return corners, element
-
-
-def modulus_span(modulus: ModulusMap) -> float:
-    """Factor from the mean at the ends of the colours of a modulus.
-
-    Parameters
-    ----------
-    modulus : ModulusMap
-    """
-    farthest = float(np.abs(modulus.log_modulus[modulus.is_known]).max(initial=0.0))
-    return max(_LEAST_SPAN, float(np.exp(farthest)))
 
 
 def modulus_colours(modulus: ModulusMap) -> Colours:
