@@ -3,7 +3,7 @@
 import pytest
 
 from palpate.campaign import read_items
-from palpate.errors import InputError, RecordError
+from palpate.errors import RecordError
 
 
 def _session(folder):
@@ -24,16 +24,6 @@ def test_a_list_names_paths_and_groups(tmp_path):
     ]
     # A session that is not there is found out when its turn comes, as a row of its own.
     assert [one.path for one in found] == [tmp_path / "a", tmp_path / "b c", tmp_path / "d"]
-
-
-@pytest.mark.parametrize("again", ["a", "./a", "b/../a", "a/session.toml"])
-def test_a_session_twice_is_refused_however_it_is_spelled(tmp_path, again):
-    _session(tmp_path / "a")
-    _session(tmp_path / "b")
-    listed = tmp_path / "list.txt"
-    listed.write_text(f"a\nb\n{again}\n")
-    with pytest.raises(InputError, match=r"list.txt, line 3: .* is already in line 1"):
-        read_items(listed)
 
 
 def test_sessions_below_a_folder_are_grouped_by_the_way_to_them(tmp_path):

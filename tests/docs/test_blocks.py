@@ -9,6 +9,7 @@ import re
 import shlex
 import shutil
 
+import pytest
 from docs.page_blocks import ROOT, blocks, lines
 
 from palpate.app.cli import main
@@ -54,6 +55,7 @@ def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
     assert (here / "foam_block-result" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_one_camera_from_above_tells_the_constants_too(here):
     page = "docs/howto/first_session.md"
     (script,) = blocks(page, "python")

@@ -32,6 +32,7 @@ def test_write_a_session():
     assert run_example("03_write_a_session.py") == 3  # of four rows one is nan
 
 
+@pytest.mark.slow
 def test_predict_a_push():
     # 0.95 of independent components; neighbours share errors, so that a tenth more is usual.
     assert run_example("05_predict_a_push.py") == pytest.approx(0.95, abs=0.06)
@@ -81,6 +82,7 @@ def test_range_flow():
     assert found == pytest.approx([2e-4, -1e-4, 3e-4], abs=2e-6)
 
 
+@pytest.mark.slow
 def test_virtual_measurement():
     # Two of the standard deviations that the fit reports: 1.1 kPa and 0.006.
     young, poisson = run_example("12_virtual_measurement.py")

@@ -76,19 +76,6 @@ def test_rows_of_a_text_ply(tmp_path: Path, row: str, says: str) -> None:
         read_mesh(tmp_path / "a.ply")
 
 
-def test_rows_of_vertices_of_a_text_ply(tmp_path: Path) -> None:
-    for row in ("0 0 1 5", "0 0", "0 0 1_0"):
-        (tmp_path / "a.ply").write_text(_ply("\n0 0 1\n", f"\n{row}\n"))
-        with pytest.raises(MeshError, match=f"line 13: '{row}' is no row of vertex"):
-            read_mesh(tmp_path / "a.ply")
-
-
-def test_corners_that_need_not_be_whole(tmp_path: Path) -> None:
-    (tmp_path / "a.ply").write_text(_ply("uchar int", "uchar float"))
-    with pytest.raises(MeshError, match="need not be whole"):
-        read_mesh(tmp_path / "a.ply")
-
-
 @pytest.mark.parametrize("name", ["gmsh22", "gmsh"])
 @pytest.mark.parametrize(
     ("corner", "says"),

@@ -189,19 +189,6 @@ def test_vtp_polygons_are_cut_into_fans(tmp_path):
     assert triangle_areas(read_mesh(path)).sum() == pytest.approx(1.5)
 
 
-def test_vtp_of_another_kind_is_refused(tmp_path):
-    path = tmp_path / "grid.vtp"
-    path.write_text('<VTKFile type="ImageData"><ImageData/></VTKFile>')
-    with pytest.raises(MeshError, match="it holds no PolyData"):
-        read_mesh(path)
-    path.write_text("not xml")
-    with pytest.raises(MeshError, match="cannot be read as a surface in the format VTP"):
-        read_mesh(path)
-    path.write_text("<VTKFile><PolyData><Piece/></PolyData></VTKFile>")
-    with pytest.raises(MeshError, match="an array of points or polygons is missing"):
-        read_mesh(path)
-
-
 def test_missing_file_and_unknown_suffix_are_refused(tmp_path):
     with pytest.raises(MeshError, match="No such file"):
         read_mesh(tmp_path / "none.ply")
@@ -209,14 +196,6 @@ def test_missing_file_and_unknown_suffix_are_refused(tmp_path):
         read_mesh(tmp_path / "part.iges")
     with pytest.raises(MeshError, match="cannot write"):
         write_mesh(tmp_path / "part.iges", box())
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".msh", ".vtu"])
-def test_junk_is_refused_by_name(tmp_path, suffix):
-    path = tmp_path / f"junk{suffix}"
-    path.write_bytes(b"\x00\x01 this is no mesh \xff" * 20)
-    with pytest.raises(MeshError, match=f"junk{suffix}"):
-        read_mesh(path)
 
 
 def test_file_without_triangles_is_refused(tmp_path):
@@ -230,11 +209,6 @@ def test_unit_must_be_positive(tmp_path):
     write_mesh(tmp_path / "box.ply", box())
     with pytest.raises(InputError, match="metres_per_unit is 0"):
         read_mesh(tmp_path / "box.ply", metres_per_unit=0.0)
-
-
-def test_ply_that_cannot_be_written_is_refused(tmp_path):
-    with pytest.raises(RecordError, match="cannot be written"):
-        write_mesh(tmp_path / "none" / "box.ply", box())
 
 
 def test_missing_package_says_what_to_install():

@@ -26,12 +26,6 @@ def test_good_surfaces_pass_untouched(mesh):
     assert notes == ()
 
 
-def test_open_mesh_names_the_edges_of_its_hole():
-    mesh = sphere(1)
-    with pytest.raises(MeshError, match="open: 3 edges belong to one triangle only, the first"):
-        checked_mesh(TriangleMesh(mesh.vertices, mesh.triangles[1:]))
-
-
 def test_inward_mesh_is_turned_and_said():
     mesh = sphere(1)
     checked, notes = checked_mesh(TriangleMesh(mesh.vertices, mesh.triangles[:, ::-1]))

@@ -148,14 +148,3 @@ def test_twins_are_refused(read):
 def test_neither_probe_nor_stage_is_refused(read):
     with pytest.raises(RecordError, match="one of them"):
         read(HALF_BALL[: HALF_BALL.index("[[probe]]")])
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(RecordError, match="cannot be read"):
-        read_lab_config(tmp_path / "none.toml")
-
-
-def test_a_part_that_is_no_table_is_refused(read):
-    text = HALF_BALL.replace("[look]\nsize = 4e-3\n", "").replace("seed = 3", "seed = 3\nlook = 1")
-    with pytest.raises(RecordError, match="look: is 1; must be a table"):
-        read(text)

@@ -89,12 +89,6 @@ def test_a_rotation_that_is_none_is_refused(rigid_session, bad):
         rigid_steps(rigid_session)
 
 
-def test_a_session_without_truth_is_refused(rigid_session):
-    (rigid_session.path.parent / "truth.toml").unlink()
-    with pytest.raises(RecordError, match=r"truth\.toml"):
-        rigid_steps(rigid_session)
-
-
 # True displacement and material
 
 
@@ -154,15 +148,6 @@ def test_a_point_beside_the_picture_is_not_known(probed):
         pixel = np.tile(np.where(np.equal(beside, 0.0), 60.0, beside), (len(flow.pixel), 1))
         moved = true_displacement(probed[0], "n01", replace(flow, pixel=pixel))
         assert np.isnan(moved).all()
-
-
-def test_a_map_that_is_not_there_is_refused(probed):
-    flow = sample().flow
-    with pytest.raises(RecordError, match=r"truth_n02\.npz: cannot be read \(No such file"):
-        true_displacement(probed[0], "n02", flow)
-    (probed[0].path.parent / "truth_n02.npz").write_bytes(b"no map")
-    with pytest.raises(RecordError, match=r"truth_n02\.npz: cannot be read as a truth map"):
-        true_displacement(probed[0], "n02", flow)
 
 
 def test_the_truth_stands_beside_the_session(tmp_path):

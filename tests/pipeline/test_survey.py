@@ -11,7 +11,7 @@ from flow_samples import ABOVE, FOCAL, SHAPE, SIDE, camera, rig
 from program_files import write_cells
 from surfaces import box
 
-from palpate.errors import CalibrationError, PalpateError, RecordError
+from palpate.errors import CalibrationError, RecordError
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import (
     ProbingSurvey,
@@ -25,7 +25,6 @@ from palpate.pipeline import (
 )
 from palpate.records import (
     Contact,
-    Images,
     PictureTracks,
     Probing,
     Rig,
@@ -197,35 +196,6 @@ def test_a_camera_that_looks_past_the_object_is_named(seen):
     _, notes = survey_cameras(replace(seen, mesh=box(size=(SIDE,) * 3, origin=(1.0, 0.0, 0.0))))
     assert [note.split(":")[0] for note in notes] == ["Camera c0", "Camera c1"]
     assert "no vertex of the mesh" in notes[0]
-
-
-def test_a_picture_of_the_last_step_that_is_cut_off_is_refused(seen):
-    file = seen.path.parent / "s2_c1.png"
-    file.write_bytes(file.read_bytes()[:900])
-    with pytest.raises(PalpateError, match="step 's2', camera 'c1'"):
-        survey_cameras(seen)
-
-
-@pytest.mark.parametrize("copy", ["s1_c1.png", "s1_c0.png", "s0_c1.png"])
-def test_one_picture_under_two_names_is_refused(seen, copy):
-    folder = seen.path.parent
-    (folder / copy).write_bytes((folder / "s0_c0.png").read_bytes())
-    with pytest.raises(PalpateError, match=f"'{copy}' and 's0_c0.png' are the same picture"):
-        survey_cameras(seen)
-
-
-def test_the_rest_may_be_copied_for_every_probing(seen, cube_probing):
-    folder = seen.path.parent
-    for name in ("c0", "c1"):
-        (folder / f"s2_{name}.png").write_bytes((folder / f"s0_{name}.png").read_bytes())
-    first = replace(cube_probing, images=Images("s0_{camera}.png", ("s1_{camera}.png",)))
-    second = replace(first, name="n02", images=Images("s2_{camera}.png", ("s1_{camera}.png",)))
-    shared = replace(seen, steps=(), held_triangles=np.arange(2), probings=(first, second))
-    survey_cameras(shared)
-    images = Images("s0_{camera}.png", ("s2_{camera}.png",))
-    still = replace(shared, probings=(replace(first, images=images),))
-    with pytest.raises(PalpateError, match="are the same picture"):
-        survey_cameras(still)
 
 
 @pytest.fixture

@@ -85,21 +85,6 @@ def test_what_is_wrong_is_said(tmp_path, name, content, words):
     assert words in str(raised.value)
 
 
-def test_an_e57_file_is_in_metres_and_has_one_scan(tmp_path):
-    path = tmp_path / "scan.e57"
-    write(path, "e57")
-    # Whatever unit is asked for; the library wrote them in single precision.
-    np.testing.assert_allclose(
-        read_points(path, metres_per_unit=1e-3), POINTS, rtol=2e-6, atol=1e-6
-    )
-    write(path, "e57", scans=2)
-    with pytest.raises(RecordError, match=r"it has 2 scans, .* export each as a file"):
-        read_points(path)
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(RecordError, match="cannot be read as points of type E57"):
-        read_points(path)
-
-
 def _points(path):
     return depth_points(path, CAMERA, metres_per_level=1e-3)
 

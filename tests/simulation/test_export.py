@@ -288,11 +288,6 @@ def test_what_the_data_do_not_determine_is_written_as_assumed(source, tmp_path):
     assert re.search(r"Written: young_modulus \S+ Pa, poisson_ratio \S+ \(assumed\), den", readme)
 
 
-def test_a_probing_that_is_not_there_is_refused(source, tmp_path):
-    with pytest.raises(InputError, match=r"no probing 'n09' \(there are: n01, n02\)"):
-        export_fit(tmp_path, source, "obj", probe="n09")
-
-
 def test_results_of_other_versions_half_copied_or_without_session_are_refused(tmp_path):
     result = written_result(tmp_path)
     contents = result / "contents.txt"

@@ -97,7 +97,7 @@ def test_points_inside_are_refused(source):
 def green_of(source, modulus):
     vertices = source.session.mesh.vertices
     nodes = np.flatnonzero((vertices[:, 2] > SIDE - 1e-9) | (vertices[:, 0] > SIDE - 1e-9))
-    nodes = nodes[vertices[nodes, 2] > 1e-9][::4]
+    nodes = nodes[vertices[nodes, 2] > 1e-9][::7]
     material = exact_material(MODULUS, RATIO)
     return make_green_functions(source.session, material, modulus=modulus, nodes=nodes)
 
@@ -147,7 +147,7 @@ def test_their_uncertainty_is_that_of_the_map(source, green):
 
 @pytest.mark.parametrize("to", ["calculix", "febio", "vtu", "sofa", "openusd"])
 def test_files_have_the_modulus_of_every_element(source, to, tmp_path):
-    export_fit(tmp_path, source, to, edge=0.008)
+    export_fit(tmp_path, source, to, edge=0.011)
     young = source.estimate.young_modulus.value
     if to == "vtu":
         mesh = meshio.read(tmp_path / "model.vtu")

@@ -202,12 +202,6 @@ def test_a_tip_between_the_nodes_is_refused(block):
         press(block, Sphere(0.01, corner, DOWN), np.array([1e-4]))
 
 
-def test_a_tip_on_the_support_is_refused(block):
-    side = np.array([SIZE, SIZE / 2, 0.001])
-    with pytest.raises(InputError, match="nodes of the support"):
-        press(block, Sphere(0.1, side, np.array([-1.0, 0.0, 0.0])), np.array([1e-3]))
-
-
 def test_a_sphere_deeper_than_its_radius_is_refused(block):
     with pytest.raises(InputError, match="a sphere goes in by less than its radius"):
         press(block, BALL, np.array([1e-4, BALL.radius]))

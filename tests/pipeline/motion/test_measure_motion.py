@@ -1,7 +1,6 @@
 """From a session's pictures to its vertices, and what happens to bad pictures."""
 
 import gc
-import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -198,14 +197,6 @@ def test_a_truncated_picture_fails_its_step_and_keeps_the_others(
     assert np.isfinite(kept.vertices.displacement[:, 0]).sum() > 100
 
 
-def test_a_truncated_first_picture_is_refused(sequence: Path, tmp_path: Path) -> None:
-    folder = _part(sequence, tmp_path / "first", 2)
-    picture = folder / "images" / "s0_c2.png"
-    picture.write_bytes(picture.read_bytes()[:40_000])
-    with pytest.raises(InputError, match=r"s0_c2\.png"):
-        measure_motion(read_session(folder), **GIVEN)
-
-
 def test_pictures_without_texture_say_where_and_how_much_is_needed(
     sequence: Path, tmp_path: Path
 ) -> None:
@@ -232,15 +223,6 @@ def test_swapped_cameras_are_named(sequence: Path, tmp_path: Path) -> None:
         (images / f"{step}_c2.png").rename(images / f"{step}_c1.png")
         (images / "kept.png").rename(images / f"{step}_c2.png")
     with pytest.raises(CalibrationError, match="look swapped"):
-        measure_motion(read_session(folder), **GIVEN)
-
-
-def test_an_object_out_of_view_names_the_camera(sequence: Path, tmp_path: Path) -> None:
-    folder = _part(sequence, tmp_path / "away", 2)
-    rig = (folder / "rig.toml").read_text()
-    moved = re.sub(r"t = \[([^,]+),", r"t = [5.0,", rig)
-    (folder / "rig.toml").write_text(moved)
-    with pytest.raises(CalibrationError, match="does not see the object"):
         measure_motion(read_session(folder), **GIVEN)
 
 

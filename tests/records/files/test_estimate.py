@@ -227,29 +227,6 @@ def test_the_best_fit_of_a_model_that_does_not_fit_has_no_interval(tmp_path):
     assert "best fit of a model that does not fit" in verdict_text(again)
 
 
-def test_bad_files_are_refused(tmp_path):
-    path = tmp_path / "estimate.json"
-    with pytest.raises(RecordError, match="cannot be read"):
-        read_estimate(path)
-    path.write_text("{")
-    with pytest.raises(RecordError, match="not valid JSON"):
-        read_estimate(path)
-    path.write_text('{"format": "other/1"}')
-    with pytest.raises(RecordError, match="format: is 'other/1'; this version reads"):
-        read_estimate(path)
-    path.write_text('{"format": "palpate-estimate/1", "status": "ok"}')
-    with pytest.raises(RecordError, match=r"estimate\.json: the key 'shear_modulus' is missing"):
-        read_estimate(path)
-    path.write_text("[" * 100_000)
-    with pytest.raises(RecordError, match="not valid JSON"):
-        read_estimate(path)
-    path.write_text("[]")
-    with pytest.raises(RecordError, match="must be an object"):
-        read_estimate(path)
-    with pytest.raises(RecordError, match="cannot be written"):
-        write_estimate(tmp_path / "none" / "estimate.json", _estimate())
-
-
 def _set(*keys, to):
     """Damage: another value at a place of the document."""
 

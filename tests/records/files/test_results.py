@@ -162,12 +162,6 @@ def test_what_was_changed_or_is_somebodys_is_not_replaced(tmp_path, change, mess
     assert "what was there is kept as" in capsys.readouterr().err
 
 
-def test_a_result_of_another_command_is_not_replaced(tmp_path):
-    _make(tmp_path / "result", first="1", kind="lab")
-    with pytest.raises(InputError, match="is a result of `palpate lab`; nothing was touched"):
-        _make(tmp_path / "result", second="2")
-
-
 def test_what_is_changed_while_the_next_result_is_made_is_kept(tmp_path):
     target = tmp_path / "result"
     _make(target, first="1")

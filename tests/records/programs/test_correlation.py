@@ -82,18 +82,6 @@ def test_vic3d_without_sigma_says_so(tmp_path):
     assert measured.notes == ("It has no column sigma, so failed points cannot be recognised.",)
 
 
-def test_vic3d_planar_result(tmp_path):
-    path = write_table(tmp_path / "a.csv", '"x","y","X","Y","U","V","sigma"', np.ones((2, 7)))
-    with pytest.raises(RecordError, match="'Z' is missing; it is a 2-D result, and depth"):
-        read_measured("vic3d", path)
-
-
-def test_vic3d_pixels_only(tmp_path):
-    path = write_table(tmp_path / "a.csv", "x,y,z,u,v,w,sigma", np.ones((2, 7)))
-    with pytest.raises(RecordError, match=r"'X' is missing; export X, Y, Z.*it has: x, y, z, u"):
-        read_measured("vic3d", path)
-
-
 def test_columns_in_different_units(tmp_path):
     path = write_table(tmp_path / "a.csv", "X [mm],Y [mm],Z [mm],U [m],V [m],W [m]", np.eye(6))
     with pytest.raises(RecordError, match=r"different units \(X \[mm\].*U \[m\]"):

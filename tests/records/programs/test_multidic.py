@@ -81,16 +81,6 @@ def test_multidic_refusals(tmp_path, version):
             read_measured("multidic", path)
 
 
-def test_multidic_no_matlab_file(tmp_path):
-    path = tmp_path / "a.mat"
-    path.write_text("x,y,z")
-    with pytest.raises(RecordError, match="is not a MATLAB file of version"):
-        read_measured("multidic", path)
-    path.unlink()
-    with pytest.raises(RecordError, match="cannot be read"):
-        read_measured("multidic", path)
-
-
 def test_multidic_real_files_of_earlier_steps(shared_data):
     folder = shared_data / "real" / "multidic_pair"
     file = folder / "speckledObjectImages" / "DIC2DpairResults_C_201_C_202.mat"

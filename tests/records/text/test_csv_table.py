@@ -64,22 +64,9 @@ def test_infinity_is_for_the_caller_to_judge(tmp_path, word):
     assert np.isinf(table.values(table.columns)).tolist() == [[False, True]]
 
 
-@pytest.mark.parametrize("word", ["info", "inferior", "inf3"])
-def test_a_word_that_begins_like_infinity_is_a_word(tmp_path, word):
-    table = _read(tmp_path, f"a,b\n1,{word}\n")
-    with pytest.raises(RecordError, match=f"line 2: column 'b' holds '{word}'"):
-        table.values(table.columns)
-
-
 def test_words_in_columns_that_are_not_wanted(tmp_path):
     table = _read(tmp_path, "a,b\nfirst,1\nsecond,2\n")
     np.testing.assert_array_equal(table.values(table.columns[1:]), [[1.0], [2.0]])
-
-
-def test_a_word_has_a_line_and_a_column(tmp_path):
-    table = _read(tmp_path, "*** top\na,b\n1,2\n\n3,4.5.6\n")
-    with pytest.raises(RecordError, match=r"line 5: column 'b' holds '4.5.6'; must be a number"):
-        table.values(table.columns)
 
 
 @pytest.mark.parametrize("row", ["1,2", "1,2,3,4", "1,2,3,4,", "1"])
@@ -103,8 +90,3 @@ def test_a_row_of_another_length(tmp_path, row):
 def test_nothing_to_read(tmp_path, content, message):
     with pytest.raises(RecordError, match=message):
         _read(tmp_path, content)
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(RecordError, match="cannot be read"):
-        read_text_table(tmp_path / "none.csv", cure="CURE")
