@@ -112,6 +112,28 @@ def test_left_out_is_a_fit_of_the_others(noise: float) -> None:
         assert missed < 0.05 * move
 
 
+def test_left_out_ends_at_the_bounds_of_a_ratio_that_is_hardly_determined() -> None:
+    # Normal displacements tell (1 - nu) / G alone, one other component a little of nu: without the
+    # last push it would leave its range, and the modulus must follow it no farther.
+    probes = []
+    for probe in half_space_probes(
+        np.random.default_rng(2), count=3, grid=8, noise=3e-4, force_noise=0.01
+    ):
+        seen = np.full_like(probe.displacement, np.nan)
+        seen[:, 2] = seen[0, 0] = 1.0
+        scale = 1.0 + 0.05 * len(probes)
+        probes.append(replace(probe, displacement=scale * seen * probe.displacement))
+    joint = minimum_of(problem_of(probes))
+    for k, fit in enumerate(probe_fits(joint, RANGE)):
+        others = minimum_of(problem_of(probes[:k] + probes[k + 1 :]))
+        value = probes[k].response.value(others.poisson_ratio)[:, :3]
+        refit = (value @ probes[k].force / others.shear_modulus).reshape(-1, 3)[:, 2]
+        missed = np.linalg.norm(fit.left_out_predicted[:, 2] - refit)
+        # One step across a third of the range of nu.
+        assert missed < 0.03 * np.linalg.norm(refit)
+    assert others.poisson_ratio == pytest.approx(RANGE[1])
+
+
 def test_points_are_counted_and_residuals_averaged() -> None:
     modulus, ratio = Constant(1.0, 0.1, (0.8, 1.2)), Constant(0.3, 0.1, (0.1, 0.5))
     residual = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 5.0], [9.0, 9.0, 9.0], [np.nan] * 3,

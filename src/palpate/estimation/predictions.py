@@ -2,7 +2,7 @@
 and of probings that were not fitted."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +18,6 @@ from palpate.shapes import Points, Vertices
 
 # A point of smaller robust weight counts as rejected: 4.9 sigma for three components.
 _MIN_WEIGHT = 0.25
-_LONGEST_STEP = 2.0
 # Sizes of errors over those of their priors that are looked at, and how far off a prior may be:
 # the standard deviation of the logarithm of the size.
 _SIZES, _FACTOR = np.geomspace(0.05, 20.0, 200), float(np.log(3.0))
@@ -214,11 +213,13 @@ def _left_out(minimum: Evaluation, index: int, poisson_range: tuple[float, float
     if len(problem.probes) == 1:
         return None
     theta, block = minimum.theta.copy(), layout.blocks[index]
-    remaining = normal.common - normal.parts[index]
-    step = np.linalg.lstsq(remaining, -normal.part_gradients[index], rcond=1e-12)[0]
-    step[:2] = np.clip(step[:2], -_LONGEST_STEP, _LONGEST_STEP)
-    theta[: layout.common] += step
-    theta[0] = np.clip(theta[0], *poisson_range)
+    others = replace(
+        normal,
+        common=normal.common - normal.parts[index],
+        gradient=normal.gradient - normal.part_gradients[index],
+    )
+    step = others.step((), theta[0], poisson_range)
+    theta[: layout.common] += step[: layout.common]
     # Others cannot predict the motions of its supports: these stay as fitted.
     for part in (block.force, block.errors, block.unknown):
         theta[part] = 0.0
