@@ -123,7 +123,7 @@ def test_what_the_intervals_hold_is_said_below_the_constants(cube_session):
     )
     text = " ".join(printed(constants_table(assumed), 120).split())
     # The one that is farthest off by its own prior.
-    assert "shift of the object along x, by -0.3 mm ± 0.05 mm (assumed: 0.2 mm, prior" in text
+    assert "shift of the object along x, by -0.300 mm ± 0.050 mm (assumed: 0.2 mm, prior" in text
 
 
 def named(cube_session):

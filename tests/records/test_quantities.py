@@ -96,15 +96,20 @@ def test_units_are_what_they_are():
 @pytest.mark.parametrize(
     ("unit", "value", "texts"),
     [
-        ("", 0.02, ("2 %", "1 %", "4 %")),
-        ("m", 5e-4, ("0.5 mm", "0.25 mm", "1 mm")),
-        ("rad", math.pi / 180.0, ("1 degrees", "0.5 degrees", "2 degrees")),
-        ("m/Pa", 3e-9, ("3 mm/MPa", "1.5 mm/MPa", "6 mm/MPa")),
+        ("", 0.02, ("2.0 %", "1.0 %", "4 %")),
+        ("m", 5e-4, ("0.50 mm", "0.25 mm", "1 mm")),
+        ("rad", math.pi / 180.0, ("1.00 degrees", "0.50 degrees", "2 degrees")),
+        ("m/Pa", 3e-9, ("3.0 mm/MPa", "1.5 mm/MPa", "6 mm/MPa")),
     ],
 )
 def test_errors_are_written_in_their_units(unit, value, texts):
     error = ErrorEstimate("n01: contact along x", unit, value, 0.5 * value, 2.0 * value)
     assert error_texts(error) == texts
+
+
+def test_errors_are_never_written_as_powers_of_ten():
+    error = ErrorEstimate("mesh", "", -8e-23, 0.996, 1.0)
+    assert error_texts(error) == ("0 %", "100 %", "100 %")
 
 
 def test_a_budget_names_what_counts():

@@ -331,7 +331,10 @@ def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
     """
     factor, unit = _ERROR_UNITS[error.unit]
     value, std, prior = (factor * x for x in (error.value, error.std, error.prior_std))
-    return f"{value:.2g} {unit}", f"{std:.2g} {unit}", f"{prior:.2g} {unit}"
+    decimals = _decimals(std, value)
+    # Two digits, never as a power of ten.
+    assumed = f"{float(f'{prior:.2g}'):g}"
+    return f"{value:z.{decimals}f} {unit}", f"{std:.{decimals}f} {unit}", f"{assumed} {unit}"
 
 
 def quantity(value: Quantity, units: Mapping[str, float], name: str = "the number") -> float:

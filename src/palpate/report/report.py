@@ -397,7 +397,7 @@ def _error_row(error: ErrorEstimate) -> list[str]:
     value, std, prior = error_texts(error)
     return [
         error.name, f"\N{PLUS-MINUS SIGN} {prior}", f"{value} \N{PLUS-MINUS SIGN} {std}",
-        f"{error.value / error.prior_std:+.1f}" if error.prior_std else "\N{EN DASH}",
+        f"{error.value / error.prior_std:+z.1f}" if error.prior_std else "\N{EN DASH}",
     ]  # fmt: skip
 
 
