@@ -13,7 +13,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
 
 def canvas(page):
     """What the page shows of the object: the middle, as pixels."""
-    shot = page.screenshot(clip={"x": 250, "y": 100, "width": 200, "height": 300})
+    shot = page.screenshot(clip={"x": 140, "y": 100, "width": 200, "height": 300})
     return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), dtype=float)
 
 
@@ -71,7 +71,7 @@ def test_a_click_presses_and_a_drag_presses_deeper(page, viewer):
     page.get_by_role("tab", name="Touch").click()
     before = canvas(page)
     click(
-        page, 400, 250,
+        page, 240, 250,
         lambda: tab.touching.pressed is not None and tab.touching.pressed.force.any(),
     )  # fmt: skip
     first = tab.touching.pressed
@@ -79,7 +79,7 @@ def test_a_click_presses_and_a_drag_presses_deeper(page, viewer):
     until(lambda: changed(page, before))
     page.mouse.down()
     for step in range(1, 8):
-        page.mouse.move(400 + 8 * step, 250)
+        page.mouse.move(240 + 8 * step, 250)
         page.wait_for_timeout(60)
     page.mouse.up()
     # More depth, more force: the drag's length is that of the ball's way.
@@ -95,7 +95,7 @@ def test_no_press_is_lost_while_the_object_is_drawn_anew(page, viewer, monkeypat
     mesh = tab.stage.subject.session.mesh
     for number in range(1, 9):
         tab.stage.draw_body(np.full_like(mesh.vertices, 1e-6 * number), None)
-        page.mouse.click(400, 250)
+        page.mouse.click(240, 250)
         until(lambda number=number: len(pressed) == number, patience=5.0)
 
 

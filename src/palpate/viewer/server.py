@@ -151,6 +151,7 @@ class Viewer:
                 self._token, host=_HOST, port=chosen, label=subject.session.name, verbose=False
             )
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self._server.gui.main_panel.dock_right()
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._gone)

@@ -48,6 +48,8 @@ OBJECT = "the first probing's side"
 # Columns and rows assumed for cameras whose calibration does not give them.
 _IMAGE_SIZE = (640, 480)
 _FOV = np.pi / 3
+# Share of the view that the object fills.
+_FILLED = 0.75
 _BODY, _SET = "#c9ccd2", "#e69f00"
 # Sizes as fractions of the object's: points, arrows, their thickness, cameras, label distance.
 _POINT, _ARROW, _TIP, _FRUSTUM, _NEAR = 0.012, 0.2, 0.006, 0.12, 0.03
@@ -381,12 +383,18 @@ def look(client: Any, subject: Subject, size: float) -> None:
     subject : Subject
     size : float [mm]               bounding diagonal of the object
     """
-    mesh = subject.session.mesh
-    middle = 1e3 * 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    camera = client.camera
+    corners = 1e3 * subject.session.mesh.vertices
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    camera, toward = client.camera, direction_of(subject)
+    across = np.cross((0.0, 0.0, 1.0), toward)
+    across /= np.linalg.norm(across)
+    axes = np.stack([across, np.cross(toward, across)])
+    half = _FILLED * np.tan(0.5 * _FOV) * np.array([camera.aspect, 1.0])
+    reach = np.abs((corners - middle) @ axes.T) / half
+    distance = float((reach.max(axis=1) + (corners - middle) @ toward).max())
     camera.near, camera.far, camera.fov = 0.01 * size, 100.0 * size, _FOV
     camera.up_direction = (0.0, 0.0, 1.0)
-    camera.position = tuple(middle + size * direction_of(subject))
+    camera.position = tuple(middle + distance * toward)
     camera.look_at = tuple(middle)
 
 
