@@ -8,7 +8,7 @@ from surfaces import hull_mesh
 from palpate.errors import InputError, RecordError
 from palpate.geometry import write_mesh
 from palpate.records import MESH, Contact, Tool, read_session
-from palpate.records.contact import PRESSURES, contact_profiles
+from palpate.records.contact import PRESSURES, PressureMap, contact_profiles
 
 
 @pytest.mark.parametrize(
@@ -112,3 +112,14 @@ def test_a_tool_of_any_convex_shape_is_a_mesh_in_a_file(edited):
 def test_bad_tools(edited, text, message):
     with pytest.raises(RecordError, match=message):
         read_session(edited('radius = 0.006, profile = "smooth"', text))
+
+
+def test_an_average_over_directions_is_that_of_all_directions():
+    # A pressure that rises along the first axis is at any distance as large as in the middle.
+    middle = (np.arange(60) + 0.5) / 60.0 * 2.0 - 1.0
+    slope = np.tile(2.0 + middle[:, None], (1, 60))
+    axes = np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    shape = PressureMap(axes, 1.0, 0.9, slope, np.zeros_like(slope))
+    np.testing.assert_allclose(shape.mean(np.linspace(0.0, 1.0, 5)), 2.0, rtol=1e-12)
+    at_end = shape.at(0.9 * axes[:1])
+    np.testing.assert_allclose(at_end, 2.9, rtol=1e-12)

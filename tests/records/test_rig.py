@@ -15,6 +15,7 @@ from palpate.records import (
     read_rig_covariance,
     write_rig_covariance,
 )
+from palpate.records.rig import check_cameras
 
 MATRIX = np.array([[900.0, 0.5, 320.0], [0.0, 910.0, 240.0], [0.0, 0.0, 1.0]])
 POSE = np.array([
@@ -127,3 +128,10 @@ def test_what_is_no_covariance_is_refused(tmp_path: Path) -> None:
         read_rig_covariance(file)
     with pytest.raises(CalibrationError, match="not symmetric"):
         replace(KNOWN, covariance=np.array([[1.0, 0.5], [0.0, 1.0]]))
+
+
+def test_a_principal_point_that_is_hardly_off_is_nobody_s_mistake():
+    # With cx and cy exchanged it would be in the middle of this picture, which is nearly square.
+    matrix = np.array([[900.0, 0.0, 247.5], [0.0, 900.0, 249.5], [0.0, 0.0, 1.0]])
+    cameras = (_camera(size=(500, 496), matrix=matrix), _camera("c1"))
+    check_cameras(Rig(cameras, 0, "rig.toml"))
