@@ -10,7 +10,7 @@ PYTHON_FILES := src tests benchmarks examples docs
 KERNEL_ROOMS := geometry records probe bem vision lab simulation solids
 KERNEL_SOURCES := $(shell find $(KERNEL_ROOMS:%=src/palpate/%) -name '*.py')
 
-.PHONY: demo test slow fuzz fuzz-coverage benchmark lint format contract types tests map reference docs wheel lock \
+.PHONY: demo test slow fuzz fuzz-coverage benchmark lint format contract types tests map reference docs dist release lock \
     oldest clean clean-cache
 .DEFAULT_GOAL := help
 
@@ -24,7 +24,8 @@ help:
 	@echo "make benchmark  measure every figure, write BENCHMARK.md (about two hours)"
 	@echo "make docs   build the documentation site in build/docs (opens from the disk, no network)"
 	@echo "make reference  make docs/reference and the gallery again from the code that reads the files"
-	@echo "make wheel  build a wheel, install it in a fresh environment, fit an example there"
+	@echo "make dist   build wheel and sdist, install in a fresh environment, fit an example there"
+	@echo "make release  test, then the wheel, the sdist and the documentation, ready to be uploaded"
 	@echo "make oldest install the oldest versions that the metadata promises, run some tests with them"
 	@echo "make map    draw docs/developer/map.svg again, after a change of rooms or imports"
 	@echo "make lock   choose new pinned versions"
@@ -136,13 +137,25 @@ docs: $(VENV)/docs.stamp
 	$(BIN)/python -m sphinx -W --keep-going -q -c docs/site docs build/docs
 	@echo "Open build/docs/index.html"
 
-# Outside the tree: an installed Palpate has nothing beside it.
-wheel: $(VENV)/run.stamp
-	rm -rf build/wheel
-	$(BIN)/python -m hatchling build -t wheel -d build/wheel
-	$(PYTHON) -m venv build/wheel/fresh
-	build/wheel/fresh/bin/python -m pip install --quiet build/wheel/*.whl
-	cd build/wheel && fresh/bin/palpate --version && fresh/bin/palpate fit ../../examples/half_ball --out result
+# Installed outside the tree: an installed Palpate has nothing beside it.
+dist: $(VENV)/run.stamp
+	rm -rf build/dist build/fresh
+	$(BIN)/python -m hatchling build -d build/dist
+	$(PYTHON) -m venv build/fresh
+	build/fresh/bin/python -m pip install --quiet build/dist/*.tar.gz
+	cd build/fresh && bin/palpate --version && bin/palpate fit ../../examples/half_ball --out result
+
+# Made from what is committed, under a version that the changelog has a section for.
+VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' src/palpate/__init__.py)
+
+release:
+	@test -z "$$(git status --porcelain)" || { echo "not all is committed: see git status"; exit 2; }
+	@grep -q "^## \[$(VERSION)\]" CHANGELOG.md || { echo "CHANGELOG.md has no section [$(VERSION)]:" \
+	    "rename [Unreleased], or set __version__ in src/palpate/__init__.py"; exit 2; }
+	$(MAKE) --no-print-directory test docs dist
+	tar -czf build/dist/palpate-$(VERSION)-docs.tar.gz -C build docs
+	@ls -l build/dist
+	@echo "Left to do: git tag v$(VERSION), push the tag, upload the wheel and the sdist"
 
 # The oldest versions that the metadata promises, with the newest tools for testing. Shapes are not
 # checked: that needs a newer jaxtyping than a run does. Kernels stay out of the tree. With the oldest
@@ -164,5 +177,5 @@ clean-cache:
 	find src -name '*.nb[ic]' -delete
 
 clean: clean-cache
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build
 	find $(PYTHON_FILES) -name __pycache__ -type d -exec rm -rf {} +
