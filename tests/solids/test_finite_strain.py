@@ -22,13 +22,17 @@ from palpate.solids.finite_strain import (
     find_equilibrium,
     find_in_increments,
     internal_forces,
+    load_slopes,
     solve_finite,
     tangent,
+    yeoh,
 )
 from palpate.solids.tetrahedra import make_solid
 
 SHEAR = 7e4
-LAWS = pytest.mark.parametrize("law", [NeoHookean, SplitNeoHookean])
+LAWS = pytest.mark.parametrize(
+    "law", [NeoHookean, SplitNeoHookean, yeoh(3.0), yeoh(3.0, SplitNeoHookean)]
+)
 
 
 @pytest.fixture(scope="module")
@@ -103,20 +107,26 @@ def test_shape_and_volume_are_apart_in_the_split_law() -> None:
 
 @pytest.mark.parametrize("stretch", [0.7, 1.3])
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45])
-def test_uniaxial_stretch_is_in_equilibrium(block, basis, stretch, poisson):
-    """Sides free: P = mu (b - 1/b) + lambda ln(a b^2) / b = 0 across; along, the nominal stress."""
+@pytest.mark.parametrize("stiffening", [0.0, 2.0])
+def test_uniaxial_stretch_is_in_equilibrium(block, basis, stretch, poisson, stiffening):
+    """Sides free: the nominal stress P is 0 across; in principal stretches a, b, b with J = a b^2
+    and I = (a^2 + 2 b^2) J^(-2/3), P_i = mu (l_i - 1/l_i) + lambda ln J / l_i
+    + 2 mu stiffening (I - 3) (J^(-2/3) l_i - I / (3 l_i))."""
     lame = 2 * SHEAR * poisson / (1 - 2 * poisson)
 
-    def across(b):
-        return SHEAR * (b - 1 / b) + lame * np.log(stretch * b**2) / b
+    def nominal_stress(own, side):
+        volume = stretch * side**2
+        scale = volume ** (-2 / 3)
+        shape = (stretch**2 + 2 * side**2) * scale
+        hooke = SHEAR * (own - 1 / own) + lame * np.log(volume) / own
+        return hooke + 2 * SHEAR * stiffening * (shape - 3) * (scale * own - shape / (3 * own))
 
-    side = brentq(across, 0.3, 3.0, xtol=1e-15)
-    log = np.log(stretch * side**2)
-    nominal = SHEAR * (stretch - 1 / stretch) + lame * log / stretch
+    side = brentq(lambda b: nominal_stress(b, b), 0.3, 3.0, xtol=1e-15)
+    nominal = nominal_stress(stretch, side)
     body = make_body(block.solid, block.held, shear_modulus=SHEAR, poisson_ratio=poisson)
     nodes = block.solid.nodes
     at = nodes * (np.array([side, side, stretch]) - 1.0)
-    inner = internal_forces(NeoHookean(*body.lame), basis, at)
+    inner = internal_forces(yeoh(stiffening)(*body.lame), basis, at)
     ends = sum(
         traction_load(
             block.solid,
@@ -153,6 +163,52 @@ def test_drawn_block_without_sideways_strain_is_the_closed_form(block, basis):
     stored = 0.5 * SHEAR * (stretch**2 - 1) - SHEAR * np.log(stretch)
     law = NeoHookean(*body.lame)
     assert energy(law, basis, found) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=1e-9)
+
+
+def test_a_sheared_block_stiffens_as_it_says() -> None:
+    """In simple shear by s the secant modulus is mu (1 + 2 stiffening s^2)."""
+    slid = np.eye(3)[:, :, None, None] + 0.0
+    slid[0, 1] = 0.2
+    stress = yeoh(3.0, SplitNeoHookean)(SHEAR, 2 * SHEAR).stress(slid)
+    # Rounding.
+    assert stress[0, 1].item() == pytest.approx(0.2 * SHEAR * 1.24, rel=1e-12)
+
+
+def test_stiffening_is_of_third_order_in_the_load(block):
+    gap = []
+    for force in (0.8, 0.4):
+        load = top_load(block, np.array([0.5 * force, 0.0, -force]))
+        stiff, plain = (solve_finite(block, load, law=law) for law in (yeoh(3.0), NeoHookean))
+        gap.append(np.linalg.norm(stiff - plain))
+    # A fourth order of some percent is left.
+    assert gap[0] / gap[1] == pytest.approx(8.0, rel=0.1)
+
+
+def test_slopes_are_those_of_the_solutions(block):
+    """By the logarithm of the load, Lame's lambda and the stiffening."""
+    mu, lame = block.lame
+    load = top_load(block, np.array([2.0, 0.0, -4.0]))
+    law = yeoh(2.0)
+    at = solve_finite(block, load, law=law)
+    others = [law(mu, lame + 1e4), yeoh(3.0)(mu, lame)]
+    found = load_slopes(block, load, at, law=law(mu, lame), others=others)
+    step = 1e-3
+
+    def change(share: float, factor: float, by: str) -> np.ndarray:
+        used = {
+            "load": law,
+            "lame": lambda mu, lame: law(mu, lame + share * 1e4),
+            "stiffening": yeoh(2.0 + share),
+        }[by]
+        return solve_finite(block, factor * load, law=used, start=at).ravel()
+
+    for column, by in zip(found.T, ("load", "lame", "stiffening"), strict=True):
+        ahead, behind = (
+            change(s * step, np.exp(s * step) if by == "load" else 1.0, by) for s in (1, -1)
+        )
+        expected = (ahead - behind) / (2 * step)
+        # Central differences: step^2, and Newton's 1e-9 over step.
+        np.testing.assert_allclose(column, expected, atol=1e-5 * np.abs(expected).max())
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from palpate.solids.contact import (
 from palpate.solids.finite_contact import (
     FinitePress as FinitePress,
     press_finite as press_finite,
+    press_slopes as press_slopes,
 )
 from palpate.solids.finite_elements import (
     Body as Body,
@@ -30,7 +31,9 @@ from palpate.solids.finite_strain import (
     LawOf as LawOf,
     NeoHookean as NeoHookean,
     SplitNeoHookean as SplitNeoHookean,
+    load_slopes as load_slopes,
     solve_finite as solve_finite,
+    yeoh as yeoh,
 )
 from palpate.solids.graded_body import (
     GradedBody as GradedBody,

@@ -5,6 +5,7 @@ resist the small penetration of the surface into the tip. With the force prescri
 the body hardly depends on that penetration.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,11 +23,14 @@ from palpate.solids.finite_strain import (
     Law,
     LawOf,
     NeoHookean,
+    Steps,
     Unknowns,
     energy,
     find_equilibrium,
     find_in_increments,
     internal_forces,
+    law_changes,
+    slopes,
     stable_factor,
     tangent,
 )
@@ -102,6 +106,34 @@ def press_finite(
     return FinitePress(found[:-1].reshape(-1, 3), float(found[-1]))
 
 
+def press_slopes(
+    body: Body, tip: Tip, force: float, press: FinitePress, *, law: Law, others: Sequence[Law]
+) -> Steps:
+    """Derivatives of the displacement of `press_finite`, as `load_slopes` has those of
+    `solve_finite`.
+
+    Parameters
+    ----------
+    body, tip, force, law           of the equilibrium
+    press : FinitePress
+    others : sequence of k - 1 Law
+
+    Returns
+    -------
+    (3 n, k) float [m]
+
+    Raises
+    ------
+    NotConvergedError               the equilibrium is not stable
+    """
+    basis = quadratic_basis(body.solid)
+    potential = _ContactPotential(body, law, basis, tip, *_contact_points(body, tip), force)
+    at, forces = _joined(press), np.zeros((press.displacement.size + 1, 1 + len(others)))
+    forces[-1, 0] = force
+    forces[:-1, 1:] = law_changes(law, others, basis, press.displacement)
+    return slopes(potential, at, forces)[:-1]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _ContactPotential:
     """Potential of a body and a tip under a force (`Potential`). Unknowns: nodal displacements,
@@ -131,8 +163,8 @@ class _ContactPotential:
         missing[self.body.held] = 0.0
         return np.append(missing, self.force - push)
 
-    def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
-        """Newton's step by block elimination; the tip's travel is eliminated last."""
+    def step(self, at: Unknowns, forces: Steps) -> Steps | None:
+        """Newton's steps by block elimination; the tip's travel is eliminated last."""
         penetration, normal = self.penetration(at)
         weight = np.where(penetration > 0.0, self.stiffness, 0.0)
         advance = normal @ self.tip.direction
@@ -145,12 +177,13 @@ class _ContactPotential:
         if factor is None:
             return None
         coupling = across.T @ (weight * advance)
-        both = solve_free(self.body.held, factor, np.stack([forces[:-1], coupling], axis=1))
-        pivot = float(weight @ advance**2) - float(coupling @ both[:, 1])
+        found = solve_free(self.body.held, factor, np.column_stack([forces[:-1], coupling]))
+        still, along = found[:, :-1], found[:, -1]
+        pivot = float(weight @ advance**2) - float(coupling @ along)
         if not pivot > 0.0:
             return None
-        travel = (forces[-1] + float(coupling @ both[:, 0])) / pivot
-        return np.append(both[:, 0] + travel * both[:, 1], travel)
+        travel = (forces[-1] + coupling @ still) / pivot
+        return np.vstack([still + np.outer(along, travel), travel])
 
     def springs(self, at: Unknowns) -> tuple[float, Float[np.ndarray, "n 3"], float]:
         """Energy of the penalty springs [J], their force on the nodes, (n, 3) [N], and that of the

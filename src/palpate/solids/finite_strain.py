@@ -2,13 +2,13 @@
 
 The hyperelastic laws reduce to Hooke's law at small strain. Both are known as neo-Hookean: they
 have the same constants but couple volumetric and deviatoric strain differently, by as much as real
-soft materials of equal constants may differ.
+soft materials of equal constants may differ. Either may stiffen as it is strained (`Yeoh`).
 
 A stable equilibrium is the minimum of a potential: Newton's method with step halving, and load
 increments where the full load does not converge at once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -36,6 +36,7 @@ _MAX_HALVINGS = 10
 # Smallest load increment, as a fraction of the load; increments that fail are halved.
 _MIN_INCREMENT = 1e-3
 Unknowns = Float[np.ndarray, " unknowns"]
+Steps = Float[np.ndarray, "unknowns k"]
 
 
 @runtime_checkable
@@ -118,37 +119,89 @@ class SplitNeoHookean:
 
     def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
         """Of `Law`."""
-        volume, shear, squares = self._parts(gradient)
-        return 0.5 * (shear * squares - 3.0 * self.mu) + 0.5 * self.bulk * (volume - 1.0) ** 2
+        volume = _determinant(gradient)
+        shape = 0.5 * self.mu * (_shape(gradient) - 3.0)
+        return shape + 0.5 * self.bulk * (volume - 1.0) ** 2
 
     def stress(self, gradient: Gradient) -> Gradient:
         """Of `Law`."""
-        volume, shear, squares = self._parts(gradient)
+        volume = _determinant(gradient)
         pressure = self.bulk * (volume - 1.0) * volume
-        inverse = _inverse_transposed(gradient)
-        return shear * gradient + (pressure - shear * squares / 3.0) * inverse
+        slope = _shape_slope(gradient)
+        return 0.5 * self.mu * slope + pressure * _inverse_transposed(gradient)
 
     def moduli(self, gradient: Gradient) -> Moduli:
         """Derivative of the stress, with dJ = J H : dF and dH_aA = -H_aB H_bA dF_bB, H = F^-T."""
-        volume, shear, squares = self._parts(gradient)
-        inverse = _inverse_transposed(gradient)
-        pressure = self.bulk * (volume - 1.0) * volume
-        rising = self.bulk * (2.0 * volume - 1.0) * volume
-        mixed = _outer(inverse, gradient)
-        moduli = (rising + 2.0 / 9.0 * shear * squares) * _outer(inverse, inverse)
-        moduli += (shear * squares / 3.0 - pressure) * _crossed(inverse)
-        moduli -= 2.0 / 3.0 * shear * (mixed + mixed.transpose(2, 3, 0, 1, 4, 5))
-        _add_unit(moduli, shear)
+        volume, inverse = _determinant(gradient), _inverse_transposed(gradient)
+        moduli = 0.5 * self.mu * _shape_curvature(gradient)
+        moduli += self.bulk * (2.0 * volume - 1.0) * volume * _outer(inverse, inverse)
+        moduli -= self.bulk * (volume - 1.0) * volume * _crossed(inverse)
         return moduli
 
-    def _parts(self, gradient: Gradient) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """J, mu J^(-2/3) and tr C."""
-        volume = _determinant(gradient)
-        return volume, self.mu * volume ** (-2.0 / 3.0), (gradient**2).sum(axis=(0, 1))
+
+@dataclass(frozen=True, slots=True)
+class Yeoh:
+    """A law and its stiffening: mu stiffening / 2 (J^(-2/3) tr C - 3)^2 is added (`Law`).
+
+    It is of fourth order in strain, so that mu and lambda stay Lame's constants, and convex in its
+    invariant, which is polyconvex. In simple shear by s the secant modulus is
+    mu (1 + 2 stiffening s^2).
+
+    Parameters
+    ----------
+    law : Law                       without it
+    mu : float [Pa]                 shear modulus of that
+    stiffening : float [-]          C2 / C1 of Yeoh's law; >= 0 for an energy that is convex
+
+    Source
+    ------
+    Yeoh, Some forms of the strain energy function for rubber, Rubber Chemistry and Technology 66
+    (1993). Hartmann and Neff, Polyconvexity of generalized polynomial-type hyperelastic strain
+    energy functions for near-incompressibility, International Journal of Solids and Structures 40
+    (2003).
+    """
+
+    law: Law
+    mu: float
+    stiffening: float
+
+    def density(self, gradient: Gradient) -> Float[np.ndarray, "m q"]:
+        """Of `Law`."""
+        added = 0.5 * self.mu * self.stiffening * (_shape(gradient) - 3.0) ** 2
+        return self.law.density(gradient) + added
+
+    def stress(self, gradient: Gradient) -> Gradient:
+        """Of `Law`."""
+        size = self.mu * self.stiffening * (_shape(gradient) - 3.0)
+        return self.law.stress(gradient) + size * _shape_slope(gradient)
+
+    def moduli(self, gradient: Gradient) -> Moduli:
+        """Of `Law`."""
+        slope, size = _shape_slope(gradient), self.mu * self.stiffening
+        moduli = self.law.moduli(gradient) + size * _outer(slope, slope)
+        moduli += size * (_shape(gradient) - 3.0) * _shape_curvature(gradient)
+        return moduli
+
+
+def yeoh(stiffening: float, law: LawOf = NeoHookean) -> LawOf:
+    """A law with stiffening, as a function of Lame's constants (`Yeoh`).
+
+    Parameters
+    ----------
+    stiffening : float [-]          0: the law itself
+    law : function                  Lame's constants mu and lambda [Pa] -> `Law`
+    """
+    if stiffening == 0.0:
+        return law
+    return lambda mu, lame: Yeoh(law(mu, lame), mu, stiffening)
 
 
 def solve_finite(
-    body: Body, load: Float[np.ndarray, "n 3"], *, law: LawOf = NeoHookean
+    body: Body,
+    load: Float[np.ndarray, "n 3"],
+    *,
+    law: LawOf = NeoHookean,
+    start: Float[np.ndarray, "n 3"] | None = None,
 ) -> Float[np.ndarray, "n 3"]:
     """Displacement at finite strain under dead nodal loads.
 
@@ -157,6 +210,7 @@ def solve_finite(
     body : Body                     gives mesh, fixed nodes and constants
     load : (n, 3) float [N]         forces on the nodes
     law : function                  Lame's constants mu and lambda [Pa] -> `Law`
+    start : (n, 3) float [m] or None    of a similar body and load; None: from rest
 
     Returns
     -------
@@ -181,6 +235,8 @@ def solve_finite(
         loaded = _Loaded(body, law(*body.lame), basis, fraction * load)
         return find_equilibrium(loaded, at, tolerance=_FORCE_TOLERANCE * fraction * scale)
 
+    if start is not None and (found := find(1.0, start.ravel())) is not None:
+        return found.reshape(-1, 3)
     found, done = find_in_increments(find, np.zeros(load.size))
     if done < 1.0:
         raise NotConvergedError(
@@ -188,6 +244,73 @@ def solve_finite(
             " pressed farther than its elements bear; press less, or use smaller elements there"
         )
     return found.reshape(-1, 3)
+
+
+def load_slopes(
+    body: Body,
+    load: Float[np.ndarray, "n 3"],
+    displacement: Float[np.ndarray, "n 3"],
+    *,
+    law: Law,
+    others: Sequence[Law],
+) -> Steps:
+    """Derivatives of an equilibrium of `solve_finite`, by the logarithm of the load, then by the
+    share of each of other laws in place of its own.
+
+    Parameters
+    ----------
+    body, load, law                 of the equilibrium
+    displacement : (n, 3) float [m]
+    others : sequence of k - 1 Law  whose stresses are mixed with the law's
+
+    Returns
+    -------
+    (3 n, k) float [m]
+
+    Raises
+    ------
+    NotConvergedError               the equilibrium is not stable
+    """
+    basis = quadratic_basis(body.solid)
+    loaded = _Loaded(body, law, basis, load)
+    changes = law_changes(law, others, basis, displacement)
+    return slopes(loaded, displacement.ravel(), np.column_stack([load.ravel(), changes]))
+
+
+def law_changes(
+    law: Law, others: Sequence[Law], basis: Any, displacement: Float[np.ndarray, "n 3"]
+) -> Steps:
+    """Internal forces of a law minus those of others, per share of these [N].
+
+    Parameters
+    ----------
+    law : Law
+    others : sequence of k Law
+    basis : skfem.Basis             of `quadratic_basis`
+    displacement : (n, 3) float [m]
+    """
+    own = internal_forces(law, basis, displacement).ravel()
+    changed = [internal_forces(other, basis, displacement).ravel() for other in others]
+    return np.stack([own - other for other in changed], axis=1)
+
+
+def slopes(potential: "Potential", at: Unknowns, forces: Steps) -> Steps:
+    """How an equilibrium moves per unit of each of some residual forces.
+
+    Parameters
+    ----------
+    potential : Potential
+    at : (u,) float [m]             its equilibrium
+    forces : (u, k) float [N]       added to the residual
+
+    Raises
+    ------
+    NotConvergedError               the equilibrium is not stable
+    """
+    moved = potential.step(at, forces)
+    if moved is None:
+        raise NotConvergedError("the object is about to buckle under its load: press less")
+    return moved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,10 +330,10 @@ class _Loaded:
         missing[self.body.held] = 0.0
         return missing.ravel()
 
-    def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
+    def step(self, at: Unknowns, forces: Steps) -> Steps | None:
         matrix = tangent(self.law, self.basis, at.reshape(-1, 3))
         factor = stable_factor(self.body, matrix)
-        return None if factor is None else solve_free(self.body.held, factor, forces[:, None])[:, 0]
+        return None if factor is None else solve_free(self.body.held, factor, forces)
 
 
 def stable_factor(body: Body, matrix: csr_array) -> Cholesky | None:
@@ -328,11 +451,34 @@ def _inverse_transposed(gradient: Gradient) -> Gradient:
     return np.linalg.inv(gradient.transpose(2, 3, 0, 1)).transpose(3, 2, 0, 1)
 
 
+def _shape(gradient: Gradient) -> Float[np.ndarray, "m q"]:
+    """J^(-2/3) tr C, which volume leaves alone."""
+    return _determinant(gradient) ** (-2.0 / 3.0) * (gradient**2).sum(axis=(0, 1))
+
+
+def _shape_slope(gradient: Gradient) -> Gradient:
+    """Derivative of `_shape`: 2 J^(-2/3) F - 2/3 J^(-2/3) tr C H."""
+    scale = 2.0 * _determinant(gradient) ** (-2.0 / 3.0)
+    return scale * gradient - 2.0 / 3.0 * _shape(gradient) * _inverse_transposed(gradient)
+
+
+def _shape_curvature(gradient: Gradient) -> Moduli:
+    """Second derivative of `_shape`."""
+    inverse, shape = _inverse_transposed(gradient), _shape(gradient)
+    scale = 2.0 * _determinant(gradient) ** (-2.0 / 3.0)
+    mixed = _outer(inverse, gradient)
+    curvature = 4.0 / 9.0 * shape * _outer(inverse, inverse)
+    curvature += 2.0 / 3.0 * shape * _crossed(inverse)
+    curvature -= 2.0 / 3.0 * scale * (mixed + mixed.transpose(2, 3, 0, 1, 4, 5))
+    _add_unit(curvature, scale)
+    return curvature
+
+
 @runtime_checkable
 class Potential(Protocol):
     """Total potential energy: stored energy minus the work of the loads.
 
-    Unknowns, forces and steps are (u,) arrays.
+    Unknowns and forces are (u,) arrays.
     """
 
     def value(self, at: Unknowns) -> float:
@@ -341,8 +487,9 @@ class Potential(Protocol):
     def forces(self, at: Unknowns) -> Unknowns:
         """Residual forces, the negative gradient [N]; zero for fixed unknowns."""
 
-    def step(self, at: Unknowns, forces: Unknowns) -> Unknowns | None:
-        """Newton's step [m]; None where the tangent is not positive definite."""
+    def step(self, at: Unknowns, forces: Steps) -> Steps | None:
+        """Newton's step for each of k columns of forces [m]; None where the tangent is not positive
+        definite."""
 
 
 def find_equilibrium(potential: Potential, at: Unknowns, *, tolerance: float) -> Unknowns | None:
@@ -367,8 +514,8 @@ def find_equilibrium(potential: Potential, at: Unknowns, *, tolerance: float) ->
         forces = potential.forces(at)
         if np.linalg.norm(forces) <= tolerance:
             return at
-        step = potential.step(at, forces)
-        improved = None if step is None else _shortened(potential, at, step)
+        step = potential.step(at, forces[:, None])
+        improved = None if step is None else _shortened(potential, at, step[:, 0])
         if improved is None:
             return None
         at = improved
