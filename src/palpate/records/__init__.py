@@ -140,6 +140,8 @@ from palpate.records.quantities import (
     quantity as quantity,
     region_row as region_row,
     relaxation_rows as relaxation_rows,
+    stiffening_row as stiffening_row,
+    stiffening_text as stiffening_text,
     value_text as value_text,
     verdict_text as verdict_text,
 )

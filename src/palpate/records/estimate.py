@@ -455,6 +455,8 @@ class Estimate:
     regions : tuple of RegionEstimate   parts with moduli of their own; the constants are then those
                                     of the rest
     relaxation : RelaxationEstimate or None     None: no probing has a series
+    stiffening : Constant or None [-]   C2 / C1 of Yeoh's law, whose small strain has the constants
+                                    above; None: the data do not show it, or small strain was taken
 
     Raises
     ------
@@ -479,6 +481,7 @@ class Estimate:
     field: FieldEstimate | None = None
     regions: tuple[RegionEstimate, ...] = ()
     relaxation: RelaxationEstimate | None = None
+    stiffening: Constant | None = None
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

@@ -41,6 +41,8 @@ NOT_DETERMINED = "not determined"
 _NO_INTERVAL = "none"
 # Symbols of the constants, in the order in which they are shown.
 _SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
+# Simple shear at which stiffening is told; range of the factor there that is no knowledge.
+_SHEAR, _UNKNOWN = 0.2, 0.5
 _INCH, _POUND = 0.0254, 4.4482216152605
 # Value of each unit in SI units.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": _INCH}
@@ -228,6 +230,46 @@ def relaxation_rows(relaxation: RelaxationEstimate) -> list[tuple[str, str, str,
     for term in relaxation.terms:
         add(f"time constant, {100 * term.share:.0f} % of {symbol}", term.time, 1.0, "s")
     return rows
+
+
+def stiffening_row(stiffening: Constant) -> tuple[str, str, str]:
+    """The stiffening of a material in a table: its name, value and 95 % interval.
+
+    Parameters
+    ----------
+    stiffening : Constant [-]       C2 / C1 of Yeoh's law
+    """
+    return "stiffening C2 / C1", constant_text(stiffening), interval_text(stiffening)
+
+
+def stiffening_text(stiffening: Constant, *, shown: bool) -> str:
+    """What the stiffening of a material means, or that the data do not show one.
+
+    Parameters
+    ----------
+    stiffening : Constant [-]       C2 / C1 of Yeoh's law
+    shown : bool                    whether the data show it
+    """
+
+    def times(value: float) -> str:
+        return f"{1.0 + 2.0 * value * _SHEAR**2:.3g}"
+
+    where = f"in simple shear by {100 * _SHEAR:.0f} %"
+    low, high = stiffening.ci95
+    if shown:
+        return (
+            f"The material stiffens: {where} it is {times(stiffening.value)} times as stiff as at"
+            f" small strain (95 %: {times(low)} to {times(high)}), by Yeoh's law with C2 / C1 ="
+            f" {stiffening.value:.3g}; G, nu and E are those at small strain."
+        )
+    if 2.0 * _SHEAR**2 * (high - low) > _UNKNOWN:
+        return (
+            "Whether the material stiffens is not determined: press deeper, and to several depths."
+        )
+    return (
+        f"No stiffening is shown: {where} the material is at most {times(high)} times as stiff as"
+        " at small strain (95 %)."
+    )
 
 
 def verdict_text(estimate: Estimate) -> str:

@@ -31,6 +31,7 @@ from palpate.solids.finite_strain import (
     LawOf as LawOf,
     NeoHookean as NeoHookean,
     SplitNeoHookean as SplitNeoHookean,
+    dilation_slope as dilation_slope,
     load_slopes as load_slopes,
     solve_finite as solve_finite,
     yeoh as yeoh,

@@ -23,6 +23,7 @@ from palpate.solids.finite_elements import (
     free_part,
     quadratic_basis,
     solve_free,
+    solve_load,
     stiffness_matrix,
 )
 from palpate.solids.sparse_cholesky import Cholesky, factorise
@@ -275,6 +276,25 @@ def load_slopes(
     loaded = _Loaded(body, law, basis, load)
     changes = law_changes(law, others, basis, displacement)
     return slopes(loaded, displacement.ravel(), np.column_stack([load.ravel(), changes]))
+
+
+def dilation_slope(body: Body, displacement: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Derivative of a linear displacement by lambda over mu, under the same load.
+
+    Parameters
+    ----------
+    body : Body
+    displacement : (n, 3) float [m]    of `solve_load`
+
+    Returns
+    -------
+    (n, 3) float [m]
+    """
+    basis = quadratic_basis(body.solid)
+    gradient = deformation_gradient(basis, displacement)
+    spread = body.shear_modulus * (np.trace(gradient) - 3.0)
+    forms = [skfem.LinearForm(lambda v, _, a=a: spread * v.grad[a]) for a in range(3)]
+    return solve_load(body, -np.stack([form.assemble(basis) for form in forms], axis=1))
 
 
 def law_changes(

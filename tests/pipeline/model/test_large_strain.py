@@ -11,7 +11,11 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
-from palpate.pipeline.model.large_strain import make_finite_body, strain_corrections
+from palpate.pipeline.model.large_strain import (
+    MaterialConstants,
+    make_finite_body,
+    strain_corrections,
+)
 from palpate.records import (
     BIASED,
     EXACT,
@@ -56,8 +60,8 @@ def _session(push: float) -> Session:
 def _correction(push: float) -> np.ndarray:
     # The order is that of any elements.
     body = make_finite_body(_session(push), coarser=2.0)
-    (found,), _ = strain_corrections(body, shear_modulus=SHEAR, poisson_ratio=NU)
-    return found
+    (found,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
+    return found.value
 
 
 def test_it_is_of_second_order_in_the_load() -> None:
@@ -108,7 +112,10 @@ def test_an_object_pressed_far_gives_its_constants() -> None:
     assert law.prior_std == 1.0
     mesh = found["finite strain of n, in steps from coarser to finer elements,"]
     assert abs(mesh.value) < 2.0
-    assert "the linear model alone is" in finite.notes[-1]
+    assert "the linear model alone is" in finite.notes[-2]
+    # The law of these data does not stiffen.
+    assert finite.stiffening is None
+    assert "stiffen" in finite.notes[-1]
 
 
 def test_supports_that_move_are_refused() -> None:

@@ -6,6 +6,9 @@ with the latest constants, is subtracted first (defect correction). The discreti
 elements cancels in the difference. Where a probing names a ball that slides, the linear solution is
 that for the contact circle of the linear model, and the finite-strain solution that for the ball
 itself, pressed in by the same force.
+
+The stiffening of the material is one more parameter, by which the elements give the derivative of
+the correction, as by the constants; it stays where the data show it.
 """
 
 from collections.abc import Sequence
@@ -14,15 +17,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
+from scipy.special import ndtri
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
+    FALSE_ALARM,
     FitResult,
     FitSettings,
     Nuisance,
     NuisanceParameter,
     ProbeFit,
     ProbeObservations,
+    ResponseModel,
     fit,
     fixed_displacement,
 )
@@ -30,9 +36,19 @@ from palpate.geometry import mesh_quality
 from palpate.pipeline.model.contact_loads import outward_load
 from palpate.pipeline.model.grading import halved_session
 from palpate.progress import Progress, part_of, silent
-from palpate.records import FIXED, SLIDES, SPHERE, Probing, Session
+from palpate.records import (
+    FIXED,
+    SLIDES,
+    SPHERE,
+    Constant,
+    Probing,
+    Session,
+    Status,
+    stiffening_text,
+)
 from palpate.shapes import Points
 from palpate.solids import (
+    Body,
     FinitePress,
     LawOf,
     NeoHookean,
@@ -40,20 +56,28 @@ from palpate.solids import (
     Sphere,
     SplitNeoHookean,
     Tip,
+    dilation_slope,
     held_nodes,
+    load_slopes,
     make_body,
     make_solid,
     press_finite,
+    press_slopes,
     pressure_load,
     solve_finite,
     solve_load,
     surface_values,
+    yeoh,
 )
 
-# A correction of 10 % changes by 10 % of itself if the modulus changes by 10 %: each round gains
-# about one digit.
 _MOST_ROUNDS = 8
-_SHEAR_TOLERANCE, _RATIO_TOLERANCE = 1e-3, 5e-4
+_SHEAR_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
+# Prior standard deviation of the stiffening: 1.8 times as stiff at 20 % shear.
+_STIFFENING, _STIFFENS = 10.0, "stiffening of the material"
+# Standard deviations from which stiffening is taken for shown, and below which finer elements do
+# not look for it.
+_NORMAL = 1.96
+_SHOWN, _HOPELESS = -float(ndtri(0.5 * FALSE_ALARM)), 1.0
 # At finite strain, soft materials of the same constants differ from each other by a good part of
 # their difference from a linear one.
 _OTHER_LAWS = 0.3
@@ -68,8 +92,75 @@ _COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
 _UNDER_BALL, _BALL_REACH = 0.6, 1.0
 # Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
 _LARGEST_RATIO = 0.495
-# Of one probing: its correction in coarser elements, and the change of that by the other law [m].
-_Coarser = tuple[Points, Points]
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialConstants:
+    """Shear modulus [Pa], Poisson's ratio and stiffening of a material."""
+
+    shear_modulus: float
+    poisson_ratio: float
+    stiffening: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """Displacement of a probing at finite strain minus that of the linear elements.
+
+    Attributes
+    ----------
+    constants : MaterialConstants
+    value : (p, 3) float [m]        at its points, then at its contact point where that was measured
+    slope : (3, p, 3) float [m]     by the logarithm of the shear modulus, Poisson's ratio and the
+                                    stiffening
+    press : FinitePress             the solution at finite strain
+    """
+
+    constants: MaterialConstants
+    value: Points
+    slope: Float[np.ndarray, "3 p 3"]
+    press: FinitePress
+
+    def at(self, constants: MaterialConstants) -> Points:
+        """The correction for nearly the same constants, (p, 3) [m]."""
+        own = self.constants
+        change = [
+            np.log(constants.shear_modulus / own.shear_modulus),
+            constants.poisson_ratio - own.poisson_ratio,
+            constants.stiffening - own.stiffening,
+        ]
+        return self.value + np.tensordot(change, self.slope, axes=1)
+
+
+# Of one probing: its correction in coarser elements, and that by the other law.
+_Coarser = tuple[Correction, Correction]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Used:
+    """What an estimate is made from: the errors of corrections are known once there are coarser
+    ones."""
+
+    observations: Sequence[ProbeObservations]
+    settings: FitSettings
+    coarser: tuple[_Coarser, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FiniteResponse:
+    """A linear response with how its correction depends on force, modulus and Poisson's ratio
+    (`ResponseModel`): near the constants it was made for, it is affine in force over modulus."""
+
+    linear: ResponseModel
+    poisson_ratio: float
+    per_force: Float[np.ndarray, "n_rows 3"]
+    slope: Float[np.ndarray, "n_rows 3"]
+
+    def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
+        """Of `ResponseModel`."""
+        response = self.linear.value(poisson_ratio).copy()
+        response[:, :3] += self.per_force + (poisson_ratio - self.poisson_ratio) * self.slope
+        return response
 
 
 def fit_at_finite_strain(
@@ -99,30 +190,29 @@ def fit_at_finite_strain(
     SingularSystemError             as in `strain_corrections`
     NotConvergedError               no equilibrium, or the constants do not converge
     """
-    body = make_finite_body(session, coarser=_COARSER)
-    rough, corrections, presses = _converged(
-        body, observations, linear, settings, (), part_of(progress, 0.0, _ROUGH)
+    used = _Used(observations, settings)
+    body, report = make_finite_body(session, coarser=_COARSER), part_of(progress, 0.0, _ROUGH)
+    rough, coarse = _converged(body, used, linear, report, stiffens=True)
+    other = strain_corrections(body, coarse[0].constants, law=SplitNeoHookean, starts=coarse)
+    used = replace(used, coarser=tuple(zip(coarse, other, strict=True)))
+    body, report = make_finite_body(session), part_of(progress, _ROUGH, 1.0)
+    found, starts = estimated_stiffening(rough), ()
+    result = rough
+    shown = found.value > _HOPELESS * found.std
+    if shown:
+        result, starts = _converged(body, used, rough, report, stiffens=True)
+        found = estimated_stiffening(result)
+        shown = found.value > _SHOWN * found.std
+    if not shown:
+        result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
+    estimate = result.estimate
+    notes = (*estimate.notes, _size_note(observations, starts), stiffening_text(found, shown=shown))
+    if estimate.status is Status.MODEL_CONTRADICTED:
+        found = Constant(found.value, np.nan, (np.nan, np.nan))
+    return replace(
+        result,
+        estimate=replace(estimate, notes=notes, stiffening=found if shown else None),
     )
-    other, _ = strain_corrections(
-        body,
-        shear_modulus=rough.estimate.shear_modulus.value,
-        poisson_ratio=rough.estimate.poisson_ratio.value,
-        law=SplitNeoHookean,
-        starts=presses,
-    )
-    coarser = [
-        (correction, law - correction) for correction, law in zip(corrections, other, strict=True)
-    ]
-    body = make_finite_body(session)
-    result, corrections, _ = _converged(
-        body, observations, rough, settings, coarser, part_of(progress, _ROUGH, 1.0)
-    )
-    notes = (*result.estimate.notes, _size_note(observations, corrections))
-    probes = [
-        _with_correction(probe, correction)
-        for probe, correction in zip(result.probes, corrections, strict=True)
-    ]
-    return replace(result, estimate=replace(result.estimate, notes=notes), probes=tuple(probes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,126 +283,208 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
 
 def strain_corrections(
     body: _FiniteBody,
+    constants: MaterialConstants,
     *,
-    shear_modulus: float,
-    poisson_ratio: float,
     law: LawOf = NeoHookean,
-    starts: Sequence[FinitePress | None] = (),
+    starts: Sequence[Correction] = (),
     progress: Progress = silent,
-) -> tuple[tuple[Points, ...], tuple[FinitePress | None, ...]]:
+) -> tuple[Correction, ...]:
     """Displacement at finite strain minus that of the linear elements, for every probing.
 
     Parameters
     ----------
     body : _FiniteBody
-    shear_modulus : float [Pa]      > 0
-    poisson_ratio : float [-]       -1 < nu < 0.5; above 0.495 the correction is that for 0.495
+    constants : MaterialConstants   a Poisson's ratio above 0.495 is taken for 0.495, a stiffening
+                                    below 0 for 0
     law : function                  Lame constants mu and lambda [Pa] -> `Law` of finite strain
-    starts : sequence               solutions for nearly the same constants to start from; empty:
+                                    that the stiffening is added to
+    starts : sequence               corrections for nearly the same constants to start from; empty:
                                     from rest
     progress : callable
 
     Returns
     -------
-    tuple of (p, 3) float [m]       at its points, then at its contact point where that was measured
-    tuple of FinitePress or None    solutions of the probings that have a tip
+    tuple of Correction
 
     Raises
     ------
     SingularSystemError             the held nodes are collinear
     NotConvergedError               no equilibrium at finite strain
     """
+    constants = replace(
+        constants,
+        poisson_ratio=min(constants.poisson_ratio, _LARGEST_RATIO),
+        stiffening=max(constants.stiffening, 0.0),
+    )
     elastic = make_body(
         body.solid,
         body.held,
-        shear_modulus=shear_modulus,
-        poisson_ratio=min(poisson_ratio, _LARGEST_RATIO),
+        shear_modulus=constants.shear_modulus,
+        poisson_ratio=constants.poisson_ratio,
     )
-    starts = starts or [None] * len(body.loads)
-    corrections, presses = [], []
-    for k, (load, tip, observed) in enumerate(
-        zip(body.loads, body.tips, body.observed, strict=True)
-    ):
+    corrections = []
+    for k in range(len(body.loads)):
         progress("finite strain", k / len(body.loads))
-        pressed = None
-        if tip is not None:
-            force = float(np.linalg.norm(load.sum(axis=0)))
-            pressed = press_finite(elastic, tip, force, law=law, start=starts[k])
-            finite = pressed.displacement
-        else:
-            finite = solve_finite(elastic, load, law=law)
-        corrections.append(observed @ (finite - solve_load(elastic, load)))
-        presses.append(pressed)
-    return tuple(corrections), tuple(presses)
+        start = starts[k].press if starts else None
+        corrections.append(_correction(body, k, elastic, constants, law, start))
+    return tuple(corrections)
+
+
+def _correction(
+    body: _FiniteBody,
+    index: int,
+    elastic: Body,
+    constants: MaterialConstants,
+    plain: LawOf,
+    start: FinitePress | None,
+) -> Correction:
+    """The correction of one probing."""
+    load, tip, observed = body.loads[index], body.tips[index], body.observed[index]
+    (mu, lame), law = elastic.lame, yeoh(constants.stiffening, plain)
+    others = [law(mu, lame + mu), yeoh(constants.stiffening + 1.0, plain)(mu, lame)]
+    linear = solve_load(elastic, load)
+    if tip is None:
+        before = None if start is None else start.displacement
+        press = FinitePress(solve_finite(elastic, load, law=law, start=before), 0.0)
+        moved = load_slopes(elastic, load, press.displacement, law=law(mu, lame), others=others)
+    else:
+        force = float(np.linalg.norm(load.sum(axis=0)))
+        press = press_finite(elastic, tip, force, law=law, start=start)
+        moved = press_slopes(elastic, tip, force, press, law=law(mu, lame), others=others)
+    by_load, by_lame, by_stiffening = moved.T.reshape(3, -1, 3)
+    # Both depend on force over modulus alone; d lambda / d nu, in units of mu.
+    per_ratio = 2.0 / (1.0 - 2.0 * constants.poisson_ratio) ** 2
+    per_ratio *= constants.poisson_ratio < _LARGEST_RATIO
+    by_ratio = per_ratio * (by_lame - dilation_slope(elastic, linear))
+    slope = np.stack([observed @ each for each in (linear - by_load, by_ratio, by_stiffening)])
+    return Correction(constants, observed @ (press.displacement - linear), slope, press)
 
 
 def _converged(
     body: _FiniteBody,
-    observations: Sequence[ProbeObservations],
+    used: _Used,
     start: FitResult,
-    settings: FitSettings,
-    coarser: Sequence[_Coarser],
     progress: Progress,
-) -> tuple[FitResult, tuple[Points, ...], tuple[FinitePress | None, ...]]:
+    *,
+    stiffens: bool,
+    starts: Sequence[Correction] = (),
+) -> tuple[FitResult, tuple[Correction, ...]]:
     """The estimate from observations of an equivalent linear object, corrected with the given
-    elements until the constants converge; its corrections and the solutions that they are from."""
-    result = start
-    presses: tuple[FinitePress | None, ...] = ()
-    errors: Sequence[_Coarser | None] = coarser or [None] * len(observations)
+    elements until the constants converge, of a material that may stiffen or does not; and its
+    corrections."""
+    result, now = start, _constants(start, stiffens=stiffens)
     for iteration in range(_MOST_ROUNDS):
-        before = result.estimate
-        corrections, presses = strain_corrections(
-            body,
-            shear_modulus=before.shear_modulus.value,
-            poisson_ratio=before.poisson_ratio.value,
-            starts=presses,
-            progress=part_of(progress, iteration / _MOST_ROUNDS, (iteration + 1) / _MOST_ROUNDS),
-        )
+        before = now
+        report = part_of(progress, iteration / _MOST_ROUNDS, (iteration + 1) / _MOST_ROUNDS)
+        starts = strain_corrections(body, before, starts=starts, progress=report)
         corrected = [
-            _corrected(observed, correction, rough)
-            for observed, correction, rough in zip(observations, corrections, errors, strict=True)
+            corrected_observations(observed, correction, rough, stiffens=stiffens)
+            for observed, correction, rough in zip(
+                used.observations, starts, used.coarser or [None] * len(starts), strict=True
+            )
         ]
-        result = fit(corrected, settings=settings)
-        now = result.estimate
-        shear_change = abs(now.shear_modulus.value / before.shear_modulus.value - 1.0)
-        ratio_change = abs(now.poisson_ratio.value - before.poisson_ratio.value)
-        if shear_change < _SHEAR_TOLERANCE and ratio_change < _RATIO_TOLERANCE:
-            return result, corrections, presses
+        result = fit(corrected, settings=used.settings)
+        now = _constants(result, stiffens=stiffens)
+        if _is_settled(before, now):
+            probes = tuple(
+                _with_correction(probe, _taken_off(correction, stiffens=stiffens))
+                for probe, correction in zip(result.probes, starts, strict=True)
+            )
+            return replace(result, probes=probes), tuple(starts)
     raise NotConvergedError(
         f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
         " object is pressed too far for this; press less, or leave --strain finite out"
     )
 
 
-def _corrected(
-    observed: ProbeObservations, correction: Points, rough: _Coarser | None
-) -> ProbeObservations:
-    n = len(observed.position)
-    tip = observed.tip_displacement
-    return replace(
-        observed,
-        displacement=observed.displacement - correction[:n],
-        tip_displacement=None if tip is None else tip - correction[n],
-        nuisances=(*observed.nuisances, _error(observed.name, correction, rough)),
+def _is_settled(before: MaterialConstants, now: MaterialConstants) -> bool:
+    return (
+        abs(now.shear_modulus / before.shear_modulus - 1.0) < _SHEAR_TOLERANCE
+        and abs(now.poisson_ratio - before.poisson_ratio) < _RATIO_TOLERANCE
+        and abs(now.stiffening - before.stiffening) < _STIFFENING_TOLERANCE * (1.0 + now.stiffening)
     )
 
 
-def _error(name: str, correction: Points, rough: _Coarser | None) -> Nuisance:
-    """Error of a correction: other laws, and the elements."""
-    errors = [("finite strain", "from linear to neo-Hookean", _OTHER_LAWS, correction)]
+def _constants(result: FitResult, *, stiffens: bool) -> MaterialConstants:
+    """What a result says of the material; its energy is convex."""
+    estimate = result.estimate
+    stiffening = max(estimated_stiffening(result).value, 0.0) if stiffens else 0.0
+    return MaterialConstants(estimate.shear_modulus.value, estimate.poisson_ratio.value, stiffening)
+
+
+def estimated_stiffening(result: FitResult) -> Constant:
+    """The stiffening that a result says; 0 before it was looked for."""
+    minimum = result.minimum
+    names = [each.name for each in minimum.problem.shared]
+    if _STIFFENS not in names:
+        return Constant(0.0, 0.0, (0.0, 0.0))
+    place = minimum.problem.layout.errors.start + names.index(_STIFFENS)
+    value, std = (_STIFFENING * float(each[place]) for each in (minimum.theta, minimum.normal.std))
+    low, high = value - _NORMAL * std, value + _NORMAL * std
+    return Constant(value, std, (min(max(low, 0.0), value), max(high, 0.0)))
+
+
+def _taken_off(correction: Correction, *, stiffens: bool) -> Points:
+    """The part of a correction that depends on no constant, and on the force as little."""
+    fixed = correction.value + correction.slope[0]
+    if stiffens:
+        fixed = fixed - correction.constants.stiffening * correction.slope[2]
+    return fixed
+
+
+def corrected_observations(
+    observed: ProbeObservations, correction: Correction, rough: _Coarser | None, *, stiffens: bool
+) -> ProbeObservations:
+    """Observations of an equivalent linear object. What of the correction is affine in force over
+    modulus is put into its response."""
+    n, now = len(observed.position), correction.constants
+    tip, fixed = observed.tip_displacement, _taken_off(correction, stiffens=stiffens)
+    along = now.shear_modulus * observed.force / float(observed.force @ observed.force)
+    by_modulus, by_ratio = (each.ravel() for each in correction.slope[:2])
+    response = _FiniteResponse(
+        observed.response,
+        now.poisson_ratio,
+        np.outer(-by_modulus, along),
+        np.outer(by_ratio, along),
+    )
+    errors = [_error(observed.name, correction, rough)]
+    if stiffens:
+        parameter = NuisanceParameter(_STIFFENS, _STIFFENING, is_material=True)
+        column = _STIFFENING * correction.slope[2].reshape(-1, 1)
+        errors.append(Nuisance((parameter,), lambda at: fixed_displacement(column[at.rows], at)))
+    return replace(
+        observed,
+        displacement=observed.displacement - fixed[:n],
+        tip_displacement=None if tip is None else tip - fixed[n],
+        response=response,
+        nuisances=(*observed.nuisances, *errors),
+    )
+
+
+def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisance:
+    """Error of a correction: other laws, and the elements. Their shapes are known well enough that
+    they are no measure of the model's error of unknown shape."""
+    now = correction.constants
+    plain = correction.at(replace(now, stiffening=0.0))
+    errors = [("finite strain", "from linear to neo-Hookean", _OTHER_LAWS, plain)]
     if rough is not None:
-        coarse, by_other_law = rough
+        coarse, other = rough
         errors += [
-            ("finite strain", "from one neo-Hookean law to another", 1.0, by_other_law),
+            (
+                "finite strain",
+                "from one neo-Hookean law to another",
+                1.0,
+                other.value - coarse.value,
+            ),
             (
                 f"finite strain of {name}",
                 "from coarser to finer elements",
                 1.0,
-                correction - coarse,
+                correction.value - coarse.at(now),
             ),
         ]
     parameters = (
-        NuisanceParameter(f"{of}, in steps {step},", std, of="finite strain", is_model_error=True)
+        NuisanceParameter(f"{of}, in steps {step},", std, of="finite strain")
         for of, step, std, _ in errors
     )
     steps = [std * moved.ravel() for *_, std, moved in errors]
@@ -320,21 +492,21 @@ def _error(name: str, correction: Points, rough: _Coarser | None) -> Nuisance:
     return Nuisance(tuple(parameters), lambda at: fixed_displacement(moved[at.rows], at))
 
 
-def _with_correction(probe: ProbeFit, correction: Points) -> ProbeFit:
-    """Predictions with the correction added back."""
+def _with_correction(probe: ProbeFit, taken_off: Points) -> ProbeFit:
+    """Predictions with what was taken off the measurement added back."""
     n = len(probe.predicted)
     left_out = probe.left_out_predicted
     return replace(
         probe,
-        predicted=probe.predicted + correction[:n],
-        left_out_predicted=None if left_out is None else left_out + correction[:n],
+        predicted=probe.predicted + taken_off[:n],
+        left_out_predicted=None if left_out is None else left_out + taken_off[:n],
     )
 
 
-def _size_note(observations: Sequence[ProbeObservations], corrections: Sequence[Points]) -> str:
+def _size_note(observations: Sequence[ProbeObservations], corrections: Sequence[Correction]) -> str:
     """How large the corrections are, in words."""
     shares = [
-        _share(observed, correction)
+        _share(observed, correction.value)
         for observed, correction in zip(observations, corrections, strict=True)
     ]
     worst = int(np.argmax(shares))
