@@ -161,7 +161,9 @@ def _fit_displacements(
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    tested = reciprocity(session) if len(session.probings) > 1 else None
+    # Of linear objects alone.
+    many = len(session.probings) > 1 and not finite_strain
+    tested = reciprocity(session) if many else None
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
     )

@@ -268,5 +268,7 @@ def _contact_points(body: Body, tip: Tip) -> tuple[csr_array, Points, PointScala
     value = np.tile(shape, (int(near.sum()), 1)).ravel()
     matrix = csr_array((value, (row, facets.ravel())), shape=(len(facets), len(solid.nodes)))
     area = np.repeat(0.5 * np.linalg.norm(side[near], axis=1) / count, count)
-    stiffness = _SPRINGS * body.shear_modulus / tip.radius * area
-    return matrix, matrix @ solid.nodes, stiffness
+    points = matrix @ solid.nodes
+    # The face of a punch, taken as a plane by its distance, ends at the rim.
+    area = np.where(np.isfinite(tip.travel(points)), area, 0.0)
+    return matrix, points, _SPRINGS * body.shear_modulus / tip.radius * area

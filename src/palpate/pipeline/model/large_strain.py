@@ -3,9 +3,9 @@
 The constants are estimated with a linear model from corrected measurements: the difference between
 two finite element solutions, one at finite strain and one linear, both under the same loads and
 with the latest constants, is subtracted first (defect correction). The discretisation error of the
-elements cancels in the difference. Where a probing names a ball that slides, the linear solution is
-that for the contact circle of the linear model, and the finite-strain solution that for the ball
-itself, pressed in by the same force.
+elements cancels in the difference. Where a probing names a ball or a flat face that
+slides, the linear solution is that for the contact circle of the linear model, and the
+finite-strain solution that for the tool itself, pressed in by the same force.
 
 The stiffening of the material is one more parameter, by which the elements give the derivative of
 the correction, as by the constants; it stays where the data show it.
@@ -52,6 +52,7 @@ from palpate.solids import (
     FinitePress,
     LawOf,
     NeoHookean,
+    Punch,
     Solid,
     Sphere,
     SplitNeoHookean,
@@ -206,7 +207,8 @@ def fit_at_finite_strain(
     if not shown:
         result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
     estimate = result.estimate
-    notes = (*estimate.notes, _size_note(observations, starts), stiffening_text(found, shown=shown))
+    told, size = stiffening_text(found, shown=shown), _size_note(observations, starts)
+    notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
     if estimate.status is Status.MODEL_CONTRADICTED:
         found = Constant(found.value, np.nan, (np.nan, np.nan))
     return replace(
@@ -258,12 +260,14 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
     tips = tuple(_tip(probing) for probing in session.probings)
     fine = []
     for probing, tip in zip(session.probings, tips, strict=True):
-        reach, size = (_FINE_REACH, _FINE) if tip is None else (_BALL_REACH, _UNDER_BALL)
+        reach, size = (
+            (_BALL_REACH, _UNDER_BALL) if isinstance(tip, Sphere) else (_FINE_REACH, _FINE)
+        )
         radius = float(probing.contact.radius or 0.0)
         fine.append((probing.contact.point, reach * radius, coarser * size * radius))
     edge = coarser * _COARSE * mesh_quality(session.mesh).edge_mean
     if any(tips):
-        # A ball meets the surface as it is curved.
+        # A tool meets the surface as it is curved.
         session = halved_session(session)
     solid = make_solid(session.mesh, edge=edge, fine=fine)
     loads, observed = [], []
@@ -527,12 +531,13 @@ def _share(observed: ProbeObservations, correction: Float[np.ndarray, "p 3"]) ->
 
 
 def _tip(probing: Probing) -> Tip | None:
-    """A sliding ball that moves along the force through the point that it touched first; None: a
-    fixed patch."""
+    """A ball or a flat face that slides and moves along the force, through the point that it
+    touched first; None: a fixed patch."""
     tool = probing.contact.tool
-    if tool is None or tool.shape != SPHERE or tool.friction != SLIDES:
+    if tool is None or tool.friction != SLIDES or not (tool.is_flat or tool.shape == SPHERE):
         return None
-    return Sphere(tool.radius, probing.contact.start, probing.force)
+    kind = Punch if tool.is_flat else Sphere
+    return kind(tool.radius, probing.contact.start, probing.force)
 
 
 def _places(probing: Probing) -> Points:
