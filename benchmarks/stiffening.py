@@ -1,25 +1,32 @@
 """Does the stiffening of a material come out, from loads of 1 : 4, and only where there is one.
 
-    python -m benchmarks.stiffening [TOOL ...]
+    python -m benchmarks.stiffening
 
 A half ball of 40 mm is pressed near its pole by a ball of 10 mm or by the flat face of
 a punch of 6 mm. Its law is Yeoh's as CalculiX and Abaqus have it, other than the estimate's,
 which couples shape and volume in its neo-Hookean part; its quadratic tetrahedra are finer than
 those of the estimate, and other ones, but the code is the same: CalculiX's own truth is that of
-`benchmarks.finite_strain`. Then noise of 1 % of the largest motion is drawn anew, 200 times, of
+`benchmarks.finite_strain`. Then noise of 1 % of the largest motion is drawn anew, 100 times, of
 materials that stiffen and that do not; every draw is fitted about the corrections of the data
 without noise.
 """
 
-import sys
+import csv
+import itertools
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from benchmarks.calculix_press import BALL, pressed_body, session_mesh
+from palpate.estimation import FitResult, ProbeObservations, fit
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
+from palpate.pipeline.model import large_strain
+from palpate.pipeline.model.large_strain import estimated_stiffening
 from palpate.records import EXACT, FLAT, SPHERE, DisplacementField, Probing, Session, Tool
 from palpate.solids import (
     LawOf,
@@ -39,6 +46,9 @@ SHEAR, NU, STIFFENING = 2e4, 0.3, 3.0
 FORCES = {"ball": 1.6, "punch": 1.6}
 LOADS = np.array([0.25, 0.5, 1.0])
 PUNCH = 6e-3
+# Of noise, over the largest motion.
+DRAWS, NOISE = 100, 0.01
+TABLE = Path(__file__).parent / "data" / "stiffening.csv"
 LAWS = {
     "stiffens": yeoh(STIFFENING, SplitNeoHookean),
     "neo-Hookean": SplitNeoHookean,
@@ -78,23 +88,76 @@ def pressed(tool: str, law: LawOf) -> Session:
     )  # fmt: skip
 
 
-def main(tools: list[str]) -> None:
-    for tool in tools:
-        for name, law in LAWS.items():
-            print(f"{tool}, {name}", flush=True)
-            session = pressed(tool, law)
-            before = time.perf_counter()
-            found = fit_session(session, finite_strain=True).estimate
-            seconds = time.perf_counter() - before
-            shear, nu, stiff = found.shear_modulus, found.poisson_ratio, found.stiffening
-            print(
-                f"  G {100 * (shear.value / SHEAR - 1):+.2f} % {shear.ci95},"
-                f" nu {nu.value - NU:+.4f} {nu.ci95}, stiffening {stiff}, {found.status},"
-                f" {seconds:.0f} s",
-                flush=True,
+def fitted(session: Session) -> tuple[FitResult, list[ProbeObservations]]:
+    """The estimate, and the observations that told whether the material stiffens."""
+    seen: list[list[ProbeObservations]] = []
+
+    def recorded(probes: list[ProbeObservations], **options: Any) -> FitResult:
+        seen.append(list(probes))
+        return fit(probes, **options)
+
+    with patch.object(large_strain, "fit", recorded):
+        result = fit_session(session, finite_strain=True)
+    told = [
+        probes
+        for probes in seen
+        if any(each.is_material for one in probes[0].nuisances for each in one.parameters)
+    ]
+    return result, told[-1]
+
+
+def row(tool: str, name: str, session: Session) -> dict[str, Any]:
+    """Errors of one estimate, and what draws of its noise say."""
+    before = time.perf_counter()
+    result, observations = fitted(session)
+    seconds, found = time.perf_counter() - before, result.estimate
+    told = estimated_stiffening(fit(observations))
+    rng, held, shown, draws = np.random.default_rng(50), np.zeros(3), 0, []
+    true = SHEAR, NU, STIFFENING if name == "stiffens" else 0.0
+    largest = max(float(np.abs(each.displacement).max()) for each in observations)
+    for _ in range(DRAWS):
+        noisy = [
+            replace(
+                each,
+                displacement=each.displacement
+                + NOISE * largest * rng.standard_normal(each.displacement.shape),
             )
-            print("  ", *found.notes, *found.details, sep="\n    ", flush=True)
+            for each in observations
+        ]
+        drawn = fit(noisy)
+        own = estimated_stiffening(drawn)
+        shown += large_strain.is_stiffening(own)
+        constants = drawn.estimate.shear_modulus, drawn.estimate.poisson_ratio, own
+        draws.append([each.value for each in constants])
+        held += [a.ci95[0] <= value <= a.ci95[1] for a, value in zip(constants, true, strict=True)]
+    rms = np.sqrt(np.mean((np.array(draws) - true) ** 2, axis=0))
+    return {
+        "tool": tool,
+        "material": name,
+        "G off [%]": round(100 * (found.shear_modulus.value / SHEAR - 1), 2),
+        "nu off": round(found.poisson_ratio.value - NU, 4),
+        "C2/C1 told": round(told.value, 3),
+        "seconds": round(seconds),
+        "draws": DRAWS,
+        "called stiffening": shown,
+        "rms of G [%]": round(100 * rms[0] / SHEAR, 2),
+        "rms of nu": round(rms[1], 4),
+        "rms of C2/C1": round(rms[2], 3),
+        "intervals hold G, nu, C2/C1 [%]": " ".join(f"{100 * x / DRAWS:.0f}" for x in held),
+    }
+
+
+def main() -> None:
+    """Print and write every row."""
+    rows = []
+    for tool, name in itertools.product(FORCES, LAWS):
+        rows.append(row(tool, name, pressed(tool, LAWS[name])))
+        print(rows[-1], flush=True)
+        with TABLE.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, rows[0])
+            writer.writeheader()
+            writer.writerows(rows)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or list(FORCES))
+    main()

@@ -5,9 +5,9 @@ import pytest
 from surfaces import box
 
 from palpate.errors import InputError, NotConvergedError
-from palpate.solids.finite_contact import press_finite
+from palpate.solids.finite_contact import press_finite, press_slopes
 from palpate.solids.finite_elements import Body, make_body, quadratic_basis
-from palpate.solids.finite_strain import NeoHookean, internal_forces
+from palpate.solids.finite_strain import NeoHookean, internal_forces, yeoh
 from palpate.solids.tetrahedra import make_solid
 from palpate.solids.tips import Punch, Sphere, Tip
 
@@ -71,3 +71,48 @@ def test_what_cannot_be() -> None:
         press_finite(body, ball, -1.0)
     with pytest.raises(NotConvergedError, match="of the force under the tool"):
         press_finite(body, ball, 1e4)
+
+
+def test_a_punch_ends_at_its_rim() -> None:
+    body, punch = _block(0.3), Punch(4e-3, TOP, DOWN)
+    found = press_finite(body, punch, 1.0)
+    nodes = body.solid.nodes
+    top = nodes[:, 2] == SIDE
+    away = np.linalg.norm(nodes[:, :2] - TOP[:2], axis=1)
+    # A face without end would push all of the top down.
+    outside = found.displacement[top & (away > 9e-3), 2]
+    assert -outside.min() < 0.3 * found.travel
+    under = found.displacement[top & (away < 3e-3), 2]
+    # It gives by pressure over 100 mu / R, more towards the rim.
+    assert -under.min() == pytest.approx(found.travel, rel=0.03)
+
+
+@pytest.mark.parametrize("tip", [Sphere(6e-3, TOP, DOWN), Punch(4e-3, TOP, DOWN)])
+def test_slopes_are_those_of_the_presses(tip: Tip) -> None:
+    """By the logarithm of the force, Lame's lambda and the stiffening."""
+    body, force, law = _block(0.3), 0.8, yeoh(2.0)
+    mu, lame = body.lame
+    press = press_finite(body, tip, force, law=law)
+    others = [law(mu, lame + mu), yeoh(3.0)(mu, lame)]
+    found = press_slopes(body, tip, force, press, law=law(mu, lame), others=others)
+    step = 2e-3
+    laws = {
+        "force": lambda _: law,
+        "lame": lambda share: lambda mu, lame: law(mu, lame + share * mu),
+        "stiffening": lambda share: yeoh(2.0 + share),
+    }
+    for column, (by, changed) in zip(found.T, laws.items(), strict=True):
+        ends = [
+            press_finite(
+                body,
+                tip,
+                force * (np.exp(share) if by == "force" else 1.0),
+                law=changed(share),
+                start=press,
+            ).displacement.ravel()
+            for share in (step, -step)
+        ]
+        expected = (ends[0] - ends[1]) / (2 * step)
+        # The tangent leaves out how normals turn: 5 % under the ball, nothing under the flat face.
+        part = 0.1 if isinstance(tip, Sphere) else 0.01
+        assert np.linalg.norm(column - expected) < part * np.linalg.norm(expected), by

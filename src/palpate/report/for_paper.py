@@ -60,7 +60,8 @@ def _methods(estimate: Estimate, surface: FittedSurface) -> str:
         kind = "inhomogeneous" + (", of one modulus in every region" if estimate.regions else "")
     strain = "at small strain"
     if estimate.settings.get("finite_strain"):
-        strain = "corrected for finite strain by finite elements of a neo-Hookean solid"
+        law = "a neo-Hookean solid" if estimate.stiffening is None else "a solid of Yeoh's law"
+        strain = f"corrected for finite strain by finite elements of {law}"
     sources = [
         f" Standard deviations of {symbol} come from: {text}."
         for name, symbol in (("young_modulus", "E"), ("poisson_ratio", "nu"))

@@ -42,6 +42,7 @@ from palpate.records import (
     read_text,
     region_row,
     relaxation_rows,
+    stiffening_row,
     verdict_text,
     without_pictures,
     write_estimate,
@@ -263,6 +264,11 @@ def _constant_rows(estimate: Estimate) -> list[dict[str, str]]:
         value, interval, unit = constant_row(estimate, name)
         rows.append(
             {"label": label, "symbol": symbol, "value": value, "interval": interval, "unit": unit}
+        )
+    if estimate.stiffening is not None:
+        label, value, interval = stiffening_row(estimate.stiffening)
+        rows.append(
+            {"label": label, "symbol": "", "value": value, "interval": interval, "unit": ""}
         )
     return rows
 

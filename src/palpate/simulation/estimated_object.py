@@ -61,6 +61,7 @@ class Format:
     of_surface : callable or None   (folder, EstimatedObject): writes the surface, and may return a
                                     sentence about what is left out; exactly one of the two is given
     by_element : bool               whether it is written what a map of moduli says
+    stiffens : bool                 whether it is written how a material stiffens
     """
 
     title: str
@@ -69,6 +70,7 @@ class Format:
     of_solid: "Callable[[Path, SolidModel], None] | None" = None
     of_surface: "Callable[[Path, EstimatedObject], str | None] | None" = None
     by_element: bool = False
+    stiffens: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

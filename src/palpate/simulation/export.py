@@ -255,7 +255,9 @@ def export_fit(
             " the table was written, so its push ends elsewhere"
         )
     timed = _creep_advice(source.estimate)
-    notes = [note for note in (_status_advice(source.estimate), timed, changed, uneven) if note]
+    law = _law_advice(form, source.estimate)
+    advice = (_status_advice(source.estimate), law, timed, changed, uneven)
+    notes = [note for note in advice if note]
     body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
@@ -291,6 +293,22 @@ def _creep_advice(estimate: Estimate) -> str:
     )
 
 
+def _law_advice(form: Format, estimate: Estimate) -> str:
+    """What was written of a material that stiffens; empty of another one."""
+    found = estimate.stiffening
+    if found is None:
+        return ""
+    if form.stiffens:
+        return (
+            f"the material stiffens: Yeoh's law was written with C2 / C1 = {found.value:.4g}, for"
+            " large strain; its small strain has the constants of the table"
+        )
+    return (
+        f"the material stiffens (C2 / C1 of Yeoh's law is {found.value:.4g}), but no such law was"
+        f" written for {form.title}: its object gives way too far under large pushes"
+    )
+
+
 def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str:
     """All facts about the export that a program may need, as JSON."""
     estimate, push = body.estimate, body.push
@@ -318,6 +336,7 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
             "materials": len(model.materials) if model and form.by_element else 1,
         },
         "relaxation": prony(body),
+        "stiffening": estimate.stiffening and estimate.stiffening.value,
         "push": push
         and {
             "probing": push.name,

@@ -44,6 +44,15 @@ _MATERIAL = """    <material id="{number}" name="estimated{number}" type="isotro
       <E>{young:.9g}</E>
       <v>{poisson:.9g}</v>
     </material>"""
+_STIFFENING = """    <material id="{number}" name="estimated{number}" type="Yeoh">
+      <density>{density:.9g}</density>
+      <c1>{first:.9g}</c1>
+      <c2>{second:.9g}</c2>
+      <k>{bulk:.9g}</k>
+    </material>"""
+# Of Yeoh's law: terms of higher order in the volume are left out by a compliance so many times as
+# large; the programs take no zero for it.
+_NO_TERM = 1e9
 _QUADRATIC_TETRAHEDRON = 24
 _PLUGINS = (
     "Constraint.Projective", "LinearSolver.Direct", "Mass", "MechanicalLoad", "ODESolver.Backward",
@@ -130,6 +139,31 @@ def prony(body: EstimatedObject) -> dict[str, Any] | None:
     return {"at_once": at_once, "long_term": long_term, "terms": terms}
 
 
+def yeoh_constants(body: EstimatedObject, young_modulus: float) -> tuple[float, float, float]:
+    """C1, C2 and the bulk modulus K of Yeoh's law [Pa]: C1 (I - 3) + C2 (I - 3)^2 + K / 2 (J - 1)^2
+    with I = J^(-2/3) tr C.
+
+    Parameters
+    ----------
+    body : EstimatedObject          of a material that stiffens
+    young_modulus : float [Pa]      of a part of it
+    """
+    ratio, stiffening = body.material.poisson_ratio, body.estimate.stiffening
+    first = 0.25 * young_modulus / (1.0 + ratio)
+    second = first * stiffening.value if stiffening is not None else 0.0
+    return first, second, young_modulus / (3.0 * (1.0 - 2.0 * ratio))
+
+
+def _abaqus_law(model: SolidModel, young_modulus: float) -> list[str]:
+    """Lines of the elastic law of a material."""
+    if model.body.estimate.stiffening is None:
+        return ["*ELASTIC", f"{young_modulus:.9g}, {model.body.material.poisson_ratio:.9g}"]
+    first, second, bulk = yeoh_constants(model.body, young_modulus)
+    volume = (2.0 / bulk, _NO_TERM * 2.0 / bulk, _NO_TERM * 2.0 / bulk)
+    numbers = ", ".join(f"{each:.9g}" for each in (first, second, 0.0, *volume))
+    return ["*HYPERELASTIC, YEOH", numbers]
+
+
 def _write_abaqus_prony(folder: Path, model: SolidModel) -> None:
     """Write viscoelastic.inp: the materials of model.inp for Abaqus, as far as they creep.
 
@@ -193,7 +227,7 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
     ------
     RecordError                     a file cannot be written
     """
-    ratio, materials = model.body.material.poisson_ratio, model.materials
+    materials, stiffens = model.materials, model.body.estimate.stiffening is not None
     elements = list(_numbered_lines(model.solid.elements))
     lines = [
         "** SI units; made by Palpate, see README.txt",
@@ -209,8 +243,7 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
     for number, (young, _) in enumerate(materials, start=1):
         lines += [
             f"*MATERIAL, NAME=ESTIMATED{number}",
-            "*ELASTIC",
-            f"{young:.9g}, {ratio:.9g}",
+            *_abaqus_law(model, young),
             "*DENSITY",
             f"{model.body.density:.9g}",
             f"*SOLID SECTION, ELSET=BODY{number}, MATERIAL=ESTIMATED{number}",
@@ -220,7 +253,7 @@ def write_calculix(folder: Path, model: SolidModel) -> None:
         lines += [
             "*NSET, NSET=POINT",
             *(f"{node + 1}," for node in model.node),
-            "*STEP",
+            "*STEP, NLGEOM" if stiffens else "*STEP",
             "*STATIC",
             "*CLOAD",
             *(
@@ -245,6 +278,7 @@ CALCULIX = Format(
     " displacement of the nodes around its point, replay.json their shares.",
     of_solid=write_calculix,
     by_element=True,
+    stiffens=True,
 )
 
 
@@ -261,12 +295,7 @@ def write_febio(folder: Path, model: SolidModel) -> None:
     RecordError                     a file cannot be written
     """
     body, groups = model.body, list(enumerate(model.materials, start=1))
-    materials = [
-        _MATERIAL.format(
-            number=number, density=body.density, young=young, poisson=body.material.poisson_ratio
-        )
-        for number, (young, _) in groups
-    ]
+    materials = [_febio_material(body, number, young) for number, (young, _) in groups]
     head = _HEAD.format(materials="\n".join(materials))
     nodes = [_row("node", k, row, ".9g") for k, row in enumerate(model.nodes.tolist(), start=1)]
     elements = []
@@ -310,6 +339,16 @@ def write_febio(folder: Path, model: SolidModel) -> None:
     write_text(folder / "model.feb", text)
     _write_febio_prony(folder, model)
     write_replay(folder, model, model.load)
+
+
+def _febio_material(body: EstimatedObject, number: int, young_modulus: float) -> str:
+    if body.estimate.stiffening is not None:
+        first, second, bulk = yeoh_constants(body, young_modulus)
+        return _STIFFENING.format(
+            number=number, density=body.density, first=first, second=second, bulk=bulk
+        )
+    ratio = body.material.poisson_ratio
+    return _MATERIAL.format(number=number, density=body.density, young=young_modulus, poisson=ratio)
 
 
 def _row(
@@ -359,6 +398,7 @@ FEBIO = Format(
     " large compression: scale the forces down where the push is deep. Not tried in FEBio itself.",
     of_solid=write_febio,
     by_element=True,
+    stiffens=True,
 )
 
 

@@ -29,6 +29,7 @@ from palpate.records import (
 )
 from palpate.records.contact import PRESSURES
 from palpate.solids import (
+    LawOf,
     SplitNeoHookean,
     held_nodes,
     make_body,
@@ -37,6 +38,7 @@ from palpate.solids import (
     solve_finite,
     solve_load,
     surface_values,
+    yeoh,
 )
 
 SHEAR, NU, RADIUS = 2e4, 0.3, 12e-3
@@ -68,6 +70,64 @@ def test_it_is_of_second_order_in_the_load() -> None:
     small, large = (_correction(push) for push in (0.05, 0.1))
     # A third order of some tenths of the second is left at 0.1 N, 2 % strain.
     assert np.linalg.norm(large) / np.linalg.norm(small) == pytest.approx(4.0, rel=0.05)
+
+
+def test_slopes_are_those_of_the_corrections() -> None:
+    body = make_finite_body(_session(1.0), coarser=2.0)
+    at = MaterialConstants(SHEAR, NU, 2.0)
+    (found,) = strain_corrections(body, at)
+    steps = {"shear_modulus": 20.0, "poisson_ratio": 1e-3, "stiffening": 1e-2}
+    for slope, (name, step) in zip(found.slope, steps.items(), strict=True):
+        ahead, behind = (
+            strain_corrections(body, replace(at, **{name: getattr(at, name) + s * step}))[0]
+            for s in (1, -1)
+        )
+        per = step / SHEAR if name == "shear_modulus" else step
+        expected = (ahead.value - behind.value) / (2 * per)
+        # Central differences of relative steps of a thousandth.
+        assert np.linalg.norm(slope - expected) < 1e-4 * np.linalg.norm(expected), name
+        # The same, from the other side.
+        near = found.at(replace(at, **{name: getattr(at, name) + step}))
+        assert np.abs(near - ahead.value).max() < 0.01 * np.abs(near - found.value).max()
+
+
+@pytest.mark.slow
+def test_stiffening_comes_out_of_several_depths() -> None:
+    """Of other elements, whose neo-Hookean part keeps shape and volume apart."""
+    session = _session(1.0)
+    (probing,) = session.probings
+    solid = make_solid(session.mesh, edge=9e-3, fine=[(PLACE, 12e-3, 4e-3)])
+    held = held_nodes(solid, session.held_triangles)
+    body = make_body(solid, held, shear_modulus=SHEAR, poisson_ratio=NU)
+    load = pressure_load(solid, PLACE, RADIUS, PRESSURES["smooth"])[:, None] * probing.force
+    seen = surface_values(solid, probing.displacement.points)
+
+    def pressed(law: LawOf | None) -> Session:
+        probings = []
+        for times in (0.6, 1.2, 2.4):
+            nodal = solve_load(body, times * load)
+            if law is not None:
+                nodal = solve_finite(body, times * load, law=law)
+            field = replace(probing.displacement, displacement=seen @ nodal)
+            own = {"name": f"n{times}", "force": times * probing.force}
+            probings.append(replace(probing, displacement=field, **own))
+        return replace(session, probings=tuple(probings))
+
+    truth = fit_session(pressed(None)).estimate
+    result = fit_session(pressed(yeoh(3.0, SplitNeoHookean)), finite_strain=True)
+    found = result.estimate
+    assert found.stiffening is not None
+    assert found.stiffening.value == pytest.approx(3.0, rel=0.15)
+    assert "times as stiff as at small strain" in found.notes[0]
+    # As where nothing stiffens.
+    assert found.shear_modulus.value == pytest.approx(truth.shear_modulus.value, rel=0.01)
+    assert found.poisson_ratio.value == pytest.approx(truth.poisson_ratio.value, abs=0.004)
+    # What was taken off is in the prediction again.
+    left = result.probes[2].residual
+    expected = pressed(yeoh(3.0, SplitNeoHookean)).probings[2].displacement.displacement
+    np.testing.assert_allclose(result.probes[2].predicted + left, expected, atol=1e-9)
+    # Pushes of an object that is not linear need not agree with each other.
+    assert found.reciprocity is None
 
 
 @pytest.mark.slow
