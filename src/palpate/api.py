@@ -316,7 +316,8 @@ def fit(
     poisson_range : (float, float)  range in which Poisson's ratio is searched
     surface : "smooth", "flat"      how to read the mesh: as points on a smooth object, or as facets
     strain : "small", "finite"      finite: correct for the geometric and material nonlinearity that
-                                    the linear model leaves out at large displacement
+                                    the linear model leaves out at large displacement, and estimate
+                                    the stiffening of the material where the data show it
     material : "auto", "homogeneous", "regions", "field"    one modulus everywhere, one for every
                                     region of the session, or one that differs from place to place;
                                     auto: regions if there are any, else a field only where the data

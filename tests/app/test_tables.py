@@ -166,6 +166,17 @@ def test_what_is_not_determined_is_said_in_place_of_a_number(cube_session):
     assert "0.3000" not in printed(probes_table(estimate), 140)
 
 
+def test_stiffening_has_a_row(cube_session):
+    known = sample_result(read_session(cube_session)).estimate
+    assert "stiffening" not in printed(constants_table(known), 120)
+    stiff = replace(known, stiffening=Constant(3.0, 0.2, (2.6, 3.4)))
+    (row,) = (
+        line for line in printed(constants_table(stiff), 120).splitlines() if "C2 / C1" in line
+    )
+    assert "3.00 \u00b1 0.20" in row
+    assert "2.60 to 3.40" in row
+
+
 def test_regions_have_a_table(cube_session):
     known = sample_result(read_session(cube_session)).estimate
     modulus, ratio = Constant(6e4, 1.5e3, (57e3, 63e3)), Constant(3.0, 0.1, (2.8, 3.2))

@@ -31,6 +31,7 @@ from palpate.records.quantities import (
     interval_text,
     length_unit,
     modulus_unit,
+    stiffening_text,
     unit_name,
     verdict_text,
 )
@@ -173,3 +174,20 @@ def test_a_region_has_a_row():
     unknown = replace(region, identifiable=False)
     assert region_row(unknown)[1:4] == ("not determined", "not determined", "(57.0 to 63.0 kPa)")
     assert region_row(replace(unknown, is_seen=False))[1] == "not seen"
+
+
+@pytest.mark.parametrize(
+    ("found", "shown", "text"),
+    [
+        # 1 + 2 (C2 / C1) 0.2^2.
+        (
+            Constant(3.0, 0.5, (2.0, 4.0)),
+            True,
+            "1.24 times as stiff as at small strain",
+        ),
+        (Constant(0.1, 0.5, (0.0, 1.0)), False, "at most 1.08 times as stiff"),
+        (Constant(0.0, 10.0, (0.0, 19.6)), False, "is not determined: press deeper"),
+    ],
+)
+def test_stiffening_is_told_in_words(found, shown, text):
+    assert text in stiffening_text(found, shown=shown)

@@ -15,7 +15,7 @@ from estimate_samples import constants, sample_result
 from palpate.api import Result
 from palpate.errors import RecordError
 from palpate.pipeline import read_fitted_surface
-from palpate.records import Status, check_fit_result, read_estimate, write_estimate
+from palpate.records import Constant, Status, check_fit_result, read_estimate, write_estimate
 from palpate.report import write_report
 from palpate.report.scene import scene
 
@@ -239,15 +239,19 @@ def test_pictures_are_drawings_of_the_result(saved):
     assert base64.b64decode(found[2][1]).startswith(b"RIFF")
 
 
-def test_a_body_that_creeps_has_a_section(saved, tmp_path):
+def test_a_body_that_creeps_and_stiffens_says_so(saved, tmp_path):
     folder = tmp_path / "creeping"
     shutil.copytree(saved, folder)
     assert "Over time" not in page_of(saved).text
     estimate = read_estimate(folder / "estimate.json")
     relaxation = sample_relaxation(2e4)
-    write_estimate(folder / "estimate.json", replace(estimate, relaxation=relaxation))
+    stiffening = Constant(3.0, 0.2, (2.6, 3.4))
+    changed = replace(estimate, relaxation=relaxation, stiffening=stiffening)
+    write_estimate(folder / "estimate.json", changed)
     write_report(folder, folder / "report.html")
     text = page_of(folder).text
+    assert "stiffening C2 / C1" in text
+    assert "2.60 to 3.40" in text
     assert "Over time" in text
     assert "The constants above are those at 12 s after contact." in text
     assert relaxation.remarks[0] in text

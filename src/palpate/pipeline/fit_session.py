@@ -161,9 +161,7 @@ def _fit_displacements(
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    # Of linear objects alone.
-    many = len(session.probings) > 1 and not finite_strain
-    tested = reciprocity(session) if many else None
+    tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
     )

@@ -62,7 +62,8 @@ class LoadDependence:
             f"Stiffness {rises} with load: {modulus} is {low} {unit} at {least}, {high} {unit} at"
             f" {largest} (as force^{self.exponent:.2f}, +- {self.std:.2f}, in pushes at one place)."
             f" The object or its shape {cause} under load, and the constants are a mean over these"
-            " loads: for small ones fit the gentle pushes alone (--probe)."
+            " loads: for small ones fit the gentle pushes alone (--probe), or fit the stiffening"
+            " (--strain finite)."
         )
 
 

@@ -43,7 +43,8 @@ from palpate.simulation.estimated_object import (
     make_estimated_object,
     make_solid_model,
 )
-from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU, prony
+from palpate.simulation.laws import prony
+from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
 from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPENUSD
 
 EXPORT_FORMAT = "palpate-export/1"

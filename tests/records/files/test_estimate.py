@@ -51,8 +51,9 @@ def _estimate(**changes):
     return Estimate(**(values | changes))
 
 
-def test_round_trip_is_exact(tmp_path):
-    estimate = _estimate()
+@pytest.mark.parametrize("stiffening", [None, Constant(3.0, 0.2, (2.6, 3.4))])
+def test_round_trip_is_exact(tmp_path, stiffening):
+    estimate = _estimate(stiffening=stiffening)
     write_estimate(tmp_path / "estimate.json", estimate)
     assert read_estimate(tmp_path / "estimate.json") == estimate
 

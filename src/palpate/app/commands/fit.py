@@ -128,7 +128,8 @@ def fit(
         than 40 degrees), or as flat facets.
     strain
         Small: displacements are linear in the force. Finite: the nonlinear part for an object that
-        was pressed far is computed with finite elements and corrected for.
+        was pressed far is computed with finite elements and corrected for; pushes of several depths
+        then tell whether the material stiffens, and by how much.
     material
         Homogeneous: one modulus everywhere. Regions: one for every [[region]] of the session.
         Field: a modulus that differs from place to place, where the data are decisively likelier

@@ -211,11 +211,9 @@ def fit_at_finite_strain(
     told, size = stiffening_text(found, shown=shown), _size_note(observations, starts)
     notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
     if estimate.status is Status.MODEL_CONTRADICTED:
-        found = Constant(found.value, np.nan, (np.nan, np.nan))
-    return replace(
-        result,
-        estimate=replace(estimate, notes=notes, stiffening=found if shown else None),
-    )
+        notes, found = (*estimate.notes, size), Constant(found.value, np.nan, (np.nan, np.nan))
+    stiffening = found if shown else None
+    return replace(result, estimate=replace(estimate, notes=notes, stiffening=stiffening))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -451,7 +449,16 @@ def corrected_observations(
     observed: ProbeObservations, correction: Correction, rough: _Coarser | None, *, stiffens: bool
 ) -> ProbeObservations:
     """Observations of an equivalent linear object. What of the correction is affine in force over
-    modulus is put into its response."""
+    modulus is put into its response.
+
+    Parameters
+    ----------
+    observed : ProbeObservations
+    correction : Correction         of this probing
+    rough : _Coarser or None        None: without the errors of the correction's elements and law
+    stiffens : bool                 whether the stiffening is estimated; else it is that of the
+                                    correction
+    """
     n, now = len(observed.position), correction.constants
     tip, fixed = observed.tip_displacement, _taken_off(correction, stiffens=stiffens)
     along = now.shear_modulus * observed.force / float(observed.force @ observed.force)
