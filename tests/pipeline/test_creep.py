@@ -66,6 +66,13 @@ def test_the_modulus_over_time_comes_out(result):
     assert found.instantaneous.value == pytest.approx(SHEAR, rel=0.01)
     assert found.long_term.value == pytest.approx(SHEAR * modulus.long_term, rel=0.01)
     assert "Poisson's ratio is constant over the hold of 'n01'" in found.remarks[0]
+    # Radians of 0.5 to 300 s.
+    assert [each.frequency for each in found.loss] == pytest.approx([1e-3, 1e-2, 1e-1])
+    for each, angle in zip(
+        found.loss, modulus.loss_angle(10.0 ** np.arange(-3.0, 0.0)), strict=True
+    ):
+        assert each.angle.value == pytest.approx(angle, rel=0.05)
+        assert each.angle.ci95[0] < angle < each.angle.ci95[1]
 
 
 def test_the_interval_joins_those_of_the_static_fit_and_of_the_shape(result):

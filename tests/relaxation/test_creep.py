@@ -79,6 +79,23 @@ def test_creep_and_relaxation_are_inverse_in_the_laplace_domain(s):
     assert (modulus.terms > 0.0).all()
 
 
+def test_a_motion_lags_by_the_angle_of_the_complex_compliance():
+    frequency = np.array([1e-3, 0.02, 0.7, 30.0])
+    turned = 2j * np.pi * frequency[:, None] * TWO.times
+    compliance = TWO.instantaneous + (1.0 / (1.0 + turned)) @ TWO.terms
+    wanted = -np.angle(compliance)
+    found = TWO.relaxation().loss_angle(frequency)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-15)
+    # And as it is seen: many periods of a force that oscillates, after which no start is left.
+    time = np.linspace(0.0, 200.0, 200001)
+    turn = 2.0 * np.pi * 0.7 * time
+    moved = TWO.response(time, np.sin(turn))[100000:]
+    both = np.column_stack([np.sin(turn), np.cos(turn)])[100000:]
+    along, behind = np.linalg.lstsq(both, moved, rcond=None)[0]
+    # Straight pieces of a thousandth of a second, and what is left of the start.
+    assert np.arctan2(-behind, along) == pytest.approx(found[2], rel=1e-4)
+
+
 def test_a_held_displacement_needs_the_force_that_relaxes():
     # The force G(t) of a unit step of displacement, as straight pieces, moves the body by 1.
     time = np.concatenate([[0.0], np.geomspace(1e-4, 50.0, 4000)])

@@ -20,6 +20,7 @@ from palpate.records import (
     Constant,
     Contact,
     Estimate,
+    LossPoint,
     Probing,
     RelaxationEstimate,
     RelaxationPoint,
@@ -272,6 +273,8 @@ def _relaxation(
     ends = joint(_end_values, of=static)
     modulus = creep.compliance.relaxation()
     times = joint(lambda each: each.relaxation().times, of=None) if creep.terms else []
+    frequency = _frequencies(rise, hold) if creep.terms else np.zeros(0)
+    lags = joint(lambda each: each.relaxation().loss_angle(frequency), of=None)
     first, last, why = _ends(creep, ends, rise, hold)
     if not known[name]:
         why.append("No modulus is determined: only ratios of the curve and times are.")
@@ -284,7 +287,14 @@ def _relaxation(
         ),
         tuple(RelaxationPoint(float(t), each) for t, each in zip(time, curve, strict=True)),
         first, last, (*why, *remarks),
+        tuple(LossPoint(float(f), lag) for f, lag in zip(frequency, lags, strict=True)),
     )  # fmt: skip
+
+
+def _frequencies(rise: float, hold: float) -> Float[np.ndarray, " n"]:
+    """Whole decades of frequency [Hz] whose radians take from the rise to the hold."""
+    ends = np.log10(1.0 / (2.0 * np.pi * np.array([hold, rise])))
+    return 10.0 ** np.arange(math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9) + 1)
 
 
 def _constant(value: float, wide: float, of: Constant | None) -> Constant:

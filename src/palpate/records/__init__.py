@@ -32,6 +32,7 @@ from palpate.records.estimate import (
     Constant as Constant,
     ErrorEstimate as ErrorEstimate,
     Estimate as Estimate,
+    LossPoint as LossPoint,
     ProbeEstimate as ProbeEstimate,
     RegionEstimate as RegionEstimate,
     RelaxationEstimate as RelaxationEstimate,

@@ -383,6 +383,20 @@ class RelaxationTerm:
 
 
 @dataclass(frozen=True, slots=True)
+class LossPoint:
+    """The loss angle at one frequency.
+
+    Parameters
+    ----------
+    frequency : float [Hz]          of an oscillating push
+    angle : Constant                by which the motion lags behind the force [rad]
+    """
+
+    frequency: float
+    angle: Constant
+
+
+@dataclass(frozen=True, slots=True)
 class RelaxationEstimate:
     """The modulus of a body that creeps, as a function of time; Poisson's ratio is constant.
 
@@ -396,6 +410,7 @@ class RelaxationEstimate:
     curve : tuple of RelaxationPoint    ten a decade, whole decades among them, inside the window
     instantaneous, long_term : Constant or None [Pa]   None: not shown by the window
     remarks : tuple of str          why not, whether Poisson's ratio is constant, in sentences
+    loss : tuple of LossPoint       at whole decades inside the window, of a body that creeps
 
     Raises
     ------
@@ -412,6 +427,7 @@ class RelaxationEstimate:
     instantaneous: Constant | None
     long_term: Constant | None
     remarks: tuple[str, ...]
+    loss: tuple[LossPoint, ...] = ()
 
     def __post_init__(self) -> None:
         if self.constant not in ("shear_modulus", "young_modulus"):

@@ -227,6 +227,8 @@ def relaxation_rows(relaxation: RelaxationEstimate) -> list[tuple[str, str, str,
         if abs(math.log10(point.time) - round(math.log10(point.time))) < 1e-6:
             add(f"{symbol} at {point.time:g} s", point.modulus, factor, unit)
     add(f"{symbol} in the long term", relaxation.long_term, factor, unit)
+    for one in relaxation.loss:
+        add(f"loss angle at {one.frequency:g} Hz", one.angle, math.pi / 180.0, "degrees")
     for term in relaxation.terms:
         add(f"time constant, {100 * term.share:.0f} % of {symbol}", term.time, 1.0, "s")
     return rows

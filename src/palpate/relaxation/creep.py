@@ -67,6 +67,17 @@ class RelaxationModulus:
         """G at times after the displacement began, (n,) [s]."""
         return self.long_term + np.exp(-time[:, None] / self.times) @ self.terms
 
+    def loss_angle(self, frequency: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Angle by which the displacement lags behind a force that oscillates [rad]: that of
+        G_inf + sum_i G_i i w rho_i / (1 + i w rho_i), with w = 2 pi frequency [Hz].
+
+        Source
+        ------
+        Ferry, Viscoelastic properties of polymers (3rd ed. 1980), chapter 3
+        """
+        turned = 2j * np.pi * frequency[:, None] * self.times
+        return np.angle(self.long_term + (turned / (1.0 + turned)) @ self.terms)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CreepCompliance:

@@ -198,8 +198,8 @@ def fit_at_finite_strain(
     other = strain_corrections(body, coarse[0].constants, law=SplitNeoHookean, starts=coarse)
     used = replace(used, coarser=tuple(zip(coarse, other, strict=True)))
     body, report = make_finite_body(session), part_of(progress, _ROUGH, 1.0)
-    found, starts = estimated_stiffening(rough), ()
-    result = rough
+    result, found = rough, estimated_stiffening(rough)
+    starts: tuple[Correction, ...] = ()
     shown = found.value > _HOPELESS * found.std
     if shown:
         result, starts = _converged(body, used, rough, report, stiffens=True)
