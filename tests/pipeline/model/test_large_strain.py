@@ -113,7 +113,8 @@ def test_stiffening_comes_out_of_several_depths() -> None:
             probings.append(replace(probing, displacement=field, **own))
         return replace(session, probings=tuple(probings))
 
-    truth = fit_session(pressed(None)).estimate
+    linear = pressed(None)
+    truth = fit_session(replace(linear, probings=linear.probings[:1])).estimate
     result = fit_session(pressed(yeoh(3.0, SplitNeoHookean)), finite_strain=True)
     found = result.estimate
     assert found.stiffening is not None
