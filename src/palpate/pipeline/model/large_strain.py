@@ -75,11 +75,12 @@ _MOST_ROUNDS = 8
 _SHEAR_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
 # Prior standard deviation of the stiffening: 1.8 times as stiff at 20 % shear.
 _STIFFENING, _STIFFENS = 10.0, "stiffening of the material"
-# Standard deviations from which stiffening is taken for shown, and below which finer elements do
-# not look for it; least that is told: 1.05 times as stiff at 20 % shear.
+# Standard deviations from which stiffening counts as shown, and below which finer elements do not
+# look for it.
+_SHOWN, _HOPELESS = -float(ndtri(0.5 * FALSE_ALARM)), 1.0
+# Least stiffening that is told, 1.05 times as stiff at 20 % shear: meshes may leave over as much.
 _LEAST = 0.625
 _NORMAL = 1.96
-_SHOWN, _HOPELESS = -float(ndtri(0.5 * FALSE_ALARM)), 1.0
 # At finite strain, soft materials of the same constants differ from each other by a good part of
 # their difference from a linear one.
 _OTHER_LAWS = 0.3
