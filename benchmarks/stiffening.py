@@ -71,7 +71,8 @@ def pressed(tool: str, law: LawOf) -> Session:
         "punch": (Tool(FLAT, PUNCH), Punch(PUNCH, point, inward)),
     }[tool]
     contact = kind.contact(point, float(np.ptp(mesh.vertices)))
-    probings, start = [], None
+    probings: list[Probing] = []
+    start = None
     for force in FORCES[tool] * LOADS:
         start = press_finite(truth, tip, force, law=law, start=start)
         nodal = start.displacement
