@@ -48,4 +48,5 @@ from palpate.estimation.predictions import (
     Prediction as Prediction,
     ProbeFit as ProbeFit,
     predictions_of as predictions_of,
+    sizes_of_errors as sizes_of_errors,
 )

@@ -67,9 +67,6 @@ class Prediction:
     std : (n, 3) float [m]                  of the prediction: constants, forces, all other errors
                                             and the model's own; without the measurement's noise
     noise : (n, 3) float [m]                standard deviation of that noise; NaN where not measured
-    sizes : mapping                         source of errors of single probings -> how large those
-                                            of the fitted ones are over their priors, which `std`
-                                            takes these to be, too
     """
 
     name: str
@@ -78,7 +75,6 @@ class Prediction:
     predicted: Points
     std: Points
     noise: Points
-    sizes: Mapping[str, float] = field(default_factory=dict)
 
 
 def predictions_of(
@@ -102,7 +98,7 @@ def predictions_of(
     whole = np.zeros(problem.layout.size)
     whole[:common] = theta[:common]
     residuals, derivatives = problem.linearised(whole)
-    sizes, sources, predictions = _sizes(minimum), problem.sources, []
+    sizes, sources, predictions = sizes_of_errors(minimum), problem.sources, []
     for probe, seen, block, unknown, residual, table in zip(
         probes, measured, problem.layout.blocks, problem.unknown, residuals, derivatives,
         strict=True,
@@ -120,13 +116,19 @@ def predictions_of(
         level = seen.sigma(minimum.problem.level) ** 2
         noise[seen.rows] = np.sqrt(seen.component_variance(level))
         here = (probe.position, probe.displacement, moved, std, noise[:count].reshape(-1, 3))
-        predictions.append(Prediction(probe.name, *here, sizes))
+        predictions.append(Prediction(probe.name, *here))
     return tuple(predictions)
 
 
-def _sizes(minimum: Evaluation) -> dict[str, float]:
-    """Size of the errors of single probings over that of their priors, by source. Where the points
-    that were fitted are few about a tool, they tell little of the model's error there: it stays."""
+def sizes_of_errors(minimum: Evaluation) -> dict[str, float]:
+    """Size of the errors of single probings over that of their priors, by source, which predictions
+    take those of other probings to be, too. Where the points that were fitted are few about a tool,
+    they tell little of the model's error there: it stays.
+
+    Parameters
+    ----------
+    minimum : Evaluation            of the probings that were fitted
+    """
     problem, common = minimum.problem, minimum.problem.layout.common
     source = np.array(problem.sources[common:])
     value, std = minimum.theta[common:], minimum.normal.std[common:]

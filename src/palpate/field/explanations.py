@@ -170,9 +170,9 @@ def _expansions(
         else:
             derivative = _by_support(model.body, stiffness, seen, moved)
         none = np.zeros(derivative.shape[-1])
-        same = np.ones(count), np.zeros((count, len(none))), change
+        nowhere = np.zeros((count, len(none)))
         expansions.append(
-            FieldExpansion(model, none, poisson_ratio, *same, change, change, derivative)
+            FieldExpansion(model, none, poisson_ratio, nowhere, change, change, change, derivative)
         )
     return expansions
 

@@ -193,13 +193,10 @@ class FieldModel(ABC):
         """
         stiffness = self.stiffness(coefficients, poisson_ratio)
         moved = stiffness.displacements(self.load)
-        local = self.under_loads
-        scale = np.exp(-local @ coefficients)
         change = self.seen(moved - homogeneous)
         return FieldExpansion(
-            self, coefficients, poisson_ratio, scale, -scale[:, None] * local,
-            self.seen(homogeneous), change, np.zeros_like(change),
-            self.derivative(stiffness, moved),
+            self, coefficients, poisson_ratio, self.under_loads, self.seen(homogeneous), change,
+            np.zeros_like(change), self.derivative(stiffness, moved),
         )  # fmt: skip
 
 
@@ -212,8 +209,7 @@ class FieldExpansion:
     model : FieldModel
     coefficients : (b,) float                   b0
     poisson_ratio : float [-]                   nu0
-    scale : (k,) float                          s of each probing
-    scale_change : (k, b) float                 its derivative
+    under_loads : (k, b) float                  modes under each load, by which s changes
     homogeneous : (..., k) float                u_FE(0), as `change`
     change : (..., k) float                     d under the load of each probing (`FieldModel.seen`)
     slope : (..., k) float                      its derivative with respect to Poisson's ratio; zero
@@ -224,8 +220,7 @@ class FieldExpansion:
     model: FieldModel
     coefficients: Float[np.ndarray, " b"]
     poisson_ratio: float
-    scale: Float[np.ndarray, " k"]
-    scale_change: Float[np.ndarray, "k b"]
+    under_loads: Float[np.ndarray, "k b"]
     homogeneous: Float[np.ndarray, "*n"]
     change: Float[np.ndarray, "*n"]
     slope: Float[np.ndarray, "*n"]
@@ -355,7 +350,8 @@ def _changed(
 ) -> ProbeObservations:
     """Observations of one probing with what a field changes."""
     derivative = points.from_corners @ expansion.derivative[index]
-    more = expansion.scale[index] - 1.0
+    local = expansion.under_loads[index]
+    scale = float(np.exp(-local @ expansion.coefficients))
 
     def missed(response: ResponseModel, rows: csr_array) -> Float[np.ndarray, " r"]:
         """What finite elements lack of the homogeneous body's displacement."""
@@ -363,17 +359,17 @@ def _changed(
         return np.asarray(moved - rows @ expansion.homogeneous[:, index])
 
     own = missed(probe.response, points.from_nodes)
-    derivative += own[:, None] * expansion.scale_change[index]
+    derivative -= scale * np.outer(own, local)
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
     here = points.from_nodes @ moved + derivative @ expected
-    here[:, 0] += more * own
+    here[:, 0] += (scale - 1.0) * own
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
     if vertices is not None:
         there = points.vertices @ moved
-        there[:, 0] += more * missed(vertices, points.vertices)
+        there[:, 0] += (scale - 1.0) * missed(vertices, points.vertices)
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
     mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
 

@@ -28,7 +28,7 @@ from palpate.app.tables import (
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
 from palpate.errors import InputError, counted, print_message
-from palpate.estimation import FitResult, FitSettings, Prediction
+from palpate.estimation import FitResult, FitSettings, sizes_of_errors
 from palpate.field import check_regions
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.paper import true_material
@@ -190,7 +190,9 @@ def fit(
         predictions = () if held is None else result.predict(held)
         write_held_out(folder, predictions)
         estimate = _write(folder, measured, result, log)
-    _print(estimate, measured, predictions)
+    _print(estimate, measured)
+    if predictions:
+        print_tables(held_out_table(predictions, sizes_of_errors(result.minimum)))
     if reused:
         print_text(f"Note: {_REUSED.format(reused, count, target)}.")
     print_text(
@@ -396,7 +398,7 @@ def _write(folder: Path, measured: Session, result: FitResult, log: StageLog) ->
     return estimate
 
 
-def _print(estimate: Estimate, session: Session, predictions: Sequence[Prediction]) -> None:
+def _print(estimate: Estimate, session: Session) -> None:
     """The tables, and what a reader must know besides."""
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
@@ -410,8 +412,6 @@ def _print(estimate: Estimate, session: Session, predictions: Sequence[Predictio
     for note in estimate.notes:
         if note not in session.notes:
             print_text(f"Note: {note}")
-    if predictions:
-        print_tables(held_out_table(predictions))
 
 
 def _mesh_table(session: Session) -> Table:
