@@ -182,7 +182,7 @@ def held_out_table(predictions: Sequence[Prediction], sizes: Mapping[str, float]
     Parameters
     ----------
     predictions : sequence of Prediction
-    sizes : mapping                 as `sizes_of_errors`
+    sizes : mapping                 `FitResult.error_sizes`
     """
     rows = []
     for each in predictions:

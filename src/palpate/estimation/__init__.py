@@ -48,5 +48,4 @@ from palpate.estimation.predictions import (
     Prediction as Prediction,
     ProbeFit as ProbeFit,
     predictions_of as predictions_of,
-    sizes_of_errors as sizes_of_errors,
 )

@@ -28,7 +28,7 @@ from palpate.app.tables import (
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
 from palpate.errors import InputError, counted, print_message
-from palpate.estimation import FitResult, FitSettings, sizes_of_errors
+from palpate.estimation import FitResult, FitSettings
 from palpate.field import check_regions
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.paper import true_material
@@ -192,7 +192,7 @@ def fit(
         estimate = _write(folder, measured, result, log)
     _print(estimate, measured)
     if predictions:
-        print_tables(held_out_table(predictions, sizes_of_errors(result.minimum)))
+        print_tables(held_out_table(predictions, result.error_sizes))
     if reused:
         print_text(f"Note: {_REUSED.format(reused, count, target)}.")
     print_text(
