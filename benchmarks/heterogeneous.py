@@ -3,8 +3,9 @@
     python -m benchmarks.heterogeneous FOLDER [KIND ...] [--body NAME]
 
 The truth comes from quadratic tetrahedra much finer than the estimate's, by another assembly, with
-the modulus of every quadrature point. Ten pushes are fitted, six others predicted, with the field
-and without. FOLDER keeps the true displacements, which take a minute a body.
+the modulus of every quadrature point; or of a support that has come loose in part. Ten pushes are
+fitted, six others predicted, with the field or cause and without. FOLDER keeps the true
+displacements, which take a minute a body.
 """
 
 import argparse
@@ -275,7 +276,7 @@ def main() -> None:
     """Print a line a body."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.heterogeneous", description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("kind", nargs="*")
+    parser.add_argument("kind", nargs="*", help=", ".join((*KINDS, *LOOSE)))
     parser.add_argument("--body", default="block")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
@@ -285,7 +286,7 @@ def main() -> None:
             replace(measured, probings=part)
             for part in (measured.probings[:FITTED], measured.probings[FITTED:])
         )
-        materials = [Material.HOMOGENEOUS, Material.FIELD]
+        materials = [Material.HOMOGENEOUS, Material.AUTO if kind in LOOSE else Material.FIELD]
         for material in [*materials, *([Material.REGIONS] if kind in REGIONS else [])]:
             start = time.perf_counter()
             result = fit_session(fitted, material=material)
