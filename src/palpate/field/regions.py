@@ -221,7 +221,7 @@ def _with_cut_elements(
     body, ratio = model.body, expansion.poisson_ratio
     log_modulus = model.modes.modes @ expansion.coefficients
     coarser = body.constant @ body.means(log_modulus[:, None])[:, 0]
-    moved = with_moduli(body, coarser, ratio).displacements(model.load)
+    moved = with_moduli(body, coarser, ratio).displacements(model.every_load)
     step = 0.5 * (model.moved(expansion.coefficients, ratio) - moved)
     parameter = NuisanceParameter("elements that regions cut", 1.0, is_model_error=True)
     return [
