@@ -23,6 +23,8 @@ _SHAPES = ("surface", "box", "plane", "skin")
 # What may be known of a region's modulus: itself, or its ratio to that of the rest.
 YOUNG, SHEAR, RATIO = KNOWN = ("young_modulus", "shear_modulus", "ratio")
 _LARGEST_RATIO = 1e6
+# Longest name that stands in tables.
+_LONGEST_NAME = 200
 
 
 # Triangles of a box whose corners come in the order of x, then y, then z.
@@ -196,6 +198,8 @@ def _knowledge_keys() -> list[str]:
 
 def _region(table: TomlTable, body: HeldObject) -> Region:
     name = table.label("name")
+    if len(name) > _LONGEST_NAME:
+        table.fail("name", f"has {len(name)} characters; must have at most {_LONGEST_NAME}")
     keys = table.values.keys()
     given = [key for key in _SHAPES if key in keys]
     if len(given) != 1:
