@@ -85,7 +85,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage_of_regions")
     parser.add_argument("folder", type=Path)
     parser.add_argument("sessions", type=int, nargs="?", default=20)
-    parser.add_argument("body", nargs="*", default=["block", "slab"])
+    parser.add_argument("body", nargs="*", default=["block"])
     parser.add_argument("--kind", nargs="+", choices=REGIONS, default=list(REGIONS))
     given = parser.parse_args()
     every: list[Row] = []

@@ -427,9 +427,11 @@ def _filled(session: Session) -> Solid:
         if small < edge:
             _check_count(region, part / small**3)
             fine += [(point, step, small) for point in points]
-    boxes = [Box(*_bounds(each, mesh)) for each in session.regions if isinstance(each.shape, Box)]
-    inserts = [each.shape for each in session.regions if isinstance(each.shape, Insert)]
-    walls = [each.surface for each in (*boxes, *inserts)]
+    shapes = [each.shape for each in session.regions]
+    walls = [each.surface for each in shapes if isinstance(each, Insert)]
+    walls += [
+        Box(*_bounds(each, mesh)).surface for each in session.regions if isinstance(each.shape, Box)
+    ]
     try:
         return make_solid(mesh, edge=edge, fine=fine, walls=walls)
     except MeshError:

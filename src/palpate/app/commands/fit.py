@@ -3,7 +3,7 @@ kernels ready, `report` writes a result's report again."""
 
 import shlex
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -28,7 +28,7 @@ from palpate.app.tables import (
 from palpate.app.terminal import StageLog, print_notes, print_tables, print_text, progress_bar
 from palpate.bem import check_memory
 from palpate.errors import InputError, counted, print_message
-from palpate.estimation import FitResult, FitSettings
+from palpate.estimation import FitResult, FitSettings, Prediction
 from palpate.field import check_regions
 from palpate.geometry import mesh_quality, triangle_areas
 from palpate.paper import true_material
@@ -190,9 +190,7 @@ def fit(
         predictions = () if held is None else result.predict(held)
         write_held_out(folder, predictions)
         estimate = _write(folder, measured, result, log)
-    _print(estimate, measured)
-    if predictions:
-        print_tables(held_out_table(predictions, result.error_sizes))
+    _print(estimate, measured, predictions, result.error_sizes)
     if reused:
         print_text(f"Note: {_REUSED.format(reused, count, target)}.")
     print_text(
@@ -398,7 +396,12 @@ def _write(folder: Path, measured: Session, result: FitResult, log: StageLog) ->
     return estimate
 
 
-def _print(estimate: Estimate, session: Session) -> None:
+def _print(
+    estimate: Estimate,
+    session: Session,
+    predictions: Sequence[Prediction],
+    sizes: Mapping[str, float],
+) -> None:
     """The tables, and what a reader must know besides."""
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
@@ -412,6 +415,8 @@ def _print(estimate: Estimate, session: Session) -> None:
     for note in estimate.notes:
         if note not in session.notes:
             print_text(f"Note: {note}")
+    if predictions:
+        print_tables(held_out_table(predictions, sizes))
 
 
 def _mesh_table(session: Session) -> Table:
