@@ -134,6 +134,18 @@ def test_left_out_ends_at_the_bounds_of_a_ratio_that_is_hardly_determined() -> N
     assert others.poisson_ratio == pytest.approx(RANGE[1])
 
 
+def test_left_out_is_as_uncertain_as_what_a_fit_of_the_others_predicts():
+    rng, noise = np.random.default_rng(4), 5e-5
+    probes = half_space_probes(rng, count=3, grid=4, noise=noise, force_noise=0.0)
+    for k, fit in enumerate(probe_fits(minimum_of(problem_of(probes)), RANGE)):
+        others = minimum_of(problem_of(probes[:k] + probes[k + 1 :]))
+        (found,) = predictions_of(others, probes[k : k + 1])
+        spread = np.sqrt((fit.left_out_sigma**2 - noise**2).mean())
+        # At constants that are a standard deviation apart, of a tenth at most.
+        assert spread == pytest.approx(np.sqrt((found.std**2).mean()), rel=0.1)
+        assert spread > 0.1 * noise
+
+
 def test_points_are_counted_and_residuals_averaged() -> None:
     modulus, ratio = Constant(1.0, 0.1, (0.8, 1.2)), Constant(0.3, 0.1, (0.1, 0.5))
     residual = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 5.0], [9.0, 9.0, 9.0], [np.nan] * 3,
@@ -146,10 +158,19 @@ def test_points_are_counted_and_residuals_averaged() -> None:
     assert found.rms_residual == pytest.approx(np.sqrt(51 / 3), rel=1e-12)
     squares = 1 + 4 + 4 + 4 + 4 + 9 + 1
     assert found.prediction_error == pytest.approx(np.sqrt(squares / 3), rel=1e-12)
+    assert (found.prediction_score, found.prediction_within) == (None, None)
     alone = probe_estimate(
         IntervalSet(ratio, modulus, modulus), KNOWN, replace(fit, left_out_predicted=None)
     )
     assert alone.prediction_error is None
+    sigma = np.full((5, 3), 2.0)
+    sigma[1, 2], sigma[4, 1] = 1.0, 0.5
+    known = probe_estimate(
+        IntervalSet(ratio, modulus, modulus), KNOWN, replace(fit, left_out_sigma=sigma)
+    )
+    # Of seven errors, 3 over 1 and 1 over 0.5 are beyond 1.96 of theirs.
+    assert known.prediction_score == pytest.approx(np.sqrt(17.25 / 7), rel=1e-12)
+    assert known.prediction_within == pytest.approx(5 / 7)
 
 
 def test_the_size_of_errors_is_that_with_which_they_were_drawn():

@@ -52,6 +52,8 @@ REGIONS = [
     _region("as many regions as a book has leaves", tuple(_LEAVES), "0.1 mm thick", "fewer regions"),
     _region("a region that is not said", ('name = "insert"',), "[[region]]", "surface", "skin"),
     _region("two regions of one name", (_INSERT, _INSERT), "'insert' is that of another region"),
+    _region("a region with a name as long as a page", (_INSERT.replace("insert", 3000 * "n"),),
+            "[[region]]", "has 3000 characters", "200"),
     _region("regions at finite strain", (_INSERT,), "--strain small",
             command=("fit", ".", "--strain", "finite")),
     _region("a field at finite strain", (), "--strain small",

@@ -158,18 +158,18 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
         terms = probe.response_terms(prior.poisson_ratio)
         moved = terms[:, 0, :3] @ probe.force / modulus + terms[:, 1, :3] @ probe.force
 
-        def solved(log_ratio):
+        def solved(log_ratio, under_load):
             every = model.moved(np.array([log_ratio]), prior.poisson_ratio)[:, 0]
-            dent = np.exp(-log_ratio * model.under_loads[0, 0]) * missed
-            return at @ every[corners.ravel()] + dent
+            return at @ every[corners.ravel()] + np.exp(-log_ratio * under_load) * missed
 
         about = float(found.expansion.coefficients[0])
-        expected = solved(prior.mean[0] - change) - solved(about)
+        near = model.under_loads[0, 0]
+        expected = solved(prior.mean[0] - change, near) - solved(about, 0.0)
         still = (
             replace(
                 found.expansion,
                 derivative=0.0 * found.expansion.derivative,
-                scale_change=0.0 * found.expansion.scale_change,
+                under_loads=0.0 * found.expansion.under_loads,
             )
             .observations(prior)[0]
             .response_terms(prior.poisson_ratio)

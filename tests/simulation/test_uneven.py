@@ -85,6 +85,11 @@ def test_a_push_moves_finite_elements_as_it_says(model):
     assert model.share @ moved[model.node] @ force == pytest.approx(said @ force, rel=0.03)
 
 
+def test_a_negative_standard_deviation_is_refused(source):
+    with pytest.raises(InputError, match=r"std is -0\.1 in an element; must not be negative"):
+        replace(source.modulus, std=-source.modulus.std)
+
+
 def test_points_inside_are_refused(source):
     probing = source.session.probings[0]
     with pytest.raises(InputError, match="leave --interior out"):

@@ -47,6 +47,25 @@ def test_a_block_keeps_its_volume_and_its_faces():
         assert np.linalg.norm(solid.nodes - corner, axis=1).min() < 1e-15
 
 
+def test_elements_follow_walls_inside():
+    mesh, wall = box((0.06, 0.05, 0.04)), box((0.02, 0.015, 0.012), origin=(0.018, 0.017, 0.011))
+    low, high = wall.vertices.min(axis=0), wall.vertices.max(axis=0)
+
+    def cut(solid):
+        """Share of the wall's volume in elements with a centre inside that stick out of it."""
+        corner = solid.nodes[solid.elements[:, :4]]
+        beyond = np.maximum(low - corner, corner - high).max(axis=2)
+        centre = corner.mean(axis=1)
+        within = np.all((centre > low) & (centre < high), axis=1)
+        size = np.abs(np.linalg.det(np.diff(corner, axis=1))) / 6.0
+        assert size.sum() == pytest.approx(enclosed_volume(mesh), rel=1e-12)
+        return size[within & (beyond.max(axis=1) > 1e-9)].sum() / enclosed_volume(wall)
+
+    # Some tetrahedra at its edges bridge two faces: one in thirty; of others a third is cut.
+    assert cut(make_solid(mesh, edge=0.004, walls=[wall])) < 0.06
+    assert cut(make_solid(mesh, edge=0.004)) > 0.2
+
+
 def test_the_tip_of_a_cone_is_kept():
     # No edge of a cone of many sides is sharp, its tip is.
     around = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)

@@ -6,7 +6,7 @@ They fit any terminal: where columns have no room, they go on below.
 import math
 import re
 import statistics
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -179,12 +179,13 @@ def relaxation_table(relaxation: RelaxationEstimate) -> Table:
     )
 
 
-def held_out_table(predictions: Sequence[Prediction]) -> Table:
+def held_out_table(predictions: Sequence[Prediction], sizes: Mapping[str, float]) -> Table:
     """Predictions of probings that were not fitted, against what was measured.
 
     Parameters
     ----------
     predictions : sequence of Prediction
+    sizes : mapping                 `FitResult.error_sizes`
     """
     rows = []
     for each in predictions:
@@ -201,10 +202,10 @@ def held_out_table(predictions: Sequence[Prediction]) -> Table:
         "Error: with the noise and the outliers of what was measured. Within: of the measured"
         " displacements, by intervals of prediction and noise together."
     )
-    if sizes := [f"{source} {size:.2g}" for source, size in predictions[0].sizes.items()]:
+    if sizes:
         caption += (
             " Errors of a probing are taken to be as large as in those fitted, over what the"
-            f" session says of them: {', '.join(sizes)}."
+            f" session says of them: {', '.join(f'{of} {size:.2g}' for of, size in sizes.items())}."
         )
     return terminal_table("Probings held out", columns, rows, caption=caption)
 

@@ -27,6 +27,7 @@ from palpate.estimation.information import (
 )
 from palpate.estimation.normal_equations import Evaluation as Evaluation
 from palpate.estimation.observations import (
+    PLACES as PLACES,
     Nuisance as Nuisance,
     NuisanceParameter as NuisanceParameter,
     ProbeObservations as ProbeObservations,

@@ -46,6 +46,7 @@ from palpate.estimation.predictions import (
     error_estimates,
     probe_estimate,
     probe_fits,
+    sizes_of_errors,
 )
 from palpate.progress import Progress, silent
 from palpate.records import (
@@ -167,6 +168,12 @@ class FitResult:
         if self.model is None:
             raise InputError("this result has no model: fit the session again")
         return self.model
+
+    @property
+    def error_sizes(self) -> dict[str, float]:
+        """Source of errors of single probings -> how large those of the fitted ones are over their
+        priors, and are taken to be in predictions; empty where the result was read from files."""
+        return {} if self.model is None else sizes_of_errors(self.model)
 
     def __repr__(self) -> str:
         return f"FitResult of {counted(len(self.probes), 'probing')}: {self.estimate!r}"

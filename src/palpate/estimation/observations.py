@@ -97,6 +97,10 @@ class ResponseTerms:
     poisson_ratio: float
 
 
+# What the budget calls errors of contacts' places, two a contact.
+PLACES = "contact points"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Nuisance:
     """An error that points or probings share, with its effect on one probing.

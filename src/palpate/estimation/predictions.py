@@ -10,14 +10,16 @@ from jaxtyping import Float
 from palpate.estimation.noise import relative_weight
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import NuisanceParameter, ProbeObservations
-from palpate.estimation.observed_rows import observed_rows_of
+from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.posterior import IntervalSet
-from palpate.estimation.problem import MODEL
+from palpate.estimation.problem import MODEL, Problem
 from palpate.records import ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices
 
 # A point of smaller robust weight counts as rejected: 4.9 sigma for three components.
 _MIN_WEIGHT = 0.25
+# Standard deviations within which 95 % of normal errors lie.
+_INSIDE = 1.96
 # Sizes of errors over those of their priors that are looked at, and how far off a prior may be:
 # the standard deviation of the logarithm of the size.
 _SIZES, _FACTOR = np.geomspace(0.05, 20.0, 200), float(np.log(3.0))
@@ -35,6 +37,7 @@ class ProbeFit:
     weight : (n, 3) float                   robust weight in [0, 1], 0 where not measured
     left_out_predicted : (n, 3) float [m] or None
         from the constants of all other probings and the measured force; motions as fitted
+    left_out_sigma : (n, 3) float [m] or None   of that prediction, with the noise
     motion, motion_std : (q,) float         of supports, as fitted (`ProbeObservations`)
     errors : tuple of ErrorEstimate         those that belong to this probing alone
     sigma : (n, 3) float [m]                1 sigma of noise and model at every point, NaN where not
@@ -53,6 +56,7 @@ class ProbeFit:
     errors: tuple[ErrorEstimate, ...] = ()
     sigma: Points | None = None
     surface: Vertices | None = None
+    left_out_sigma: Points | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +71,6 @@ class Prediction:
     std : (n, 3) float [m]                  of the prediction: constants, forces, all other errors
                                             and the model's own; without the measurement's noise
     noise : (n, 3) float [m]                standard deviation of that noise; NaN where not measured
-    sizes : mapping                         source of errors of single probings -> how large those
-                                            of the fitted ones are over their priors, which `std`
-                                            takes these to be, too
     """
 
     name: str
@@ -78,7 +79,6 @@ class Prediction:
     predicted: Points
     std: Points
     noise: Points
-    sizes: Mapping[str, float] = field(default_factory=dict)
 
 
 def predictions_of(
@@ -102,31 +102,47 @@ def predictions_of(
     whole = np.zeros(problem.layout.size)
     whole[:common] = theta[:common]
     residuals, derivatives = problem.linearised(whole)
-    sizes, sources, predictions = _sizes(minimum), problem.sources, []
-    for probe, seen, block, unknown, residual, table in zip(
-        probes, measured, problem.layout.blocks, problem.unknown, residuals, derivatives,
-        strict=True,
-    ):  # fmt: skip
-        named = sources[block.whole.start : block.errors.stop]
-        own = np.array([sizes.get(source, 1.0) for source in named])
-        variance = np.square(own) @ np.square(table[common:])
-        variance += np.einsum(
-            "sr,st,tr->r", table[:common], minimum.normal.covariance, table[:common]
-        )
-        variance += problem.scale**2 * unknown.total_variance()
+    sizes, predictions = sizes_of_errors(minimum), []
+    for k, (probe, seen, residual, table) in enumerate(
+        zip(probes, measured, residuals, derivatives, strict=True)
+    ):
+        variance = _variance(problem, k, table, minimum.normal.covariance, sizes)
         count = 3 * len(probe.position)
         moved, std = (each[:count].reshape(-1, 3) for each in (-residual, np.sqrt(variance)))
         noise = np.full(count + 3, np.nan)
         level = seen.sigma(minimum.problem.level) ** 2
         noise[seen.rows] = np.sqrt(seen.component_variance(level))
         here = (probe.position, probe.displacement, moved, std, noise[:count].reshape(-1, 3))
-        predictions.append(Prediction(probe.name, *here, sizes))
+        predictions.append(Prediction(probe.name, *here))
     return tuple(predictions)
 
 
-def _sizes(minimum: Evaluation) -> dict[str, float]:
-    """Size of the errors of single probings over that of their priors, by source. Where the points
-    that were fitted are few about a tool, they tell little of the model's error there: it stays."""
+def _variance(
+    problem: Problem,
+    index: int,
+    table: Float[np.ndarray, "s r"],
+    covariance: Float[np.ndarray, "d d"],
+    sizes: Mapping[str, float],
+) -> Float[np.ndarray, " r"]:
+    """Variance of the rows of a probing that was not fitted [m^2], without noise, from derivatives
+    (`Problem.linearised`) and the covariance of the common parameters."""
+    block, common = problem.layout.blocks[index], len(covariance)
+    named = problem.sources[block.whole.start : block.errors.stop]
+    own = np.array([sizes.get(source, 1.0) for source in named])
+    variance = np.square(own) @ np.square(table[common:])
+    variance += (table[:common] * (covariance @ table[:common])).sum(axis=0)
+    return variance + problem.scale**2 * problem.unknown[index].total_variance()
+
+
+def sizes_of_errors(minimum: Evaluation) -> dict[str, float]:
+    """Size of the errors of single probings over that of their priors, by source, which predictions
+    take those of other probings to be, too. Where the points that were fitted are few about a tool,
+    they tell little of the model's error there: it stays.
+
+    Parameters
+    ----------
+    minimum : Evaluation            of the probings that were fitted
+    """
     problem, common = minimum.problem, minimum.problem.layout.common
     source = np.array(problem.sources[common:])
     value, std = minimum.theta[common:], minimum.normal.std[common:]
@@ -178,37 +194,50 @@ def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple
     tuple of ProbeFit               `left_out_predicted` is None where there is one probing only
     """
     problem, theta, std = minimum.problem, minimum.theta, minimum.normal.std
-    fits = []
+    sizes, fits = sizes_of_errors(minimum), []
     for k, (probe, block, unknown, square) in enumerate(
         zip(problem.probes, problem.layout.blocks, problem.unknown, minimum.squared, strict=True)
     ):
         variance = probe.sigma(problem.level) ** 2 + problem.scale**2 * unknown.variance
         seen, n = probe.observations, len(probe.observations.position)
         predicted = problem.predicted_points(k, theta)
-        factor, sigma = np.zeros(n + 1), np.full(3 * n + 3, np.nan)
+        factor, load = np.zeros(n + 1), problem.load(k, theta)
         factor[probe.point] = relative_weight(problem.noise, square, probe.components)
-        sigma[probe.rows] = np.sqrt(probe.component_variance(variance))
-        load = problem.load(k, theta)
+        left_out, its_sigma = _left_out(minimum, k, poisson_range, sizes) or (None, None)
         fits.append(
             ProbeFit(
                 name=seen.name,
                 predicted=predicted,
                 residual=seen.displacement - predicted,
                 weight=np.where(np.isfinite(seen.displacement), factor[:n, None], 0.0),
-                left_out_predicted=_left_out(minimum, k, poisson_range),
+                left_out_predicted=left_out,
+                left_out_sigma=its_sigma,
                 motion=load[4:],
                 motion_std=seen.motion_std * std[block.motions],
                 errors=error_estimates(problem.own(k), minimum, block.errors),
-                sigma=sigma[: 3 * n].reshape(-1, 3),
+                sigma=_sigma(probe, variance),
                 surface=problem.predicted_surface(k, theta),
             )
         )
     return tuple(fits)
 
 
-def _left_out(minimum: Evaluation, index: int, poisson_range: tuple[float, float]) -> Points | None:
-    """Prediction of a probing from what all others say about the common parameters: one step of
-    theirs from the joint minimum."""
+def _sigma(probe: ObservedRows, variance: Float[np.ndarray, " r"]) -> Points:
+    """Standard deviation of every point's components from the variance of the rows."""
+    count = len(probe.observations.position)
+    sigma = np.full(3 * count + 3, np.nan)
+    sigma[probe.rows] = np.sqrt(probe.component_variance(variance))
+    return sigma[: 3 * count].reshape(-1, 3)
+
+
+def _left_out(
+    minimum: Evaluation,
+    index: int,
+    poisson_range: tuple[float, float],
+    sizes: Mapping[str, float],
+) -> tuple[Points, Points] | None:
+    """Prediction of a probing from what all others say about the common parameters, by one step of
+    theirs from the joint minimum, and its standard deviation, noise included."""
     problem, normal, layout = minimum.problem, minimum.normal, minimum.problem.layout
     if len(problem.probes) == 1:
         return None
@@ -223,7 +252,10 @@ def _left_out(minimum: Evaluation, index: int, poisson_range: tuple[float, float
     # Others cannot predict the motions of its supports: these stay as fitted.
     for part in (block.force, block.errors, block.unknown):
         theta[part] = 0.0
-    return problem.predicted_points(index, theta)
+    probe = problem.probes[index]
+    variance = _variance(problem, index, minimum.jacobian[index], others.covariance, sizes)
+    variance += probe.sigma(problem.level) ** 2
+    return problem.predicted_points(index, theta), _sigma(probe, variance)
 
 
 def error_estimates(
@@ -273,9 +305,14 @@ def probe_estimate(
     """
     observed = np.isfinite(fit.residual).any(axis=1)
     kept = observed & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)
-    error = None
+    error = score = within = None
     if fit.left_out_predicted is not None:
-        error = _rms(fit.residual[kept] + fit.predicted[kept] - fit.left_out_predicted[kept])
+        off = fit.residual[kept] + fit.predicted[kept] - fit.left_out_predicted[kept]
+        error, known = _rms(off), np.isfinite(off)
+        if fit.left_out_sigma is not None and known.any():
+            scores = off[known] / fit.left_out_sigma[kept][known]
+            score = float(np.sqrt(np.square(scores).mean()))
+            within = float((np.abs(scores) < _INSIDE).mean())
     return ProbeEstimate(
         name=fit.name,
         shear_modulus=constants.shear_modulus,
@@ -286,6 +323,8 @@ def probe_estimate(
         rejected=int((observed & ~kept).sum()),
         rms_residual=_rms(fit.residual[kept]),
         prediction_error=error,
+        prediction_score=score,
+        prediction_within=within,
         errors=fit.errors,
         identifiable=dict(determined),
     )

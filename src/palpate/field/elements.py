@@ -1,14 +1,15 @@
 """A session's object in finite elements: how it is filled, its loads, how deep its points lie."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 
-from palpate.errors import MeshError
+from palpate.errors import InputError, MeshError
 from palpate.geometry import TriangleMesh, closest_points, enclosed_volume
-from palpate.probe import find_contact_patch
+from palpate.probe import find_contact_patch, named_tangents
 from palpate.records import FIXED, RIGID, Probing, Session
 from palpate.shapes import Points
 from palpate.solids import Solid, inner_points, make_solid, surface_values
@@ -110,6 +111,32 @@ def nodal_loads(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k"]:
     """
     loads = [_nodal_load(session, probing, solid) for probing in session.probings]
     return np.stack(loads, axis=1)
+
+
+def nodal_shifts(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k2"]:
+    """What each probing's nodal forces change by as its contact moves by a standard deviation along
+    each tangent, (3 n, 2 k) [N]; nothing where it would reach the support.
+
+    Parameters
+    ----------
+    session : Session
+    solid : Solid
+    """
+    mesh, held, shifts = session.mesh, session.held_triangles, []
+    for probing in session.probings:
+        contact, std = probing.contact, session.errors.contact_std(probing.name)
+        patch = find_contact_patch(mesh, contact, held, name=probing.name)
+        beside = std * named_tangents(mesh, patch)[0]
+        places = closest_points(mesh, contact.point + np.concatenate([beside, -beside])).position
+        try:
+            one, two, *others = (
+                _nodal_load(session, replace(probing, contact=replace(contact, point=place)), solid)
+                for place in places
+            )
+        except InputError:
+            one, two, *others = np.zeros((4, 3 * len(solid.nodes)))
+        shifts += [0.5 * (one - others[0]), 0.5 * (two - others[1])]
+    return np.stack(shifts, axis=1)
 
 
 def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.ndarray, " n3"]:

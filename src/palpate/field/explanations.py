@@ -14,6 +14,8 @@ is observed, and e' and r' those under the load itself,
 
     d u / d b = -sum_q w_q e C_b e'    and    d u / d b = L r . r' / A.
 
+The compliance of a part that has come loose has no bound: parts are also let go altogether.
+
 Source
 ------
 Components: Moakher and Norris, The closest elastic tensor of arbitrary symmetry to an elasticity
@@ -21,22 +23,22 @@ tensor of lower symmetry, Journal of Elasticity 85 (2006), section 2.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.cluster.vq import kmeans2
 from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
-from palpate.estimation import Evaluation, ProbeObservations
-from palpate.field.field_fit import information_about, make_model
+from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
+from palpate.field.field_fit import information_about, log_bayes_factor, make_model, modes_in
 from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
 from palpate.records import Session
-from palpate.solids import GradedBody, GradedStiffness
+from palpate.solids import GradedBody, GradedStiffness, with_moduli
 
 # Number of elements with which to ask.
 _FEW = 1000
@@ -65,6 +67,7 @@ class Explanation:
     std : float                     standard deviation of the coefficients of most evidence
     model : FieldModel
     poisson_ratio : float [-]       about which it is expanded
+    loose : (h,) bool or None       held nodes of the model that the support lets go; None: none
     """
 
     cause: Cause
@@ -72,6 +75,7 @@ class Explanation:
     std: float
     model: FieldModel
     poisson_ratio: float
+    loose: Bool[np.ndarray, " h"] | None = None
 
     def with_field(
         self, session: Session, observations: Sequence[ProbeObservations]
@@ -84,8 +88,29 @@ class Explanation:
         session : Session                           k probings
         observations : sequence of k ProbeObservations      with the homogeneous body's response
         """
-        model = self.model.under(session, observations)
-        (expansion,) = _expansions(model, self.poisson_ratio, (self.cause,))
+        return self._observations(self.model.under(session, observations))
+
+    def with_parts_let_go(self, minimum: Evaluation, settings: FitSettings) -> "Explanation":
+        """The likeliest of supports whose parts are let go one after the other, at each step the
+        one that gives most.
+
+        Parameters
+        ----------
+        minimum : Evaluation        of the homogeneous body
+        settings : FitSettings
+        """
+        part, normals, _ = _parts(self.model.body)
+        gone, found = np.zeros(len(normals), dtype=bool), []
+        while gone.sum() < len(gone) - 1:
+            one = replace(self, loose=gone[part])
+            at = joint_minimum(one._observations(self.model), settings)
+            found.append(replace(one, log_evidence=log_bayes_factor(at, minimum, settings)))
+            gives = at.theta[modes_in(at)].reshape(2, -1).sum(axis=0)
+            gone[np.where(gone, -np.inf, gives).argmax()] = True
+        return max(found, key=lambda each: each.log_evidence)
+
+    def _observations(self, model: FieldModel) -> list[ProbeObservations]:
+        (expansion,) = _expansions(model, self.poisson_ratio, (self.cause,), self.loose)
         count = len(expansion.coefficients)
         return expansion.observations(smooth_prior(self.std * np.eye(count)))
 
@@ -152,12 +177,23 @@ def evidence_of_errors(minimum: Evaluation) -> float:
 
 
 def _expansions(
-    model: FieldModel, poisson_ratio: float, causes: Sequence[Cause]
+    model: FieldModel,
+    poisson_ratio: float,
+    causes: Sequence[Cause],
+    loose: Bool[np.ndarray, " h"] | None = None,
 ) -> list[FieldExpansion]:
-    """The responses' change by some causes about the homogeneous body."""
+    """The responses' change by some causes about the homogeneous body, or about one of which the
+    support has let some held nodes go."""
     stiffness = model.stiffness(np.zeros(model.modes.modes.shape[1]), poisson_ratio)
     moved = stiffness.displacements(model.load)
-    change = model.seen(0.0 * moved)
+    change = zero = model.seen(0.0 * moved)
+    if loose is not None:
+        held = model.body.held.copy()
+        held[held] = ~loose
+        body, before = replace(model.body, held=held), moved
+        stiffness = with_moduli(body, stiffness.log_modulus, poisson_ratio)
+        moved = stiffness.displacements(model.load)
+        change = model.seen(moved - before)
     seen = stiffness.displacements(model.unit_loads) if isinstance(model, PushModel) else None
     expansions, count = list[FieldExpansion](), model.load.shape[1]
     for cause in causes:
@@ -170,9 +206,9 @@ def _expansions(
         else:
             derivative = _by_support(model.body, stiffness, seen, moved)
         none = np.zeros(derivative.shape[-1])
-        same = np.ones(count), np.zeros((count, len(none))), change
+        nowhere = np.zeros((count, len(none)))
         expansions.append(
-            FieldExpansion(model, none, poisson_ratio, *same, change, change, derivative)
+            FieldExpansion(model, none, poisson_ratio, nowhere, zero, change, zero, derivative)
         )
     return expansions
 
@@ -211,6 +247,7 @@ def _by_support(
     normal."""
     length = float(body.volume.sum()) ** (1.0 / 3.0)
     part, normals, areas = _parts(body)
+    part = part[stiffness.body.held[body.held]]
     inside = (part == np.arange(len(areas))[:, None]).astype(float)
     forces = [
         np.einsum("sh,hip->sip", inside, stiffness.reactions(each).reshape(len(part), 3, -1))

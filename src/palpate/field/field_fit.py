@@ -155,7 +155,7 @@ def fit_field(
         model, start, fitted, tolerance=_TOLERANCE, what="the field of the modulus",
         progress=progress,
     )  # fmt: skip
-    evidence = _log_bayes_factor(found.minimum, plain, settings)
+    evidence = log_bayes_factor(found.minimum, plain, settings)
     observed = expansion.observations(smooth_prior(modes.mixing_of(found.prior)))
     return FieldFit(expansion, found.prior, evidence, observed)
 
@@ -315,9 +315,14 @@ def modes_in(minimum: Evaluation) -> Int[np.ndarray, " j"]:
     return first + np.array(own, dtype=np.int64)
 
 
-def _log_bayes_factor(field: Evaluation, plain: Evaluation, settings: FitSettings) -> float:
-    """Logarithm of the evidence with a field over that without, at the noise that is left over with
-    it.
+def log_bayes_factor(field: Evaluation, plain: Evaluation, settings: FitSettings) -> float:
+    """Logarithm of the evidence with a field or another cause over that without, at the noise that
+    is left over with it.
+
+    Parameters
+    ----------
+    field, plain : Evaluation
+    settings : FitSettings
 
     Source
     ------

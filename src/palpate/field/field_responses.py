@@ -21,6 +21,7 @@ from scipy.sparse import csr_array, kron, vstack
 
 from palpate.errors import InputError
 from palpate.estimation import (
+    PLACES,
     Nuisance,
     NuisanceParameter,
     ProbeObservations,
@@ -35,6 +36,7 @@ from palpate.field.elements import (
     filled,
     no_field_reason,
     nodal_loads,
+    nodal_shifts,
 )
 from palpate.field.field_prior import FieldModes, make_field_modes
 from palpate.geometry import TriangleMesh, closest_points
@@ -133,6 +135,11 @@ class FieldModel(ABC):
         """What an expansion keeps of the displacements of every node under each load."""
 
     @property
+    def every_load(self) -> Float[np.ndarray, "n3 l"]:
+        """Nodal forces of every probing, and after them others of which responses are made."""
+        return self.load
+
+    @property
     def under_loads(self) -> Float[np.ndarray, "k b"]:
         """Modes under each load, by which s changes: means over the elements there."""
         return np.zeros((self.load.shape[1], self.modes.modes.shape[1]))
@@ -169,37 +176,34 @@ class FieldModel(ABC):
 
     def moved(
         self, coefficients: Float[np.ndarray, " b"], poisson_ratio: float
-    ) -> Float[np.ndarray, "n3 k"]:
-        """Displacement of every node under the load of each probing, times the mean modulus [m Pa].
+    ) -> Float[np.ndarray, "n3 l"]:
+        """Displacement of every node under `every_load`, times the mean modulus [m Pa].
 
         Parameters
         ----------
         coefficients, poisson_ratio     as `stiffness`
         """
-        return self.stiffness(coefficients, poisson_ratio).displacements(self.load)
+        return self.stiffness(coefficients, poisson_ratio).displacements(self.every_load)
 
     def expanded(
         self,
         coefficients: Float[np.ndarray, " b"],
         poisson_ratio: float,
-        homogeneous: Float[np.ndarray, "n3 k"],
+        homogeneous: Float[np.ndarray, "n3 l"],
     ) -> "FieldExpansion":
         """The responses' change by a field, about some coefficients and a Poisson's ratio.
 
         Parameters
         ----------
         coefficients, poisson_ratio     as `stiffness`
-        homogeneous : (3 n, k) float [m Pa]     `moved` of the body without a field
+        homogeneous : (3 n, l) float [m Pa]     `moved` of the body without a field
         """
         stiffness = self.stiffness(coefficients, poisson_ratio)
-        moved = stiffness.displacements(self.load)
-        local = self.under_loads
-        scale = np.exp(-local @ coefficients)
+        moved = stiffness.displacements(self.every_load)
         change = self.seen(moved - homogeneous)
         return FieldExpansion(
-            self, coefficients, poisson_ratio, scale, -scale[:, None] * local,
-            self.seen(homogeneous), change, np.zeros_like(change),
-            self.derivative(stiffness, moved),
+            self, coefficients, poisson_ratio, self.under_loads, self.seen(homogeneous), change,
+            np.zeros_like(change), self.derivative(stiffness, moved[:, : self.load.shape[1]]),
         )  # fmt: skip
 
 
@@ -212,8 +216,7 @@ class FieldExpansion:
     model : FieldModel
     coefficients : (b,) float                   b0
     poisson_ratio : float [-]                   nu0
-    scale : (k,) float                          s of each probing
-    scale_change : (k, b) float                 its derivative
+    under_loads : (k, b) float                  modes under each load, by which s changes
     homogeneous : (..., k) float                u_FE(0), as `change`
     change : (..., k) float                     d under the load of each probing (`FieldModel.seen`)
     slope : (..., k) float                      its derivative with respect to Poisson's ratio; zero
@@ -224,8 +227,7 @@ class FieldExpansion:
     model: FieldModel
     coefficients: Float[np.ndarray, " b"]
     poisson_ratio: float
-    scale: Float[np.ndarray, " k"]
-    scale_change: Float[np.ndarray, "k b"]
+    under_loads: Float[np.ndarray, "k b"]
     homogeneous: Float[np.ndarray, "*n"]
     change: Float[np.ndarray, "*n"]
     slope: Float[np.ndarray, "*n"]
@@ -290,19 +292,28 @@ class PushModel(FieldModel):
                                     about the observed points
     points : tuple of SeenPoints    of every probing
     near : (k, m) sparse [-]        weights of the elements under each load; rows add up to 1
+    shifts : (3 n, 2 k) float [N]   what loads change by as contacts move (`nodal_shifts`)
     """
 
     corners: Int[np.ndarray, " c"]
     points: tuple[SeenPoints, ...]
     near: csr_array
+    shifts: Float[np.ndarray, "n3 k2"]
 
     def under(
         self, session: Session, observations: Sequence[ProbeObservations] = ()
     ) -> "PushModel":
         """See `FieldModel`."""
         seen, load = _seen(self.body, session, observations), nodal_loads(session, self.body.solid)
-        near = elements_under(self.body.solid, load)
-        return PushModel(self.body, self.modes, load, session, tuple(observations), *seen, near)
+        near, shifts = elements_under(self.body.solid, load), nodal_shifts(session, self.body.solid)
+        return PushModel(
+            self.body, self.modes, load, session, tuple(observations), *seen, near, shifts
+        )
+
+    @property
+    def every_load(self) -> Float[np.ndarray, "n3 l"]:
+        """See `FieldModel`: after the loads, what they change by as contacts move."""
+        return np.concatenate([self.load, self.shifts], axis=1)
 
     @property
     def under_loads(self) -> Float[np.ndarray, "k b"]:
@@ -355,7 +366,8 @@ def _changed(
 ) -> ProbeObservations:
     """Observations of one probing with what a field changes."""
     derivative = points.from_corners @ expansion.derivative[index]
-    more = expansion.scale[index] - 1.0
+    local = expansion.under_loads[index]
+    scale = float(np.exp(-local @ expansion.coefficients))
 
     def missed(response: ResponseModel, rows: csr_array) -> Float[np.ndarray, " r"]:
         """What finite elements lack of the homogeneous body's displacement."""
@@ -363,17 +375,17 @@ def _changed(
         return np.asarray(moved - rows @ expansion.homogeneous[:, index])
 
     own = missed(probe.response, points.from_nodes)
-    derivative += own[:, None] * expansion.scale_change[index]
+    derivative -= scale * np.outer(own, local)
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
     here = points.from_nodes @ moved + derivative @ expected
-    here[:, 0] += more * own
+    here[:, 0] += (scale - 1.0) * own
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
     if vertices is not None:
         there = points.vertices @ moved
-        there[:, 0] += more * missed(vertices, points.vertices)
+        there[:, 0] += (scale - 1.0) * missed(vertices, points.vertices)
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
     mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
 
@@ -388,10 +400,28 @@ def _changed(
         return moved
 
     settlement = Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
+    first = expansion.model.load.shape[1] + 2 * index
+    shifts = points.from_nodes @ expansion.change[:, first : first + 2]
+    nuisances = [_shifted(each, shifts) for each in probe.nuisances]
     return replace(
         probe, response=response, vertices=vertices, settlement=settlement,
-        nuisances=(*probe.nuisances, Nuisance(prior.parameters, effects)),
+        nuisances=(*nuisances, Nuisance(prior.parameters, effects)),
     )  # fmt: skip
+
+
+def _shifted(nuisance: Nuisance, shifts: Float[np.ndarray, "r s"]) -> Nuisance:
+    """Errors of a contact's place with what a field changes in their effects, if that is known."""
+    places = [k for k, each in enumerate(nuisance.parameters) if each.of == PLACES]
+    if not places or not shifts.size:
+        return nuisance
+
+    def effects(at: ResponseTerms) -> Float[np.ndarray, "r s c p"]:
+        moved = np.array(nuisance.effects(at))
+        # Entry 3 of the load is 1 / G.
+        moved[:, 0, 3, places] += shifts[at.rows]
+        return moved
+
+    return replace(nuisance, effects=effects)
 
 
 def _seen(
@@ -511,5 +541,5 @@ def push_model(
     """
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
     seen, load = _seen(body, session, observations), nodal_loads(session, solid)
-    near = elements_under(solid, load)
-    return PushModel(body, modes_of(body), load, session, tuple(observations), *seen, near)
+    near, shifts = elements_under(solid, load), nodal_shifts(session, solid)
+    return PushModel(body, modes_of(body), load, session, tuple(observations), *seen, near, shifts)

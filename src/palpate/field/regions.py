@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float
 
-from palpate.errors import InputError
+from palpate.errors import InputError, MeshError
 from palpate.estimation import (
     Evaluation,
     FitSettings,
@@ -221,7 +221,7 @@ def _with_cut_elements(
     body, ratio = model.body, expansion.poisson_ratio
     log_modulus = model.modes.modes @ expansion.coefficients
     coarser = body.constant @ body.means(log_modulus[:, None])[:, 0]
-    moved = with_moduli(body, coarser, ratio).displacements(model.load)
+    moved = with_moduli(body, coarser, ratio).displacements(model.every_load)
     step = 0.5 * (model.moved(expansion.coefficients, ratio) - moved)
     parameter = NuisanceParameter("elements that regions cut", 1.0, is_model_error=True)
     return [
@@ -416,7 +416,8 @@ def _within(region: Region, points: Points) -> Bool[np.ndarray, " n"]:
 
 
 def _filled(session: Session) -> Solid:
-    """The object in elements no larger than its regions are thick, half as large in small ones."""
+    """The object in elements no larger than its regions are thick, half as large in small ones,
+    that follow boxes and inserts."""
     mesh, volume = session.mesh, enclosed_volume(session.mesh)
     edge, fine = (volume / (VOLUME * ELEMENTS)) ** (1.0 / 3.0), []
     for region, points in zip(session.regions, check_regions(session), strict=True):
@@ -426,4 +427,13 @@ def _filled(session: Session) -> Solid:
         if small < edge:
             _check_count(region, part / small**3)
             fine += [(point, step, small) for point in points]
-    return make_solid(mesh, edge=edge, fine=fine)
+    shapes = [each.shape for each in session.regions]
+    walls = [each.surface for each in shapes if isinstance(each, Insert)]
+    walls += [
+        Box(*_bounds(each, mesh)).surface for each in session.regions if isinstance(each.shape, Box)
+    ]
+    try:
+        return make_solid(mesh, edge=edge, fine=fine, walls=walls)
+    except MeshError:
+        # Of a region as thin as its elements, nodes opposite each other leave flat ones.
+        return make_solid(mesh, edge=edge, fine=fine)

@@ -213,7 +213,7 @@ def fit_other_causes(
     if errors - likeliest.log_evidence > DECISIVE:
         return plain, None
     if likeliest.log_evidence - max(field, errors) > DECISIVE:
-        return _fit_with_cause(likeliest, field, session, observations, settings, progress)
+        return _fit_with_cause(likeliest, field, session, observations, plain, settings, progress)
     if field > DECISIVE or plain.estimate.status is Status.MODEL_CONTRADICTED:
         return _fit_with_field(session, observations, plain, material, settings, progress)
     return plain, None
@@ -224,11 +224,14 @@ def _fit_with_cause(
     field: float,
     session: Session,
     observations: Sequence[ProbeObservations],
+    plain: FitResult,
     settings: FitSettings,
     progress: Progress,
 ) -> tuple[FitResult, Explanation]:
     """The fit with a cause to first order: what it predicts is better, but no interval is that of a
     constant."""
+    if cause.cause is Cause.SUPPORT:
+        cause = cause.with_parts_let_go(plain.minimum, settings)
     explained = cause.with_field(session, observations)
     result = fit(explained, settings=settings, progress=part_of(progress, _FOUND, 1.0))
     note = (

@@ -29,6 +29,7 @@ from palpate.probe.contact_circle import (
 from palpate.probe.contact_patch import (
     ContactPatch as ContactPatch,
     find_contact_patch as find_contact_patch,
+    named_tangents as named_tangents,
 )
 from palpate.probe.indentation import (
     GROWTH as GROWTH,

@@ -11,6 +11,9 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, triangle_distances, unit_normals
 from palpate.records import Contact
 
+# Cosine above which a tangent is named by an axis.
+_ALONG_AXIS = 0.95
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPatch:
@@ -127,3 +130,36 @@ def _connected_triangles(
     ).tocsr()
     _, label = connected_components(incidence @ incidence.T, directed=False)
     return near[label == label[near == first][0]]
+
+
+def named_tangents(
+    mesh: TriangleMesh, patch: ContactPatch
+) -> tuple[Float[np.ndarray, "2 3"], list[str]]:
+    """Two tangents of the surface under a patch, aligned with axes if possible, and their names.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    patch : ContactPatch
+
+    Returns
+    -------
+    (2, 3) float [-]                        at right angles to each other
+    list of 2 str                           "+x", "-y", or the vector
+    """
+    corner = mesh.vertices[mesh.triangles[patch.triangles]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
+    normal /= np.linalg.norm(normal)
+    first = np.eye(3)[int(np.abs(normal).argmin())]
+    first = first - (first @ normal) * normal
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    second *= np.sign(second[int(np.abs(second).argmax())])
+    return np.stack([first, second]), [_direction_name(tangent) for tangent in (first, second)]
+
+
+def _direction_name(direction: Float[np.ndarray, "3"]) -> str:
+    axis = int(np.abs(direction).argmax())
+    if abs(direction[axis]) > _ALONG_AXIS:
+        return "+-"[int(direction[axis] < 0)] + "xyz"[axis]
+    return "(" + ", ".join(f"{x:g}" for x in np.round(direction, 2) + 0.0) + ")"

@@ -273,6 +273,9 @@ class ProbeEstimate:
                                             it; empty if that was not computed
     homogeneous_error : float [m] or None   where the body is not the same everywhere:
                                             `prediction_error` with one modulus
+    prediction_score : float [-] or None    rms of that prediction's errors, each over its standard
+                                            deviation, noise included
+    prediction_within : float [-] or None   share of them within their 95 % intervals
 
     Raises
     ------
@@ -293,6 +296,8 @@ class ProbeEstimate:
     errors: tuple[ErrorEstimate, ...] = ()
     identifiable: Mapping[str, bool] = field(default_factory=dict)
     homogeneous_error: float | None = None
+    prediction_score: float | None = None
+    prediction_within: float | None = None
 
     def __post_init__(self) -> None:
         if not self.name.strip():
@@ -301,6 +306,8 @@ class ProbeEstimate:
             rms_residual=self.rms_residual,
             prediction_error=self.prediction_error or 0.0,
             homogeneous_error=self.homogeneous_error or 0.0,
+            prediction_score=self.prediction_score or 0.0,
+            prediction_within=self.prediction_within or 0.0,
         )
         if self.identifiable:
             _check_identifiable(self.identifiable)

@@ -141,6 +141,8 @@ class ModulusMap:
         fix_fields(self, integer=True, tetrahedra=(None, 4))
         if (largest := float(np.abs(self.log_modulus).max(initial=0.0))) > _LARGEST:
             raise InputError(f"log_modulus reaches {largest:g}; must be {_LARGEST:g} at most")
+        if (least := float(self.std.min(initial=0.0))) < 0.0:
+            raise InputError(f"std is {least:g} in an element; must not be negative")
         if self.tetrahedra.min(initial=0) < 0 or self.tetrahedra.max(initial=0) >= len(self.nodes):
             raise InputError(f"tetrahedra name nodes outside 0 to {len(self.nodes) - 1}")
         if self.is_known.shape != (count,):

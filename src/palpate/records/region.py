@@ -23,6 +23,15 @@ _SHAPES = ("surface", "box", "plane", "skin")
 # What may be known of a region's modulus: itself, or its ratio to that of the rest.
 YOUNG, SHEAR, RATIO = KNOWN = ("young_modulus", "shear_modulus", "ratio")
 _LARGEST_RATIO = 1e6
+# Longest name that stands in tables.
+_LONGEST_NAME = 200
+
+
+# Triangles of a box whose corners come in the order of x, then y, then z.
+_SIDES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5], [2, 3, 7], [2, 7, 6],
+     [0, 2, 6], [0, 6, 4], [1, 7, 3], [1, 5, 7]]
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +50,12 @@ class Box:
     def bounds(self) -> tuple[Vector3, Vector3]:
         """Lowest and highest corner [m]."""
         return self.low, self.high
+
+    @property
+    def surface(self) -> TriangleMesh:
+        """Its faces, two triangles each."""
+        corners = np.stack(np.meshgrid(*np.stack(self.bounds, axis=1), indexing="ij"), axis=-1)
+        return TriangleMesh(corners.reshape(-1, 3), _SIDES)
 
     def contains(self, points: Points) -> Bool[np.ndarray, " n"]:
         """Which points lie in it."""
@@ -183,6 +198,8 @@ def _knowledge_keys() -> list[str]:
 
 def _region(table: TomlTable, body: HeldObject) -> Region:
     name = table.label("name")
+    if len(name) > _LONGEST_NAME:
+        table.fail("name", f"has {len(name)} characters; must have at most {_LONGEST_NAME}")
     keys = table.values.keys()
     given = [key for key in _SHAPES if key in keys]
     if len(given) != 1:

@@ -120,13 +120,14 @@ def _probings(estimate: Estimate, surface: FittedSurface) -> str:
     """Each probing alone, in SI units."""
     head = (
         "probing", "force_N", "points", "missing", "outliers", "rms_residual_m",
-        "prediction_error_m", *CONSTANT_NAMES,
+        "prediction_error_m", "prediction_score", "prediction_within", *CONSTANT_NAMES,
     )  # fmt: skip
     forces = {each.name: float(np.linalg.norm(each.force)) for each in surface.probings}
     rows = [
         (
             probe.name, forces.get(probe.name), probe.observed, probe.missing, probe.rejected,
-            probe.rms_residual, probe.prediction_error,
+            probe.rms_residual, probe.prediction_error, probe.prediction_score,
+            probe.prediction_within,
             *(
                 getattr(probe, name).value
                 if probe.identifiable.get(name, estimate.identifiable[name]) else None

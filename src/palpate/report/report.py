@@ -316,8 +316,8 @@ def _prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[st
     Returns
     -------
     list of list of str             name, rms displacement, prediction error (with a field, and with
-                                    one modulus where both were fitted) and noise [mm], and
-                                    prediction error over noise
+                                    one modulus where both were fitted) and noise [mm], errors
+                                    over their standard deviation, share within 95 % [%]
     """
     rows = []
     measured = {probing.name: probing for probing in surface.probings}
@@ -327,17 +327,21 @@ def _prediction_rows(estimate: Estimate, surface: FittedSurface) -> list[list[st
         typical = _rms(measured[probe.name].displacement)
         seen = measured[probe.name]
         noise = _rms(np.where(np.isfinite(seen.displacement), seen.sigma, np.nan))
-        over = probe.prediction_error / noise if noise > 0.0 else math.nan
         errors = [probe.prediction_error]
         if probe.homogeneous_error is not None:
             errors.append(probe.homogeneous_error)
         rows.append(
             [
                 probe.name, _millimetres(typical), *map(_millimetres, errors),
-                _millimetres(noise), f"{over:.2f}" if math.isfinite(over) else "\N{EN DASH}",
+                _millimetres(noise), _number(probe.prediction_score, ".2f"),
+                _number(probe.prediction_within, ".0%").rstrip("%"),
             ]
         )  # fmt: skip
     return rows
+
+
+def _number(value: float | None, form: str) -> str:
+    return "\N{EN DASH}" if value is None else format(value, form)
 
 
 def _rms(vectors: Points) -> float:

@@ -52,6 +52,7 @@ from palpate.pipeline import held_object
 from palpate.progress import Progress, silent
 from palpate.records import Estimate, ModulusMap, Session
 from palpate.simulation.estimated_object import Material, estimated_material
+from palpate.solids import with_moduli
 
 # Vertices whose columns, three each, are solved together.
 _VERTICES_AT_ONCE = 60
@@ -413,8 +414,8 @@ def _map_responses(
 ]:
     """What a map of moduli changes in the displacements per newton, [j, b, i, a], and in their
     slopes; and how they change with the map."""
-    mesh, ratio = session.mesh, material.poisson_ratio
-    changed, beside = (make_map_response(session, modulus, r) for r in (ratio, ratio - _STEP))
+    mesh = session.mesh
+    changed = make_map_response(session, modulus, material.poisson_ratio)
     axis = np.array([1.0, 0.0, 0.0])
     hats = [hat_load(mesh, int(vertex)) for vertex in nodes]
     shares = np.stack(
@@ -429,7 +430,11 @@ def _map_responses(
         return values.reshape(shape).transpose(2, 3, 0, 1) / material.shear_modulus
 
     change = at @ (moved - changed.even.displacements(load))
-    bend = (change - at @ beside.change(load)).reshape(count, 3, -1)[nodes] / _STEP
+    uneven, even = (
+        with_moduli(each.body, each.log_modulus, each.poisson_ratio - _STEP).displacements(load)
+        for each in (changed.uneven, changed.even)
+    )
+    bend = (change - at @ (uneven - even)).reshape(count, 3, -1)[nodes] / _STEP
     rows = (3 * nodes[:, None] + np.arange(3)).ravel()
     seen = changed.uneven.displacements(at[rows].toarray().T)
     changes = np.zeros((len(rows), len(rows), changed.directions.shape[1]))

@@ -111,6 +111,7 @@ def make_solid(
     edge: float,
     fine: Sequence[tuple[Float[np.ndarray, "3"], float, float]] = (),
     marked: Float[np.ndarray, "k 3"] = _NONE,
+    walls: Sequence[TriangleMesh] = (),
 ) -> Solid:
     """Fill a closed surface with quadratic tetrahedra.
 
@@ -125,6 +126,8 @@ def make_solid(
                                       `radius` [m] of `point`, growing by 0.3 m/m around it
     marked : (k, 3) float [m]         points that become surface nodes, unless they are closer to a
                                       sharp edge than about an element's edge
+    walls : sequence of TriangleMesh  closed surfaces that elements follow where these are well
+                                      inside the body: they cut nearly none
 
     Returns
     -------
@@ -155,12 +158,14 @@ def make_solid(
     check_solid_size(mesh, edge)
     spacing = _make_spacing(edge, fine)
     shell = _surface_points(mesh, spacing, closest_points(mesh, marked).position)
-    inner = _volume_points(mesh, spacing, shell)
+    wall = np.concatenate([_NONE, *(_surface_points(each, spacing, _NONE) for each in walls)])
+    wall = _thinned(_well_inside(mesh, wall, spacing), spacing)
+    inner = _volume_points(mesh, spacing, np.concatenate([shell, wall]), walls)
     if len(shell) < 4 or not len(inner):
         raise MeshError(
             f"an edge of {1e3 * edge:.3g} mm leaves no point inside the body; use a smaller edge"
         )
-    points, tetrahedra = _tetrahedra(mesh, shell, inner, spacing)
+    points, tetrahedra = _tetrahedra(mesh, shell, wall, inner, spacing)
     return quadratic_solid(points, tetrahedra, mesh=mesh, largest=_MAX_DEVIATION * edge)
 
 
@@ -278,17 +283,21 @@ def _shape(corner: Float[np.ndarray, "m 4 3"]) -> Float[np.ndarray, " m"]:
 
 
 def _tetrahedra(
-    mesh: TriangleMesh, shell: Points, inner: Float[np.ndarray, "k 3"], spacing: _Spacing
+    mesh: TriangleMesh,
+    shell: Points,
+    wall: Float[np.ndarray, "w 3"],
+    inner: Float[np.ndarray, "k 3"],
+    spacing: _Spacing,
 ) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "m 4"]]:
     """Delaunay tetrahedra that fill the body, with smoothed interior points."""
-    count = len(shell)
-    points = np.concatenate([shell, inner])
+    count, fixed = len(shell), len(shell) + len(wall)
+    points = np.concatenate([shell, wall, inner])
     for step in range(_SMOOTHING_ROUNDS + 1):
         cells = Delaunay(points).simplices.astype(np.int64)
         cells = _inner_cells(mesh, points, cells, count)
         if step == _SMOOTHING_ROUNDS:
             break
-        points[count:] = _smoothed(points, cells, spacing)[count:]
+        points[fixed:] = _smoothed(points, cells, spacing)[fixed:]
     used, cells = np.unique(cells, return_inverse=True)
     return points[used], cells.reshape(-1, 4)
 
@@ -401,15 +410,16 @@ def _surface_points(
 
 
 def _volume_points(
-    mesh: TriangleMesh, spacing: _Spacing, shell: Points
+    mesh: TriangleMesh, spacing: _Spacing, shell: Points, walls: Sequence[TriangleMesh]
 ) -> Float[np.ndarray, "k 3"]:
-    """Points inside a closed surface, at a distance from the points on it.
+    """Points inside a closed surface, at a distance from the points on it and on walls.
 
     Parameters
     ----------
     mesh : TriangleMesh                 closed, outward normals
     spacing : (n, 3) -> (n,) [m]        of `_make_spacing`
-    shell : (n, 3) float [m]            the points on the surface
+    shell : (n, 3) float [m]            the points on the surface and on walls
+    walls : sequence of TriangleMesh
 
     Returns
     -------
@@ -430,7 +440,21 @@ def _volume_points(
     distance, _ = cKDTree(shell).query(points)
     # The cheap test first: testing whether points are inside is costly.
     points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
-    points = points[inside(mesh, points)]
+    for wall in walls:
+        points = _off(wall, points, spacing)
+    return _well_inside(mesh, points, spacing)
+
+
+def _well_inside(
+    mesh: TriangleMesh, points: Float[np.ndarray, "k 3"], spacing: _Spacing
+) -> Float[np.ndarray, "r 3"]:
+    return _off(mesh, points[inside(mesh, points)], spacing) if len(points) else points
+
+
+def _off(
+    mesh: TriangleMesh, points: Float[np.ndarray, "k 3"], spacing: _Spacing
+) -> Float[np.ndarray, "r 3"]:
+    """Points at a distance from a surface."""
     gap = closest_points(mesh, points).distance
     return points[gap > _OFF_SURFACE * spacing(points)]
 

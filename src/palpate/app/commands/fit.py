@@ -3,7 +3,7 @@ kernels ready, `report` writes a result's report again."""
 
 import shlex
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -191,7 +191,7 @@ def fit(
         predictions = () if held is None else result.predict(held)
         write_held_out(folder, predictions)
         estimate = _write(folder, measured, result, log)
-    _print(estimate, measured, predictions)
+    _print(estimate, measured, predictions, result.error_sizes)
     if reused:
         print_text(f"Note: {_REUSED.format(reused, count, target)}.")
     print_text(
@@ -397,7 +397,12 @@ def _write(folder: Path, measured: Session, result: FitResult, log: StageLog) ->
     return estimate
 
 
-def _print(estimate: Estimate, session: Session, predictions: Sequence[Prediction]) -> None:
+def _print(
+    estimate: Estimate,
+    session: Session,
+    predictions: Sequence[Prediction],
+    sizes: Mapping[str, float],
+) -> None:
     """The tables, and what a reader must know besides."""
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
@@ -412,7 +417,7 @@ def _print(estimate: Estimate, session: Session, predictions: Sequence[Predictio
         if note not in session.notes:
             print_text(f"Note: {note}")
     if predictions:
-        print_tables(held_out_table(predictions))
+        print_tables(held_out_table(predictions, sizes))
 
 
 def _mesh_table(session: Session) -> Table:

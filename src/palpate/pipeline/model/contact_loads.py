@@ -19,17 +19,15 @@ from scipy.integrate import cumulative_trapezoid
 from palpate.arrays import tangents_of
 from palpate.bem import IndentationCorrection, PressureDisc, SurfaceLoad
 from palpate.errors import InputError
-from palpate.estimation import NuisanceParameter
-from palpate.geometry import TriangleMesh, closest_points
-from palpate.probe import ContactPatch, find_contact_patch
+from palpate.estimation import PLACES, NuisanceParameter
+from palpate.geometry import closest_points
+from palpate.probe import ContactPatch, find_contact_patch, named_tangents
 from palpate.records import RIGID, Contact, Pressure, Probing, Session
 from palpate.shapes import Vector3
 from palpate.solids import Solid, pressure_load
 
 # Begins the name of the error of a contact's radius.
 RADIUS_ERROR = "contact radius of"
-# Cosine above which a tangent is named by an axis.
-_ALONG_AXIS = 0.95
 # Relative error of the half space's dip that is added to the mesh about a contact, on bodies that
 # are no half space: root mean square over 32 contacts of twelve bodies, compared with tetrahedra.
 DIP_ERROR = 0.35
@@ -149,32 +147,6 @@ def surface_load(patch: ContactPatch) -> SurfaceLoad:
     return SurfaceLoad(patch.triangles, patch.density, disc)
 
 
-def named_tangents(
-    mesh: TriangleMesh, patch: ContactPatch
-) -> tuple[Float[np.ndarray, "2 3"], list[str]]:
-    """Two tangents of the surface under a patch, aligned with axes if possible, and their names.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    patch : ContactPatch
-
-    Returns
-    -------
-    (2, 3) float [-]                        at right angles to each other
-    list of 2 str                           "+x", "-y", or the vector
-    """
-    corner = mesh.vertices[mesh.triangles[patch.triangles]]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
-    normal /= np.linalg.norm(normal)
-    first = np.eye(3)[int(np.abs(normal).argmin())]
-    first = first - (first @ normal) * normal
-    first /= np.linalg.norm(first)
-    second = np.cross(normal, first)
-    second *= np.sign(second[int(np.abs(second).argmax())])
-    return np.stack([first, second]), [_direction_name(tangent) for tangent in (first, second)]
-
-
 def has_outward_traction(contact: Contact) -> bool:
     """Whether a contact's traction has an outward part."""
     return _potential(contact) is not None
@@ -291,7 +263,7 @@ def _perturbed(
         places = closest_points(session.mesh, np.vstack([contact.point, moved])).position
         parameters = [
             NuisanceParameter(
-                f"contact point of {probing.name} toward {name}", point_std, "m", "contact points"
+                f"contact point of {probing.name} toward {name}", point_std, "m", PLACES
             )
             for name in names
         ]
@@ -311,13 +283,6 @@ def _radius_std(session: Session, contact: Contact) -> float:
     """Prior standard deviation of a contact's radius, relative to it."""
     priors = session.errors
     return priors.contact_radius if contact.tool is None else priors.touched_radius
-
-
-def _direction_name(direction: Float[np.ndarray, "3"]) -> str:
-    axis = int(np.abs(direction).argmax())
-    if abs(direction[axis]) > _ALONG_AXIS:
-        return "+-"[int(direction[axis] < 0)] + "xyz"[axis]
-    return "(" + ", ".join(f"{x:g}" for x in np.round(direction, 2) + 0.0) + ")"
 
 
 def _potential(contact: Contact) -> Pressure | None:

@@ -23,10 +23,10 @@ from palpate.estimation import (
     fixed_displacement,
 )
 from palpate.geometry import SurfacePoints, interpolation_matrix
-from palpate.pipeline.model.contact_loads import named_tangents
 from palpate.pipeline.model.object_model import ObjectModel
 from palpate.pipeline.model.responses import ProbeResponse, compliance_error
 from palpate.pipeline.model.supports import rigid_modes
+from palpate.probe import named_tangents
 from palpate.records import SLIDES, Probing, Session, covariance_file, read_rig, read_rig_covariance
 from palpate.shapes import Points
 from palpate.vision import space_strains
