@@ -25,6 +25,7 @@ from palpate.pipeline import (
     fit_session,
     with_pictures_measured,
 )
+from palpate.progress import Progress, silent
 from palpate.records import Rig, read_rig, read_session
 from palpate.shapes import Vector3
 from palpate.vision import JointFlow, read_pictures
@@ -122,6 +123,10 @@ class _Counting:
     def wait(self, text: str) -> None:
         """At once."""
         self.asked += 1
+
+    def working(self) -> AbstractContextManager[Progress]:
+        """Without a bar."""
+        return nullcontext(silent)
 
 
 def _push_figures() -> list[Figure]:

@@ -21,7 +21,6 @@ from palpate.bench.pushing import PushError, Questions, take_push
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
 from palpate.pipeline import NextProbings, first_place, plan_next
-from palpate.progress import Progress, part_of, silent
 from palpate.recording import (
     chosen_side,
     default_radius,
@@ -103,7 +102,6 @@ def measure(
     pushes: int | None = None,
     cache: Path | None = None,
     dry_run: bool = False,
-    progress: Progress = silent,
 ) -> FitResult | None:
     """Measure an object push by push; the folder is a session after each.
 
@@ -117,7 +115,6 @@ def measure(
                                     nothing else ends it
     cache : Path or None            folder in which what is computed of the body is kept
     dry_run : bool                  say where the arm would press first, and stop
-    progress : callable             called with the current step (text) and the fraction done
 
     Returns
     -------
@@ -135,9 +132,7 @@ def measure(
             _rehearse(bench, questions, *places[0])
             return None
         _look(bench, questions, session)
-        judge = partial(
-            _judged, bench, session, questions, until=until, cache=cache, progress=progress
-        )
+        judge = partial(_judged, bench, session, questions, until=until, cache=cache)
         result: FitResult | None = None
         if session.count:
             result, places = judge(session.measured())
@@ -207,7 +202,9 @@ def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
     while True:
         views = [tuple(camera.grab()[0] for camera in bench.cameras) for _ in range(2)]
         try:
-            notes, good = session.look(*views)
+            with questions.working() as progress:
+                progress("the pictures at rest", 0.0)
+                notes, good = session.look(*views)
         except InputError as error:
             notes, good = (str(error),), False
         for note in notes:
@@ -225,12 +222,14 @@ def _push(
         place, inward = places[0]
         try:
             taken = take_push(bench, questions, session.mesh, place, inward)
-            if moved := session.moved(taken.rest):
-                raise PushError(
-                    f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
-                    " back, or stop and begin another session"
-                )
-            return session.add(taken, place, inward)
+            with questions.working() as progress:
+                progress("displacements from the pictures", 0.0)
+                if moved := session.moved(taken.rest):
+                    raise PushError(
+                        f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
+                        " back, or stop and begin another session"
+                    )
+                return session.add(taken, place, inward)
         except PushError as error:
             questions.tell(f"This push does not count: {error}")
         except DeviceError as error:
@@ -268,16 +267,15 @@ def _judged(
     *,
     until: Wanted | None,
     cache: Path | None,
-    progress: Progress,
 ) -> tuple[FitResult, _Places]:
     """The constants of all pushes, said; and the places for the next one, the best first."""
-    result = session.fit(measured, cache=cache, progress=part_of(progress, 0.0, 0.5))
+    with questions.working() as progress:
+        result = session.fit(measured, cache=cache, progress=progress)
     estimate = result.estimate
     questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
     try:
-        plan = plan_next(
-            measured, count=_AHEAD, fitted=result, progress=part_of(progress, 0.5, 1.0)
-        )
+        with questions.working() as progress:
+            plan = plan_next(measured, count=_AHEAD, fitted=result, progress=progress)
     except PalpateError as error:
         questions.tell(f"Where to push next is not clear yet: {error}")
         bare = replace(session.bare, probings=measured.probings, steps=())

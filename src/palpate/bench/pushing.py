@@ -7,6 +7,7 @@ than that; pictures that move there are refused.
 
 import time
 from collections import deque
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -21,6 +22,7 @@ from palpate.bench.devices import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
+from palpate.progress import Progress
 from palpate.recording import (
     ForceLog,
     Reading,
@@ -72,6 +74,9 @@ class Questions(Protocol):
 
     def wait(self, text: str) -> None:
         """Until the person has done something."""
+
+    def working(self) -> AbstractContextManager[Progress]:
+        """Show what is being done until the block ends; nothing is asked or told in it."""
 
 
 class PushError(InputError):
@@ -213,6 +218,7 @@ def take_push(
     """
     watch, where = _Watch(bench), f"{np.round(1e3 * place, 1).tolist()} mm"
     if bench.arm is not None:
+        questions.tell(f"The arm presses at {where}")
         rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, place, inward)
     elif isinstance(bench.force, TypedForce):
         rest, loaded, (force, std) = _typed(bench.force, questions, watch, where)
