@@ -15,14 +15,17 @@ from palpate.estimation import fisher_information
 from palpate.field.field_responses import at_points, make_field_model
 from palpate.geometry import closest_points
 from palpate.lab import choose_variant, make_session, read_lab_config
+from palpate.parts import Memory
 from palpate.pipeline import (
     PREDICTION,
     NextProbings,
+    fit_session,
     graded_observations,
     make_object_model,
     places,
     plan_measurement,
     plan_next,
+    planning,
     session_observations,
     with_pictures_measured,
 )
@@ -176,6 +179,29 @@ def test_information_is_that_of_the_bound(found: NextProbings) -> None:
     for name, value in found.now.items():
         # The plan's mesh has more vertices at the edges.
         assert value == pytest.approx(of_one[name], rel=0.1)
+
+
+def test_a_plan_goes_on_from_another(found: NextProbings) -> None:
+    """After a push at the best place the rest is compared as if nothing had been known."""
+    session = _session()
+    (first,) = session.probings
+    best = found.chosen[0]
+    contact = replace(first.contact, point=found.point[best])
+    second = replace(first, name="m", contact=contact, force=found.force * found.inward[best])
+    session = replace(session, probings=(first, second))
+    fitted = fit_session(session)
+    memory = Memory()
+    after = plan_next(session, fitted=fitted, known=found, cache=memory)
+    # Only the place that was measured is left out, and the factors of the mesh are kept.
+    np.testing.assert_array_equal(after.point, np.delete(found.point, best, axis=0))
+    assert len(memory) == 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "reachable_places", lambda *_, **__: (after.point, after.inward))
+        anew = plan_next(session, fitted=fitted)
+    for one, other in zip(after.alone, anew.alone, strict=True):
+        # Both have the same forces, contacts and points: what differs is rounding in the models.
+        assert one == pytest.approx(other, rel=1e-6)
+    assert after.chosen == anew.chosen
 
 
 def _two_halves() -> Session:

@@ -20,7 +20,7 @@ from palpate.bench.live_session import LiveSession
 from palpate.bench.pushing import PushError, Questions, take_push
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
-from palpate.pipeline import NextProbings, first_place, plan_next
+from palpate.pipeline import NextProbings, first_place
 from palpate.recording import (
     chosen_side,
     default_radius,
@@ -41,8 +41,6 @@ from palpate.shapes import Vector3
 
 _CONSTANTS = {"E": "young_modulus", "G": "shear_modulus", "nu": "poisson_ratio"}
 _WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
-# Pushes that are planned ahead, to say how many more are needed.
-_AHEAD = 6
 # A scale under the object reads a push whose direction has at least this component along its own.
 _FROM_ABOVE = 0.7
 # What a person can say to a push that failed.
@@ -113,7 +111,8 @@ def measure(
     until : Wanted or None          stop when this is reached
     pushes : int or None            stop after so many in the session; None: ask after each where
                                     nothing else ends it
-    cache : Path or None            folder in which what is computed of the body is kept
+    cache : Path or None            folder in which what is computed of the body is kept; None: in
+                                    memory
     dry_run : bool                  say where the arm would press first, and stop
 
     Returns
@@ -126,13 +125,13 @@ def measure(
     PalpateError                    as in `read_session`, `fit_session`
     """
     with bench.started():
-        session = _begun(bench, questions, folder)
+        session = _begun(bench, questions, folder, cache)
         places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
             _rehearse(bench, questions, *places[0])
             return None
         _look(bench, questions, session)
-        judge = partial(_judged, bench, session, questions, until=until, cache=cache)
+        judge = partial(_judged, bench, session, questions, until=until)
         result: FitResult | None = None
         if session.count:
             result, places = judge(session.measured())
@@ -144,7 +143,7 @@ def measure(
     return result
 
 
-def _begun(bench: Bench, questions: Questions, folder: Path) -> LiveSession:
+def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None) -> LiveSession:
     """The session, once object, support and tool are known."""
     for camera in bench.cameras:
         shown = ", ".join(f"{key} {value}" for key, value in camera.settings.items())
@@ -161,7 +160,7 @@ def _begun(bench: Bench, questions: Questions, folder: Path) -> LiveSession:
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
         radius = questions.ask(f"Radius of the ball that presses, in {unit}", usual)
         contact = {"tool": "sphere", "tool_radius": _number(radius)}
-    return LiveSession(folder, head, contact, by_hand=bench.arm is None)
+    return LiveSession(folder, head, contact, by_hand=bench.arm is None, cache=cache)
 
 
 def _asked_object(questions: Questions, there: Path, folder: Path) -> dict[str, Any]:
@@ -266,16 +265,15 @@ def _judged(
     measured: Session,
     *,
     until: Wanted | None,
-    cache: Path | None,
 ) -> tuple[FitResult, _Places]:
     """The constants of all pushes, said; and the places for the next one, the best first."""
     with questions.working() as progress:
-        result = session.fit(measured, cache=cache, progress=progress)
+        result = session.fit(measured, progress=progress)
     estimate = result.estimate
     questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
     try:
         with questions.working() as progress:
-            plan = plan_next(measured, count=_AHEAD, fitted=result, progress=progress)
+            plan = session.plan(measured, result, progress=progress)
     except PalpateError as error:
         questions.tell(f"Where to push next is not clear yet: {error}")
         bare = replace(session.bare, probings=measured.probings, steps=())

@@ -78,6 +78,7 @@ def measure(
         Stop after so many pushes. Without this and --until, it asks after each.
     cache
         Folder in which to keep factors and reduced models of this object, as in `palpate fit`.
+        Without it, factors are kept in memory while it runs.
     dry_run
         Say what the arm would do for the first push, without moving it.
 
