@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import tomlkit
+from scipy.spatial import cKDTree
 
 from palpate.bench.pushing import Pictures, PushError, TakenPush
 from palpate.disk import atomic_replacement, write_bytes
@@ -110,6 +111,7 @@ class LiveSession:
             None, None, root.table("rig").existing_file("cameras"), (), supports=supports,
             steps=_LOOKS, metres_per_unit=self.metres,
         )  # fmt: skip
+        self._check()
 
     @property
     def file(self) -> Path:
@@ -120,6 +122,31 @@ class LiveSession:
     def count(self) -> int:
         """Number of pushes so far."""
         return len(self.content["probe"])
+
+    def _check(self) -> None:
+        """Refuse tables that would be refused with the first push, by reading a push where the
+        object is farthest from what is held."""
+        mesh, held = self.mesh, np.unique(self.mesh.triangles[self.bare.held_triangles])
+        gap = cKDTree(mesh.vertices[held]).query(mesh.vertices)[0]
+        point = mesh.vertices[gap.argmax()]
+        force = mesh.vertices[held].mean(axis=0) - point
+        probe = {
+            "name": "push", "contact": {**self.contact, "point": (point / self.metres).tolist()},
+            "force": force.tolist(), "tip_displacement": (1e-3 * force / self.metres).tolist(),
+        }  # fmt: skip
+        if "point" in self.contact:
+            raise InputError("bench.toml: [contact] point: leave it out; it differs between pushes")
+        file = self.folder / "bench.toml"
+        try:
+            file.write_text(tomlkit.dumps(self.content | {"probe": [probe]}), encoding="utf-8")
+            read_session(file)
+        except ValueError as error:
+            # tomlkit refuses what is no value of a table, such as None.
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"bench.toml: {error}") from error
+        finally:
+            file.unlink(missing_ok=True)
 
     def look(self, *pictures: Pictures) -> tuple[tuple[str, ...], bool]:
         """What two pictures at rest, one after the other, show, in sentences; and whether that will
