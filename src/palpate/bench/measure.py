@@ -17,7 +17,7 @@ from palpate.bench.arms import check_push
 from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
-from palpate.bench.pushing import PushError, Questions, take_push
+from palpate.bench.pushing import PushError, Questions, grabbed, take_push
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
 from palpate.pipeline import NextProbings, first_place
@@ -199,11 +199,14 @@ def _number(text: str) -> float:
 def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
     """Look at the object at rest until nothing is wrong, or the person goes on regardless."""
     while True:
-        views = [tuple(camera.grab()[0] for camera in bench.cameras) for _ in range(2)]
         try:
+            views = [grabbed(bench)[1] for _ in range(2)]
             with questions.working() as progress:
                 progress("the pictures at rest", 0.0)
                 notes, good = session.look(*views)
+        except DeviceError as error:
+            _restarted(bench, questions, error)
+            continue
         except InputError as error:
             notes, good = (str(error),), False
         for note in notes:
@@ -232,10 +235,7 @@ def _push(
         except PushError as error:
             questions.tell(f"This push does not count: {error}")
         except DeviceError as error:
-            questions.tell(str(error))
-            if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
-                raise
-            _restart(bench, questions)
+            _restarted(bench, questions, error)
             continue
         again = AGAIN if bench.arm is None else ELSEWHERE
         if questions.choose("Push again?", [again, STOP]) == STOP:
@@ -244,18 +244,22 @@ def _push(
     return None
 
 
-def _restart(bench: Bench, questions: Questions) -> None:
-    """Start the devices again, until all are there."""
-    for device in bench.devices:
-        while True:
-            try:
-                device.close()
-                device.start()
-                break
-            except DeviceError as error:
-                questions.tell(str(error))
-                if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
-                    raise
+def _restarted(bench: Bench, questions: Questions, error: DeviceError) -> None:
+    """Say what failed, and start the devices again until all are there; the error where the person
+    stops."""
+    remaining = list(bench.devices)
+    while True:
+        questions.tell(str(error))
+        if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
+            raise error
+        try:
+            while remaining:
+                remaining[0].close()
+                remaining[0].start()
+                del remaining[0]
+            return
+        except DeviceError as another:
+            error = another
 
 
 def _judged(

@@ -100,6 +100,32 @@ class TakenPush:
     force_std: float
 
 
+def grabbed(bench: Bench) -> tuple[float, Pictures]:
+    """A picture of every camera, and when the last of them arrived [s].
+
+    Parameters
+    ----------
+    bench : Bench                   started
+
+    Raises
+    ------
+    DeviceError                     a camera sends none, or none of the rig's size
+    """
+    times, pictures = [], []
+    for camera, known in zip(bench.cameras, bench.rig.cameras, strict=True):
+        picture, when = camera.grab()
+        columns, rows = known.size or picture.shape[::-1]
+        if picture.shape != (rows, columns) or picture.dtype != np.uint8:
+            raise DeviceError(
+                f"camera '{camera.name}' sends pictures of {' x '.join(map(str, picture.shape))}"
+                f" ({picture.dtype}); must be {rows} x {columns} (uint8), rows x columns as in the"
+                " rig: set its size in bench.toml, or calibrate with this one"
+            )
+        times.append(when)
+        pictures.append(picture)
+    return max(times), tuple(pictures)
+
+
 class _Watch:
     """The latest pictures, and all readings since it began."""
 
@@ -111,14 +137,19 @@ class _Watch:
 
     def poll(self) -> None:
         """Take a picture with every camera, and what the gauge has sent."""
-        grabbed = [camera.grab() for camera in self.bench.cameras]
-        pictures = tuple(np.asarray(picture, dtype=np.uint8) for picture, _ in grabbed)
-        self.frames.append((max(when for _, when in grabbed), pictures))
+        self.frames.append(grabbed(self.bench))
         self.read()
 
     def read(self) -> int:
         """Take what the gauge has sent; how many readings."""
         when, newtons = self.bench.force.read()
+        if not (
+            np.isfinite(newtons).all() and (np.diff(when, prepend=self.time[-1:]) >= 0.0).all()
+        ):
+            raise DeviceError(
+                "the gauge sends readings that are no numbers, or times that go back; see that it"
+                " is well connected, and that no other program reads it"
+            )
         self.time += when.tolist()
         self.reading += newtons.tolist()
         return len(when)
