@@ -18,6 +18,7 @@ from palpate.lab import choose_variant, make_session, read_lab_config
 from palpate.parts import Memory
 from palpate.pipeline import (
     PREDICTION,
+    Material,
     NextProbings,
     fit_session,
     graded_observations,
@@ -202,6 +203,22 @@ def test_a_plan_goes_on_from_another(found: NextProbings) -> None:
         # Both have the same forces, contacts and points: what differs is rounding in the models.
         assert one == pytest.approx(other, rel=1e-6)
     assert after.chosen == anew.chosen
+
+
+def test_what_is_kept_in_memory_changes_no_bit() -> None:
+    """Factors and finite elements of the fit before, with other forces."""
+    session, memory = _session(), Memory()
+    (first,) = session.probings
+    other = replace(session, probings=(replace(first, force=1.1 * first.force),))
+    fit_session(other, cache=memory, material=Material.AUTO)
+    kept = dict(memory)
+    found = fit_session(session, cache=memory, material=Material.AUTO).estimate
+    # All was there: three meshes' factors, and the elements.
+    assert memory.keys() == kept.keys()
+    assert len(kept) == 4
+    anew = fit_session(session, material=Material.AUTO).estimate
+    assert found.young_modulus == anew.young_modulus
+    assert found.poisson_ratio == anew.poisson_ratio
 
 
 def _two_halves() -> Session:

@@ -35,6 +35,7 @@ from palpate.field.field_fit import information_about, make_model
 from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
+from palpate.parts import Memory, content_digest
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness
 
@@ -91,7 +92,11 @@ class Explanation:
 
 
 def explanations(
-    session: Session, observations: Sequence[ProbeObservations], minimum: Evaluation
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    minimum: Evaluation,
+    *,
+    kept: Memory | None = None,
 ) -> list[Explanation]:
     """What may explain displacements that one modulus does not, the likeliest first: a question
     that takes seconds.
@@ -101,12 +106,18 @@ def explanations(
     session : Session                           k probings
     observations : sequence of k ProbeObservations      with the homogeneous body's response
     minimum : Evaluation                        of these
+    kept : Memory or None                       where the body's elements are kept for other pushes
 
     Raises
     ------
     MeshError                       so few elements do not fit into the body
     """
-    model = make_model(session, observations, elements=_FEW, times=(1, 3))
+    kept = Memory() if kept is None else kept
+    name = content_digest(("few elements", session.mesh, session.held_triangles))
+    if name in kept:
+        model: FieldModel = kept[name].under(session, observations)
+    else:
+        model = kept[name] = make_model(session, observations, elements=_FEW, times=(1, 3))
     ratio, found = minimum.poisson_ratio, []
     # Pokes, which tell one number each, cannot tell the others.
     causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)
