@@ -35,7 +35,7 @@ from palpate.field.field_fit import information_about, make_model
 from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
-from palpate.parts import Memory, content_digest
+from palpate.parts import Cache, Memory, content_digest
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness
 
@@ -96,7 +96,7 @@ def explanations(
     observations: Sequence[ProbeObservations],
     minimum: Evaluation,
     *,
-    kept: Memory | None = None,
+    cache: Cache | None = None,
 ) -> list[Explanation]:
     """What may explain displacements that one modulus does not, the likeliest first: a question
     that takes seconds.
@@ -106,13 +106,13 @@ def explanations(
     session : Session                           k probings
     observations : sequence of k ProbeObservations      with the homogeneous body's response
     minimum : Evaluation                        of these
-    kept : Memory or None                       where the body's elements are kept for other pushes
+    cache : Cache or None                       a memory keeps the body's elements for other pushes
 
     Raises
     ------
     MeshError                       so few elements do not fit into the body
     """
-    kept = Memory() if kept is None else kept
+    kept = cache if isinstance(cache, Memory) else Memory()
     name = content_digest(("few elements", session.mesh, session.held_triangles))
     if name in kept:
         model: FieldModel = kept[name].under(session, observations)

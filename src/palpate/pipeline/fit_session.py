@@ -16,7 +16,7 @@ import numpy as np
 from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
-from palpate.parts import Cache, Memory
+from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.creep import with_relaxation
 from palpate.pipeline.heterogeneous import (
@@ -157,8 +157,7 @@ def _fit_displacements(
         result, field = fit(observations, settings=settings, progress=last), None
         result = fit_at_finite_strain(refined, observations, result, settings, last)
     else:
-        kept = cache if isinstance(cache, Memory) else None
-        result, field = fit_material(material, graded, observations, settings, last, kept)
+        result, field = fit_material(material, graded, observations, settings, last, cache)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)

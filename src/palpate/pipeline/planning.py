@@ -262,28 +262,18 @@ def plan_next(
     if fitted is None:
         report = part_of(progress, 0.0, 0.4)
         fitted = fit_session(session, cache=cache, material=Substance.AUTO, progress=report)
-    estimate = fitted.estimate
-    session = _with_radii(session, estimate)
+    session = _with_radii(session, fitted.estimate)
     radius = session.probings[0].contact.radius or 0.0
-    given = [
-        _with_std(probing, fit.rms_residual)
-        for probing, fit in zip(session.probings, estimate.probes, strict=True)
-    ]
-    force = float(np.median([np.linalg.norm(probing.force) for probing in given]))
-    # Resolved about the measured contacts only: about all places it would be the whole surface.
-    measured = refined_session(replace(session, probings=tuple(given)))
+    measured = _measured_session(session, fitted.estimate)
+    force = float(np.median([np.linalg.norm(each.force) for each in measured.probings]))
     progress("what every place tells", 0.4)
-    further = () if known is None else _left(known, measured, radius)
-    if further:
-        observed = _observed(measured, cache)
-    else:
-        further, observed = _at_places(measured, radius, force, cache)
+    further, observed = _at_places(measured, radius, force, known, cache)
     point = np.array([probing.contact.point for probing, _ in further])
     inward = np.array([each.force / np.linalg.norm(each.force) for each, _ in further])
     every = replace(measured, probings=(*measured.probings, *(each for each, _ in further)))
     observed = [*observed, *(each for _, each in further)]
     information, is_uniform = _information_of(every, observed, fitted)
-    made = range(len(given))
+    made = range(len(session.probings))
 
     def expected(places: Sequence[int]) -> dict[str, float]:
         pushes = [*made, *(len(made) + k for k in places)]
@@ -315,11 +305,23 @@ def _with_radii(session: Session, estimate: Estimate) -> Session:
     return with_contact_radii(session, shear_modulus=modulus, poisson_ratio=ratio)
 
 
+def _measured_session(session: Session, estimate: Estimate) -> Session:
+    """The session with standard deviations, on a mesh that is resolved about its contacts only:
+    about all places it would be the whole surface."""
+    given = tuple(
+        _with_std(probing, fit.rms_residual)
+        for probing, fit in zip(session.probings, estimate.probes, strict=True)
+    )
+    return refined_session(replace(session, probings=given))
+
+
 def _at_places(
-    session: Session, radius: float, force: float, cache: Cache | None
+    session: Session, radius: float, force: float, known: NextProbings | None, cache: Cache | None
 ) -> tuple[tuple[_Further, ...], list[ProbeObservations]]:
-    """Further probings like the first at every place that a tool can reach, with what is observed
-    there, and the observations of the session's own probings."""
+    """Further probings like the first at every place that a tool can reach, or those left of a
+    known plan, with what is observed there; and the observations of the session's own probings."""
+    if known is not None and (left := _left(known, session, radius)):
+        return left, _observed(session, cache)
     point, inward = reachable_places(session, radius=radius)
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
