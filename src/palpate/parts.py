@@ -32,13 +32,21 @@ _TREE = "tree"
 _MOST_BYTES, _MOST_FRACTION = 16 * 2**30, 0.25
 
 
+class Memory(dict[str, Any]):
+    """Stands in place of a folder: keeps parts for as long as it is held, as they are."""
+
+
+# Where parts are kept.
+Cache = Path | Memory
+
+
 @dataclass(frozen=True, slots=True)
 class Parts:
     """Store for the finished parts of one computation.
 
     Parameters
     ----------
-    folder : Path or None           created when the first part is stored; None: nothing is stored
+    folder : Path, Memory or None   created when the first part is stored; None: nothing is stored
     key : str                       digest of everything the computation depends on; parts stored
                                     under another key in the same folder are ignored
     cache : bool                    whether the folder's size is limited: what has not been used for
@@ -46,9 +54,14 @@ class Parts:
                                     free on the disk without it
     """
 
-    folder: Path | None
+    folder: Cache | None
     key: str = ""
     cache: bool = False
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether they are kept in memory."""
+        return isinstance(self.folder, Memory)
 
     def load_or_make(
         self, name: str, make: Callable[[], T], known: Mapping[str, Any] | None = None
@@ -79,6 +92,8 @@ class Parts:
         """
         if self.folder is None:
             return None
+        if isinstance(self.folder, Memory):
+            return self.folder.get(content_digest((self.key, name)))
         return _read_part(self._file(self.folder, name), known or {})
 
     def stored(self, name: str, part: T, known: Mapping[str, Any] | None = None) -> T:
@@ -89,7 +104,9 @@ class Parts:
         name, known                 as in `load_or_make`
         part : any                  not None
         """
-        if self.folder is not None:
+        if isinstance(self.folder, Memory):
+            self.folder[content_digest((self.key, name))] = part
+        elif self.folder is not None:
             # A full disk must not stop the computation, nor another process that stores the part:
             # it is then simply not stored.
             file = self._file(self.folder, name)

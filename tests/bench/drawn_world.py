@@ -1,6 +1,7 @@
 """A virtual bench whose pictures are drawn in milliseconds, and answers for it."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 from palpate.bench import Bench, DrawnBody, virtual_bench
 from palpate.geometry import TriangleMesh
 from palpate.lab import LabConfig, built_in, make_render_mesh, read_lab_config, texture
+from palpate.progress import Progress, silent
 from palpate.records import Rig
 from palpate.vision import surface_map
 
@@ -93,3 +95,6 @@ class Script:
         self.asked.append(text)
         if self.on_tell:
             self.on_tell(text)
+
+    def working(self) -> AbstractContextManager[Progress]:
+        return nullcontext(silent)

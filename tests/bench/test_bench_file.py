@@ -82,6 +82,10 @@ def test_a_bench(folder, monkeypatch):
         ('high = ["5 cm"', 'high = ["-9 cm"', "every number of low must be below that of high"),
         ('[push]\nforce = "1 N"', "", "the key 'force' is missing"),
         ("[force]", "[gauge]", "unknown key 'gauge'"),
+        ("source = 0", "source = [0]", "source: is .0.; must be a text"),
+        ("source = 0", "source = -1", "source: is -1; must be a whole number"),
+        ("[push]", "[push]\nhold = -1.5", "hold: is -1.5 s; must be above 0, and 30 at most"),
+        ('limit = "50 N"', "direction = [0, 0, 0]", "direction: has no length"),
     ],
 )
 def test_what_is_wrong(folder, monkeypatch, old, new, words):

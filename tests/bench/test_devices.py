@@ -245,6 +245,22 @@ def test_laws_of_arms(make):
     arm.close()
 
 
+def test_a_virtual_tool_presses_only_where_it_is():
+    """Beside the place that was pressed last, and farther down than it, it touches nothing."""
+    bench = drawn_bench()
+    world, gauge = bench.cameras[0]._world, bench.force
+    bench.arm.move(np.array([0.0, 0.0, 0.06]), DOWN, 0.008)
+    bench.arm.move(np.array([0.0, 0.0, 0.039]), DOWN, 0.008)
+    # Two standard deviations of the place are 1 mm: it presses by now, by 0.1 N or more.
+    assert gauge.read()[1][-1] > 0.3
+    for place in ([0.0, -0.08, 0.04], [0.0, -0.06, 0.02]):
+        bench.arm.move(np.array(place), np.array([0.0, 1.0, 0.0]), 0.008)
+    world.wait(0.5)
+    # The weight of the tool, with noise of 1 mN.
+    assert gauge.read()[1][-40:].mean() == pytest.approx(0.2, abs=1e-3)
+    assert world.depth < 0.0
+
+
 def test_the_planner_keeps_the_limits():
     place = np.array([0.0, 0.0, 0.05])
     check_push(limits(), place, DOWN, clearance=0.005, force=1.0)

@@ -1,5 +1,7 @@
 """The whole way with the virtual bench, its pictures drawn: a session whole after each push."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bench.drawn_world import Script, drawn_bench, small_config
@@ -133,6 +135,27 @@ def test_a_rehearsal_moves_nothing(tmp_path):
     assert measure(bench, script, tmp_path, dry_run=True) is None
     np.testing.assert_array_equal(bench.arm.pose(), before)
     assert "never beyond 0.585 N" in script.told[-1]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"contact": {"tool": "ball", "tool_radius": 0.012}}, "contact tool: is 'ball'"),
+        ({"contact": {"tool": "sphere"}}, "the key 'tool_radius' is missing"),
+        ({"contact": {"tool": "sphere", "tool_radius": -1.0}}, "must be a positive length"),
+        ({"contact": {"radius": 0.004, "point": [0.0, 0.0, 0.04]}}, "point: leave it out"),
+        ({"head": {"gravity": 3}}, "gravity: is 3; must be a table"),
+        ({"head": {"object": {"colour": "red"}}}, "unknown key 'colour'"),
+    ],
+)
+def test_tables_are_refused_before_the_first_push(tmp_path, table, words):
+    bench = drawn_bench()
+    head = bench.head | {"object": bench.head["object"] | table.get("head", {}).get("object", {})}
+    head |= {key: value for key, value in table.get("head", {}).items() if key != "object"}
+    bench = replace(bench, head=head, contact=table.get("contact", bench.contact))
+    with pytest.raises(InputError, match=words):
+        measure(bench, Script(), tmp_path, dry_run=True)
+    assert not (tmp_path / "bench.toml").exists()
 
 
 @pytest.mark.parametrize(

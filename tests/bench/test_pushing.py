@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bench.drawn_world import Script, drawn_bench
 
+from palpate.bench import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.bench.pushing import PushError, take_push, way_round
 
@@ -125,3 +126,42 @@ def test_the_way_round_keeps_clear(bench):
     # Chords of 0.2 rad come nearer than the ball by half a per cent of its radius.
     assert gaps[: -len(path) // len(way)].min() > 0.009
     np.testing.assert_array_equal(way[-1], [-0.06, 0.0, 0.02])
+
+
+def _smaller(bench):
+    """The second camera sends another size, from its thirtieth picture on."""
+    camera, grab, count = bench.cameras[1], bench.cameras[1].grab, itertools.count()
+
+    def grabbed():
+        picture, when = grab()
+        return (picture[:200, :300] if next(count) > 30 else picture), when
+
+    camera.grab = grabbed
+
+
+def _readings(change):
+    def changed(bench):
+        read = bench.force.read
+        bench.force.read = lambda: change(*read())
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        (_smaller, DeviceError, "camera 'c1' sends pictures of 200 x 300 .uint8.; must be 320 x"),
+        (_readings(lambda t, x: (t, np.nan * x)), DeviceError, "readings that are no numbers"),
+        (_readings(lambda t, x: (t[::-1], x)), DeviceError, "or times that go back"),
+        # Nothing is felt: down to the limit, where every step is within it, and no farther.
+        (_readings(lambda t, x: (t, 0.0 * x)), PushError, "at the largest depth of 24 mm"),
+    ],
+)
+def test_devices_that_go_wrong_in_a_push(change, error, words):
+    bench = drawn_bench()
+    change(bench)
+    place = np.array([0.0, 0.0, 0.04])
+    with pytest.raises(error, match=words):
+        take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, place, DOWN)
+    limits = bench.arm.limits
+    assert (bench.arm.pose() - place) @ DOWN <= limits.depth * (1.0 + 1e-9)

@@ -15,14 +15,18 @@ from palpate.estimation import fisher_information
 from palpate.field.field_responses import at_points, make_field_model
 from palpate.geometry import closest_points
 from palpate.lab import choose_variant, make_session, read_lab_config
+from palpate.parts import Memory
 from palpate.pipeline import (
     PREDICTION,
+    Material,
     NextProbings,
+    fit_session,
     graded_observations,
     make_object_model,
     places,
     plan_measurement,
     plan_next,
+    planning,
     session_observations,
     with_pictures_measured,
 )
@@ -176,6 +180,45 @@ def test_information_is_that_of_the_bound(found: NextProbings) -> None:
     for name, value in found.now.items():
         # The plan's mesh has more vertices at the edges.
         assert value == pytest.approx(of_one[name], rel=0.1)
+
+
+def test_a_plan_goes_on_from_another(found: NextProbings) -> None:
+    """After a push at the best place the rest is compared as if nothing had been known."""
+    session = _session()
+    (first,) = session.probings
+    best = found.chosen[0]
+    contact = replace(first.contact, point=found.point[best])
+    second = replace(first, name="m", contact=contact, force=found.force * found.inward[best])
+    session = replace(session, probings=(first, second))
+    fitted = fit_session(session)
+    memory = Memory()
+    after = plan_next(session, fitted=fitted, known=found, cache=memory)
+    # Only the place that was measured is left out, and the factors of the mesh are kept.
+    np.testing.assert_array_equal(after.point, np.delete(found.point, best, axis=0))
+    assert len(memory) == 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "reachable_places", lambda *_, **__: (after.point, after.inward))
+        anew = plan_next(session, fitted=fitted)
+    for one, other in zip(after.alone, anew.alone, strict=True):
+        # Both have the same forces, contacts and points: what differs is rounding in the models.
+        assert one == pytest.approx(other, rel=1e-6)
+    assert after.chosen == anew.chosen
+
+
+def test_what_is_kept_in_memory_changes_no_bit() -> None:
+    """Factors and finite elements of the fit before, with other forces."""
+    session, memory = _session(), Memory()
+    (first,) = session.probings
+    other = replace(session, probings=(replace(first, force=1.1 * first.force),))
+    fit_session(other, cache=memory, material=Material.AUTO)
+    kept = dict(memory)
+    found = fit_session(session, cache=memory, material=Material.AUTO).estimate
+    # All was there: three meshes' factors, and the elements.
+    assert memory.keys() == kept.keys()
+    assert len(kept) == 4
+    anew = fit_session(session, material=Material.AUTO).estimate
+    assert found.young_modulus == anew.young_modulus
+    assert found.poisson_ratio == anew.poisson_ratio
 
 
 def _two_halves() -> Session:

@@ -185,6 +185,8 @@ def make_reduced_model(
         )  # fmt: skip
     if isinstance(system, CentredSystem):
         parts, centred = system.system.parts, system
+    elif system.parts.in_memory:
+        parts, centred = system.parts, CentredSystem(system, CENTRE)
     else:
         # Factors that are not shared serve this model alone, which is kept itself.
         parts, centred = system.parts, CentredSystem(replace(system, parts=Parts(None)), CENTRE)
@@ -194,6 +196,9 @@ def make_reduced_model(
         solve_at_centre = partial(solve, centred.factorised)
         return _krylov_model(solve_at_centre, centred.slope.apply, right, poisson_range, tolerance)
 
+    # In memory are the factors, which other contacts need, too.
+    if parts.in_memory:
+        return make()
     return parts.load_or_make(content_digest(("reduced model", depends_on)), make)
 
 

@@ -13,6 +13,9 @@ from palpate.bench.devices import Arm, DeviceError
 from palpate.errors import InputError
 from palpate.shapes import Vector3
 
+# A depth that is beyond its limit by this share is not: it was computed from positions.
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmLimits:
@@ -137,7 +140,7 @@ class GuardedArm:
             reason = f"{_millimetres(position)} mm is out of the box of [arm.limits]"
         elif speed > self.limits.speed:
             reason = f"{1e3 * speed:g} mm/s is faster than {1e3 * self.limits.speed:g} mm/s"
-        elif depth > before and depth > self.limits.depth:
+        elif depth > before and depth > (1.0 + _ROUNDING) * self.limits.depth:
             reason = f"{1e3 * depth:.3g} mm is deeper than {1e3 * self.limits.depth:g} mm"
         elif depth > before and self._force > self.limits.force:
             reason = f"the tool presses with {self._force:.3g} N of {self.limits.force:g} at most"

@@ -48,6 +48,8 @@ _KEYS = ("format", "name", *_HEAD, "rig", "contact", "camera", "force", "arm", "
 _SPEED_UNITS = {f"{unit}/s": value for unit, value in LENGTH_UNITS.items()}
 # Time for which a push is held [s], and its force on a virtual bench [N].
 _HOLD, _VIRTUAL_FORCE = 1.5, 0.45
+# Longest time for which a person can hold still; pictures are kept for less [s].
+_LONGEST_HOLD = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +145,10 @@ def read_bench(source: Path | str) -> Bench:
         push.get("force")
     direction = force.optional("direction", force.vector)
     hold = push.optional("hold", push.number)
+    if hold is not None and not 0.0 < hold <= _LONGEST_HOLD:
+        push.fail("hold", f"is {hold:g} s; must be above 0, and {_LONGEST_HOLD:g} at most")
+    if direction is not None and not direction.any():
+        force.fail("direction", "has no length; [0, 0, -1] is down in the mesh's frame")
     return Bench(
         name=root.optional("name", root.label) or root.file.parent.resolve().name,
         folder=root.file.parent,
@@ -222,16 +228,16 @@ def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]])
 def _cameras(root: TomlTable, rig: Rig) -> tuple[Camera, ...]:
     """A camera for each of the rig's, in its order."""
     found: dict[str, Camera] = {}
-    sources: dict[object, str] = {}
+    sources: dict[str, str] = {}
     names = [camera.name for camera in rig.cameras]
     for table in root.tables("camera"):
         name = table.choice("name", names)
         if name in found:
             table.fail("name", f"camera '{name}' is there twice; give each its own name")
-        source = table.get("source")
+        source = quoted(table.get("source"))
         if source in sources:
             table.fail(
-                "source", f"is {quoted(source)}, as that of camera '{sources[source]}'; two cameras"
+                "source", f"is {source}, as that of camera '{sources[source]}'; two cameras"
                 " have two sources: swap them if the pictures are those of the other"
             )  # fmt: skip
         sources[source] = name
@@ -244,7 +250,9 @@ def _cameras(root: TomlTable, rig: Rig) -> tuple[Camera, ...]:
 def _opencv(table: TomlTable) -> OpenCvCamera:
     table.check_keys(("name", "driver", "source", "size"))
     source = table.get("source")
-    if type(source) is not int:
+    if type(source) is int:
+        source = table.count("source")
+    else:
         source = table.text("source")
         if not source.startswith(STREAMS):
             source = str(table.existing_file("source"))

@@ -12,17 +12,21 @@ from typing import Any
 import cv2
 import numpy as np
 import tomlkit
+from scipy.spatial import cKDTree
 
 from palpate.bench.pushing import Pictures, PushError, TakenPush
 from palpate.disk import atomic_replacement, write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, bounding_diagonal
+from palpate.parts import Cache, Memory
 from palpate.pipeline import (
     Material,
+    NextProbings,
     ProbingMotion,
     fit_session,
     measure_pictures,
+    plan_next,
     survey_cameras,
     survey_probing,
     survey_view,
@@ -59,6 +63,8 @@ _FOLLOWED = 0.8
 _MOVED, _SURE = 2e-3, 5.0
 # Standard deviation of a push's direction about each axis [rad]: 3 degrees, and 1 degree.
 _TURNED_BY_HAND, _TURNED_BY_ARM = 0.05, 0.017
+# Pushes that are planned ahead, to say how many more are needed.
+_AHEAD = 6
 # Contact radius assumed where the contact is searched for, over the tool's.
 _TOUCHED = 0.5
 
@@ -72,6 +78,7 @@ class LiveSession:
     head : dict                     tables object, support, rig, ... of session.toml
     contact : dict                  keys of every probing's contact, but the point
     by_hand : bool                  the point is where the surface shows it, not where it was asked
+    cache : Path or None            where what is computed of the body is kept; None: in memory
 
     Raises
     ------
@@ -79,11 +86,14 @@ class LiveSession:
     """
 
     def __init__(
-        self, folder: Path, head: dict[str, Any], contact: dict[str, Any], *, by_hand: bool
-    ) -> None:
+        self, folder: Path, head: dict[str, Any], contact: dict[str, Any], *, by_hand: bool,
+        cache: Path | None = None,
+    ) -> None:  # fmt: skip
         self.folder, self.contact, self.by_hand = folder, contact, by_hand
         self.content: dict[str, Any] = {"format": SESSION_FORMAT, **head, "probe": []}
         self._motions: dict[str, ProbingMotion] = {}
+        self._cache: Cache = Memory() if cache is None else cache
+        self._plan: NextProbings | None = None
         self._model: ContactModel | None = None
         self._first: tuple[Any, JointFlow] | None = None
         (folder / _IMAGES).mkdir(exist_ok=True)
@@ -101,6 +111,7 @@ class LiveSession:
             None, None, root.table("rig").existing_file("cameras"), (), supports=supports,
             steps=_LOOKS, metres_per_unit=self.metres,
         )  # fmt: skip
+        self._check()
 
     @property
     def file(self) -> Path:
@@ -111,6 +122,31 @@ class LiveSession:
     def count(self) -> int:
         """Number of pushes so far."""
         return len(self.content["probe"])
+
+    def _check(self) -> None:
+        """Refuse tables that would be refused with the first push, by reading a push where the
+        object is farthest from what is held."""
+        mesh, held = self.mesh, np.unique(self.mesh.triangles[self.bare.held_triangles])
+        gap = cKDTree(mesh.vertices[held]).query(mesh.vertices)[0]
+        point = mesh.vertices[gap.argmax()]
+        force = mesh.vertices[held].mean(axis=0) - point
+        probe = {
+            "name": "push", "contact": {**self.contact, "point": (point / self.metres).tolist()},
+            "force": force.tolist(), "tip_displacement": (1e-3 * force / self.metres).tolist(),
+        }  # fmt: skip
+        if "point" in self.contact:
+            raise InputError("bench.toml: [contact] point: leave it out; it differs between pushes")
+        file = self.folder / "bench.toml"
+        try:
+            file.write_text(tomlkit.dumps(self.content | {"probe": [probe]}), encoding="utf-8")
+            read_session(file)
+        except ValueError as error:
+            # tomlkit refuses what is no value of a table, such as None.
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"bench.toml: {error}") from error
+        finally:
+            file.unlink(missing_ok=True)
 
     def look(self, *pictures: Pictures) -> tuple[tuple[str, ...], bool]:
         """What two pictures at rest, one after the other, show, in sentences; and whether that will
@@ -195,11 +231,19 @@ class LiveSession:
         self._motions = measure_pictures(session, known=self._motions)
         return with_motions(session, self._motions)
 
-    def fit(
-        self, measured: Session, *, cache: Path | None, progress: Progress = silent
-    ) -> FitResult:
+    def fit(self, measured: Session, *, progress: Progress = silent) -> FitResult:
         """The constants, as `palpate fit` finds them."""
-        return fit_session(measured, cache=cache, material=Material.AUTO, progress=progress)
+        return fit_session(measured, cache=self._cache, material=Material.AUTO, progress=progress)
+
+    def plan(
+        self, measured: Session, fitted: FitResult, *, progress: Progress = silent
+    ) -> NextProbings:
+        """The next pushes, as `plan_next` finds them, with what it found after the last push."""
+        self._plan = plan_next(
+            measured, count=_AHEAD, fitted=fitted, known=self._plan, cache=self._cache,
+            progress=progress,
+        )  # fmt: skip
+        return self._plan
 
     def _force_std(self, taken: TakenPush, inward: Vector3) -> list[float]:
         """Standard deviation of each component [N]: of the gauge along the normal, across it of the

@@ -17,11 +17,10 @@ from palpate.bench.arms import check_push
 from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
-from palpate.bench.pushing import PushError, Questions, take_push
+from palpate.bench.pushing import PushError, Questions, grabbed, take_push
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
-from palpate.pipeline import NextProbings, first_place, plan_next
-from palpate.progress import Progress, part_of, silent
+from palpate.pipeline import NextProbings, first_place
 from palpate.recording import (
     chosen_side,
     default_radius,
@@ -42,8 +41,6 @@ from palpate.shapes import Vector3
 
 _CONSTANTS = {"E": "young_modulus", "G": "shear_modulus", "nu": "poisson_ratio"}
 _WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
-# Pushes that are planned ahead, to say how many more are needed.
-_AHEAD = 6
 # A scale under the object reads a push whose direction has at least this component along its own.
 _FROM_ABOVE = 0.7
 # What a person can say to a push that failed.
@@ -103,7 +100,6 @@ def measure(
     pushes: int | None = None,
     cache: Path | None = None,
     dry_run: bool = False,
-    progress: Progress = silent,
 ) -> FitResult | None:
     """Measure an object push by push; the folder is a session after each.
 
@@ -115,9 +111,9 @@ def measure(
     until : Wanted or None          stop when this is reached
     pushes : int or None            stop after so many in the session; None: ask after each where
                                     nothing else ends it
-    cache : Path or None            folder in which what is computed of the body is kept
+    cache : Path or None            folder in which what is computed of the body is kept; None: in
+                                    memory
     dry_run : bool                  say where the arm would press first, and stop
-    progress : callable             called with the current step (text) and the fraction done
 
     Returns
     -------
@@ -129,15 +125,13 @@ def measure(
     PalpateError                    as in `read_session`, `fit_session`
     """
     with bench.started():
-        session = _begun(bench, questions, folder)
+        session = _begun(bench, questions, folder, cache)
         places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
             _rehearse(bench, questions, *places[0])
             return None
         _look(bench, questions, session)
-        judge = partial(
-            _judged, bench, session, questions, until=until, cache=cache, progress=progress
-        )
+        judge = partial(_judged, bench, session, questions, until=until)
         result: FitResult | None = None
         if session.count:
             result, places = judge(session.measured())
@@ -149,7 +143,7 @@ def measure(
     return result
 
 
-def _begun(bench: Bench, questions: Questions, folder: Path) -> LiveSession:
+def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None) -> LiveSession:
     """The session, once object, support and tool are known."""
     for camera in bench.cameras:
         shown = ", ".join(f"{key} {value}" for key, value in camera.settings.items())
@@ -166,7 +160,7 @@ def _begun(bench: Bench, questions: Questions, folder: Path) -> LiveSession:
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
         radius = questions.ask(f"Radius of the ball that presses, in {unit}", usual)
         contact = {"tool": "sphere", "tool_radius": _number(radius)}
-    return LiveSession(folder, head, contact, by_hand=bench.arm is None)
+    return LiveSession(folder, head, contact, by_hand=bench.arm is None, cache=cache)
 
 
 def _asked_object(questions: Questions, there: Path, folder: Path) -> dict[str, Any]:
@@ -205,9 +199,14 @@ def _number(text: str) -> float:
 def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
     """Look at the object at rest until nothing is wrong, or the person goes on regardless."""
     while True:
-        views = [tuple(camera.grab()[0] for camera in bench.cameras) for _ in range(2)]
         try:
-            notes, good = session.look(*views)
+            views = [grabbed(bench)[1] for _ in range(2)]
+            with questions.working() as progress:
+                progress("the pictures at rest", 0.0)
+                notes, good = session.look(*views)
+        except DeviceError as error:
+            _restarted(bench, questions, error)
+            continue
         except InputError as error:
             notes, good = (str(error),), False
         for note in notes:
@@ -225,19 +224,18 @@ def _push(
         place, inward = places[0]
         try:
             taken = take_push(bench, questions, session.mesh, place, inward)
-            if moved := session.moved(taken.rest):
-                raise PushError(
-                    f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
-                    " back, or stop and begin another session"
-                )
-            return session.add(taken, place, inward)
+            with questions.working() as progress:
+                progress("displacements from the pictures", 0.0)
+                if moved := session.moved(taken.rest):
+                    raise PushError(
+                        f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
+                        " back, or stop and begin another session"
+                    )
+                return session.add(taken, place, inward)
         except PushError as error:
             questions.tell(f"This push does not count: {error}")
         except DeviceError as error:
-            questions.tell(str(error))
-            if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
-                raise
-            _restart(bench, questions)
+            _restarted(bench, questions, error)
             continue
         again = AGAIN if bench.arm is None else ELSEWHERE
         if questions.choose("Push again?", [again, STOP]) == STOP:
@@ -246,18 +244,22 @@ def _push(
     return None
 
 
-def _restart(bench: Bench, questions: Questions) -> None:
-    """Start the devices again, until all are there."""
-    for device in bench.devices:
-        while True:
-            try:
-                device.close()
-                device.start()
-                break
-            except DeviceError as error:
-                questions.tell(str(error))
-                if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
-                    raise
+def _restarted(bench: Bench, questions: Questions, error: DeviceError) -> None:
+    """Say what failed, and start the devices again until all are there; the error where the person
+    stops."""
+    remaining = list(bench.devices)
+    while True:
+        questions.tell(str(error))
+        if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
+            raise error
+        try:
+            while remaining:
+                remaining[0].close()
+                remaining[0].start()
+                del remaining[0]
+            return
+        except DeviceError as another:
+            error = another
 
 
 def _judged(
@@ -267,17 +269,15 @@ def _judged(
     measured: Session,
     *,
     until: Wanted | None,
-    cache: Path | None,
-    progress: Progress,
 ) -> tuple[FitResult, _Places]:
     """The constants of all pushes, said; and the places for the next one, the best first."""
-    result = session.fit(measured, cache=cache, progress=part_of(progress, 0.0, 0.5))
+    with questions.working() as progress:
+        result = session.fit(measured, progress=progress)
     estimate = result.estimate
     questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
     try:
-        plan = plan_next(
-            measured, count=_AHEAD, fitted=result, progress=part_of(progress, 0.5, 1.0)
-        )
+        with questions.working() as progress:
+            plan = session.plan(measured, result, progress=progress)
     except PalpateError as error:
         questions.tell(f"Where to push next is not clear yet: {error}")
         bare = replace(session.bare, probings=measured.probings, steps=())

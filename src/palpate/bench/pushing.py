@@ -7,6 +7,7 @@ than that; pictures that move there are refused.
 
 import time
 from collections import deque
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -21,6 +22,7 @@ from palpate.bench.devices import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
+from palpate.progress import Progress
 from palpate.recording import (
     ForceLog,
     Reading,
@@ -73,6 +75,9 @@ class Questions(Protocol):
     def wait(self, text: str) -> None:
         """Until the person has done something."""
 
+    def working(self) -> AbstractContextManager[Progress]:
+        """Show what is being done until the block ends; nothing is asked or told in it."""
+
 
 class PushError(InputError):
     """A push that cannot be measured; the text says why, and what to do otherwise."""
@@ -95,6 +100,32 @@ class TakenPush:
     force_std: float
 
 
+def grabbed(bench: Bench) -> tuple[float, Pictures]:
+    """A picture of every camera, and when the last of them arrived [s].
+
+    Parameters
+    ----------
+    bench : Bench                   started
+
+    Raises
+    ------
+    DeviceError                     a camera sends none, or none of the rig's size
+    """
+    times, pictures = [], []
+    for camera, known in zip(bench.cameras, bench.rig.cameras, strict=True):
+        picture, when = camera.grab()
+        columns, rows = known.size or picture.shape[::-1]
+        if picture.shape != (rows, columns) or picture.dtype != np.uint8:
+            raise DeviceError(
+                f"camera '{camera.name}' sends pictures of {' x '.join(map(str, picture.shape))}"
+                f" ({picture.dtype}); must be {rows} x {columns} (uint8), rows x columns as in the"
+                " rig: set its size in bench.toml, or calibrate with this one"
+            )
+        times.append(when)
+        pictures.append(picture)
+    return max(times), tuple(pictures)
+
+
 class _Watch:
     """The latest pictures, and all readings since it began."""
 
@@ -106,14 +137,19 @@ class _Watch:
 
     def poll(self) -> None:
         """Take a picture with every camera, and what the gauge has sent."""
-        grabbed = [camera.grab() for camera in self.bench.cameras]
-        pictures = tuple(np.asarray(picture, dtype=np.uint8) for picture, _ in grabbed)
-        self.frames.append((max(when for _, when in grabbed), pictures))
+        self.frames.append(grabbed(self.bench))
         self.read()
 
     def read(self) -> int:
         """Take what the gauge has sent; how many readings."""
         when, newtons = self.bench.force.read()
+        if not (
+            np.isfinite(newtons).all() and (np.diff(when, prepend=self.time[-1:]) >= 0.0).all()
+        ):
+            raise DeviceError(
+                "the gauge sends readings that are no numbers, or times that go back; see that it"
+                " is well connected, and that no other program reads it"
+            )
         self.time += when.tolist()
         self.reading += newtons.tolist()
         return len(when)
@@ -213,6 +249,7 @@ def take_push(
     """
     watch, where = _Watch(bench), f"{np.round(1e3 * place, 1).tolist()} mm"
     if bench.arm is not None:
+        questions.tell(f"The arm presses at {where}")
         rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, place, inward)
     elif isinstance(bench.force, TypedForce):
         rest, loaded, (force, std) = _typed(bench.force, questions, watch, where)

@@ -111,8 +111,11 @@ class VirtualWorld:
         without contact."""
         if self._press is None:
             return -1.0
-        away = (self.position - self._press.point) @ self._press.tip.direction
-        return min(float(away) / self._press.depth, 1.0)
+        away, along = self.position - self._press.point, self._press.tip.direction
+        if np.linalg.norm(np.cross(away, along)) > self.config.arm.radius:
+            # Above another place, and perhaps deeper along this direction than this one.
+            return -1.0
+        return min(float(away @ along) / self._press.depth, 1.0)
 
     def go(self, position: Vector3, seconds: float) -> None:
         """Have the tool arrive at a position so many seconds later."""

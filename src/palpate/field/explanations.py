@@ -37,6 +37,7 @@ from palpate.field.field_fit import information_about, log_bayes_factor, make_mo
 from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
+from palpate.parts import Cache, Memory, content_digest
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness, with_moduli
 
@@ -116,7 +117,11 @@ class Explanation:
 
 
 def explanations(
-    session: Session, observations: Sequence[ProbeObservations], minimum: Evaluation
+    session: Session,
+    observations: Sequence[ProbeObservations],
+    minimum: Evaluation,
+    *,
+    cache: Cache | None = None,
 ) -> list[Explanation]:
     """What may explain displacements that one modulus does not, the likeliest first: a question
     that takes seconds.
@@ -126,12 +131,18 @@ def explanations(
     session : Session                           k probings
     observations : sequence of k ProbeObservations      with the homogeneous body's response
     minimum : Evaluation                        of these
+    cache : Cache or None                       a memory keeps the body's elements for other pushes
 
     Raises
     ------
     MeshError                       so few elements do not fit into the body
     """
-    model = make_model(session, observations, elements=_FEW, times=(1, 3))
+    kept = cache if isinstance(cache, Memory) else Memory()
+    name = content_digest(("few elements", session.mesh, session.held_triangles))
+    if name in kept:
+        model: FieldModel = kept[name].under(session, observations)
+    else:
+        model = kept[name] = make_model(session, observations, elements=_FEW, times=(1, 3))
     ratio, found = minimum.poisson_ratio, []
     # Pokes, which tell one number each, cannot tell the others.
     causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)

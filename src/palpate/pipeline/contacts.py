@@ -8,7 +8,6 @@ where the surface faces it.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +22,7 @@ from palpate.geometry import (
     interpolation_matrix,
     unit_normals,
 )
+from palpate.parts import Cache
 from palpate.pipeline.observations import ungraded_observations
 from palpate.probe import LocalSurface, contact_circle, convex_contact, local_surface
 from palpate.progress import Progress, part_of
@@ -54,7 +54,7 @@ def with_consistent_contacts(
     session: Session,
     *,
     settings: FitSettings,
-    cache: Path | None,
+    cache: Cache | None,
     displaced: bool,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
@@ -64,7 +64,7 @@ def with_consistent_contacts(
     ----------
     session : Session
     settings : FitSettings
-    cache : Path or None            folder in which what is computed of the body is kept for reuse
+    cache : Cache or None           folder in which what is computed of the body is kept for reuse
     displaced : bool                True: contacts move sideways with the object
     progress : callable             called with the current step (text) and the fraction done
 

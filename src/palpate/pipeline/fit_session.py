@@ -16,6 +16,7 @@ import numpy as np
 from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
+from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.creep import with_relaxation
 from palpate.pipeline.heterogeneous import (
@@ -77,7 +78,7 @@ def fit_session(
     session: Session,
     *,
     settings: FitSettings = FitSettings(),
-    cache: Path | None = None,
+    cache: Cache | None = None,
     finite_strain: bool = False,
     material: Material = Material.HOMOGENEOUS,
     progress: Progress = silent,
@@ -88,7 +89,7 @@ def fit_session(
     ----------
     session : Session                 every probing with a displacement
     settings : FitSettings            method, noise model and range of Poisson's ratio
-    cache : Path or None              folder in which what is computed of the body is kept for reuse
+    cache : Cache or None             folder in which what is computed of the body is kept for reuse
     finite_strain : bool              True: correct for finite strain
     material : Material               not homogeneous: look for a field of moduli as well
     progress : callable               called with the current step (text) and the fraction done
@@ -123,7 +124,7 @@ def fit_session(
 def _fit_displacements(
     session: Session,
     settings: FitSettings,
-    cache: Path | None,
+    cache: Cache | None,
     finite_strain: bool,
     material: Material,
     progress: Progress,
@@ -156,7 +157,7 @@ def _fit_displacements(
         result, field = fit(observations, settings=settings, progress=last), None
         result = fit_at_finite_strain(refined, observations, result, settings, last)
     else:
-        result, field = fit_material(material, graded, observations, settings, last)
+        result, field = fit_material(material, graded, observations, settings, last, cache)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
@@ -239,7 +240,7 @@ def _on_given_mesh(probes: Sequence[ProbeFit], session: Session) -> tuple[ProbeF
 def _on_ungraded_mesh(
     session: Session,
     settings: FitSettings,
-    cache: Path | None,
+    cache: Cache | None,
     displaced: bool,
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:

@@ -30,6 +30,7 @@ from palpate.field import (
     no_field_reason,
 )
 from palpate.machine import machine_memory
+from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_contact_radii
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.object_model import make_object_model
@@ -118,6 +119,7 @@ def fit_material(
     observations: Sequence[ProbeObservations],
     settings: FitSettings,
     progress: Progress,
+    cache: Cache | None = None,
 ) -> tuple[FitResult, FieldFit | RegionFit | Explanation | None]:
     """The fit with what the object may be made of.
 
@@ -128,6 +130,7 @@ def fit_material(
     observations : sequence of k ProbeObservations      with the homogeneous body's response
     settings : FitSettings
     progress : callable
+    cache : Cache or None                       as in `explanations`
 
     Returns
     -------
@@ -150,7 +153,7 @@ def fit_material(
     result = fit(observations, settings=settings, progress=progress)
     if material is Material.HOMOGENEOUS:
         return result, None
-    return fit_other_causes(material, session, observations, result, settings, progress)
+    return fit_other_causes(material, session, observations, result, settings, progress, cache)
 
 
 def _fit_with_regions(
@@ -178,6 +181,7 @@ def fit_other_causes(
     plain: FitResult,
     settings: FitSettings,
     progress: Progress,
+    cache: Cache | None = None,
 ) -> tuple[FitResult, FieldFit | Explanation | None]:
     """The fit with a field of moduli, or with another cause where that is decisively likelier;
     `plain` where one modulus will do.
@@ -190,6 +194,7 @@ def fit_other_causes(
     plain : FitResult                           of these
     settings : FitSettings
     progress : callable
+    cache : Cache or None                       as in `explanations`
 
     Raises
     ------
@@ -205,7 +210,7 @@ def fit_other_causes(
         return plain, None
     progress("evidence of other causes", _ASKED)
     try:
-        likeliest, *others = explanations(session, observations, plain.minimum)
+        likeliest, *others = explanations(session, observations, plain.minimum, cache=cache)
     except (MeshError, SingularSystemError):
         return plain, None
     field = max(each.log_evidence for each in (likeliest, *others) if each.cause is Cause.PLACE)

@@ -6,7 +6,6 @@ of one body show how large the discretisation error is.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +34,7 @@ from palpate.estimation import (
     padded,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal, distinct_points
+from palpate.parts import Cache
 from palpate.pipeline.model.grading import REMAINING_FRACTION, edge_refined_session, graded_session
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model, probe_rows
 from palpate.pipeline.model.responses import (
@@ -219,7 +219,7 @@ def ungraded_observations(
     *,
     settings: FitSettings = FitSettings(),
     rings: int = 1,
-    cache: Path | None = None,
+    cache: Cache | None = None,
     like: ObjectModel | None = None,
     with_surface: bool = False,
     progress: Progress = silent,
@@ -233,7 +233,7 @@ def ungraded_observations(
     session : Session                     k probings, each with displacements
     settings : FitSettings
     rings : int                           as for `bem.make_surface`
-    cache : Path or None                  folder in which what is computed of the body is kept
+    cache : Cache or None                 folder in which what is computed of the body is kept
     like : ObjectModel or None            as `make_object_model`
     with_surface : bool                   True: with responses of all vertices
     progress : callable                   called with the current step (text) and the fraction done
@@ -266,7 +266,7 @@ def ungraded_model(
     *,
     settings: FitSettings = FitSettings(),
     rings: int = 1,
-    cache: Path | None = None,
+    cache: Cache | None = None,
     like: ObjectModel | None = None,
     progress: Progress = silent,
 ) -> ObjectModel:
@@ -300,7 +300,7 @@ def with_mesh_steps(
     observations: Sequence[ProbeObservations],
     *,
     settings: FitSettings = FitSettings(),
-    cache: Path | None = None,
+    cache: Cache | None = None,
     progress: Progress = silent,
 ) -> list[ProbeObservations]:
     """Observations with the errors of the given mesh's model between vertices and along sharp
@@ -311,7 +311,7 @@ def with_mesh_steps(
     session : Session                     k probings, each with displacements
     observations : sequence of k ProbeObservations    `ungraded_observations` of it, in this order
     settings : FitSettings
-    cache : Path or None                  folder in which what is computed of the body is kept
+    cache : Cache or None                 folder in which what is computed of the body is kept
     progress : callable                   called with the current step (text) and the fraction done
 
     Returns

@@ -21,6 +21,7 @@ from palpate.geometry import (
     closest_points,
 )
 from palpate.lab import Material, Pictures, Variant, planned_pictures
+from palpate.parts import Cache
 from palpate.pipeline.contacts import with_contact_radii
 from palpate.pipeline.fit_session import fit_session
 from palpate.pipeline.heterogeneous import Material as Substance, Predictor
@@ -57,6 +58,7 @@ Show = Callable[[str, UInt[np.ndarray, "_ _"]], None]
 _YOUNG_RANGE = (1.0, 1.2e12)
 # The tool hides the surface within this distance, in contact radii.
 _HIDDEN_RADII = 2.0
+_Further = tuple[Probing, ProbeObservations]
 # Poisson's ratios that are tried where the constants are only to be known roughly.
 _RATIOS = (0.05, 0.2, 0.35, 0.48)
 # In `NextProbings`, beside the constants.
@@ -192,6 +194,7 @@ class NextProbings:
     chosen : tuple of int           indices of the best places, best first
     after : tuple of name -> float  the same with each chosen place and those before it
     information : Information       of the session's probings, then of the places
+    further : tuple of c Probing, ProbeObservations     at the places, as one uniform body has them
     """
 
     session: Session
@@ -204,6 +207,7 @@ class NextProbings:
     chosen: tuple[int, ...]
     after: tuple[dict[str, float], ...]
     information: Information
+    further: tuple[_Further, ...]
 
 
 def plan_next(
@@ -211,6 +215,8 @@ def plan_next(
     *,
     count: int = 3,
     fitted: FitResult | None = None,
+    known: NextProbings | None = None,
+    cache: Cache | None = None,
     progress: Progress = silent,
 ) -> NextProbings:
     """Find the most informative places for further probings, one at a time (greedy): of a body that
@@ -225,6 +231,9 @@ def plan_next(
     session : Session               with measured probings; the first under a round patch or a tool
     count : int                     number of places to choose, at least 1
     fitted : FitResult or None      the fit of this session; None: it is fitted first
+    known : NextProbings or None    of the same object with fewer probings: what is left of its
+                                    places is compared, without computing again how it moves there
+    cache : Cache or None           folder in which what is computed of the body is kept for reuse
     progress : callable
 
     Returns
@@ -252,22 +261,19 @@ def plan_next(
         )
     if fitted is None:
         report = part_of(progress, 0.0, 0.4)
-        fitted = fit_session(session, material=Substance.AUTO, progress=report)
-    estimate = fitted.estimate
-    session = _with_radii(session, estimate)
+        fitted = fit_session(session, cache=cache, material=Substance.AUTO, progress=report)
+    session = _with_radii(session, fitted.estimate)
     radius = session.probings[0].contact.radius or 0.0
-    given = [
-        _with_std(probing, fit.rms_residual)
-        for probing, fit in zip(session.probings, estimate.probes, strict=True)
-    ]
-    force = float(np.median([np.linalg.norm(probing.force) for probing in given]))
-    point, inward = reachable_places(session, radius=radius)
-    if not len(point):
-        raise InputError("no place of the surface is left for a further probing of this radius")
-    whole = _with_pushes_at(replace(session, probings=tuple(given)), point, force * inward)
+    measured = _measured_session(session, fitted.estimate)
+    force = float(np.median([np.linalg.norm(each.force) for each in measured.probings]))
     progress("what every place tells", 0.4)
-    information, is_uniform = _information_of(whole, fitted)
-    made = range(len(given))
+    further, observed = _at_places(measured, radius, force, known, cache)
+    point = np.array([probing.contact.point for probing, _ in further])
+    inward = np.array([each.force / np.linalg.norm(each.force) for each, _ in further])
+    every = replace(measured, probings=(*measured.probings, *(each for each, _ in further)))
+    observed = [*observed, *(each for _, each in further)]
+    information, is_uniform = _information_of(every, observed, fitted)
+    made = range(len(session.probings))
 
     def expected(places: Sequence[int]) -> dict[str, float]:
         pushes = [*made, *(len(made) + k for k in places)]
@@ -290,6 +296,7 @@ def plan_next(
         chosen=tuple(chosen),
         after=tuple(expected(chosen[: n + 1]) for n in range(len(chosen))),
         information=information,
+        further=further,
     )  # fmt: skip
 
 
@@ -298,22 +305,53 @@ def _with_radii(session: Session, estimate: Estimate) -> Session:
     return with_contact_radii(session, shear_modulus=modulus, poisson_ratio=ratio)
 
 
-def _with_pushes_at(session: Session, places: Points, forces: Points) -> Session:
-    """The session with further probings like the first, one at each place."""
-    # Resolved about the measured contacts only: about all places it would be the whole surface.
-    resolved = refined_session(session)
-    further = [
-        _like(resolved.probings[0], resolved.mesh, place, force, f"further {k}")
-        for k, (place, force) in enumerate(zip(places, forces, strict=True))
-    ]
-    return replace(resolved, probings=(*resolved.probings, *further))
+def _measured_session(session: Session, estimate: Estimate) -> Session:
+    """The session with standard deviations, on a mesh that is resolved about its contacts only:
+    about all places it would be the whole surface."""
+    given = tuple(
+        _with_std(probing, fit.rms_residual)
+        for probing, fit in zip(session.probings, estimate.probes, strict=True)
+    )
+    return refined_session(replace(session, probings=given))
 
 
-def _information_of(session: Session, fitted: FitResult) -> tuple[Information, bool]:
+def _at_places(
+    session: Session, radius: float, force: float, known: NextProbings | None, cache: Cache | None
+) -> tuple[tuple[_Further, ...], list[ProbeObservations]]:
+    """Further probings like the first at every place that a tool can reach, or those left of a
+    known plan, with what is observed there; and the observations of the session's own probings."""
+    if known is not None and (left := _left(known, session, radius)):
+        return left, _observed(session, cache)
+    point, inward = reachable_places(session, radius=radius)
+    if not len(point):
+        raise InputError("no place of the surface is left for a further probing of this radius")
+    further = tuple(
+        _like(session.probings[0], session.mesh, place, force * along, f"further {k}")
+        for k, (place, along) in enumerate(zip(point, inward, strict=True))
+    )
+    made = len(session.probings)
+    observed = _observed(replace(session, probings=(*session.probings, *further)), cache)
+    return tuple(zip(further, observed[made:], strict=True)), observed[:made]
+
+
+def _left(known: NextProbings, session: Session, radius: float) -> tuple[_Further, ...]:
+    """The places of another plan at which nothing has been measured since."""
+    taken = np.array([probing.contact.point for probing in session.probings])
+    gap = np.linalg.norm(known.point[:, None] - taken, axis=2).min(axis=1)
+    return tuple(known.further[k] for k in np.flatnonzero(gap > radius))
+
+
+def _observed(session: Session, cache: Cache | None) -> list[ProbeObservations]:
+    """Observations with the model of the session's mesh."""
+    return session_observations(session, make_object_model(session, cache=cache))
+
+
+def _information_of(
+    session: Session, observed: Sequence[ProbeObservations], fitted: FitResult
+) -> tuple[Information, bool]:
     """What the probings of a session tell, those that are planned included, and whether the body
     that was fitted is the same everywhere."""
-    observed, minimum = session_observations(session, make_object_model(session)), fitted.minimum
-    predict, constants = fitted.predict, fitted.estimate
+    minimum, predict, constants = fitted.minimum, fitted.predict, fitted.estimate
     field = predict.field if isinstance(predict, Predictor) else None
     if field is not None:
         observed = field.with_field(session, observed)

@@ -1,15 +1,17 @@
 """`palpate measure`: the guided measurement, at the terminal."""
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from rich.prompt import Prompt
 
 from palpate.app.process import check_cache
 from palpate.app.tables import constants_table
-from palpate.app.terminal import print_tables, print_text
+from palpate.app.terminal import print_tables, print_text, progress_bar
 from palpate.bench import measure as measure_live, read_bench, wanted_precision
 from palpate.disk import created_folder
 from palpate.errors import InputError, visible
+from palpate.progress import Progress
 
 
 class _Terminal:
@@ -31,6 +33,10 @@ class _Terminal:
     def wait(self, text: str) -> None:
         """Until Enter."""
         _asked(f"{text}; then Enter", default="", show_default=False)
+
+    def working(self) -> AbstractContextManager[Progress]:
+        """A bar, until the block ends."""
+        return progress_bar()
 
 
 def _asked(text: str, **options: object) -> str:
@@ -72,6 +78,7 @@ def measure(
         Stop after so many pushes. Without this and --until, it asks after each.
     cache
         Folder in which to keep factors and reduced models of this object, as in `palpate fit`.
+        Without it, factors are kept in memory while it runs.
     dry_run
         Say what the arm would do for the first push, without moving it.
 

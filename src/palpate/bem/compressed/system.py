@@ -6,7 +6,6 @@ The memory that the model of an object needs, dense or compressed, is checked be
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +22,7 @@ from palpate.bem.system.system import (
 )
 from palpate.errors import InputError
 from palpate.machine import check_memory_for, usable_memory
+from palpate.parts import Cache
 from palpate.progress import Progress, silent
 
 # Coefficient of the slack in every integral equation (`system_matrix`).
@@ -208,7 +208,7 @@ def held_system(
     surface: BoundarySurface,
     *,
     dense: bool = False,
-    cache: Path | None = None,
+    cache: Cache | None = None,
     progress: Progress = silent,
 ) -> BoundarySystem:
     """The equations of an object on its support, dense or compressed depending on its size.
@@ -217,7 +217,7 @@ def held_system(
     ----------
     surface : BoundarySurface
     dense : bool                  True: dense matrices at any size
-    cache : Path or None          see `boundary_system`; not used for a compressed system
+    cache : Cache or None         see `boundary_system`; not used for a compressed system
     progress : callable           called with the current step and the fraction of the compression
                                   that is done, 0 to 1
 

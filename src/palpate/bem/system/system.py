@@ -10,7 +10,6 @@ others, its sides an unknown traction along those that it holds.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,7 +23,7 @@ from palpate.bem.integrals.assembly import (
 from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature
 from palpate.geometry import QuadraticNodes, quadratic_shapes
-from palpate.parts import Parts, content_digest
+from palpate.parts import Cache, Parts, content_digest
 from palpate.threads import in_threads
 
 # To be increased with every change of what is kept of a system or how it is computed.
@@ -142,7 +141,7 @@ class BoundarySystem:
 
 
 def boundary_system(
-    surface: BoundarySurface, *, quadrature: Quadrature = Quadrature(), cache: Path | None = None
+    surface: BoundarySurface, *, quadrature: Quadrature = Quadrature(), cache: Cache | None = None
 ) -> BoundarySystem:
     """The equations of an object on its support, for dense matrices.
 
@@ -150,7 +149,7 @@ def boundary_system(
     ----------
     surface : BoundarySurface
     quadrature : Quadrature
-    cache : Path or None          folder in which what follows from the equations alone is kept for
+    cache : Cache or None         folder in which what follows from the equations alone is kept for
                                   later systems of the same object: factors, reduced models (some
                                   100 MB for 1000 vertices); created if absent; nothing is kept
                                   where it cannot be written

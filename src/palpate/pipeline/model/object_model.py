@@ -3,7 +3,6 @@ observations of each probing as functions of its solutions: displacements of its
 motions of supports."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +21,7 @@ from palpate.bem import (
     point_equations,
 )
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
+from palpate.parts import Cache
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.pipeline.model.supports import (
     MovingSupport,
@@ -105,7 +105,7 @@ def make_object_model(
     session: Session,
     *,
     rings: int = 1,
-    cache: Path | None = None,
+    cache: Cache | None = None,
     perturbed: bool = True,
     like: ObjectModel | None = None,
     progress: Progress = silent,
@@ -116,7 +116,7 @@ def make_object_model(
     ----------
     session : Session
     rings : int                       as for `bem.make_surface`
-    cache : Path or None              folder in which what is computed of the body is kept for
+    cache : Cache or None             folder in which what is computed of the body is kept for
                                       reuse
     perturbed : bool                  False: without perturbed contacts, and without the error of
                                       the mesh about contacts

@@ -20,6 +20,7 @@ from palpate.geometry import TriangleMesh, refined_surface
 from palpate.machine import check_memory_for, usable_memory
 from palpate.records import Rig
 from palpate.shapes import Flags, Points, Triangles, Vertices
+from palpate.threads import map_in_threads
 from palpate.vision.joint.match import accepted_flow, match_scene
 from palpate.vision.joint.sharpness import equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement, with_average
@@ -277,8 +278,9 @@ def _flow_start(
     place = np.where(known[:, None], was, scene.point)
     old = np.stack([project(camera, place) for camera in scene.rig.cameras])
     target = np.full(old.shape, np.nan)
-    for c, (first, second) in enumerate(zip(state.grey, now, strict=True)):
-        step, trusted = dense_start(np.asarray(first), np.asarray(second)).at(old[c])
+    searches = map_in_threads(dense_start, map(np.asarray, state.grey), map(np.asarray, now))
+    for c, search in enumerate(searches):
+        step, trusted = search.at(old[c])
         sure = scene.seen[:, c] & known & trusted
         target[c, sure] = old[c, sure] + step[sure]
     found = triangulate(scene.rig, target, _START_ERROR_PX)
