@@ -507,7 +507,7 @@ def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisanc
             ),
         ]
     parameters = (
-        NuisanceParameter(f"{of}, in steps {step},", std, of="finite strain")
+        NuisanceParameter(f"{of} (in steps {step})", std, of="finite strain")
         for of, step, std, _ in errors
     )
     steps = [std * moved.ravel() for *_, std, moved in errors]
