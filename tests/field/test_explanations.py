@@ -17,6 +17,7 @@ from palpate.field.explanations import (
     evidence_of_errors,
     explanations,
 )
+from palpate.field.field_fit import information_about
 from palpate.field.field_responses import make_field_model
 from palpate.solids import with_moduli
 
@@ -130,3 +131,25 @@ def test_forces_that_are_wrong_are_evidence_of_errors(model):
     wrong = [replace(one, force=(1.0 + 0.15 * k) * one.force) for k, one in enumerate(right)]
     assert evidence_of_errors(joint_minimum(right, FitSettings())) < 1.0
     assert evidence_of_errors(joint_minimum(wrong, FitSettings())) > 10.0
+
+
+def test_what_the_data_say_of_a_field_is_the_same_wherever_they_are_asked(model):
+    seen = noisy(model, Cause.PLACE)
+    given = model.under(session(), seen)
+    plain = joint_minimum(seen, FitSettings())
+    none = np.zeros(model.modes.modes.shape[1])
+    homogeneous = given.moved(none, plain.poisson_ratio)
+    expansion = given.expanded(none, plain.poisson_ratio, homogeneous)
+    start = 0.01 * np.random.default_rng(6).normal(size=len(none))
+    told = [information_about(expansion, plain, each) for each in (none, start)]
+    # The objective is one of squares in the coefficients; the rest, at which derivatives are taken,
+    # moves with them to first order of what they change.
+    (first, here), (second, there) = told
+    assert np.abs(second - first).max() < 0.05 * np.abs(first).max()
+    posterior = [np.linalg.solve(h + np.eye(len(h)), v) for h, v in told]
+    assert np.abs(posterior[1] - posterior[0]).max() < 0.05 * np.abs(posterior[0]).max()
+    # Where the data say next to nothing, they say it in any case.
+    values, vectors = np.linalg.eigh(first)
+    least = vectors[:, values < 1e-4 * values.max()]
+    assert least.size
+    assert np.linalg.norm(least.T @ (there - here)) < 0.1 * np.linalg.norm(least.T @ start)

@@ -13,7 +13,7 @@ from palpate.errors import InputError
 from palpate.estimation import ProbeObservations, fit
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import at_points, push_model
-from palpate.field.regions import check_regions, fit_regions, make_region_model
+from palpate.field.regions import _prior, check_regions, fit_regions, make_region_model
 from palpate.records import (
     RATIO,
     YOUNG,
@@ -243,3 +243,17 @@ def test_a_region_thinner_than_elements_can_be_says_what_it_takes():
 def test_what_cannot_be_known_is_refused(known, value, std, message):
     with pytest.raises(InputError, match=message):
         Region("a", CORNER, known, value, std)
+
+
+@pytest.mark.parametrize("kind", [YOUNG, SHEAR, RATIO])
+def test_what_is_known_of_a_region_changes_with_the_rest_as_it_says(kind):
+    region = [Region("corner", CORNER, kind, 3e4, 300.0)]
+    ratio, modulus, step = 0.3, 2e4, 1e-5
+    prior = _prior(region, ratio, modulus)
+    above, below = (_prior(region, ratio + h, modulus).mean for h in (step, -step))
+    # Central differences of logarithms, to the third order.
+    assert (above - below) / (2 * step) == pytest.approx(prior.by_ratio, abs=1e-8)
+    above, below = (_prior(region, ratio, modulus * np.exp(h)).mean for h in (step, -step))
+    assert (above - below) / (2 * step) == pytest.approx(prior.by_log_modulus, abs=1e-8)
+    known = {YOUNG: 3e4 / (2 * modulus * 1.3), SHEAR: 3e4 / modulus, RATIO: 3e4}
+    assert prior.mean == pytest.approx([np.log(known[kind])])

@@ -120,6 +120,7 @@ def test_lengths_carry_their_unit(text, metres):
         ("wide", "write a number with its unit"),
         ("5 ells", "write a number with its unit"),
         ("-5mm", "must be from 0.1 mm to 2 m"),
+        ("3m", "that is 3 m; must be from 0.1 mm to 2 m: check the unit"),
     ],
 )
 def test_lengths_that_no_specimen_has(text, message):
