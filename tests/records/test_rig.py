@@ -135,3 +135,11 @@ def test_a_principal_point_that_is_hardly_off_is_nobody_s_mistake():
     matrix = np.array([[900.0, 0.0, 247.5], [0.0, 900.0, 249.5], [0.0, 0.0, 1.0]])
     cameras = (_camera(size=(500, 496), matrix=matrix), _camera("c1"))
     check_cameras(Rig(cameras, 0, "rig.toml"))
+
+
+def test_a_pole_of_a_lens_s_highest_terms_is_found():
+    # 1 - 1.5 (r / r0)^4 + 0.5 (r / r0)^6 is 0 at r0, a ninth of the picture's half width.
+    terms = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.5 / 0.05**4, 0.5 / 0.05**6]
+    rig = Rig((_camera(distortion=terms), _camera("c1")), 0, "rig.toml")
+    with pytest.raises(CalibrationError, match=r"denominator .* vanishes 45 px off"):
+        check_cameras(rig)
