@@ -36,8 +36,8 @@ from palpate.solids import (
 
 BODIES = ("block", "slab")
 TABLE = Path(__file__).parent / "data" / "comparison.csv"
-# Elements under a tool over its radius. With exact data the fitted E of the block is 0.3 % low, that
-# of the slab 2.6 %.
+# Elements under a tool over its radius. With exact data the fitted E of the block is 0.3 % low,
+# that of the slab 2.6 %.
 _FINE = 0.4
 # Displacement in the middle of a pressure (1 - r^2 / a^2)^2 on a half space, over
 # F (1 - nu^2) / (E a): 0.75 under Hertz's own.
