@@ -62,6 +62,6 @@ def opened_tab(background):
     """A tab of the viewer, and its page."""
     page = Page()
     client = SimpleNamespace(
-        gui=page, scene=MagicMock(), camera=SimpleNamespace(), atomic=nullcontext
+        gui=page, scene=MagicMock(), camera=SimpleNamespace(aspect=1.6), atomic=nullcontext
     )
     return Tab(client, background), page
