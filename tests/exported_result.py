@@ -1,6 +1,11 @@
 """A result folder of `palpate fit` that was never fitted, for the tests of `palpate export`."""
 
+import json
+import shutil
+import subprocess
+
 import numpy as np
+import pytest
 from cube_session import cube_session
 from estimate_samples import sample_result
 
@@ -36,3 +41,16 @@ def written_result(place, map_of=None):
             write_modulus(result / "modulus.npz", map_of(session.mesh))
         record_inputs(result, session_files(folder))
     return place / "result"
+
+
+def moved_by_calculix(folder):
+    """Displacement of the push's point (3,) [m] that CalculiX computes from an export."""
+    if shutil.which("ccx") is None:
+        pytest.skip("CalculiX (ccx) is not installed")
+    subprocess.run(["ccx", "model"], cwd=folder, check=True, capture_output=True, timeout=100)
+    # Of increments the last.
+    rows = [line.split() for line in (folder / "model.dat").read_text().splitlines()]
+    moved = {int(row[0]) - 1: np.array(row[1:], dtype=float) for row in rows if len(row) == 4}
+    push = json.loads((folder / "replay.json").read_text())
+    nodes = zip(push["point_nodes"], push["point_shares"], strict=True)
+    return sum(share * moved[node] for node, share in nodes)

@@ -239,6 +239,27 @@ def test_weight_that_only_loads_pull_up_costs_a_degree_for_every_push_but_one(bl
     assert found.holds
 
 
+def test_pushes_at_one_place_without_noise_put_no_work_in_and_none_out(block):
+    """The same push thrice: mixtures without force have no work, and rounding is no variance."""
+    mesh, motions = block
+    (probing, *_) = make_session(mesh, motions, np.random.default_rng(6), force_std=0.0).probings
+    probings = [
+        replace(
+            probing,
+            name=f"n{times}",
+            force=times * unit(PUSHES[0]),
+            displacement=replace(probing.displacement, displacement=times * motions[0], std=None),
+        )
+        for times in (0.4, 0.8, 1.6)
+    ]
+    session = make_session(mesh, motions, np.random.default_rng(6))
+    found = reciprocity(replace(session, probings=tuple(probings)))
+    assert found.holds
+    assert len(found.passive) == 3
+    # To rounding, far below the finest work that is told.
+    assert abs(found.own_work) < 1e-6 < found.own_work_std
+
+
 def test_tips_show_that_pushes_put_work_in(block):
     mesh, motions = block
     session = make_session(mesh, motions, np.random.default_rng(6))

@@ -4,12 +4,14 @@ import json
 from dataclasses import replace
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
-from exported_result import written_result
+from exported_result import moved_by_calculix, written_result
 
 from palpate.records import Constant
+from palpate.simulation.estimated_object import make_solid_model
 from palpate.simulation.export import export_fit, read_fit
-from palpate.solids import SplitNeoHookean, yeoh
+from palpate.solids import SplitNeoHookean, make_body, solve_finite, yeoh
 
 STIFFENING = 3.0
 
@@ -43,6 +45,26 @@ def test_calculix_and_abaqus_get_the_law(source, tmp_path):
     assert "*STEP, NLGEOM\n" in text
     assert any("Yeoh's law was written with C2 / C1 = 3" in note for note in body.notes)
     assert json.loads((tmp_path / "palpate.json").read_text())["stiffening"] == STIFFENING
+
+
+def test_calculix_moves_the_point_as_the_law_does(source, tmp_path):
+    """Of an object so soft that the law counts."""
+    soft = {"shear_modulus": 2e3, "young_modulus": 5.2e3, "poisson_ratio": 0.3}
+    constants = {name: Constant(size, 0.0, (size, size)) for name, size in soft.items()}
+    softer = replace(source, estimate=replace(source.estimate, **constants))
+    body = export_fit(tmp_path, softer, "calculix", edge=0.01)
+    found, model = moved_by_calculix(tmp_path), make_solid_model(body, edge=0.01)
+    elements = make_body(model.solid, model.held, shear_modulus=2e3, poisson_ratio=0.3)
+
+    def moved(stiffening):
+        law = yeoh(stiffening, SplitNeoHookean)
+        return model.share @ solve_finite(elements, model.load, law=law)[model.node]
+
+    wanted = moved(STIFFENING)
+    # The same elements, and nine digits of every number; what stiffens is 100 times as much.
+    apart = np.linalg.norm(found - wanted)
+    assert apart < 1e-4 * np.linalg.norm(wanted)
+    assert apart < 0.01 * np.linalg.norm(wanted - moved(0.0))
 
 
 def test_febio_gets_the_law(source, tmp_path):

@@ -27,7 +27,7 @@ from palpate.pipeline.heterogeneous import (
 from palpate.pipeline.load_dependence import load_dependence
 from palpate.pipeline.model.contact_loads import OUTWARD_ERROR, RADIUS_ERROR
 from palpate.pipeline.model.grading import graded_session, refined_session
-from palpate.pipeline.model.large_strain import fit_at_finite_strain
+from palpate.pipeline.model.large_strain import fit_at_finite_strain, require_finite_strain
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, length_error, with_stretch
 from palpate.pipeline.motion.figures import rejection_note, rejections
@@ -118,6 +118,8 @@ def fit_session(
             f"{session.path}: regions and fields with moduli of their own take --strain small; or"
             " leave them out with --material homogeneous"
         )
+    if finite_strain:
+        require_finite_strain(session)
     return _fit_displacements(session, settings, cache, finite_strain, material, progress)
 
 

@@ -429,7 +429,7 @@ def _own_work(
     size, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * scale[:, None] * scale)
     mixture = np.zeros(count)
     mixture[rows] = scale * axes[:, 0]
-    variance = sum(float(mixture @ each @ mixture) ** 2 for each in errors)
+    variance = _FINEST**2 + sum(float(mixture @ each @ mixture) ** 2 for each in errors)
     for k in rows.tolist():
         noise = _own_noise(works, k)
         if tip[k] > 0.0:

@@ -13,19 +13,24 @@ from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
 from palpate.pipeline.model.large_strain import (
     MaterialConstants,
+    is_stiffening,
     make_finite_body,
     strain_corrections,
 )
 from palpate.records import (
     BIASED,
     EXACT,
+    FLAT,
     FREE,
+    STICKS,
+    Constant,
     Contact,
     DisplacementField,
     Estimate,
     Probing,
     Session,
     Support,
+    Tool,
 )
 from palpate.records.contact import PRESSURES
 from palpate.solids import (
@@ -183,4 +188,20 @@ def test_supports_that_move_are_refused() -> None:
     session = _session(0.1)
     support = Support(session.held_triangles, FREE)
     with pytest.raises(InputError, match="support 1 moves"):
-        make_finite_body(replace(session, supports=(support,)))
+        fit_session(replace(session, supports=(support,)), finite_strain=True)
+
+
+@pytest.mark.parametrize("tool", [None, Tool(FLAT, RADIUS, STICKS)])
+def test_a_pressure_without_bound_is_refused(tool: Tool | None) -> None:
+    session = _session(0.1)
+    (probing,) = session.probings
+    probing = replace(probing, contact=replace(probing.contact, profile="flat", tool=tool))
+    with pytest.raises(InputError, match="'n' has the pressure of a flat face.*name the tool"):
+        fit_session(replace(session, probings=(probing,)), finite_strain=True)
+
+
+def test_stiffening_is_shown_by_more_than_noise_and_elements() -> None:
+    found = Constant(0.4, 0.1, (0.2, 0.6))
+    assert is_stiffening(found, 0.0)
+    # Four deviations of noise, but what finer elements change is as large as a third of it.
+    assert not is_stiffening(found, -0.12)

@@ -78,8 +78,6 @@ _STIFFENING, _STIFFENS = 10.0, "stiffening of the material"
 # Standard deviations from which stiffening counts as shown, and below which finer elements do not
 # look for it.
 _SHOWN, _HOPELESS = -float(ndtri(0.5 * FALSE_ALARM)), 1.0
-# Least stiffening that is told, 1.05 times as stiff at 20 % shear: meshes may leave over as much.
-_LEAST = 0.625
 _NORMAL = 1.96
 # At finite strain, soft materials of the same constants differ from each other by a good part of
 # their difference from a linear one.
@@ -204,8 +202,8 @@ def fit_at_finite_strain(
     shown = found.value > _HOPELESS * found.std
     if shown:
         result, starts = _converged(body, used, rough, report, stiffens=True)
-        found = estimated_stiffening(result)
-        shown = is_stiffening(found)
+        coarser, found = found, estimated_stiffening(result)
+        shown = is_stiffening(found, found.value - coarser.value)
     if not shown:
         result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
     estimate = result.estimate
@@ -256,7 +254,7 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
     InputError                      a support that moves or slides, a load other than a round patch
     MeshError                       the surface cannot be filled
     """
-    _require_fixed(session)
+    require_finite_strain(session)
     tips = tuple(_tip(probing) for probing in session.probings)
     fine = []
     for probing, tip in zip(session.probings, tips, strict=True):
@@ -428,14 +426,16 @@ def estimated_stiffening(result: FitResult) -> Constant:
     return Constant(value, std, (min(max(low, 0.0), value), max(high, 0.0)))
 
 
-def is_stiffening(stiffening: Constant) -> bool:
+def is_stiffening(stiffening: Constant, change: float) -> bool:
     """Whether an estimate shows it: by its standard deviation, and by more than meshes leave over.
 
     Parameters
     ----------
     stiffening : Constant [-]
+    change : float [-]              of its value from coarser to finer elements: about its error, of
+                                    second order
     """
-    return stiffening.value > max(_SHOWN * stiffening.std, _LEAST)
+    return stiffening.value > _SHOWN * float(np.hypot(stiffening.std, change))
 
 
 def _taken_off(correction: Correction, *, stiffens: bool) -> Points:
@@ -568,7 +568,18 @@ def _places(probing: Probing) -> Points:
     return np.vstack([points, probing.contact.point])
 
 
-def _require_fixed(session: Session) -> None:
+def require_finite_strain(session: Session) -> None:
+    """Refuse supports and loads that are not served at finite strain.
+
+    Parameters
+    ----------
+    session : Session               before or after its contacts are fitted
+
+    Raises
+    ------
+    InputError                      a support that moves or slides, a load other than a round patch,
+                                    or one without bound
+    """
     for number, support in enumerate(session.supports, start=1):
         if support.motion != FIXED or support.directions is not None:
             raise InputError(
@@ -577,6 +588,12 @@ def _require_fixed(session: Session) -> None:
             )
     for probing in session.probings:
         contact = probing.contact
+        if contact.profile == "flat" and _tip(probing) is None:
+            raise InputError(
+                f"finite strain: probing '{probing.name}' has the pressure of a flat face, without"
+                " bound at its rim, which no object bears; name the tool that slides (tool ="
+                ' "flat" and tool_radius), or take another profile'
+            )
         if probing.loads or contact.radius is None or contact.pressure_map is not None:
             raise InputError(
                 f"finite strain: probing '{probing.name}' has a load that is no round patch under a"
