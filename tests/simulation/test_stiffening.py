@@ -49,12 +49,12 @@ def test_calculix_and_abaqus_get_the_law(source, tmp_path):
 
 def test_calculix_moves_the_point_as_the_law_does(source, tmp_path):
     """Of an object so soft that the law counts."""
-    soft = {"shear_modulus": 2e3, "young_modulus": 5.2e3, "poisson_ratio": 0.3}
+    soft = {"shear_modulus": 5e3, "young_modulus": 1.3e4, "poisson_ratio": 0.3}
     constants = {name: Constant(size, 0.0, (size, size)) for name, size in soft.items()}
     softer = replace(source, estimate=replace(source.estimate, **constants))
     body = export_fit(tmp_path, softer, "calculix", edge=0.01)
     found, model = moved_by_calculix(tmp_path), make_solid_model(body, edge=0.01)
-    elements = make_body(model.solid, model.held, shear_modulus=2e3, poisson_ratio=0.3)
+    elements = make_body(model.solid, model.held, shear_modulus=5e3, poisson_ratio=0.3)
 
     def moved(stiffening):
         law = yeoh(stiffening, SplitNeoHookean)

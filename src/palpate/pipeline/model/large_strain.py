@@ -251,7 +251,7 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
 
     Raises
     ------
-    InputError                      a support that moves or slides, a load other than a round patch
+    InputError                      of `require_finite_strain`
     MeshError                       the surface cannot be filled
     """
     require_finite_strain(session)
@@ -577,8 +577,8 @@ def require_finite_strain(session: Session) -> None:
 
     Raises
     ------
-    InputError                      a support that moves or slides, a load other than a round patch,
-                                    or one without bound
+    InputError                      a support that moves or slides, a load on no round patch, or
+                                    without bound
     """
     for number, support in enumerate(session.supports, start=1):
         if support.motion != FIXED or support.directions is not None:
@@ -590,9 +590,8 @@ def require_finite_strain(session: Session) -> None:
         contact = probing.contact
         if contact.profile == "flat" and _tip(probing) is None:
             raise InputError(
-                f"finite strain: probing '{probing.name}' has the pressure of a flat face, without"
-                " bound at its rim, which no object bears; name the tool that slides (tool ="
-                ' "flat" and tool_radius), or take another profile'
+                f"finite strain: probing '{probing.name}' has the pressure of a flat face, which"
+                " no object bears at its rim; name the tool that slides, or take another profile"
             )
         if probing.loads or contact.radius is None or contact.pressure_map is not None:
             raise InputError(
