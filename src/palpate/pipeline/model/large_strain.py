@@ -73,6 +73,9 @@ from palpate.solids import (
 
 _MOST_ROUNDS = 8
 _SHEAR_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
+# Share of its standard deviation by which a constant may still change: one that the data do not
+# determine wanders.
+_WANDERS = 0.3
 # Prior standard deviation of the stiffening: 1.8 times as stiff at 20 % shear.
 _STIFFENING, _STIFFENS = 10.0, "stiffening of the material"
 # Standard deviations from which stiffening counts as shown, and below which finer elements do not
@@ -387,7 +390,7 @@ def _converged(
         ]
         result = fit(corrected, settings=used.settings)
         now = _constants(result, stiffens=stiffens)
-        if _is_settled(before, now):
+        if _is_settled(before, now, result):
             probes = tuple(
                 _with_correction(probe, _taken_off(correction, stiffens=stiffens))
                 for probe, correction in zip(result.probes, starts, strict=True)
@@ -399,11 +402,15 @@ def _converged(
     )
 
 
-def _is_settled(before: MaterialConstants, now: MaterialConstants) -> bool:
+def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
+    shear, ratio = result.estimate.shear_modulus.std, result.estimate.poisson_ratio.std
+    stiffening, size = estimated_stiffening(result).std, 1.0 + now.stiffening
     return (
-        abs(now.shear_modulus / before.shear_modulus - 1.0) < _SHEAR_TOLERANCE
-        and abs(now.poisson_ratio - before.poisson_ratio) < _RATIO_TOLERANCE
-        and abs(now.stiffening - before.stiffening) < _STIFFENING_TOLERANCE * (1.0 + now.stiffening)
+        abs(now.shear_modulus - before.shear_modulus)
+        < max(_SHEAR_TOLERANCE * before.shear_modulus, _WANDERS * shear)
+        and abs(now.poisson_ratio - before.poisson_ratio) < max(_RATIO_TOLERANCE, _WANDERS * ratio)
+        and abs(now.stiffening - before.stiffening)
+        < max(_STIFFENING_TOLERANCE * size, _WANDERS * stiffening)
     )
 
 
@@ -492,19 +499,10 @@ def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisanc
     errors = [("finite strain", "from linear to neo-Hookean", _OTHER_LAWS, plain)]
     if rough is not None:
         coarse, other = rough
+        laws, elements = other.value - coarse.value, correction.value - coarse.at(now)
         errors += [
-            (
-                "finite strain",
-                "from one neo-Hookean law to another",
-                1.0,
-                other.value - coarse.value,
-            ),
-            (
-                f"finite strain of {name}",
-                "from coarser to finer elements",
-                1.0,
-                correction.value - coarse.at(now),
-            ),
+            ("finite strain", "from one neo-Hookean law to another", 1.0, laws),
+            (f"finite strain of {name}", "from coarser to finer elements", 1.0, elements),
         ]
     parameters = (
         NuisanceParameter(f"{of} (in steps {step})", std, of="finite strain")
