@@ -34,13 +34,11 @@ from palpate.solids.finite_strain import (
     stable_factor,
     tangent,
 )
-from palpate.solids.tips import Punch, Tip
+from palpate.solids.tips import Tip
 
 # Penalty stiffness in units of shear modulus over tip radius: a pressure equal to the shear modulus
 # causes a penetration of a hundredth of the radius.
 _SPRINGS = 100.0
-# Radius of a punch's rim over that of its face, which reaches to the middle of the rounding.
-_ROUND_RIM = 0.1
 # Contact is considered within this many tip radii of the point of first contact.
 _REACH = 1.6
 # Tolerance on the residual forces, relative to the tip's force.
@@ -201,7 +199,7 @@ class _ContactPotential:
     def penetration(self, at: Unknowns) -> tuple[PointScalars, Points]:
         """Penetration of the contact points [m], zero outside, and the tip's normals there."""
         positions = self.points + self.at_points @ at[:-1].reshape(-1, 3)
-        distance, normal = _distance(self.tip, float(at[-1]), positions)
+        distance, normal = self.tip.distance(float(at[-1]), positions)
         return np.maximum(-distance, 0.0), normal
 
     def equilibrium(self, at: Unknowns) -> Unknowns | None:
@@ -270,22 +268,7 @@ def _contact_points(body: Body, tip: Tip) -> tuple[csr_array, Points, PointScala
     value = np.tile(shape, (int(near.sum()), 1)).ravel()
     matrix = csr_array((value, (row, facets.ravel())), shape=(len(facets), len(solid.nodes)))
     area = np.repeat(0.5 * np.linalg.norm(side[near], axis=1) / count, count)
-    return matrix, matrix @ solid.nodes, _SPRINGS * body.shear_modulus / tip.radius * area
-
-
-def _distance(tip: Tip, travel: float, points: Points) -> tuple[PointScalars, Points]:
-    """`Tip.distance`; a punch's face, there a plane, ends at a rounded rim, under which the skin is
-    drawn in and out."""
-    if not isinstance(tip, Punch):
-        return tip.distance(travel, points)
-    round_off = _ROUND_RIM * tip.radius
-    offset = points - (tip.point + (travel - round_off) * tip.direction)
-    across = offset - np.outer(offset @ tip.direction, tip.direction)
-    size = np.linalg.norm(across, axis=1)
-    beyond = np.maximum(size - (tip.radius - 0.5 * round_off), 0.0)
-    apart = offset - across * (1.0 - beyond / np.maximum(size, beyond + 1e-12))[:, None]
-    length = np.where(beyond > 0.0, np.linalg.norm(apart, axis=1), offset @ tip.direction)
-    inside = beyond == 0.0
-    safe = np.where(inside, 1.0, np.maximum(length, 1e-12))
-    normal = np.where(inside[:, None], tip.direction, apart / safe[:, None])
-    return length - round_off, normal
+    points = matrix @ solid.nodes
+    # The face of a punch, taken as a plane by its distance, ends at the rim.
+    area = np.where(np.isfinite(tip.travel(points)), area, 0.0)
+    return matrix, points, _SPRINGS * body.shear_modulus / tip.radius * area
