@@ -144,6 +144,8 @@ def main() -> None:
     """Print and write every row."""
     rows = []
     for tool, name in itertools.product(TOOLS, MATERIALS):
+        if not (STORED / f"{tool}_{name}-0-coarse.npz").exists():
+            continue
         rows.append(row(tool, name))
         print(rows[-1], flush=True)
         with TABLE.open("w", newline="", encoding="utf-8") as file:
