@@ -232,7 +232,7 @@ def _tool(body: Pressed, number: int) -> tuple[Points, Int[np.ndarray, "c 20"]]:
         toward /= np.linalg.norm(toward, axis=2, keepdims=True)
         radii = BALL * np.array([1.0, 0.9, 0.8])
         grid = point - BALL * pole + radii[:, None, None, None] * toward
-    number = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
+    number: np.ndarray = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
     # Outer face first: its corners run so that the normal points into the layer.
     corner = [(0, 0), (0, 2), (2, 2), (2, 0)]
     side = [(0, 1), (1, 2), (2, 1), (1, 0)]
