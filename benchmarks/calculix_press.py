@@ -232,14 +232,14 @@ def _tool(body: Pressed, number: int) -> tuple[Points, Int[np.ndarray, "c 20"]]:
         toward /= np.linalg.norm(toward, axis=2, keepdims=True)
         radii = BALL * np.array([1.0, 0.9, 0.8])
         grid = point - BALL * pole + radii[:, None, None, None] * toward
-    number: np.ndarray = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
+    node = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
     # Outer face first: its corners run so that the normal points into the layer.
     corner = [(0, 0), (0, 2), (2, 2), (2, 0)]
     side = [(0, 1), (1, 2), (2, 1), (1, 0)]
     place = [(0, *c) for c in corner] + [(2, *c) for c in corner]
     place += [(0, *c) for c in side] + [(2, *c) for c in side] + [(1, *c) for c in corner]
     starts = [(2 * i, 2 * j) for i in range(_ALONG) for j in range(_ALONG // 2)]
-    cells = np.array([[number[r, i + p, j + q] for r, p, q in place] for i, j in starts])
+    cells = np.array([[node[r, i + p, j + q] for r, p, q in place] for i, j in starts])
     used, cells = np.unique(cells, return_inverse=True)
     return grid.reshape(-1, 3)[used], cells.reshape(-1, 20)
 
