@@ -32,7 +32,11 @@ from palpate.estimation import FitResult, ProbeObservations, fit
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
 from palpate.pipeline.model import large_strain
-from palpate.pipeline.model.large_strain import estimated_stiffening, is_stiffening as shows
+from palpate.pipeline.model.stiffening import (
+    estimated_stiffening,
+    is_stiffening,
+    with_error_of_elements,
+)
 from palpate.records import EXACT, FLAT, SPHERE, Constant, DisplacementField, Probing, Session, Tool
 
 TOOLS = {"ball": Tool(SPHERE, BALL), "punch": Tool(FLAT, PUNCH)}
@@ -71,9 +75,9 @@ def fitted(
     stiffens, and the change of the stiffening by finer elements."""
     judged: list[float] = [0.0]
 
-    def is_stiffening(found: Constant, change: float) -> bool:
+    def judge(found: Constant, change: float) -> Constant:
         judged.append(change)
-        return shows(found, change)
+        return with_error_of_elements(found, change)
 
     seen: list[list[ProbeObservations]] = []
 
@@ -83,7 +87,7 @@ def fitted(
 
     with (
         patch.object(large_strain, "fit", recorded),
-        patch.object(large_strain, "is_stiffening", is_stiffening),
+        patch.object(large_strain, "with_error_of_elements", judge),
     ):
         result = fit_session(session, finite_strain=True)
     told = [
@@ -117,8 +121,8 @@ def row(tool: str, name: str) -> dict[str, Any]:
     for _ in range(DRAWS):
         noise = [NOISE * largest * rng.standard_normal(each.displacement.shape) for each in last]
         estimate = fit(noisy(last, noise)).estimate
-        own = estimated_stiffening(fit(noisy(telling, noise)))
-        shown += shows(own, change)
+        own = with_error_of_elements(estimated_stiffening(fit(noisy(telling, noise))), change)
+        shown += is_stiffening(own)
         constants = estimate.shear_modulus, estimate.poisson_ratio, own
         draws.append([each.value for each in constants])
         held += [a.ci95[0] <= value <= a.ci95[1] for a, value in zip(constants, true, strict=True)]

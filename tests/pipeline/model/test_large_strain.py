@@ -13,10 +13,10 @@ from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
 from palpate.pipeline.model.large_strain import (
     MaterialConstants,
-    is_stiffening,
     make_finite_body,
     strain_corrections,
 )
+from palpate.pipeline.model.stiffening import is_stiffening, with_error_of_elements
 from palpate.records import (
     BIASED,
     EXACT,
@@ -202,6 +202,9 @@ def test_a_pressure_without_bound_is_refused(tool: Tool | None) -> None:
 
 def test_stiffening_is_shown_by_more_than_noise_and_elements() -> None:
     found = Constant(0.4, 0.1, (0.2, 0.6))
-    assert is_stiffening(found, 0.0)
+    assert is_stiffening(found)
     # Four deviations of noise, but what finer elements change is as large as a third of it.
-    assert not is_stiffening(found, -0.12)
+    told = with_error_of_elements(found, -0.12)
+    assert not is_stiffening(told)
+    assert told.std == pytest.approx(np.hypot(0.1, 0.12))
+    assert told.ci95 == pytest.approx((0.4 - 1.96 * told.std, 0.4 + 1.96 * told.std))

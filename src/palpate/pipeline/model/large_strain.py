@@ -17,11 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
-from scipy.special import ndtri
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
-    FALSE_ALARM,
     FitResult,
     FitSettings,
     Nuisance,
@@ -35,6 +33,13 @@ from palpate.estimation import (
 from palpate.geometry import mesh_quality
 from palpate.pipeline.model.contact_loads import outward_load
 from palpate.pipeline.model.grading import halved_session
+from palpate.pipeline.model.stiffening import (
+    STIFFENING_STD,
+    STIFFENS,
+    estimated_stiffening,
+    is_stiffening,
+    with_error_of_elements,
+)
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     FIXED,
@@ -73,15 +78,12 @@ from palpate.solids import (
 
 _MOST_ROUNDS = 8
 _SHEAR_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
-# Share of its standard deviation by which a constant may still change: one that the data do not
-# determine wanders.
-_WANDERS = 0.3
-# Prior standard deviation of the stiffening: 1.8 times as stiff at 20 % shear.
-_STIFFENING, _STIFFENS = 10.0, "stiffening of the material"
+# Share of its standard deviation by which a constant may still change, as one does that the data do
+# not determine: no interval shows it.
+_WANDERS = 0.1
 # Standard deviations from which stiffening counts as shown, and below which finer elements do not
 # look for it.
-_SHOWN, _HOPELESS = -float(ndtri(0.5 * FALSE_ALARM)), 1.0
-_NORMAL = 1.96
+_HOPELESS = 1.0
 # At finite strain, soft materials of the same constants differ from each other by a good part of
 # their difference from a linear one.
 _OTHER_LAWS = 0.3
@@ -206,7 +208,8 @@ def fit_at_finite_strain(
     if shown:
         result, starts = _converged(body, used, rough, report, stiffens=True)
         coarser, found = found, estimated_stiffening(result)
-        shown = is_stiffening(found, found.value - coarser.value)
+        found = with_error_of_elements(found, found.value - coarser.value)
+        shown = is_stiffening(found)
     if not shown:
         result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
     estimate = result.estimate
@@ -421,30 +424,6 @@ def _constants(result: FitResult, *, stiffens: bool) -> MaterialConstants:
     return MaterialConstants(estimate.shear_modulus.value, estimate.poisson_ratio.value, stiffening)
 
 
-def estimated_stiffening(result: FitResult) -> Constant:
-    """The stiffening that a result says; 0 before it was looked for."""
-    minimum = result.minimum
-    names = [each.name for each in minimum.problem.shared]
-    if _STIFFENS not in names:
-        return Constant(0.0, 0.0, (0.0, 0.0))
-    place = minimum.problem.layout.errors.start + names.index(_STIFFENS)
-    value, std = (_STIFFENING * float(each[place]) for each in (minimum.theta, minimum.normal.std))
-    low, high = value - _NORMAL * std, value + _NORMAL * std
-    return Constant(value, std, (min(max(low, 0.0), value), max(high, 0.0)))
-
-
-def is_stiffening(stiffening: Constant, change: float) -> bool:
-    """Whether an estimate shows it: by its standard deviation, and by more than meshes leave over.
-
-    Parameters
-    ----------
-    stiffening : Constant [-]
-    change : float [-]              of its value from coarser to finer elements: about its error, of
-                                    second order
-    """
-    return stiffening.value > _SHOWN * float(np.hypot(stiffening.std, change))
-
-
 def _taken_off(correction: Correction, *, stiffens: bool) -> Points:
     """The part of a correction that depends on no constant, and on the force as little."""
     fixed = correction.value + correction.slope[0]
@@ -479,8 +458,8 @@ def corrected_observations(
     )
     errors = [_error(observed.name, correction, rough)]
     if stiffens:
-        parameter = NuisanceParameter(_STIFFENS, _STIFFENING, is_material=True)
-        column = _STIFFENING * correction.slope[2].reshape(-1, 1)
+        parameter = NuisanceParameter(STIFFENS, STIFFENING_STD, is_material=True)
+        column = STIFFENING_STD * correction.slope[2].reshape(-1, 1)
         errors.append(Nuisance((parameter,), lambda at: fixed_displacement(column[at.rows], at)))
     return replace(
         observed,
