@@ -42,7 +42,7 @@ from palpate.records import EXACT, FLAT, SPHERE, Constant, DisplacementField, Pr
 TOOLS = {"ball": Tool(SPHERE, BALL), "punch": Tool(FLAT, PUNCH)}
 MATERIALS = {"stiffens": STIFFENING, "plain": 0.0}
 # Of noise, over the largest motion.
-DRAWS, NOISE = 100, 0.01
+DRAWS, NOISE = 20, 0.01
 TABLE = Path(__file__).parent / "data" / "stiffening.csv"
 
 
