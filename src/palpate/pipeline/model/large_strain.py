@@ -85,8 +85,8 @@ _WANDERS = 0.1
 _HOPELESS = 1.0
 # Against CalculiX: 18 % off without noise, far more with it, and outside its interval.
 _UNDER_A_FACE = (
-    " Do not rely on how much: skin is drawn in under the rim of a flat face, which the model leaves"
-    " out; press with a ball."
+    " Do not rely on how much: skin is drawn in under the rim of a flat face, which the model"
+    " leaves out; press with a ball."
 )
 # At finite strain, soft materials of the same constants differ from each other by a good part of
 # their difference from a linear one.
