@@ -21,6 +21,7 @@ from palpate.estimation import Prediction
 from palpate.lab import Material
 from palpate.pipeline import MotionFigures
 from palpate.records import (
+    HALF_95,
     BudgetEntry,
     Estimate,
     ProbeEstimate,
@@ -43,8 +44,6 @@ _LABELS = {
     "poisson_ratio": "Poisson's ratio nu",
     "young_modulus": "Young's modulus E",
 }
-# Half of a 95 % interval in standard deviations.
-_INSIDE = 1.96
 _SHORT_CAUSES = {"reprojection": "reproj.", "neighbours": "neighb."}
 # Headings go on in the next line where there is no room, but are not squeezed to less than this.
 _HEADING_WIDTH = 7
@@ -194,7 +193,7 @@ def held_out_table(predictions: Sequence[Prediction], sizes: Mapping[str, float]
         size = float(np.sqrt(np.square(moved).sum()))
         error = float(np.sqrt(np.square(off).sum())) / size if size else math.nan
         sigma = np.hypot(each.std, each.noise)[known]
-        inside = np.abs(off) < _INSIDE * sigma
+        inside = np.abs(off) < HALF_95 * sigma
         share = float(inside.mean()) if inside.size else math.nan
         rows.append((each.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f")))
     columns = ("probing", "error, rms (%)", "within 95 % (%)")

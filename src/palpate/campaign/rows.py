@@ -18,7 +18,7 @@ from palpate.disk import write_bytes
 from palpate.errors import InputError
 from palpate.figures import BLUE, GREY, INK, ORANGE, open_frame, styled
 from palpate.optional_imports import late_import
-from palpate.records import CONSTANT_NAMES, Estimate, modulus_unit, spreadsheet_text
+from palpate.records import CONSTANT_NAMES, HALF_95, Estimate, modulus_unit, spreadsheet_text
 
 WAITING, DONE, FAILED = "waiting", "done", "failed"
 # Bound on the modified z-score, which uses the median absolute deviation: Iglewicz and Hoaglin
@@ -151,9 +151,8 @@ def _are_outliers(rows: Sequence[Row], name: str) -> list[bool]:
         value, low, high = np.log(value), np.log(low), np.log(high)
     deviation = value - np.median(value)
     spread = STD_OVER_MEDIAN * np.median(np.abs(deviation))
-    # Half of a 95 % interval is 1.96 standard deviations; of a skewed one take the side that faces
-    # the median.
-    own_std: Float[np.ndarray, " n"] = np.where(deviation > 0, value - low, high - value) / 1.96
+    # Of a skewed interval take the side that faces the median.
+    own_std: Float[np.ndarray, " n"] = np.where(deviation > 0, value - low, high - value) / HALF_95
     bound = _OUTLIER_BOUND * (1.0 + _SMALL_GROUP / len(rows))
     return (np.abs(deviation) > bound * np.hypot(spread, own_std)).tolist()
 

@@ -13,13 +13,11 @@ from palpate.estimation.observations import NuisanceParameter, ProbeObservations
 from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.posterior import IntervalSet
 from palpate.estimation.problem import MODEL, Problem
-from palpate.records import ErrorEstimate, ProbeEstimate
+from palpate.records import HALF_95, ErrorEstimate, ProbeEstimate
 from palpate.shapes import Points, Vertices
 
 # A point of smaller robust weight counts as rejected: 4.9 sigma for three components.
 _MIN_WEIGHT = 0.25
-# Standard deviations within which 95 % of normal errors lie.
-_INSIDE = 1.96
 # Sizes of errors over those of their priors that are looked at, and how far off a prior may be:
 # the standard deviation of the logarithm of the size.
 _SIZES, _FACTOR = np.geomspace(0.05, 20.0, 200), float(np.log(3.0))
@@ -312,7 +310,7 @@ def probe_estimate(
         if fit.left_out_sigma is not None and known.any():
             scores = off[known] / fit.left_out_sigma[kept][known]
             score = float(np.sqrt(np.square(scores).mean()))
-            within = float((np.abs(scores) < _INSIDE).mean())
+            within = float((np.abs(scores) < HALF_95).mean())
     return ProbeEstimate(
         name=fit.name,
         shear_modulus=constants.shear_modulus,

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array, kron
 from scipy.sparse.csgraph import connected_components
 
-from palpate.records import ModulusMap, Session, StiffPart
+from palpate.records import HALF_95, ModulusMap, Session, StiffPart
 from palpate.shapes import Points
 from palpate.solids import (
     GradedStiffness,
@@ -163,7 +163,7 @@ class FieldPosterior:
         difference = inside - outside
         ratio = float(difference @ self.coefficients)
         std = float(np.sqrt(difference @ self.covariance @ difference))
-        low, high = ratio - 1.96 * std, ratio + 1.96 * std
+        low, high = ratio - HALF_95 * std, ratio + HALF_95 * std
         weight = volume * np.abs(self.log_modulus[part] - outside @ self.coefficients)
         x, y, z = (float(each) for each in weight @ self.centre[part] / weight.sum())
         size = float(6.0 * volume.sum() / np.pi) ** (1.0 / 3.0)

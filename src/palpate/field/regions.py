@@ -29,6 +29,7 @@ from palpate.field.field_responses import CoefficientPrior, FieldExpansion, Push
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
 from palpate.progress import Progress, silent
 from palpate.records import (
+    HALF_95,
     RATIO,
     YOUNG,
     Box,
@@ -163,7 +164,7 @@ def _log_ratios(
 
 
 def _constant(log_value: float, std: float) -> Constant:
-    value, factor = float(np.exp(log_value)), float(np.exp(1.96 * std))
+    value, factor = float(np.exp(log_value)), float(np.exp(HALF_95 * std))
     return Constant(value, value * float(std), (value / factor, value * factor))
 
 

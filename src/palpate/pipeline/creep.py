@@ -15,6 +15,7 @@ from palpate.errors import InputError
 from palpate.estimation import FitResult
 from palpate.records import (
     CONE,
+    HALF_95,
     MESH,
     SPHERE,
     Constant,
@@ -49,7 +50,6 @@ _RUN_OUT, _SEEN = 3.0, 2.0
 # Half width of the logarithm of a modulus above which it is not determined.
 _WIDE = 0.25
 _PER_DECADE = 10
-_NORMAL = 1.96
 # Change of Poisson's ratio that counts: so many standard deviations, and at least this much.
 _SIGMAS, _LEAST_CHANGE = 3.0, 0.01
 _STEP = 1e-3
@@ -308,7 +308,7 @@ def _constant(value: float, wide: float, of: Constant | None) -> Constant:
     below, above = (math.hypot(wide, math.log(end / of.value)) for end in of.ci95)
     found = of.value * math.exp(value)
     ends = found * math.exp(-below), found * math.exp(above)
-    return Constant(found, 0.5 * (ends[1] - ends[0]) / _NORMAL, ends)
+    return Constant(found, 0.5 * (ends[1] - ends[0]) / HALF_95, ends)
 
 
 def _ends(

@@ -26,6 +26,7 @@ from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPri
 from palpate.records.estimate import (
     BIASED as BIASED,
     CONSTANT_NAMES as CONSTANT_NAMES,
+    HALF_95 as HALF_95,
     IMPOSSIBLE as IMPOSSIBLE,
     SURPRISING as SURPRISING,
     BudgetEntry as BudgetEntry,

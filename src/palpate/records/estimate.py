@@ -19,6 +19,8 @@ SURPRISING = 3.0
 IMPOSSIBLE = 5.0
 # Phrase in notes about data that bias all constants; the verdict quotes such notes.
 BIASED = "the estimate will be biased"
+# Half of a 95 % interval of a normal error, in standard deviations.
+HALF_95 = 1.96
 CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"

@@ -4,13 +4,12 @@ import numpy as np
 from scipy.special import ndtri
 
 from palpate.estimation import FALSE_ALARM, FitResult
-from palpate.records import Constant
+from palpate.records import HALF_95, Constant
 
 # Its prior standard deviation: 1.8 times as stiff at 20 % shear; and its name among the errors.
 STIFFENING_STD, STIFFENS = 10.0, "stiffening of the material"
 # Standard deviations from which it counts as shown.
 _SHOWN = -float(ndtri(0.5 * FALSE_ALARM))
-_NORMAL = 1.96
 
 
 def estimated_stiffening(result: FitResult) -> Constant:
@@ -27,7 +26,7 @@ def estimated_stiffening(result: FitResult) -> Constant:
 
 
 def _interval(value: float, std: float) -> Constant:
-    low, high = value - _NORMAL * std, value + _NORMAL * std
+    low, high = value - HALF_95 * std, value + HALF_95 * std
     return Constant(value, std, (min(max(low, 0.0), value), max(high, 0.0)))
 
 
