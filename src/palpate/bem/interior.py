@@ -14,7 +14,7 @@ x, t and u traction and displacement there, a = 1 - 2 nu, multiplied by 8 pi (1 
 Source: Brebbia, Telles and Wrobel, Boundary Element Techniques (1984), eq. 5.4.5, 5.6.4 to 5.6.6.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -89,7 +89,8 @@ def interior_state(
     modulus, nu = elastic_map.shear_modulus, elastic_map.poisson_ratio
     fields = _solved_fields(elastic_map, state, load, force)
     inside = interior_values(*fields, points, shear_modulus=modulus, poisson_ratio=nu)
-    load_samples = load_points(elastic_map.system.surface, load, cells=_LOAD_CELLS, near=points)
+    load = replace(load, cells=_LOAD_CELLS)
+    load_samples = load_points(elastic_map.system.surface, load, near=points)
     forces = load_samples.weight[:, None] * force
     out = np.zeros((len(points), VALUES))
     in_threads(

@@ -10,7 +10,7 @@ from surfaces import sphere
 
 from palpate.bem import PressureDisc, SurfaceLoad, make_surface
 from palpate.bem.loads.half_space import chord_integrals
-from palpate.bem.loads.surface_load import LoadCells, integrate_load, load_points
+from palpate.bem.loads.surface_load import LoadCells, integrate_loads, load_points
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.probe import find_contact_patch
@@ -56,7 +56,8 @@ def load_of(cube, profile, point=CENTRE, radius=RADIUS):
 
 def fields_by_point(cube, load):
     out = np.empty((cube.n_points, 6))
-    out[cube.order] = integrate_load(cube.surface, load, cube.collocation, cube.rows)
+    fields = integrate_loads(cube.surface, [load], cube.collocation, cube.rows)
+    out[cube.order] = fields[:, 0]
     return out
 
 
@@ -185,12 +186,12 @@ def test_rows_that_do_not_resolve_a_patch_keep_the_points_of_the_load(cube):
             np.abs(position[:, 0] - centre[0] - 0.0123) < 2e-4
         )
 
-    strip = SurfaceLoad(wide.triangles, density, wide.disc)
     cells = LoadCells(degree=9, rim_points=4, polar_points=4, coarsest=4, finest=4)
-    args = cube.surface, strip, cube.collocation, cube.rows
-    fields = integrate_load(*args, cells=cells)
+    strip = SurfaceLoad(wide.triangles, density, wide.disc, cells)
+    # Beside another load: its rows on the patch are its own.
+    fields = integrate_loads(cube.surface, [wide, strip], cube.collocation, cube.rows)[:, 1]
     assert np.isfinite(fields).all()
-    points = load_points(cube.surface, strip, cells=cells)
+    points = load_points(cube.surface, strip)
     offset = cube.collocation.point[cube.order][:, None] - points.position
     # All vertices are at least 0.09 away.
     potential = (points.weight / np.linalg.norm(offset, axis=2)).sum(axis=1)

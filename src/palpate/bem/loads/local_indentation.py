@@ -25,14 +25,8 @@ from palpate.bem.loads.half_space import (
     disc_displacement,
     disc_potentials,
 )
-from palpate.bem.loads.right_hand import RightHand, joined, load_columns
-from palpate.bem.loads.surface_load import (
-    LOAD_CELLS,
-    LoadCells,
-    SurfaceLoad,
-    find_foot,
-    integrate_load,
-)
+from palpate.bem.loads.right_hand import RightHand, load_columns
+from palpate.bem.loads.surface_load import SurfaceLoad, find_foot, integrate_loads
 from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import QuadraticNodes, TriangleMesh, cut_distance
 
@@ -71,8 +65,6 @@ def load_right_hand(
     system: BoundarySystem,
     loads: Sequence[SurfaceLoad],
     corrections: Sequence[IndentationCorrection | None] | None = None,
-    *,
-    cells: LoadCells = LOAD_CELLS,
 ) -> RightHand:
     """Right-hand sides of surface loads, for one newton along each axis.
 
@@ -82,7 +74,6 @@ def load_right_hand(
     loads : sequence of k SurfaceLoad
     corrections : sequence of k IndentationCorrection or None    for the local indentation around
                                       each load (`indentation_corrections`)
-    cells : LoadCells                             subdivision of the loads, see `load_points`
 
     Returns
     -------
@@ -92,12 +83,8 @@ def load_right_hand(
     ------
     InputError                        a load covers no part of the free surface
     """
-    balance = -np.eye(3) / system.traction_length
-    parts = []
-    for load in loads:
-        fields = integrate_load(system.surface, load, system.collocation, system.rows, cells=cells)
-        parts.append(load_columns(fields, balance))
-    right = joined(parts)
+    fields = integrate_loads(system.surface, loads, system.collocation, system.rows)
+    right = load_columns(fields, -np.eye(3) / system.traction_length)
     known = {k: each for k, each in enumerate(corrections or ()) if each is not None}
     if known:
         columns = (3 * np.array([*known])[:, None] + np.arange(3)).ravel()

@@ -79,23 +79,28 @@ class RightHand:
         return RightHand(terms.reshape(3, -1, columns))
 
 
-def load_columns(fields: Float[np.ndarray, "r 6"], balance: Float[np.ndarray, "3 3"]) -> RightHand:
-    """Three columns, for a load of one newton along each axis.
+def load_columns(
+    fields: Float[np.ndarray, "r k 6"], balance: Float[np.ndarray, "3 3"]
+) -> RightHand:
+    """Three columns for each of some loads, of one newton along each axis.
 
     Parameters
     ----------
-    fields : (r, 6) float [1/m]       from `integrate_load`
+    fields : (r, k, 6) float [1/m]    from `integrate_loads`
     balance : (3, 3) float [1/m]      minus the total load of each column over `traction_length`
 
     Returns
     -------
-    RightHand                         3 r + 3 rows, 3 columns
+    RightHand                         3 r + 3 rows, 3 k columns
     """
-    constant, slope = displacement_parts(fields.T)
-    terms = np.zeros((3, 3 * len(fields) + 3, 3))
-    terms[0, :-3] = constant.transpose(0, 2, 1).reshape(-1, 3)
-    terms[0, -3:] = balance
-    terms[1, :-3] = slope.transpose(0, 2, 1).reshape(-1, 3)
+    n_rows, count = fields.shape[:2]
+    terms = np.zeros((3, 3 * n_rows + 3, 3 * count))
+    for k in range(count):
+        own = slice(3 * k, 3 * k + 3)
+        constant, slope = displacement_parts(fields[:, k].T)
+        terms[0, :-3, own] = constant.transpose(0, 2, 1).reshape(-1, 3)
+        terms[1, :-3, own] = slope.transpose(0, 2, 1).reshape(-1, 3)
+        terms[0, -3:, own] = balance
     return RightHand(terms)
 
 
@@ -154,8 +159,10 @@ def traction_column(
     ).all_blocks()
     total = total_traction(surface.element_nodes[triangles], traction)
     balance = np.diag(-total / system.traction_length)
-    columns = [load_columns(blocks.by_row(axis), balance).terms for axis in range(3)]
-    return RightHand(np.stack([columns[axis][:, :, axis] for axis in range(3)]).sum(0)[:, :, None])
+    fields = np.stack([blocks.by_row(axis) for axis in range(3)], axis=1)
+    # Of the columns of each, that along its own axis.
+    terms = load_columns(fields, balance).terms[:, :, ::4]
+    return RightHand(terms.sum(axis=2, keepdims=True))
 
 
 def face_columns(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> RightHand:
@@ -179,7 +186,7 @@ def face_columns(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> Ri
     blocks = kernel_integrals(
         surface, system.collocation, field, DISPLACEMENT, triangles=triangles
     ).all_blocks()
-    return load_columns(blocks.by_row(0), -np.eye(3) / system.traction_length)
+    return load_columns(blocks.by_row(0)[:, None], -np.eye(3) / system.traction_length)
 
 
 def pressure_column(system: BoundarySystem, triangles: Int[np.ndarray, " k"]) -> RightHand:

@@ -6,8 +6,9 @@ traction of the load itself, too, not over nodal values of it; for collocation p
 in polar coordinates about them.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -81,11 +82,13 @@ class SurfaceLoad:
     disc : PressureDisc or None   the load as a round patch, where it is one; required for the
                                   correction by the local indentation (`indentation_corrections`).
                                   It acts about the point of the surface nearest to its centre
+    cells : LoadCells             of its quadrature
     """
 
     triangles: Int[np.ndarray, " k"]
     density: Density
     disc: PressureDisc | None = None
+    cells: LoadCells = LOAD_CELLS
 
 
 def find_foot(
@@ -135,7 +138,6 @@ def load_points(
     surface: BoundarySurface,
     load: SurfaceLoad,
     *,
-    cells: LoadCells = LOAD_CELLS,
     near: Float[np.ndarray, "p 3"] | None = None,
 ) -> _LoadPoints:
     """Quadrature points for integrals of smooth functions times the density of a load.
@@ -144,7 +146,6 @@ def load_points(
     ----------
     surface : BoundarySurface
     load : SurfaceLoad
-    cells : LoadCells             subdivision of the triangles
     near : (p, 3) float [m]       evaluation points: cells close to them are subdivided further
 
     Returns
@@ -155,41 +156,48 @@ def load_points(
     ------
     InputError                    the density vanishes on all its triangles
     """
-    return _placed_points(surface, _placed_load(surface, load), cells=cells, near=near)
+    return _placed_points(surface, _placed_load(surface, load), near=near)
 
 
-def integrate_load(
+def integrate_loads(
     surface: BoundarySurface,
-    load: SurfaceLoad,
+    loads: Sequence[SurfaceLoad],
     collocation: Collocation,
     rows: Int[np.ndarray, "b lanes"],
-    *,
-    cells: LoadCells = LOAD_CELLS,
-) -> Float[np.ndarray, "r 6"]:
-    """The six displacement fields integrated against a load, at every collocation point.
+) -> Float[np.ndarray, "r k 6"]:
+    """The six displacement fields integrated against loads, at every collocation point: one pass
+    over the points of all loads, and one over the collocation points that lie on them.
 
     Parameters
     ----------
     surface : BoundarySurface
-    load : SurfaceLoad
+    loads : sequence of k SurfaceLoad
     collocation : Collocation
     rows : (b, LANES) int         collocation points of each block (`point_blocks`)
-    cells : LoadCells             see `load_points`, also for its errors
 
     Returns
     -------
-    (r, 6) float [1/m]            in the order of the blocks' rows
+    (r, k, 6) float [1/m]         in the order of the blocks' rows
+
+    Raises
+    ------
+    InputError                    the density of a load vanishes on all its triangles
     """
-    load = _placed_load(surface, load)
-    points = _placed_points(surface, load, cells=cells)
-    n_rows = collocation.point.shape[0]
-    order = rows.ravel()[:n_rows]
-    sources = _as_sources(points.position, points.weight)
-    out = np.zeros((rows.shape[0], DISPLACEMENT * LANES))
-    in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, out)
-    fields = out.reshape(-1, DISPLACEMENT, LANES).transpose(0, 2, 1)
-    fields = fields.reshape(-1, DISPLACEMENT)[:n_rows].copy()
-    _recompute_rows_on_patch(surface, load, points, collocation, order, fields, cells.polar_points)
+    placed = [_placed_load(surface, load) for load in loads]
+    points = [_placed_points(surface, load) for load in placed]
+    sources = _as_sources(
+        np.concatenate([one.position for one in points]),
+        np.concatenate([one.weight for one in points]),
+    )
+    first = np.cumsum([0, *(one.triangle.size for one in points)])
+    out = np.zeros((rows.shape[0], len(loads), DISPLACEMENT * LANES))
+    in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, first, out)
+    count = collocation.point.shape[0]
+    fields = out.reshape(-1, len(loads), DISPLACEMENT, LANES).transpose(0, 3, 1, 2)
+    fields = fields.reshape(-1, len(loads), DISPLACEMENT)[:count].copy()
+    corners = _corners_at_points(surface, collocation, rows.ravel()[:count])
+    for k, (load, one) in enumerate(zip(placed, points, strict=True)):
+        _recompute_rows_on_patch(surface, load, one, corners, fields[:, k])
     return fields
 
 
@@ -225,7 +233,6 @@ def _placed_points(
     surface: BoundarySurface,
     load: SurfaceLoad,
     *,
-    cells: LoadCells,
     near: Float[np.ndarray, "p 3"] | None = None,
 ) -> _LoadPoints:
     """As `load_points`, for a load that is placed already.
@@ -234,7 +241,7 @@ def _placed_points(
     ----------
     surface : BoundarySurface
     load : SurfaceLoad            from `_placed_load`
-    cells, near                   as `load_points`
+    near                          as `load_points`
 
     Returns
     -------
@@ -244,7 +251,8 @@ def _placed_points(
     ------
     InputError                    the density vanishes on all its triangles
     """
-    triangle, corners = _coarsest_cells(surface, load, cells.coarsest)
+    cells = load.cells
+    triangle, corners = _coarsest_cells(surface, load)
     tree = None if near is None else cKDTree(near)
     positions, weights, owners = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     for level in range(cells.coarsest, cells.finest + 1):
@@ -253,7 +261,7 @@ def _placed_points(
             middle, size = _cell_balls(surface, triangle, corners)
             divide = tree.query(middle)[0] < cells.ratio * size
         for owner, position, weight in _cell_points(
-            surface, load, triangle[~divide], corners[~divide], cells
+            surface, load, triangle[~divide], corners[~divide]
         ):
             loaded = weight > 0.0
             positions.append(position[loaded])
@@ -271,13 +279,13 @@ def _placed_points(
 
 
 def _coarsest_cells(
-    surface: BoundarySurface, load: SurfaceLoad, level: int
+    surface: BoundarySurface, load: SurfaceLoad
 ) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, "c 3 3"]]:
-    """Triangle and barycentric corners of the cells of a level (`LoadCells`), without those out of
-    a round patch's reach."""
+    """Triangle and barycentric corners of the coarsest cells (`LoadCells`), without those out of a
+    round patch's reach."""
     triangle = np.asarray(load.triangles, dtype=np.int64)
     corners = np.tile(np.eye(3), (triangle.size, 1, 1))
-    disc = load.disc
+    disc, level = load.disc, load.cells.coarsest
     if disc is not None:
         corner = surface.element_nodes[triangle, :3]
         edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max()
@@ -320,7 +328,6 @@ def _cell_points(
     load: SurfaceLoad,
     triangle: Int[np.ndarray, " c"],
     corners: Float[np.ndarray, "c 3 3"],
-    cells: LoadCells,
 ) -> Iterator[tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k q 3"], Float[np.ndarray, "k q"]]]:
     """Triangle, points and weights of the cells within a load, then of those across its rim."""
     rim = np.zeros(triangle.size, dtype=bool)
@@ -328,10 +335,11 @@ def _cell_points(
         place = _corner_places(surface, triangle, corners)
         away = np.linalg.norm(place - load.disc.centre, axis=2)
         rim = away.max(axis=1) >= load.disc.radius
-        barycentric, weight = polar_points(place[rim], corners[rim], load.disc, cells.rim_points)
+        count = load.cells.rim_points
+        barycentric, weight = polar_points(place[rim], corners[rim], load.disc, count)
         position, area, density = _traction_at(surface, load, triangle[rim], barycentric)
         yield triangle[rim], position, density * area * weight
-    within, weight = triangle_rule(cells.degree)
+    within, weight = triangle_rule(load.cells.degree)
     barycentric = np.einsum("qk,ckj->cqj", within, corners[~rim])
     position, area, density = _traction_at(surface, load, triangle[~rim], barycentric)
     size = np.abs(np.linalg.det(corners[~rim]))[:, None]
@@ -376,88 +384,105 @@ def _as_sources(
     return np.column_stack([position, weight, np.zeros((weight.size, 2))])
 
 
+class _Corners(NamedTuple):
+    """Where collocation points lie on the triangles: each a corner of subtriangles.
+
+    Attributes
+    ----------
+    point : (r, 3) float [m]      of each row
+    row : (p,) int
+    triangle : (p,) int           a triangle on which it lies
+    corners : (p, 3, 3) float     barycentric corners of a subtriangle, the point the first of them
+    start : (m + 1,) int          where those of each triangle begin
+    """
+
+    point: Float[np.ndarray, "r 3"]
+    row: Int[np.ndarray, " p"]
+    triangle: Int[np.ndarray, " p"]
+    corners: Float[np.ndarray, "p 3 3"]
+    start: Int[np.ndarray, " m_1"]
+
+
+def _corners_at_points(
+    surface: BoundarySurface, collocation: Collocation, order: Int[np.ndarray, " r"]
+) -> _Corners:
+    """Subtriangles about all collocation points, whose rows are in a given order."""
+    count = len(surface.mesh.triangles)
+    row_of_point = np.empty(order.size, dtype=np.int64)
+    row_of_point[order] = np.arange(order.size)
+    row_of_vertex = np.full(len(surface.mesh.vertices), -1)
+    at_vertex = np.flatnonzero(collocation.vertex >= 0)
+    row_of_vertex[collocation.vertex[at_vertex]] = row_of_point[at_vertex]
+    row = row_of_vertex[surface.mesh.triangles].ravel()
+    turned = np.stack([np.roll(np.eye(3), -k, axis=0) for k in range(3)])
+    corners = np.tile(turned, (count, 1, 1))[row >= 0]
+    triangle = np.repeat(np.arange(count), 3)[row >= 0]
+    inside = np.flatnonzero(collocation.vertex < 0)
+    around = np.empty((inside.size, 3, 3, 3))
+    around[:, :, 0] = collocation.barycentric[inside, None]
+    around[:, :, 1], around[:, :, 2] = np.eye(3), np.roll(np.eye(3), -1, axis=0)
+    row = np.concatenate([row[row >= 0], np.repeat(row_of_point[inside], 3)])
+    triangle = np.concatenate([triangle, np.repeat(collocation.triangle[inside], 3)])
+    corners = np.concatenate([corners, around.reshape(-1, 3, 3)])
+    by_triangle = np.argsort(triangle, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(triangle, minlength=count))])
+    ordered = row[by_triangle], triangle[by_triangle], corners[by_triangle]
+    return _Corners(collocation.point[order], *ordered, start)
+
+
 def _recompute_rows_on_patch(
     surface: BoundarySurface,
     load: SurfaceLoad,
     points: _LoadPoints,
-    collocation: Collocation,
-    order: Int[np.ndarray, " r"],
+    at: _Corners,
     fields: Float[np.ndarray, "r 6"],
-    count: int,
 ) -> None:
     """Recompute the rows of collocation points on the patch in polar coordinates around them.
 
     Each row is divided by its own integral of the density: where the points of a rule straddle the
     rim of the patch, the shape of the load suffers, not its total.
     """
-    row, triangle, corners = _subtriangles_on_patch(surface, points.triangle, collocation, order)
-    if not row.size:
+    loaded = np.unique(points.triangle)
+    own = np.concatenate([np.arange(at.start[k], at.start[k + 1]) for k in loaded])
+    if not own.size:
         return
+    own = own[np.argsort(at.row[own], kind="stable")]
+    triangle, corners = at.triangle[own], at.corners[own]
+    rows, start, number = np.unique(at.row[own], return_index=True, return_inverse=True)
     place = _corner_places(surface, triangle, corners)
-    barycentric, polar_weight = polar_points(place, corners, load.disc, count)
+    barycentric, polar_weight = polar_points(place, corners, load.disc, load.cells.polar_points)
     position, area, density = _traction_at(surface, load, triangle, barycentric)
     weight = density * area * polar_weight / points.total
     around = np.concatenate([position.transpose(0, 2, 1), weight[:, None]], axis=1)
-    by_row = np.argsort(row, kind="stable")
-    rows, start = np.unique(row[by_row], return_index=True)
     recomputed = np.zeros((rows.size, DISPLACEMENT))
-    total = np.bincount(row, weight.sum(axis=1))[rows]
-    of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
-    pairs = np.unique(np.stack([row, triangle]), axis=1)
-    total += 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])[rows]
     whole = np.concatenate([points.position.T, points.weight[None]])
-    in_threads(
-        _sum_around, rows.size, collocation.point[order[rows]], around[by_row], triangle[by_row],
-        np.append(start, row.size), whole, points.triangle, recomputed,
+    # Too little for threads.
+    _sum_around(
+        0, rows.size, at.point[rows], around, triangle, np.append(start, own.size), whole,
+        points.triangle, recomputed,
     )  # fmt: skip
+    of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
+    pairs = np.unique(np.stack([number, triangle]), axis=1)
+    total = np.bincount(number, weight.sum(axis=1))
+    total += 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])
     resolved = np.abs(total - 1.0) < _LARGEST_ERROR
     fields[rows[resolved]] = recomputed[resolved] / total[resolved, None]
 
 
-def _subtriangles_on_patch(
-    surface: BoundarySurface,
-    loaded: Int[np.ndarray, " q"],
-    collocation: Collocation,
-    order: Int[np.ndarray, " r"],
-) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Float[np.ndarray, "p 3 3"]]:
-    """Rows, in this order, whose collocation point lies on a loaded triangle; that triangle; and
-    barycentric corners of each of its subtriangles with the point as first corner."""
-    triangles = np.unique(loaded)
-    row_of_point = np.full(collocation.point.shape[0], -1)
-    row_of_point[order] = np.arange(order.size)
-    row_of_vertex = np.full(surface.mesh.vertices.shape[0], -1)
-    at_vertex = np.flatnonzero(collocation.vertex >= 0)
-    row_of_vertex[collocation.vertex[at_vertex]] = row_of_point[at_vertex]
-    row = row_of_vertex[surface.mesh.triangles[triangles]].ravel()
-    turned = np.stack([np.roll(np.eye(3), -k, axis=0) for k in range(3)])
-    corners = np.tile(turned, (triangles.size, 1, 1))
-    triangle = np.repeat(triangles, 3)
-    found = row >= 0
-    parts = [(row[found], triangle[found], corners[found])]
-    unit = np.eye(3)
-    for inner in np.flatnonzero(np.isin(collocation.triangle, triangles)):
-        point = collocation.barycentric[inner]
-        around = np.stack([np.stack([point, unit[k], unit[(k + 1) % 3]]) for k in range(3)])
-        parts.append(
-            (np.full(3, row_of_point[inner]), np.full(3, collocation.triangle[inner]), around)
-        )
-    row, triangle, corners = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return row, triangle, corners
-
-
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
-def _sum_points(begin, end, lanes, sources, out):
-    """Displacement fields of some blocks of load points, summed over the sources."""
+def _sum_points(begin, end, lanes, sources, start, out):
+    """Displacement fields at some blocks of points, summed over the sources of each load."""
     width = DISPLACEMENT * LANES
     buffer = np.empty(_AT_ONCE * width)
     for b in range(begin, end):
-        total = out[b]
-        for first in range(0, sources.shape[0], _AT_ONCE):
-            last = min(first + _AT_ONCE, sources.shape[0])
-            lane_fields(DISPLACEMENT, lanes[b], sources[first:last], buffer)
-            for q in range(last - first):
-                for i in range(width):
-                    total[i] += buffer[q * width + i]
+        for k in range(start.size - 1):
+            total = out[b, k]
+            for first in range(start[k], start[k + 1], _AT_ONCE):
+                last = min(first + _AT_ONCE, start[k + 1])
+                lane_fields(DISPLACEMENT, lanes[b], sources[first:last], buffer)
+                for q in range(last - first):
+                    for i in range(width):
+                        total[i] += buffer[q * width + i]
 
 
 @numba.njit(nogil=True, error_model="numpy", cache=True)

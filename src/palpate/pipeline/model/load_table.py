@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.bem import (
-    LOAD_CELLS,
     BodyForce,
     BoundarySurface,
     BoundarySystem,
@@ -57,7 +56,7 @@ class Traction:
     Attributes
     ----------
     load : SurfaceLoad
-    cells : LoadCells or None       of its quadrature; None: it is uniform over its triangles
+    is_uniform : bool               over its triangles: integrated as nodal values are
     columns : (m,) int
     force : (3, m) float [N]        resultant in each of these columns
     dip : IndentationCorrection or None    what the mesh misses of the displacement about it
@@ -65,19 +64,11 @@ class Traction:
     """
 
     load: SurfaceLoad
-    cells: LoadCells | None
+    is_uniform: bool
     columns: Int[np.ndarray, " m"]
     force: Float[np.ndarray, "3 m"]
     dip: IndentationCorrection | None
     dip_force: Float[np.ndarray, "3 m"]
-
-    def terms(self, system: BoundarySystem) -> Float[np.ndarray, "3 k m"]:
-        """What it adds to its columns (`RightHand`), without its dip."""
-        if self.cells is None:
-            unit = face_columns(system, self.load.triangles)
-        else:
-            unit = load_right_hand(system, [self.load], cells=self.cells)
-        return np.asarray(unit.terms @ self.force)
 
     def dips(self) -> list[tuple[IndentationCorrection, Float[np.ndarray, " m"]]]:
         """Dips under as few single forces as its columns need, each with its factor in all."""
@@ -158,8 +149,13 @@ class LoadTable:
         BodyForce or None             None: there is no weight
         """
         terms = np.zeros((3, 3 * system.n_points + 3, self._ends[-1]))
-        for traction in self.tractions:
-            terms[:, :, traction.columns] += traction.terms(system)
+        uniform = [each for each in self.tractions if each.is_uniform]
+        spread = [each for each in self.tractions if not each.is_uniform]
+        units = [face_columns(system, each.load.triangles).terms for each in uniform]
+        if spread:
+            units += _by_load(load_right_hand(system, [each.load for each in spread]))
+        for traction, unit in zip(uniform + spread, units, strict=True):
+            terms[:, :, traction.columns] += unit @ traction.force
         dips = [(each.columns, *dip) for each in self.tractions for dip in each.dips()]
         if dips:
             corrections = correction_columns(system, [dip for _, dip, _ in dips]).terms
@@ -223,7 +219,7 @@ def make_load_table(
     ]
     further = [*_outward(session, table), *_perturbed(session, table)]
     tractions += [
-        _traction(load, _FEWER, dip, force)
+        _traction(replace(load, cells=_FEWER), dip, force)
         for (load, force), dip in zip(
             further, indentation_corrections(surface, [load for load, _ in further]), strict=True
         )
@@ -245,8 +241,7 @@ def _nominal(
     for column, each, pushed in _own(session, table, patch):
         force[column] = -pushed if each.patch is not None else np.zeros(3)
         dip_force[column] = force[column] + each.dip * pushed
-    cells = LOAD_CELLS if patch.contact.triangles is None else None
-    traction = _traction(load, cells, dip, force)
+    traction = _traction(load, dip, force, is_uniform=patch.contact.triangles is not None)
     return replace(traction, dip_force=np.stack([*dip_force.values()], axis=1))
 
 
@@ -286,10 +281,19 @@ def _own(
 
 
 def _traction(
-    load: SurfaceLoad, cells: LoadCells | None, dip: IndentationCorrection | None, forces: _Forces
+    load: SurfaceLoad,
+    dip: IndentationCorrection | None,
+    forces: _Forces,
+    *,
+    is_uniform: bool = False,
 ) -> Traction:
     columns, force = np.array([*forces], dtype=np.int64), np.stack([*forces.values()], axis=1)
-    return Traction(load, cells, columns, force, dip, force)
+    return Traction(load, is_uniform, columns, force, dip, force)
+
+
+def _by_load(right: RightHand) -> list[Float[np.ndarray, "3 k 3"]]:
+    """The three columns of each load."""
+    return np.split(right.terms, right.terms.shape[2] // 3, axis=2)
 
 
 def _distinct_patches(
