@@ -128,7 +128,12 @@ def test_beside_its_field_the_error_of_the_response_is_of_second_order(model):
 def test_what_has_no_field_says_why():
     given = session()
     assert no_field_reason(given) == ""
-    assert "several" in no_field_reason(replace(given, probings=given.probings[:1]))
+    first = given.probings[0]
+    harder = replace(first, name="harder", force=2.0 * first.force)
+    for one_place in ((first,), (first, harder)):
+        assert "several" in no_field_reason(replace(given, probings=one_place))
+    aside = replace(first, name="aside", force=first.force[[1, 2, 0]])
+    assert no_field_reason(replace(given, probings=(first, aside))) == ""
     springs = replace(given, supports=(Support(given.held_triangles, stiffness=1e6),))
     assert "springs" in no_field_reason(springs)
     with pytest.raises(InputError, match="--material homogeneous"):

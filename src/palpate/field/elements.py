@@ -40,9 +40,10 @@ def no_field_reason(session: Session) -> str:
     ----------
     session : Session
     """
-    if len(session.probings) < 2:
+    first, *others = session.probings
+    if all(each.repeats(first) for each in others):
         return (
-            "A modulus that differs from place to place takes pushes at several places; this is a"
+            "A modulus that differs from place to place takes pushes at several places; here is a"
             " single one."
         )
     supports = session.supports

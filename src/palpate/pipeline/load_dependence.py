@@ -13,11 +13,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
 from palpate.estimation import FALSE_ALARM, Evaluation
-from palpate.records import Contact, Session, modulus_unit
+from palpate.records import Session, modulus_unit
 
-# Forces less unlike than so tell nothing of a dependence; contacts nearer than so many radii, under
-# forces of about one direction (its cosine), are at one place.
-_UNLIKE, _NEAR, _ALONG = 1.25, 0.1, 0.98
+# Forces less unlike than so tell nothing of a dependence.
+_UNLIKE = 1.25
 # Fewest points that several pushes have in common, for what they leave over to be compared.
 _FEWEST = 3
 
@@ -113,21 +112,10 @@ def _places(session: Session, force: Float[np.ndarray, " k"]) -> Iterator[Int[np
     left = [k for k in range(len(force)) if force[k] > 0.0]
     while left:
         first = session.probings[left[0]]
-        same = np.array([
-            k
-            for k in left
-            if _at_one_place(first.contact, session.probings[k].contact)
-            and first.force @ session.probings[k].force > _ALONG * force[left[0]] * force[k]
-        ])  # fmt: skip
+        same = np.array([k for k in left if session.probings[k].repeats(first)])
         left = [k for k in left if k not in same]
         if force[same].max() > _UNLIKE * force[same].min():
             yield same
-
-
-def _at_one_place(one: Contact, other: Contact) -> bool:
-    if one.triangles is not None and other.triangles is not None:
-        return np.array_equal(one.triangles, other.triangles)
-    return float(np.linalg.norm(one.start - other.start)) <= _NEAR * max(one.reach, other.reach)
 
 
 def _amplitudes(

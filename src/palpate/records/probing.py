@@ -27,6 +27,8 @@ LARGE_ROTATION, _LARGEST_ROTATION = 0.2, 0.5
 # A motion counts as a rotation if at most this fraction of it, without its translation, is left
 # after the best rotation.
 _MAX_UNEXPLAINED = 0.5
+# Contacts nearer than so many radii, under forces of about one direction (its cosine), are one.
+_NEAR, _ALONG = 0.1, 0.98
 # Points closer to a line than this fraction of their extent do not determine the rotation about it.
 _COLLINEAR = 1e-2
 
@@ -397,6 +399,18 @@ class Probing:
             )
         if std is not None and not np.all(std > 0.0):
             raise InputError(f"tip_displacement_std is {std.tolist()}; must be positive")
+
+    def repeats(self, other: "Probing") -> bool:
+        """Whether the tool pressed at the place of another probing and in its direction, with
+        whatever force."""
+        size = float(np.linalg.norm(self.force) * np.linalg.norm(other.force))
+        here, there = self.contact, other.contact
+        if here.triangles is not None and there.triangles is not None:
+            at_one_place = np.array_equal(here.triangles, there.triangles)
+        else:
+            apart = float(np.linalg.norm(here.start - there.start))
+            at_one_place = apart <= _NEAR * max(here.reach, there.reach)
+        return at_one_place and float(self.force @ other.force) > _ALONG * size
 
     def __repr__(self) -> str:
         force = ", ".join(f"{x:.3g}" for x in self.force)
