@@ -33,10 +33,19 @@ from benchmarks.coverage_of_bodies import MESHES, NOISE, constants, errors_of, h
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.lab import half_ball
 from palpate.pipeline import fit_session
-from palpate.records import EXACT, SLIDES, SPHERE, STICKS, DisplacementField, Probing, Session, Tool
+from palpate.records import (
+    EXACT,
+    SLIDES,
+    STICKS,
+    Contact,
+    DisplacementField,
+    Probing,
+    Session,
+    Sphere,
+)
 from palpate.records.error_priors import ErrorPriors
 from palpate.solids.contact import Press, press, press_to_force
-from palpate.solids.tips import Sphere
+from palpate.solids.tips import Sphere as Tip
 
 # The half ball has some 600 vertices, too.
 SHAPES = {"half_ball": Shape(lambda edge: half_ball(radius=0.04, edge=edge), 5.1e-3), **BODIES}
@@ -61,7 +70,7 @@ def presses(name: str, mesh: TriangleMesh) -> dict[str, list[Press]]:
     force = 4.0 / 3.0 * modulus * RADIUS**3 / BALL
     found: dict[str, list[Press]] = {SLIDES: [], STICKS: []}
     for place in contacts(mesh, shape):
-        ball = Sphere(BALL, place.point - 2.0 * BALL * place.inward, place.inward)
+        ball = Tip(BALL, place.point - 2.0 * BALL * place.inward, place.inward)
         on_plane = press_to_force(truth.body, ball, force)
         sliding = press_to_force(truth.body, ball, force * (RADIUS / on_plane.radius) ** 3)
         depths = sliding.depth * np.arange(1, _STEPS + 1) / _STEPS
@@ -80,7 +89,7 @@ def session(
     held = np.flatnonzero(held_triangles(mesh, shape))
     seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
     points = closest_points(mesh, mesh.vertices[seen])
-    tool = Tool(SPHERE, BALL, friction)
+    tool = Sphere(BALL, friction=friction)
     probings = []
     for k, (place, one) in enumerate(zip(contacts(mesh, shape), pressed, strict=True)):
         sigma = noise * float(np.sqrt((one.displacement**2).mean()))
@@ -88,7 +97,7 @@ def session(
         field[np.linalg.norm(mesh.vertices[seen] - place.point, axis=1) < BALL] = np.nan
         std = np.full_like(field, sigma) if noise else None
         displacement = DisplacementField(points.position, field, std, None, points, "truth")
-        contact = tool.contact(place.point, float(np.ptp(mesh.vertices)))
+        contact = Contact.under(tool, place.point, float(np.ptp(mesh.vertices)))
         certain = np.full(3, _FORCE)
         probings.append(
             Probing(f"n{k}", contact, one.force, certain, None, None, displacement, None)

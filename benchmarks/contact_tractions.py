@@ -20,12 +20,11 @@ from palpate.lab.arm import aim, solid_under
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,
-    SPHERE,
     Contact,
     DisplacementField,
     Probing,
     Session,
-    Tool,
+    Sphere,
 )
 from palpate.solids import held_nodes, make_body, press_to_force, surface_values
 from palpate.solids.finite_elements import solve_load
@@ -68,7 +67,7 @@ def main() -> None:
             probings[name].append(
                 Probing(f"n{k}", contact, pressed.force, None, None, None, field, None)
             )
-        ball = Tool(SPHERE, tip.radius).contact(point)
+        ball = Contact.under(Sphere(tip.radius), point)
         probings["the tool named"].append(replace(probings["as they are"][-1], contact=ball))
     for name, several in probings.items():
         session = Session(

@@ -25,7 +25,14 @@ from benchmarks.bodies import box_mesh
 from benchmarks.calculix_press import BALL, DEPTHS, SHEAR_MODULUS, pressed_body, session_mesh
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import fit_session
-from palpate.records import EXACT, SPHERE, Contact, DisplacementField, Probing, Session, Tool
+from palpate.records import (
+    EXACT,
+    Contact,
+    DisplacementField,
+    Probing,
+    Session,
+    Sphere,
+)
 from palpate.records.contact import PRESSURES
 from palpate.solids import (
     held_nodes,
@@ -77,7 +84,7 @@ def pressed(name: str, mesh: str, depth: int) -> Session:
                 raise SystemExit(f"{place} belongs to another mesh: make it again")
             moved, force = stored["displacement"][depth][free], stored["force"][depth]
         field = DisplacementField(points, moved, None, None, closest_points(surface, points), "")
-        contact = Tool(SPHERE, BALL).contact(point, float(np.ptp(surface.vertices)))
+        contact = Contact.under(Sphere(BALL), point, float(np.ptp(surface.vertices)))
         std = np.full(3, 1e-3)
         probings.append(Probing(f"n{number}", contact, force, std, None, None, field, None))
     return Session(

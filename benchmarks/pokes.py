@@ -29,7 +29,7 @@ from palpate.geometry import TriangleMesh
 from palpate.pipeline import Material, fit_session
 from palpate.probe import dent
 from palpate.recording import read_pokes, write_pokes
-from palpate.records import PokeTable, Session, Tool, read_session
+from palpate.records import PokeTable, Session, Sphere, read_session
 from palpate.shapes import Points
 from palpate.solids import Solid, held_nodes, make_solid, pressure_load, surface_values
 from palpate.solids.finite_elements import (
@@ -42,7 +42,7 @@ from palpate.solids.finite_elements import (
 from palpate.solids.sparse_cholesky import factorise
 
 SIZE, SHEAR_MODULUS, POISSON_RATIO = (0.06, 0.06, 0.03), 7e3, 0.45
-TOOL, DEPTHS = Tool("sphere", 4e-3), 1e-3 * np.linspace(0.2, 2.0, 10)
+TOOL, DEPTHS = Sphere(4e-3), 1e-3 * np.linspace(0.2, 2.0, 10)
 # Noise of a force, of a position, and of the depth at which contact begins.
 NOISE, PLACE, TOUCH = 3e-3, 10e-6, 0.1e-3
 # Centre, radius and ratio of the modulus of each inclusion.

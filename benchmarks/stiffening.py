@@ -37,9 +37,18 @@ from palpate.pipeline.model.stiffening import (
     is_stiffening,
     with_error_of_elements,
 )
-from palpate.records import EXACT, FLAT, SPHERE, Constant, DisplacementField, Probing, Session, Tool
+from palpate.records import (
+    EXACT,
+    Constant,
+    Contact,
+    DisplacementField,
+    FlatFace,
+    Probing,
+    Session,
+    Sphere,
+)
 
-TOOLS = {"ball": Tool(SPHERE, BALL), "punch": Tool(FLAT, PUNCH)}
+TOOLS = {"ball": Sphere(BALL), "punch": FlatFace(PUNCH)}
 MATERIALS = {"stiffens": STIFFENING, "plain": 0.0}
 # Of noise, over the largest motion.
 DRAWS, NOISE = 20, 0.01
@@ -53,7 +62,7 @@ def pressed(tool: str, material: str, mesh: str = "coarse") -> Session:
     low = np.isclose(surface.vertices[surface.triangles][:, :, 2], 0.0, atol=1e-9).all(axis=1)
     free = surface.vertices[:, 2] > 1e-6
     points = surface.vertices[free]
-    contact = TOOLS[tool].contact(body.point[0], float(np.ptp(surface.vertices)))
+    contact = Contact.under(TOOLS[tool], body.point[0], float(np.ptp(surface.vertices)))
     place, std = closest_points(surface, points), np.full(3, 1e-3)
     with np.load(STORED / f"{name}-0-{mesh}.npz") as stored:
         moved, forces = stored["displacement"][:, free], stored["force"]

@@ -10,7 +10,7 @@ import numpy as np
 from palpate.geometry import closest_points
 from palpate.lab import Sensor, half_ball
 from palpate.pipeline import fit_session
-from palpate.records import DisplacementField, Probing, Session, Tool
+from palpate.records import Contact, DisplacementField, Probing, Session, Sphere
 from palpate.solids import TIPS, held_nodes, make_body, make_solid, press, surface_values
 
 YOUNG_MODULUS, POISSON_RATIO = 52e3, 0.21  # truth
@@ -39,7 +39,7 @@ def main() -> tuple[float, float]:
     moved += SIGMA * rng.standard_normal(moved.shape)
     std, place = np.full(points.shape, SIGMA), closest_points(mesh, points)
     field = DisplacementField(points, moved, std, None, place, "example")
-    contact = Tool("sphere", TIP_RADIUS).contact(pole)
+    contact = Contact.under(Sphere(TIP_RADIUS), pole)
     force = sensor.read(pressed.force, rng=rng)
     sigma = np.full(3, sensor.std(pressed.force))
     probing = Probing("pole", contact, force, sigma, None, None, field, None)

@@ -71,6 +71,7 @@ WORDS = {
     " point, which `point` places on the object",
     "tool_rotation": "rotation vector from the mesh's frame to the object's [rad]; by default the shortest one by"
     " which the tool presses along its -z axis",
+    "tool_inner_radius": "of a ring, the flat end of a tube, and only there",
     "tool_angle": "of a cone, and only there: between its axis and its side",
     ("contact of a probe: a grip", "support"): "number of the support that is pulled, from 1",
     "contact": "where it presses: a table, below",

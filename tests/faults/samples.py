@@ -46,8 +46,8 @@ from palpate.records import (
     Estimate,
     ProbeEstimate,
     Rig,
+    Sphere,
     Status,
-    Tool,
     folder_changes,
     read_estimate,
     read_import_pose,
@@ -279,7 +279,7 @@ _TEXTS: dict[str, Reader] = {
     "press.csv": read_compression,
     "ball.toml": read_lab_config,
     "stage.toml": read_lab_config,
-    "pokes.csv": lambda path: read_pokes(read_poke_table(path), Tool("sphere", 4e-3, "slides")),
+    "pokes.csv": lambda path: read_pokes(read_poke_table(path), Sphere(4e-3, friction="slides")),
 }
 
 

@@ -9,7 +9,7 @@ from surfaces import box
 from palpate.estimation import ProbeObservations, ResponseTerms, Settlement
 from palpate.field import PokeResponse, dents, growths, make_poke_model
 from palpate.field.field_responses import smooth_prior
-from palpate.records import Contact, Probing, Session, Tool
+from palpate.records import TOOLS, Contact, Probing, Session
 from palpate.solids import (
     held_nodes,
     make_graded_body,
@@ -27,7 +27,7 @@ PLACES = ((0.02, 0.02, 0.02), (0.006, 0.034, 0.02))
 def session(radius=1.5e-3, shape="flat"):
     mesh = box(size=SIZE, cells=8)
     held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1))
-    down, tool = np.array([0.0, 0.0, -0.2]), Tool(shape, radius)
+    down, tool = np.array([0.0, 0.0, -0.2]), TOOLS[shape](radius)
     probings = tuple(
         Probing(f"p{k}", Contact(np.array(at), radius, "flat", tool=tool), down, None,
                 np.array([0.0, 0.0, -1e-3]), np.full(3, 1e-5), None, None)

@@ -36,24 +36,25 @@ from palpate.pipeline.contacts import (
     with_contact_radii,
 )
 from palpate.pipeline.fit_session import _contact_notes
-from palpate.probe import contact_circle
+from palpate.probe import LocalSurface, tool_contact
 from palpate.records import (
-    CONE,
     EXACT,
-    FLAT,
     SLIDES,
-    SPHERE,
     STICKS,
+    Cone,
     Constant,
     Contact,
     DisplacementField,
     ErrorEstimate,
+    FlatFace,
     ProbeEstimate,
     Probing,
     Session,
+    Sphere,
     Tool,
+    ToolTraction,
+    mesh_tool,
 )
-from palpate.records.contact import mesh_tool
 
 SHEAR, NU, BALL = 2e4, 0.3, 6e-3
 # In the middle, the cube does not move sideways under a tool.
@@ -83,9 +84,10 @@ def _session(contact: Contact, push: float = PUSH) -> Session:
 @pytest.fixture(scope="module")
 def measured() -> Session:
     """What a ball moves that touches a circle of Sneddon's radius."""
-    circle = contact_circle(Tool(SPHERE, BALL), 0.0, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
-    contact = replace(Tool(SPHERE, BALL).contact(PLACE), radius=circle.radius)
-    session = _session(replace(contact, profile=circle.profile, outward=circle.outward))
+    local = LocalSurface(np.array([0.0, 0.0, 1.0]), 0.0)
+    found = tool_contact(Sphere(BALL), local, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
+    contact = Contact.under(Sphere(BALL), PLACE)
+    session = _session(replace(contact, radius=found.radius, traction=found.traction))
     graded = graded_session(refined_session(session))
     (seen,) = session_observations(graded, make_object_model(graded))
     (probing,) = session.probings
@@ -96,11 +98,11 @@ def measured() -> Session:
 
 def _named(measured: Session, tool: Tool) -> Session:
     (probing,) = measured.probings
-    return replace(measured, probings=(replace(probing, contact=tool.contact(PLACE)),))
+    return replace(measured, probings=(replace(probing, contact=Contact.under(tool, PLACE)),))
 
 
 def test_the_circle_is_found(measured: Session) -> None:
-    estimate = fit_session(_named(measured, Tool(SPHERE, BALL))).estimate
+    estimate = fit_session(_named(measured, Sphere(BALL))).estimate
     # Radii count as settled at 1 %, which moves the constants by a tenth of that, and the mesh that
     # finds them is the coarser one.
     assert estimate.young_modulus.value == pytest.approx(2 * SHEAR * (1 + NU), rel=2e-3)
@@ -121,7 +123,7 @@ def test_all_radii_are_tried_with_the_same_factors(
         ("palpate.pipeline.contacts", "joint_minimum", asked),
     ):
         monkeypatch.setattr(sys.modules[module], name, _counted(sys.modules[module], name, calls))
-    fit_session(_named(measured, Tool(SPHERE, BALL)))
+    fit_session(_named(measured, Sphere(BALL)))
     assert len(asked) > 1
     # The given mesh, wider fits, finer edges, the graded mesh.
     assert len(factorised) == 4
@@ -152,7 +154,7 @@ def test_a_ball_that_is_given_as_a_mesh_is_as_good(measured: Session) -> None:
 def test_without_its_outward_part_a_sphere_makes_nu_too_large(measured: Session) -> None:
     """The right circle as if it were nothing but one, against the same under a ball."""
     (probing,) = measured.probings
-    plain = replace(probing.contact, tool=None, outward=0.0)
+    plain = replace(probing.contact, tool=None, traction=None)
     estimate = fit_session(replace(measured, probings=(replace(probing, contact=plain),))).estimate
     assert estimate.poisson_ratio.value > NU + 2e-3
 
@@ -184,7 +186,9 @@ def test_outward_traction_is_as_well_known_as_the_circle(measured: Session) -> N
     perturbed = zip(model.loads.perturbation_columns, model.loads.perturbations, strict=True)
     ((column, pulled),) = (pair for pair in perturbed if pair[1].outward)
     # Its column is the prior's share of the whole traction, which a contact without it lacks.
-    bare = replace(probing, contact=replace(probing.contact, outward=0.0))
+    pressure = probing.contact.traction.pressure
+    level = ToolTraction(pressure, 0.0 * pressure)
+    bare = replace(probing, contact=replace(probing.contact, traction=level))
     without = make_object_model(replace(known, probings=(bare,)))
     change = (model.right.terms[:, :, :3] - without.right.terms[:, :, :3]) @ (0.05 * probing.force)
     np.testing.assert_allclose(model.right.terms[:, :, column], change, rtol=1e-9, atol=1e-12)
@@ -207,13 +211,15 @@ def test_a_buried_ball_is_refused(measured: Session) -> None:
     with pytest.raises(
         PalpateError, match=r"probing 'n': a force of .* would bury a sphere of 1 mm"
     ):
-        fit_session(_named(measured, Tool(SPHERE, 1e-3)))
+        fit_session(_named(measured, Sphere(1e-3)))
 
 
 def test_the_fit_follows_a_contact_that_the_object_carries_along(measured: Session) -> None:
     """Beside the middle the cube leans under the tool, which then presses farther out."""
     (probing,) = measured.probings
-    contact = replace(Tool(SPHERE, BALL).contact(PLACE + np.array([0.01, 0.0, 0.0])), radius=2.5e-3)
+    contact = replace(
+        Contact.under(Sphere(BALL), PLACE + np.array([0.01, 0.0, 0.0])), radius=2.5e-3
+    )
     session = replace(measured, probings=(replace(probing, contact=contact),))
     (seen,) = session_observations(session, make_object_model(session))
     moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / SHEAR).reshape(-1, 3)
@@ -241,7 +247,7 @@ def test_a_tool_slides_as_far_as_its_displacement_says(measured: Session) -> Non
 def _with_tip(measured: Session, slip: np.ndarray, friction: str) -> Session:
     """The press with the displacement of its tool, which slid to where it presses."""
     (probing,) = measured.probings
-    contact = replace(probing.contact, tool=Tool(SPHERE, BALL, friction))
+    contact = replace(probing.contact, tool=Sphere(BALL, friction=friction))
     asked = replace(probing, contact=contact, tip_displacement=np.zeros(3))
     session = replace(measured, probings=(asked,))
     (seen,) = session_observations(session, make_object_model(session))
@@ -261,14 +267,16 @@ def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None
     contact = probing.contact
     moved = replace(contact, point=contact.point + 0.04 * contact.radius * np.eye(3)[0])
     wider = replace(contact, radius=contact.radius / 0.99)
-    pulled = replace(contact, outward=contact.outward + 0.01)
+    assert contact.traction is not None
+    outward = contact.traction.outward * (1.0 + 0.01 / contact.traction.lever)
+    pulled = replace(contact, traction=replace(contact.traction, outward=outward))
     for other in (moved, wider, pulled):
         changed = replace(measured, probings=(replace(probing, contact=other),))
         assert largest_change(measured, changed) == pytest.approx(0.01, rel=1e-9)
 
 
 def _block_session(mesh: TriangleMesh, tool: Tool, travel: np.ndarray | None = None) -> Session:
-    contact = replace(tool.contact(TOP), radius=3e-3)
+    contact = replace(Contact.under(tool, TOP), radius=3e-3)
     probing = Probing("n", contact, FORCE * DOWN, None, travel, None, None, None)
     return Session("box", Path(), mesh, _held(mesh), (probing,), None, None, None, (), errors=EXACT)
 
@@ -305,18 +313,18 @@ def _slope() -> np.ndarray:
 
 
 def test_a_ball_touches_where_the_surface_faces_it() -> None:
-    contact = _displaced(Tool(SPHERE, TIP))
+    contact = _displaced(Sphere(TIP))
     expected = STEP * (TIP * _slope() - np.append(SIDEWAYS[:2], 0.0))
     np.testing.assert_allclose(contact.point - TOP, expected, rtol=0.0, atol=NEAR)
     np.testing.assert_array_equal(contact.start, TOP)
 
 
 def test_a_surface_that_sticks_does_not_slip_but_rolls() -> None:
-    contact = _displaced(Tool(SPHERE, TIP, STICKS))
+    contact = _displaced(Sphere(TIP, friction=STICKS))
     np.testing.assert_allclose(contact.point - TOP, STEP * TIP * _slope(), rtol=0.0, atol=NEAR)
 
 
-@pytest.mark.parametrize("tool", [Tool(FLAT, 3e-3), Tool(CONE, 3e-3, angle=1.2)])
+@pytest.mark.parametrize("tool", [FlatFace(3e-3), Cone(3e-3, 1.2)])
 def test_faces_and_points_stay_where_they_are_in_space(tool: Tool) -> None:
     contact = _displaced(tool)
     np.testing.assert_allclose((contact.point - TOP)[:2], -STEP * SIDEWAYS[:2], rtol=0.0, atol=NEAR)
@@ -324,13 +332,13 @@ def test_faces_and_points_stay_where_they_are_in_space(tool: Tool) -> None:
 
 def test_an_arm_that_was_seen_to_move_sideways_is_followed() -> None:
     travel = np.array([3e-4, 1e-4, -2e-3])
-    shift = _displaced(Tool(SPHERE, TIP), travel).point - _displaced(Tool(SPHERE, TIP)).point
+    shift = _displaced(Sphere(TIP), travel).point - _displaced(Sphere(TIP)).point
     np.testing.assert_allclose(shift[:2], STEP * travel[:2], rtol=0.0, atol=1e-9)
 
 
 def test_a_tool_is_followed_by_no_more_than_its_contact() -> None:
     mesh = box((SIDE, SIDE, SIDE), 16)
-    session = _block_session(mesh, Tool(SPHERE, TIP))
+    session = _block_session(mesh, Sphere(TIP))
     far = 0.01 * np.broadcast_to([1.0, 0.0, 0.0], mesh.vertices.shape)
     (probing,) = displaced_contacts(session, _surface(mesh), [far], **CONSTANTS).probings
     contact = probing.contact
@@ -342,7 +350,7 @@ def test_a_curved_surface_turns_its_face_sooner() -> None:
     big = 0.03
     mesh = ball_mesh(np.full(3, big), 1500)
     top = mesh.vertices[int(mesh.vertices[:, 2].argmax())]
-    session = _block_session(mesh, Tool(SPHERE, TIP))
+    session = _block_session(mesh, Sphere(TIP))
     contact = replace(session.probings[0].contact, point=top)
     probing = replace(session.probings[0], contact=contact, force=1e-9 * DOWN)
     moved = np.cross(TURN, mesh.vertices - top)
@@ -355,7 +363,7 @@ def test_a_curved_surface_turns_its_face_sooner() -> None:
 
 def test_contacts_without_a_tool_stay() -> None:
     mesh = box((SIDE, SIDE, SIDE), 4)
-    session = _block_session(mesh, Tool(SPHERE, TIP))
+    session = _block_session(mesh, Sphere(TIP))
     (probing,) = session.probings
     told = replace(probing, contact=Contact(TOP, 3e-3, "hertz"))
     session = replace(session, probings=(told,))

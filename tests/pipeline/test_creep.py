@@ -10,12 +10,11 @@ from palpate.figures.creep import creep_figure
 from palpate.pipeline import fit_session, write_relaxation
 from palpate.pipeline.creep import with_relaxation
 from palpate.records import (
-    SPHERE,
     Constant,
     Contact,
     Series,
+    Sphere,
     Status,
-    Tool,
     read_estimate,
     read_session,
     write_estimate,
@@ -251,7 +250,7 @@ def test_a_ratio_that_changes_is_said(tmp_path):
     ("contact", "power"),
     [
         (Contact(np.array([0.02, 0.02, 0.04]), 0.006, "smooth"), 1.0),
-        (Contact(np.array([0.02, 0.02, 0.04]), 0.0035, "hertz", tool=Tool(SPHERE, 0.008)), 2 / 3),
+        (Contact(np.array([0.02, 0.02, 0.04]), 0.0035, "hertz", tool=Sphere(0.008)), 2 / 3),
     ],
 )
 def test_the_tip_alone_says_how_the_body_creeps(session, static, contact, power):

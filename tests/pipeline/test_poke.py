@@ -8,8 +8,8 @@ from cube_session import cube_session as cube_session
 
 from palpate.errors import InputError
 from palpate.pipeline import poke_session, tool_contact, von_mises_stress
-from palpate.probe import contact_circle
-from palpate.records import SPHERE, Contact, Tool, read_session
+from palpate.probe import LocalSurface, tool_contact as contact_of
+from palpate.records import Contact, Sphere, read_session
 
 SHEAR, NU = 2e4, 0.3
 TOP = np.array([0.02, 0.02, 0.04])
@@ -92,17 +92,17 @@ def test_the_tool_is_that_of_the_first_probing(session):
 def test_a_tool_touches_what_follows_from_force_and_constants(session):
     """A session as it is read gives only a beginning; the fit would settle the radius, and so does
     a push."""
-    ball = Tool(SPHERE, 6e-3)
-    probing = replace(session.probings[0], contact=ball.contact(TOP))
+    ball = Sphere(6e-3)
+    probing = replace(session.probings[0], contact=Contact.under(ball, TOP))
     tooled = replace(session, probings=(probing,))
     constants = {"shear_modulus": SHEAR, "poisson_ratio": NU}
     found = poke_session(tooled, PRESS, tool_contact(tooled, TOP, None), **constants)
-    circle = contact_circle(ball, 0.0, 1.0, **constants)
+    circle = contact_of(ball, LocalSurface(np.array([0.0, 0.0, 1.0]), 0.0), 1.0, **constants)
     assert found.contact.radius == pytest.approx(circle.radius, rel=1e-6)
     # Half the radius of the ball, as where a search begins, is another depth.
     known = tool_contact(tooled, TOP, circle.radius)
     assert known.tool is None
-    known = replace(known, outward=circle.outward)
+    known = replace(known, traction=circle.traction)
     alike = poke_session(tooled, PRESS, known, **constants)
     np.testing.assert_allclose(found.displacement, alike.displacement, rtol=1e-6, atol=1e-12)
 

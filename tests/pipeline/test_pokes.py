@@ -14,11 +14,11 @@ from palpate.estimation import FitSettings
 from palpate.field import make_poke_model
 from palpate.pipeline import Material, fit_session, pooled
 from palpate.probe import dent
-from palpate.records import Contact, Probing, Session, Status, Tool, without_pictures
+from palpate.records import Contact, Probing, Session, Sphere, Status, without_pictures
 from palpate.records.error_priors import ErrorPriors
 
 SHEAR, RATIO, SIZE = 8e3, 0.45, (0.04, 0.04, 0.02)
-TOOL, DEPTH = Tool("sphere", 4e-3), 1e-3
+TOOL, DEPTH = Sphere(4e-3), 1e-3
 CONSTANTS = {"shear_modulus": SHEAR, "poisson_ratio": RATIO}
 SETTINGS = FitSettings(poisson_range=(0.4, 0.4999))
 

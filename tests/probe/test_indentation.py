@@ -2,36 +2,34 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from palpate.probe import GROWTH, contact_circle, dent, on_flat
-from palpate.records import STICKS, Tool
+from palpate.probe import LocalSurface, dent, on_flat, tool_contact
+from palpate.records import STICKS, FlatFace, Sphere
 
 CONSTANTS = {"shear_modulus": 8e3, "poisson_ratio": 0.4}
 
 
-def test_a_ball_goes_in_by_the_square_of_the_circle_over_its_radius():
-    """Hertz: depth = a^2 / R; small, since the circle is that of a whole sphere."""
-    tool = Tool("sphere", 5e-3)
-    force = 1e-8
-    radius = contact_circle(tool, 0.0, force, **CONSTANTS).radius
-    assert dent(tool, force, **CONSTANTS) == pytest.approx(radius**2 / tool.radius, rel=1e-3)
-
-
-def test_on_a_ball_it_goes_in_as_on_a_flat_with_both_curvatures():
-    tool, curvature, force = Tool("sphere", 5e-3), 50.0, 1e-8
-    radius = contact_circle(tool, curvature, force, **CONSTANTS).radius
-    expected = radius**2 * (1.0 / tool.radius + curvature)
-    assert dent(on_flat(tool, curvature), force, **CONSTANTS) == pytest.approx(expected, rel=1e-3)
+@pytest.mark.parametrize(
+    ("tool", "curvature"), [(Sphere(5e-3), 0.0), (Sphere(5e-3), 50.0), (FlatFace(5e-3), 0.0)]
+)
+def test_it_is_the_approach_of_a_light_touch(tool, curvature):
+    """A sphere is a paraboloid there."""
+    local = LocalSurface(np.array([0.0, 0.0, 1.0]), curvature)
+    found = tool_contact(tool, local, 1e-8, **CONSTANTS)
+    assert dent(on_flat(tool, curvature), 1e-8, **CONSTANTS) == pytest.approx(
+        found.approach, rel=2e-3
+    )
 
 
 def test_a_hollow_that_fits_the_ball_leaves_it_a_radius():
-    assert on_flat(Tool("sphere", 5e-3), -1e3).radius == pytest.approx(50e-3)
+    assert on_flat(Sphere(5e-3), -1e3).radius == pytest.approx(50e-3)
 
 
-@pytest.mark.parametrize("shape", GROWTH)
-def test_it_grows_with_force_and_compliance_alike(shape):
-    tool, q = Tool(shape, 5e-3), GROWTH[shape]
+@pytest.mark.parametrize("tool", [Sphere(5e-3), FlatFace(5e-3)])
+def test_it_grows_with_force_and_compliance_alike(tool):
+    q = tool.growth
     base = dent(tool, 0.1, **CONSTANTS)
     assert dent(tool, 0.2, **CONSTANTS) / base == pytest.approx(2.0 ** (1.0 - q))
     softer = CONSTANTS | {"shear_modulus": 4e3}
@@ -39,7 +37,7 @@ def test_it_grows_with_force_and_compliance_alike(shape):
 
 
 def test_a_flat_face_that_sticks_is_stiffer_and_not_in_an_incompressible_body():
-    tool = Tool("flat", 5e-3)
+    tool = FlatFace(5e-3)
     sticking = replace(tool, friction=STICKS)
     assert dent(sticking, 0.1, **CONSTANTS) < 0.999 * dent(tool, 0.1, **CONSTANTS)
     incompressible = CONSTANTS | {"poisson_ratio": 0.5}

@@ -5,11 +5,11 @@ import pytest
 
 from palpate.geometry import checked_mesh, enclosed_volume
 from palpate.recording import height_field, read_pokes
-from palpate.records import PokeTable, Tool
+from palpate.records import FlatFace, PokeTable, Sphere
 
 # Depth = dented force^(1 - q) + linear force.
 DENTED, LINEAR, COUNT = 4e-3, 3e-3, 10
-BALL, FLAT = Tool("sphere", 4e-3), Tool("flat", 3e-3)
+BALL, FLAT = Sphere(4e-3), FlatFace(3e-3)
 
 
 def table(exponent, *, count=COUNT, noise=0.0, seed=0, normal=(0.0, 0.0, 1.0), numbered=True):

@@ -7,8 +7,8 @@ from surfaces import hull_mesh
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import write_mesh
-from palpate.records import MESH, Contact, Tool, read_session
-from palpate.records.contact import PRESSURES, PressureMap, contact_profiles
+from palpate.records import Cone, Contact, ConvexMesh, Sphere, read_session
+from palpate.records.contact import PRESSURES, contact_profiles, grid_traction
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_a_tool_is_named_instead_of_a_radius(edited):
     contact = 'radius = 0.006, profile = "smooth"'
     session = read_session(edited(contact, 'tool = "sphere", tool_radius = "8 mm"'))
     contact = session.probings[0].contact
-    assert contact.tool == Tool("sphere", 8e-3, "slides")
+    assert contact.tool == Sphere(8e-3, friction="slides")
     # The search starts small: a cube of 4 cm is 6.9 cm across.
     assert contact.radius == pytest.approx(0.05 * 0.04 * np.sqrt(3.0))
 
@@ -68,7 +68,7 @@ def test_a_cone_has_an_angle(edited):
     contact = read_session(edited(contact, cone)).probings[0].contact
     assert contact.tool is not None
     assert contact.tool.angle == pytest.approx(np.pi / 3)
-    assert contact.profile == "cone"
+    assert isinstance(contact.tool, Cone)
 
 
 def _punch(folder, half=(0.004, 0.002, 0.01)):
@@ -84,7 +84,8 @@ def test_a_tool_of_any_convex_shape_is_a_mesh_in_a_file(edited):
     _punch(folder)
     contact = read_session(folder).probings[0].contact
     assert contact.tool is not None
-    assert (contact.tool.shape, contact.tool.friction) == (MESH, "slides")
+    assert isinstance(contact.tool, ConvexMesh)
+    assert contact.tool.friction == "slides"
     assert contact.tool.radius == pytest.approx(0.002)
     # A quarter turn about z: the long side lies along y, the lower face stays.
     for normal, offset in [([0, 1, 0], 0.004), ([1, 0, 0], 0.002), ([0, 0, -1], 0.0)]:
@@ -98,9 +99,13 @@ def test_a_tool_of_any_convex_shape_is_a_mesh_in_a_file(edited):
         ('tool = "mesh"', "the key 'tool_mesh' is missing"),
         ('tool = "mesh", tool_mesh = "no.stl"', "no.stl"),
         ('tool = "mesh", tool_mesh = "n.csv", tool_radius = 3', "unknown key 'tool_radius'"),
-        ('tool = "cone", tool_radius = 3', "no tool_angle; a cone needs one"),
+        ('tool = "cone", tool_radius = 3', "tool_angle: is missing; a tool 'cone' needs it"),
         ('tool = "cone", tool_radius = 3, tool_angle = "5 deg"', "5 degrees; must be from 29"),
-        ('tool = "flat", tool_radius = 3, tool_angle = "60 deg"', "no other tool has one"),
+        (
+            'tool = "flat", tool_radius = 3, tool_angle = "60 deg"',
+            "tool_angle: a tool 'flat' has none",
+        ),
+        ('tool = "ring", tool_radius = 3, tool_inner_radius = 4', "below tool_radius"),
         ('tool = "wedge", tool_radius = 3', "allowed: sphere, flat"),
         ('tool = "sphere"', "tool_radius"),
         ('tool = "sphere", tool_radius = -3', "tool_radius is -3"),
@@ -119,7 +124,8 @@ def test_an_average_over_directions_is_that_of_all_directions():
     middle = (np.arange(60) + 0.5) / 60.0 * 2.0 - 1.0
     slope = np.tile(2.0 + middle[:, None], (1, 60))
     axes = np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    shape = PressureMap(axes, 1.0, 0.9, slope, np.zeros_like(slope))
-    np.testing.assert_allclose(shape.mean(np.linspace(0.0, 1.0, 5)), 2.0, rtol=1e-12)
+    shape = grid_traction(axes, 1.0, 0.9, slope, np.zeros_like(slope))
+    # It is tabulated at 257 distances.
+    np.testing.assert_allclose(shape.mean(np.linspace(0.0, 0.99, 5)), 2.0, rtol=1e-4)
     at_end = shape.at(0.9 * axes[:1])
     np.testing.assert_allclose(at_end, 2.9, rtol=1e-12)

@@ -11,6 +11,7 @@ import meshio
 import numpy as np
 import pytest
 from exported_result import RADIUS, SIDE, moved_by_calculix, written_result
+from tool_tractions import traction_of
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import enclosed_volume, read_mesh, unit_normals
@@ -89,14 +90,14 @@ def test_the_push_is_the_force_at_its_place_in_both_forms(model):
 
 def test_the_push_has_the_outward_traction_of_its_tool(model):
     mesh, push = model.body.session.mesh, model.body.push
-    contact = replace(push.patch.contact, profile="hertz", outward=0.2)
+    contact = replace(push.patch.contact, traction=traction_of("hertz", 0.2))
     turned = replace(push, patch=replace(push.patch, contact=contact))
     body = replace(model.body, push=turned)
     loaded = make_solid_model(body, edge=0.01)
     normal = unit_normals(mesh)[push.patch.triangle]
     for load in (loaded.load, loaded.linear_load):
         np.testing.assert_allclose(load.sum(axis=0), push.force, atol=1e-12)
-        # By the definition of `Contact.outward`; of the push itself, which may lean, there is none.
+        # By the definition of the lever; of the push itself, which may lean, there is none.
         offset = (loaded.nodes - push.point) @ (np.eye(3) - np.outer(normal, normal))
         moment = np.einsum("ni,ni->", offset, load)
         pressed = -push.force @ normal
@@ -108,7 +109,7 @@ def test_the_push_has_the_outward_traction_of_its_tool(model):
 def test_the_push_moves_finite_elements_as_it_says(source, cache, outward):
     """Boundary elements computed it, and its tool's outward traction counts a tenth."""
     probings = [
-        replace(probing, contact=replace(probing.contact, profile="hertz", outward=outward))
+        replace(probing, contact=replace(probing.contact, traction=traction_of("hertz", outward)))
         for probing in source.session.probings
     ]
     session = replace(source.session, probings=tuple(probings))

@@ -28,7 +28,7 @@ from palpate.field.elements import ELEMENTS, depth_below, elements_under, filled
 from palpate.field.field_prior import make_field_modes
 from palpate.field.field_responses import CoefficientPrior, FieldExpansion, FieldModel
 from palpate.geometry import CREASE_ANGLE, triangle_distances, unit_normals
-from palpate.probe import GROWTH, dent
+from palpate.probe import dent
 from palpate.records import Session, Tool
 from palpate.shapes import Points
 from palpate.solids import (
@@ -182,7 +182,7 @@ def dents(session: Session, modulus: float, poisson_ratio: float) -> Float[np.nd
 
 def growths(session: Session) -> Float[np.ndarray, " k"]:
     """q of the tool of each poke, (k,) [-]."""
-    return np.array([GROWTH[tool.shape] for tool in tools(session)])
+    return np.array([tool.growth for tool in tools(session)])
 
 
 def tools(session: Session) -> list[Tool]:

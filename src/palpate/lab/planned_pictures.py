@@ -18,14 +18,14 @@ from palpate.lab.config import Arm, LabConfig, Look, Material, Pictures, Probe, 
 from palpate.lab.facility import AT_REST, check_picture_names
 from palpate.lab.scene import Variant
 from palpate.lab.studio import make_studio, photograph
-from palpate.records import FLAT, Probing, Rig, Session, read_rig
+from palpate.records import Probing, Rig, Session, read_rig
 from palpate.shapes import Vertices
 from palpate.solids import TipName
 
 # Speckle diameter that is matched best [px].
 _SPECKLE_PX = 4.0
 # Contact profiles of a flat tool; all others are attributed to a ball.
-_PUNCHES = (FLAT, "uniform")
+_PUNCHES = ("flat", "uniform")
 # Largest radius of a ball, in contact radii. With guessed constants Hertz' formula may give a
 # larger one, which would occlude far more than any real tool.
 _LARGEST_BALL = 4.0

@@ -24,9 +24,9 @@ from palpate.geometry import (
 )
 from palpate.parts import Cache
 from palpate.pipeline.observations import ungraded_observations
-from palpate.probe import LocalSurface, contact_circle, convex_contact, local_surface
+from palpate.probe import LocalSurface, local_surface, tool_contact
 from palpate.progress import Progress, part_of
-from palpate.records import MESH, SLIDES, SPHERE, Contact, Probing, Session, Tool
+from palpate.records import SLIDES, Contact, Probing, Session, Sphere, Tool
 from palpate.shapes import Points, Vector3, Vertices
 
 # Contact radii vary only with the cube root of the modulus, so they converge with the constants.
@@ -138,7 +138,7 @@ def with_contact_radii(session: Session, *, shear_modulus: float, poisson_ratio:
     Raises
     ------
     InputError                      a tool that pulls, or that is buried
-    NotConvergedError               contact of a mesh-shaped tool is not found (`convex_contact`)
+    NotConvergedError               contact of a tool is not found (`tool_contact`)
     """
 
     def with_radius(probing: Probing) -> Probing:
@@ -182,21 +182,17 @@ def settled_contact(
 
     Raises
     ------
-    InputError                      a tool that pulls, is buried, or whose mesh touches far from
-                                    its origin
-    NotConvergedError               no equilibrium under a mesh
+    InputError, NotConvergedError   as `tool_contact`
     """
     tool = contact.tool
     if tool is None:
         return contact
     local = local_surface(session.mesh, contact.point, tool.radius)
     pressed = -float(local.normal @ force)
-    constants = {"shear_modulus": shear_modulus, "poisson_ratio": poisson_ratio}
-    if tool.shape == MESH:
-        convex = convex_contact(tool, local, pressed, **constants)
-        return replace(contact, radius=convex.radius, pressure_map=convex.pressure_map)
-    circle = contact_circle(tool, local.curvature, pressed, **constants)
-    return replace(contact, radius=circle.radius, profile=circle.profile, outward=circle.outward)
+    found = tool_contact(
+        tool, local, pressed, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
+    )
+    return replace(contact, radius=found.radius, traction=found.traction)
 
 
 def largest_change(before: Session, after: Session) -> float:
@@ -206,7 +202,9 @@ def largest_change(before: Session, after: Session) -> float:
     for earlier, later in zip(before.probings, after.probings, strict=True):
         old, new = earlier.contact, later.contact
         if old.radius is not None and new.radius is not None:
-            changes += [abs(old.radius / new.radius - 1.0), abs(old.outward - new.outward)]
+            changes.append(abs(old.radius / new.radius - 1.0))
+            if old.traction is not None and new.traction is not None:
+                changes.append(abs(old.traction.lever - new.traction.lever))
             shift = float(np.linalg.norm(new.point - old.point))
             changes.append(shift / (_POINT_SHARE * new.radius))
     return max(changes)
@@ -284,7 +282,7 @@ def _shift(
     if tool.friction == SLIDES:
         travel = np.zeros(3) if probing.tip_displacement is None else probing.tip_displacement
         shift = tangents @ (travel - plane[0])
-    if tool.shape == SPHERE:
+    if isinstance(tool, Sphere):
         shift += tool.radius * (plane[1:] @ local.normal)
         shift /= 1.0 + tool.radius * max(local.curvature, 0.0)
     length, farthest = float(np.linalg.norm(shift)), _FARTHEST * probing.contact.reach

@@ -14,10 +14,7 @@ from jaxtyping import Float
 from palpate.errors import InputError
 from palpate.estimation import FitResult
 from palpate.records import (
-    CONE,
     HALF_95,
-    MESH,
-    SPHERE,
     Constant,
     Contact,
     Estimate,
@@ -28,6 +25,7 @@ from palpate.records import (
     RelaxationTerm,
     Series,
     Session,
+    Sphere,
 )
 from palpate.relaxation import CreepCompliance, CreepFit, Motion, fit_creep
 from palpate.shapes import Flags, Indices, Points
@@ -41,7 +39,7 @@ _FAR = 3.0
 # Under a ball and a cone on a half space: power of the force with which the depth goes, and depth
 # over (1 - nu) F / (G a), with a the radius of the contact. Johnson, Contact Mechanics (1985).
 _BALL, _CONE = (2.0 / 3.0, 3.0 / 8.0), (1.0 / 2.0, 1.0 / 2.0)
-_GROWING = {SPHERE: _BALL, "hertz": _BALL, CONE: _CONE, "cone": _CONE}
+_GROWING = {"sphere": _BALL, "hertz": _BALL, "cone": _CONE}
 # Largest motion, over that of the static fit, and largest share of the depth under a tool in it.
 _LARGEST, _DEEPEST = 3.0, 1.4
 _FEW_POINTS = 10
@@ -179,7 +177,7 @@ def _depth(probing: Probing, estimate: Estimate) -> float:
     _, factor = _GROWING.get(_shape(contact), (1.0, 0.0))
     compliance = (1.0 - estimate.poisson_ratio.value) / estimate.shear_modulus.value
     radius = contact.radius or 0.0
-    if contact.tool is not None and contact.tool.shape == SPHERE:
+    if contact.tool is not None and isinstance(contact.tool, Sphere):
         radius = float(np.cbrt(factor * contact.tool.radius * force * compliance))
     return factor * force * compliance / radius if radius > 0.0 else 0.0
 
@@ -193,7 +191,7 @@ def _far(probing: Probing) -> Flags:
     if probing.displacement is None:
         return np.zeros(0, dtype=bool)
     points, contact = probing.displacement.points, probing.contact
-    grows = _shape(contact) in (*_GROWING, MESH)
+    grows = _shape(contact) in (*_GROWING, "mesh")
     near = np.linalg.norm(points - contact.point, axis=1) <= _FAR * contact.reach
     return ~(near & grows)
 

@@ -5,15 +5,12 @@ face, 1/3 under a sphere, whose circle of contact grows with the force.
 """
 
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
-from palpate.probe.contact_circle import reduced_modulus
-from palpate.records import CYLINDER, FLAT, SPHERE, Tool
+from palpate.probe.tool_contact import reduced_modulus
+from palpate.records import Tool
 
-# q, by the tool's shape.
-GROWTH = MappingProxyType({FLAT: 0.0, CYLINDER: 0.0, SPHERE: 1.0 / 3.0})
 # A hollow surface counts as at most this share of a sphere's curvature: else it would fit the tool.
 _HOLLOW = 0.9
 
@@ -23,7 +20,7 @@ def on_flat(tool: Tool, curvature: float) -> Tool:
 
     Parameters
     ----------
-    tool : Tool                     of a shape in `GROWTH`
+    tool : Tool                     a ball or a flat round face
     curvature : float [1/m]         mean curvature of the surface, > 0 where it is convex; counts
                                     under a sphere
 
@@ -45,7 +42,7 @@ def dent(tool: Tool, force: float, *, shear_modulus: float, poisson_ratio: float
 
     Parameters
     ----------
-    tool : Tool                     of a shape in `GROWTH`
+    tool : Tool                     a ball or a flat round face
     force : float [N]               along the inward normal, > 0
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu <= 0.5

@@ -24,7 +24,6 @@ from scipy.special import chdtri
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, unit_normals, write_mesh
-from palpate.probe import GROWTH
 from palpate.records import SESSION_FORMAT, PokeTable, Tool, write_text
 from palpate.shapes import Points, Vector3
 
@@ -105,7 +104,7 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
     Parameters
     ----------
     table : PokeTable
-    tool : Tool                     of a shape in `GROWTH`
+    tool : Tool                     a ball or a flat round face
 
     Returns
     -------
@@ -116,7 +115,7 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
     InputError                      a poke of fewer than three samples; normals that point inward;
                                     fewer than three pokes with contact
     """
-    power = 1.0 / (1.0 - GROWTH[tool.shape])
+    power = 1.0 / (1.0 - (tool.growth or 0.0))
     parts = list(_parts(table, tool.radius))
     for number, rows in enumerate(parts, start=1):
         if len(rows) < _FEWEST:

@@ -8,19 +8,13 @@ Read first : `probing.py`, `session.py`, then `files/session.py`.
 """
 
 from palpate.records.contact import (
-    CONE as CONE,
-    CYLINDER as CYLINDER,
-    FLAT as FLAT,
-    MESH as MESH,
     RIGID as RIGID,
-    SLIDES as SLIDES,
-    SPHERE as SPHERE,
-    STICKS as STICKS,
+    SPREAD as SPREAD,
     Contact as Contact,
+    GridTraction as GridTraction,
     Pressure as Pressure,
-    PressureMap as PressureMap,
-    Tool as Tool,
-    mesh_tool as mesh_tool,
+    ToolTraction as ToolTraction,
+    grid_traction as grid_traction,
 )
 from palpate.records.error_priors import EXACT as EXACT, ErrorPriors as ErrorPriors
 from palpate.records.estimate import (
@@ -211,4 +205,18 @@ from palpate.records.text.toml_table import (
     TomlTable as TomlTable,
     json_text as json_text,
     read_toml as read_toml,
+)
+from palpate.records.tools import (
+    SLIDES as SLIDES,
+    STICKS as STICKS,
+    TOOLS as TOOLS,
+    Cone as Cone,
+    ConvexMesh as ConvexMesh,
+    FlatFace as FlatFace,
+    Ring as Ring,
+    RoundTool as RoundTool,
+    ShapedTool as ShapedTool,
+    Sphere as Sphere,
+    Tool as Tool,
+    mesh_tool as mesh_tool,
 )

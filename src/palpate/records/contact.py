@@ -9,112 +9,46 @@ from scipy.ndimage import map_coordinates
 
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, convex_planes
-from palpate.shapes import Indices, Matrix3, Points, PointScalars, Vector3
+from palpate.records.tools import Tool
+from palpate.shapes import Indices, Points, PointScalars, Vector3
 
-# Shapes of tools, and friction between tool and surface.
-SPHERE, FLAT, CONE, CYLINDER, MESH = TOOL_SHAPES = ("sphere", "flat", "cone", "cylinder", "mesh")
-SLIDES, STICKS = FRICTIONS = ("slides", "sticks")
 # Initial contact radius of a search: this fraction of the tool's radius, but at most this fraction
 # of the object's size.
 _TOUCHED, _TOUCHED_OF_OBJECT = 0.5, 0.05
-# Least half opening angle of a cone [rad].
-_SHARPEST = 0.5
+# Where tractions about an axis are tabulated, as angles whose sine is the distance over the reach:
+# dense at the rim, where they may vary as the cosine or its inverse. They are kept times it.
+_ANGLE = 0.5 * np.pi * np.linspace(0.0, 1.0, 257)
+SPREAD = np.sin(_ANGLE)
+# Least square of the cosine, for a pressure that is singular at the rim.
+_LEAST = 1e-12
+
 Pressure = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
 
 
-@dataclass(frozen=True, slots=True)
-class Tool:
-    """A rigid tool; its contact patch follows from force and constants.
-
-    Parameters
-    ----------
-    shape : str                     `SPHERE`; `FLAT` or `CYLINDER`, synonyms for a flat circular
-                                    face; `CONE`, apex first; `MESH`, made by `mesh_tool`
-    radius : float [m]              of the sphere, of the flat face, or of the cone's base, > 0;
-                                    half the smallest side of a mesh's bounding box
-    friction : str                  the surface `SLIDES` freely under the tool, or `STICKS` to it
-    angle : float [rad] or None     only for a cone: between its axis and its side, from 0.5
-                                    (29 degrees) to below pi / 2
-    planes : (p, 4) float or None   only for a mesh: outward unit normals in the object's frame, and
-                                    their offsets from the tool's centre point [m]
-
-    Raises
-    ------
-    InputError                      unknown shape or friction; a radius that is not positive; an
-                                    angle that is missing, out of range, or given without a cone;
-                                    planes missing, or given without a mesh
-    """
-
-    shape: str
-    radius: float
-    friction: str = SLIDES
-    angle: float | None = None
-    planes: Float[np.ndarray, "p 4"] | None = field(default=None, compare=False)
-
-    def __post_init__(self) -> None:
-        for name, value, known in (
-            ("tool", self.shape, TOOL_SHAPES),
-            ("friction", self.friction, FRICTIONS),
-        ):
-            if value not in known:
-                raise InputError(f"{name} is '{value}'; must be one of {', '.join(known)}")
-        if not (np.isfinite(self.radius) and self.radius > 0.0):
-            raise InputError(f"tool_radius is {self.radius}; must be a positive length")
-        if (self.angle is None) == (self.shape == CONE):
-            raise InputError(
-                f"tool '{self.shape}' has {'no' if self.angle is None else 'a'} tool_angle; a cone"
-                " needs one, between its axis and its side, and no other tool has one"
-            )
-        if self.angle is not None and not _SHARPEST <= self.angle < 0.5 * np.pi:
-            raise InputError(
-                f"tool_angle is {np.degrees(self.angle):.3g} degrees; must be from"
-                f" {np.degrees(_SHARPEST):.0f} to below 90, between the cone's axis and its side: a"
-                " sharper cone cuts, and does not press"
-            )
-        if (self.planes is None) == (self.shape == MESH):
-            raise InputError("planes are those of a mesh's faces: give them by `mesh_tool`")
-
-    @property
-    def is_flat(self) -> bool:
-        """Whether the contact face is a flat disc."""
-        return self.shape in (FLAT, CYLINDER)
-
-    def contact(self, point: Vector3, size: float = np.inf) -> "Contact":
-        """Initial contact for the search of the contact radius: half the tool's radius, at most 5 %
-        of the object's `size` [m]; the whole face of a flat tool."""
-        if self.is_flat:
-            return Contact(point, self.radius, "flat", tool=self)
-        radius = min(_TOUCHED * self.radius, _TOUCHED_OF_OBJECT * size)
-        profile = "cone" if self.shape == CONE else "hertz"
-        return Contact(point, radius, profile, tool=self)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class PressureMap:
-    """Pressure that is not a function of the distance from the contact point alone.
-
-    The grids cover a square about the contact point in the tangent plane; their values are those at
-    the centres of g x g equal cells, index [i, j] along the first and second axis.
+class ToolTraction:
+    """Traction under a tool, about the axis through the contact point.
 
     Attributes
     ----------
-    axes : (2, 3) float [-]         orthonormal tangents
-    half_side : float [-]           of the square, in contact radii
+    pressure : (k,) float           at the distances `SPREAD` over the reach, times the root of 1
+                                    minus their square; >= 0, of any scale
+    outward : (k,) float            away from the axis, >= 0, likewise, of the same scale
     reach : float [-]               farthest point of the contact from its centre, in contact radii
-    pressure : (g, g) float         >= 0, of any scale
-    outward : (g, g) float          radial component, away from the contact point, of the traction;
-                                    the same scale
     """
 
-    axes: Float[np.ndarray, "2 3"]
-    half_side: float
-    reach: float
-    pressure: Float[np.ndarray, "g g"]
-    outward: Float[np.ndarray, "g g"]
+    pressure: Float[np.ndarray, " k"]
+    outward: Float[np.ndarray, " k"]
+    reach: float = 1.0
+
+    def mean(self, s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Pressure averaged over all directions, at a distance `s` over the reach; 0 from 1 on."""
+        root = np.sqrt(np.clip(1.0 - np.square(s), _LEAST, None))
+        within = np.interp(np.arcsin(np.minimum(s, 1.0)), _ANGLE, self.pressure)
+        return np.where(np.less(s, 1.0), within / root, 0.0)
 
     def at(self, offset: Points) -> PointScalars:
-        """Pressure at points, interpolated bilinearly.
+        """Pressure at points.
 
         Parameters
         ----------
@@ -122,30 +56,90 @@ class PressureMap:
 
         Returns
         -------
-        (p,) float                      0 outside the square
+        (p,) float
         """
-        return self._interpolated(self.pressure, offset)
+        return self.mean(np.linalg.norm(offset, axis=1) / self.reach)
 
-    def mean(self, s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Pressure averaged over all directions, at a distance `s` over the reach."""
-        return self._averaged(self.pressure, s)
+    @property
+    def potential(self) -> Float[np.ndarray, " k"]:
+        """Integral of the outward traction from the distances `SPREAD` to the rim."""
+        steps = 0.5 * (self.outward[1:] + self.outward[:-1]) * np.diff(_ANGLE)
+        return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
-    def mean_outward(self, s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Outward traction averaged over all directions, at a distance `s` over the reach; 0 where
-        it points inward."""
-        return np.clip(self._averaged(self.outward, s), 0.0, None)
+    @property
+    def lever(self) -> float:
+        """Integral of the outward traction times the distance from the axis, over the reach and
+        over the integral of the pressure [-]."""
+        pulled, pressed = self.outward * SPREAD**2, self.pressure * SPREAD
+        return float(np.trapezoid(pulled, _ANGLE) / np.trapezoid(pressed, _ANGLE))
 
-    def _interpolated(self, grid: Float[np.ndarray, "g g"], offset: Points) -> PointScalars:
-        place = 0.5 * (offset @ self.axes.T / self.half_side + 1.0) * len(grid) - 0.5
-        return np.asarray(map_coordinates(grid, place.T, order=1, mode="grid-constant"))
 
-    def _averaged(
-        self, grid: Float[np.ndarray, "g g"], s: Float[np.ndarray, "*n"]
-    ) -> Float[np.ndarray, "*n"]:
-        angle = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
-        around = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ self.axes
-        offset = (self.reach * np.ravel(s)[:, None, None] * around).reshape(-1, 3)
-        return self._interpolated(grid, offset).reshape(*np.shape(s), _ANGLES).mean(axis=-1)
+@dataclass(frozen=True, slots=True, eq=False)
+class GridTraction(ToolTraction):
+    """Traction that is no function of the distance from the axis alone, made by `grid_traction`:
+    `pressure` and `outward` are averages over all directions.
+
+    The grid covers a square about the contact point in the tangent plane; its values are those at
+    the centres of g x g equal cells, index [i, j] along the first and second axis.
+
+    Attributes
+    ----------
+    axes : (2, 3) float [-]         orthonormal tangents
+    half_side : float [-]           of the square, in contact radii
+    grid : (g, g) float             pressure, >= 0, of any scale
+    """
+
+    axes: Float[np.ndarray, "2 3"] = field(kw_only=True)
+    half_side: float = field(kw_only=True)
+    grid: Float[np.ndarray, "g g"] = field(kw_only=True)
+
+    def at(self, offset: Points) -> PointScalars:
+        """Pressure at points, interpolated bilinearly; 0 outside the square.
+
+        Parameters
+        ----------
+        offset : (p, 3) float [-]       from the contact point, in contact radii
+
+        Returns
+        -------
+        (p,) float
+        """
+        return _interpolated(self.grid, offset @ self.axes.T / self.half_side)
+
+
+def grid_traction(
+    axes: Float[np.ndarray, "2 3"],
+    half_side: float,
+    reach: float,
+    pressure: Float[np.ndarray, "g g"],
+    outward: Float[np.ndarray, "g g"],
+) -> GridTraction:
+    """The traction of a grid, with its averages.
+
+    Parameters
+    ----------
+    axes, half_side, reach          as `GridTraction`
+    pressure : (g, g) float         >= 0, of any scale
+    outward : (g, g) float          radial component, away from the contact point, of the traction;
+                                    the same scale
+
+    Returns
+    -------
+    GridTraction                    where it points inward in the mean, none is outward
+    """
+    turn = 2.0 * np.pi * np.arange(_TURNS) / _TURNS
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=1) * reach / half_side
+    places = (SPREAD[:, None, None] * around).reshape(-1, 2)
+    means = np.stack([_interpolated(each, places) for each in (pressure, outward)])
+    means = means.reshape(2, -1, _TURNS).mean(axis=2) * np.cos(_ANGLE)
+    table = np.clip(means, 0.0, None)
+    return GridTraction(table[0], table[1], reach, axes=axes, half_side=half_side, grid=pressure)
+
+
+def _interpolated(grid: Float[np.ndarray, "g g"], place: Float[np.ndarray, "p 2"]) -> PointScalars:
+    """Values of a grid at places, over half its side from its middle; 0 outside."""
+    cell = 0.5 * (place + 1.0) * len(grid) - 0.5
+    return np.asarray(map_coordinates(grid, cell.T, order=1, mode="grid-constant"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,16 +153,13 @@ class Contact:
     radius : float [m] or None      contact radius, > 0; None only for the profile `_VERTEX` and for
                                     triangles
     profile : str                   one of `contact_profiles`; with triangles `UNIFORM` or `RIGID`;
-                                    not used where there is a pressure map
+                                    not used where there is a traction
     triangles : (k,) int or None    loaded triangles, in place of a circular patch
     tool : Tool or None             the tool, from which radius and profile are computed; those
                                     given here are only initial values. None: they are known
-    pressure_map : PressureMap or None      pressure under a mesh, in place of the profile
+    traction : ToolTraction or None         that of the tool, in place of the profile
     first_point : (3,) float [m] or None    where the tool touched first; None: at `point`, on an
                                     object that does not move sideways under it
-    outward : float [-]             integral of the traction away from the centre times the distance
-                                    from it, over radius and pressing force; 0 where there is none,
-                                    and under a mesh, whose map has it
 
     Raises
     ------
@@ -181,9 +172,8 @@ class Contact:
     profile: str
     triangles: Indices | None = None
     tool: Tool | None = None
-    pressure_map: PressureMap | None = None
+    traction: ToolTraction | None = None
     first_point: Vector3 | None = None
-    outward: float = 0.0
 
     def __post_init__(self) -> None:
         fix_fields(self, point=(3,))
@@ -216,6 +206,16 @@ class Contact:
         if not (np.isfinite(self.radius) and self.radius > 0.0):
             raise InputError(f"radius is {self.radius}; must be a positive length")
 
+    @classmethod
+    def under(cls, tool: Tool, point: Vector3, size: float = np.inf) -> "Contact":
+        """Initial contact for the search of the contact radius: half the tool's radius, at most 5 %
+        of the object's `size` [m]; the whole of a flat face."""
+        if tool.is_flat:
+            return cls(point, tool.radius, "flat", tool=tool)
+        return cls(
+            point, min(_TOUCHED * tool.radius, _TOUCHED_OF_OBJECT * size), "hertz", tool=tool
+        )
+
     @property
     def start(self) -> Vector3:
         """Where the tool touched first [m]."""
@@ -223,47 +223,30 @@ class Contact:
 
     @property
     def reach(self) -> float:
-        """Farthest distance of the patch from its centre [m]: the radius, except under a mesh; 0
-        where there is no radius."""
+        """Farthest distance of the patch from its centre [m]: the radius, except under a tool that
+        is not round; 0 where there is no radius."""
         radius = self.radius or 0.0
-        return radius if self.pressure_map is None else radius * self.pressure_map.reach
+        return radius if self.traction is None else radius * self.traction.reach
+
+    @property
+    def has_sharp_rim(self) -> bool:
+        """Whether the pressure is singular at the rim of a round patch."""
+        if self.traction is None:
+            return self.profile == "flat" and self.radius is not None
+        return type(self.traction) is ToolTraction and bool(self.traction.pressure[-1] > 0.0)
 
     @property
     def pressure(self) -> Pressure:
         """Pressure at a distance over the reach, up to a factor, averaged over all directions; zero
         from 1 on."""
-        return PRESSURES[self.profile] if self.pressure_map is None else self.pressure_map.mean
+        return PRESSURES[self.profile] if self.traction is None else self.traction.mean
 
     def pressure_at(self, offset: Points) -> PointScalars:
         """Pressure at points of the surface, up to a factor; `offset`, (p, 3), is the distance from
         the contact point in contact radii."""
-        if self.pressure_map is not None:
-            return self.pressure_map.at(offset)
+        if self.traction is not None:
+            return self.traction.at(offset)
         return self.pressure(np.linalg.norm(offset, axis=1))
-
-
-def mesh_tool(mesh: TriangleMesh, rotation: Matrix3, friction: str = SLIDES) -> Tool:
-    """A rigid tool of the shape of a convex mesh.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh             closed, convex; the origin of its frame is the tool's centre
-                                    point, which a contact places on the surface
-    rotation : (3, 3) float [-]     from the mesh's frame to the object's
-    friction : str                  the surface `SLIDES` freely under the tool, or `STICKS` to it
-
-    Returns
-    -------
-    Tool
-
-    Raises
-    ------
-    InputError                      a mesh that is flat, open or not convex
-    """
-    planes = convex_planes(mesh)
-    turned = np.column_stack([planes[:, :3] @ rotation.T, planes[:, 3]])
-    radius = 0.5 * float(np.ptp(mesh.vertices, axis=0).min())
-    return Tool(MESH, radius, friction, planes=turned)
 
 
 def smooth_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -348,8 +331,8 @@ def cone_pressure(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.arccosh(1.0 / np.clip(s, 1e-9, 1.0))
 
 
-# To add a tool shape, add its pressure function and one line here. Only the shape of the curve
-# matters: it is scaled so that its integral is the force.
+# To add a pressure, add its function and one line here. Only the shape of the curve matters: it is
+# scaled so that its integral is the force.
 PRESSURES: Mapping[str, Pressure] = {
     "smooth": smooth_pressure,
     "uniform": _uniform_pressure,
@@ -367,8 +350,8 @@ _VERTEX = "vertex"
 UNIFORM, RIGID = "uniform", "rigid"
 
 
-# Angles over which a pressure map is averaged.
-_ANGLES = 32
+# Directions over which a grid is averaged.
+_TURNS = 32
 
 
 def contact_profiles() -> tuple[str, ...]:

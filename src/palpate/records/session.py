@@ -13,12 +13,13 @@ import numpy as np
 from palpate.arrays import fix_fields
 from palpate.errors import InputError, counted, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records.contact import CYLINDER, FLAT, RIGID, SPHERE
+from palpate.records.contact import RIGID
 from palpate.records.error_priors import ErrorPriors
 from palpate.records.probing import Probing
 from palpate.records.region import Region
 from palpate.records.support import FIXED, FREE, GIVEN, Support
 from palpate.records.text.text_file import check_file_names
+from palpate.records.tools import RoundTool
 from palpate.shapes import Indices, Vector3
 
 # Density of osmium [kg/m^3], and ten times the earth's gravity [m/s^2]: larger values mean a wrong
@@ -171,8 +172,8 @@ def without_pictures(session: Session) -> bool:
         each.displacement is None
         and each.images is None
         and each.tip_displacement is not None
-        and each.contact.tool is not None
-        and each.contact.tool.shape in (SPHERE, FLAT, CYLINDER)
+        and isinstance(each.contact.tool, RoundTool)
+        and each.contact.tool.growth is not None
         for each in session.probings
     )
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from palpate.arrays import fix_fields, fixed_array, tangents_of
 from palpate.errors import InputError
-from palpate.records import FLAT, SPHERE
+from palpate.records import FlatFace, Sphere as Ball
 from palpate.shapes import Points, PointScalars, Vector3
 
 TipName = Literal["sphere", "punch"]
@@ -194,7 +194,7 @@ class Sphere(Tip):
     """A ball on a shaft of at most 4 mm radius."""
 
     __slots__ = ()
-    tool = SPHERE
+    tool = Ball.shape
 
     @property
     def max_depth(self) -> float:
@@ -237,7 +237,7 @@ class Punch(Tip):
     """A flat round face, perpendicular to its motion, as wide as its shaft."""
 
     __slots__ = ()
-    tool = FLAT
+    tool = FlatFace.shape
 
     def surface_offset(self, radial_distance: PointScalars) -> PointScalars:
         """Zero up to the rim."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from error_columns import columns_of, curvature_of
 from surfaces import box, sphere
+from tool_tractions import traction_of
 
 from palpate.bem import (
     BoundarySystem,
@@ -141,7 +142,7 @@ def system() -> BoundarySystem:
 
 
 def _patch(system: BoundarySystem, profile: str = "hertz") -> ContactPatch:
-    contact = Contact(PLACE, SMALL_RADIUS, profile, outward=OUTWARD)
+    contact = Contact(PLACE, SMALL_RADIUS, profile, traction=traction_of(profile, OUTWARD))
     held = np.flatnonzero(system.surface.held)
     return find_contact_patch(system.surface.mesh, contact, held, name="n")
 
@@ -173,14 +174,14 @@ def test_it_is_the_traction_itself(system: BoundarySystem) -> None:
 def test_what_has_an_outward_part(system: BoundarySystem) -> None:
     contact = _patch(system).contact
     assert has_outward_traction(contact)
-    assert not has_outward_traction(replace(contact, outward=0.0))
+    assert not has_outward_traction(replace(contact, traction=traction_of("hertz", 0.0)))
 
 
 @pytest.mark.parametrize("profile", ["hertz", "cone", "flat"])
 def test_in_finite_elements_it_stretches_as_much(profile: str) -> None:
-    """Its virial, sum of force times place, is `Contact.outward` times radius and force."""
+    """Its virial, sum of force times place, is the lever times radius and force."""
     solid = make_solid(box((SIDE, SIDE, SIDE), 4), edge=9e-3, fine=[(PLACE, SMALL_RADIUS, 4e-3)])
-    contact = Contact(PLACE, SMALL_RADIUS, profile, outward=OUTWARD)
+    contact = Contact(PLACE, SMALL_RADIUS, profile, traction=traction_of(profile, OUTWARD))
     load = outward_load(solid, contact, np.array([0.0, 0.0, -2.0]))
     assert np.abs(load.sum(axis=0)).max() < 1e-12
     assert not load[:, 2].any()

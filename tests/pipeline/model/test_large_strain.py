@@ -20,13 +20,13 @@ from palpate.pipeline.model.stiffening import is_stiffening, with_error_of_eleme
 from palpate.records import (
     BIASED,
     EXACT,
-    FLAT,
     FREE,
     STICKS,
     Constant,
     Contact,
     DisplacementField,
     Estimate,
+    FlatFace,
     Probing,
     Session,
     Support,
@@ -191,7 +191,7 @@ def test_supports_that_move_are_refused() -> None:
         fit_session(replace(session, supports=(support,)), finite_strain=True)
 
 
-@pytest.mark.parametrize("tool", [None, Tool(FLAT, RADIUS, STICKS)])
+@pytest.mark.parametrize("tool", [None, FlatFace(RADIUS, friction=STICKS)])
 def test_a_pressure_without_bound_is_refused(tool: Tool | None) -> None:
     session = _session(0.1)
     (probing,) = session.probings

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from surfaces import sphere
+from tool_tractions import traction_of
 
 from palpate.bem import (
     BoundarySystem,
@@ -37,7 +38,7 @@ def session() -> Session:
     corner = mesh.vertices[mesh.triangles]
     held = np.flatnonzero(corner[:, :, 2].max(axis=1) < -0.3 * RADIUS)
     flank = np.flatnonzero((corner[:, :, 0] < -0.8 * RADIUS).all(axis=1))
-    top = Contact(np.array([0.0, 0.0, RADIUS]), 5e-3, "hertz", outward=0.2)
+    top = Contact(np.array([0.0, 0.0, RADIUS]), 5e-3, "hertz", traction=traction_of("hertz", 0.2))
     side = Contact(np.array([RADIUS, 0.0, 0.0]), 4e-3, "hertz")
     squeezed = Load(Contact(np.zeros(3), None, "uniform", flank), pressure=40.0)
     probings = (
@@ -63,7 +64,11 @@ def _table(session: Session, system: BoundarySystem, perturbed: bool = True) -> 
 
 
 def _without_outward(session: Session) -> Session:
-    probings = (replace(one, contact=replace(one.contact, outward=0.0)) for one in session.probings)
+    level = traction_of("hertz", 0.0)
+    probings = (
+        replace(one, contact=replace(one.contact, traction=one.contact.traction and level))
+        for one in session.probings
+    )
     return replace(session, probings=tuple(probings))
 
 

@@ -11,7 +11,7 @@ from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.recording import Pokes, height_field, read_pokes, write_pokes
 from palpate.records import (
     LENGTH_UNITS,
-    Tool,
+    TOOLS,
     modulus_unit,
     quantity,
     read_poke_table,
@@ -92,7 +92,7 @@ def import_pokes(
         Overwrite even if the target is not an unchanged result of this command; the old content is
         kept as NAME.old.
     """
-    tip = Tool(tool, _length(tool_radius, "--tool-radius"), friction)
+    tip = TOOLS[tool](_length(tool_radius, "--tool-radius"), friction=friction)
     if (thickness is None) == (surface is None):
         raise InputError("give the body as --thickness, below the poked surface, or as --surface")
     samples = read_poke_table(

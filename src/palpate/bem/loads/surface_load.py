@@ -463,8 +463,8 @@ def _recompute_rows_on_patch(
     )  # fmt: skip
     of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
     pairs = np.unique(np.stack([number, triangle]), axis=1)
-    total = np.bincount(number, weight.sum(axis=1))
-    total += 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])
+    beside = 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])
+    total = beside + np.bincount(number, weight.sum(axis=1))
     resolved = np.abs(total - 1.0) < _LARGEST_ERROR
     fields[rows[resolved]] = recomputed[resolved] / total[resolved, None]
 

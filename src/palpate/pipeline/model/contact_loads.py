@@ -3,7 +3,7 @@ beside its place or of another radius; and the error of the mesh about it.
 
 The outward (radial) part of the traction has no resultant, but it widens the dent: neglecting it
 makes nu of a half ball 0.004 too large under a ball that slides, 0.012 under one that sticks. How
-large it is, `probe.contact_circle` says. It is minus the gradient of a potential Q(r), so it is the
+large it is, `probe.tool_contact` says. It is minus the gradient of a potential Q(r), so it is the
 derivative of Q, applied as a traction along each of two tangents, with respect to a shift along
 that tangent. Under a mesh it is averaged over all directions. Where a tool sticks, and under a
 sphere that touches a large circle, its integral is right, if not quite its distribution.
@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.integrate import cumulative_trapezoid
 
 from palpate.arrays import tangents_of
 from palpate.bem import IndentationCorrection, PressureDisc, SurfaceLoad
@@ -22,7 +21,7 @@ from palpate.errors import InputError
 from palpate.estimation import PLACES, NuisanceParameter
 from palpate.geometry import closest_points
 from palpate.probe import ContactPatch, find_contact_patch, named_tangents
-from palpate.records import RIGID, Contact, Pressure, Probing, Session
+from palpate.records import RIGID, SPREAD, Contact, Pressure, Probing, Session
 from palpate.shapes import Vector3
 from palpate.solids import Solid, pressure_load
 
@@ -37,30 +36,8 @@ DIP_ERROR = 0.35
 _PLACES = np.sqrt(3.0) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]])
 # Begins the name of the error of the outward traction under a tool.
 OUTWARD_ERROR = "outward traction in"
-# Distances at which a potential is tabulated.
-_SAMPLES = 64
 # Step of the central difference over the contact radius; the error is of second order in it.
 _SHIFT = 0.05
-
-
-def _of_cone(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """That of a traction p where p is arcosh(1 / s)."""
-    s = np.clip(s, 1e-9, 1.0)
-    return np.arccos(s) - s * np.arccosh(1.0 / s)
-
-
-def _of_flat(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """That of a traction p r under a flat face."""
-    return np.sqrt(np.clip(1.0 - s**2, 0.0, None))
-
-
-def _of_hertz(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Q at a distance s in contact radii, up to a factor, for an outward traction p r."""
-    return np.clip(1.0 - s**2, 0.0, None) ** 1.5
-
-
-# By the contact's profile.
-_POTENTIALS = {"hertz": _of_hertz, "cone": _of_cone, "flat": _of_flat}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,34 +264,21 @@ def _radius_std(session: Session, contact: Contact) -> float:
 
 def _potential(contact: Contact) -> Pressure | None:
     """Q of a contact at a distance in units of its reach, up to a factor; None if it has none."""
-    pressures = contact.pressure_map
-    if pressures is None:
-        return _POTENTIALS[contact.profile] if contact.outward else None
-    s = np.linspace(0.0, 1.0, _SAMPLES)
-    table = cumulative_trapezoid(pressures.mean_outward(s[::-1]), s, initial=0.0)[::-1]
-    if not table.any():
+    if contact.traction is None or not contact.traction.outward.any():
         return None
-    return lambda at: np.interp(at, s, table)
+    table = contact.traction.potential
+    return lambda at: np.interp(at, SPREAD, table)
 
 
 def _shifts(contact: Contact, normal: Vector3) -> list[tuple[Vector3, Vector3]]:
     """Shifted centres of Q, and the total force of Q about each for one newton of pressure."""
     tangents = tangents_of(normal)
     step = _SHIFT * contact.reach
-    size = _integral(contact) / (2.0 * step)
+    # The integral of Q is half that of the outward traction times the distance from the centre.
+    lever = contact.traction.lever if contact.traction is not None else 0.0
+    size = 0.5 * contact.reach * lever / (2.0 * step)
     signed = [side * tangent for tangent in tangents for side in (1.0, -1.0)]
     return [(contact.point + step * shift, size * shift) for shift in signed]
-
-
-def _integral(contact: Contact) -> float:
-    """Integral of Q over the contact, for one newton [m]: half that of the outward traction times
-    the distance from the centre."""
-    pressures = contact.pressure_map
-    if pressures is None:
-        return 0.5 * contact.outward * contact.reach
-    s = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    outward, pressure = pressures.mean_outward(s), pressures.mean(s)
-    return float(0.5 * contact.reach * (outward @ s**2) / (pressure @ s))
 
 
 def _potential_load(patch: ContactPatch, centre: Vector3, potential: Pressure) -> SurfaceLoad:

@@ -28,7 +28,7 @@ from palpate.geometry import (
     unit_normals,
 )
 from palpate.pipeline.model.supports import session_surface
-from palpate.records import FLAT, Contact, DisplacementField, Probing, Session
+from palpate.records import Contact, DisplacementField, Probing, Session
 
 # Width of the row at the rim over the length of the edges there.
 ROW = 0.3
@@ -132,7 +132,7 @@ def refined_mesh(
     place = boundary.mesh.vertices[ends]
     length = np.linalg.norm(place[:, 1] - place[:, 0], axis=1)
     for contact in contacts:
-        if contact.profile == FLAT and contact.radius is not None:
+        if contact.has_sharp_rim and contact.radius is not None:
             distance = np.linalg.norm(place.mean(axis=1) - contact.point, axis=1) - contact.radius
             long |= (distance < length) & (length > _LONG_AT_PUNCH * contact.radius)
     return _divided(boundary, np.where(long[:, None], ends, -1), 0.5)

@@ -44,11 +44,14 @@ from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     FIXED,
     SLIDES,
-    SPHERE,
     Constant,
+    FlatFace,
     Probing,
     Session,
+    ShapedTool,
+    Sphere as Ball,
     Status,
+    Tool,
     stiffening_text,
 )
 from palpate.shapes import Points
@@ -102,6 +105,8 @@ _COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
 _UNDER_BALL, _BALL_REACH = 0.6, 1.0
 # Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
 _LARGEST_RATIO = 0.495
+# Tips of the tools that are served.
+_TIPS: dict[type[Tool], type[Tip]] = {Ball: Sphere, FlatFace: Punch}
 
 
 @dataclass(frozen=True, slots=True)
@@ -536,10 +541,9 @@ def _tip(probing: Probing) -> Tip | None:
     """A ball or a flat face that slides and moves along the force, through the point that it
     touched first; None: a fixed patch."""
     tool = probing.contact.tool
-    if tool is None or tool.friction != SLIDES or not (tool.is_flat or tool.shape == SPHERE):
+    if tool is None or type(tool) not in _TIPS or tool.friction != SLIDES:
         return None
-    kind = Punch if tool.is_flat else Sphere
-    return kind(tool.radius, probing.contact.start, probing.force)
+    return _TIPS[type(tool)](tool.radius, probing.contact.start, probing.force)
 
 
 def _places(probing: Probing) -> Points:
@@ -571,12 +575,12 @@ def require_finite_strain(session: Session) -> None:
             )
     for probing in session.probings:
         contact = probing.contact
-        if contact.profile == "flat" and _tip(probing) is None:
+        if contact.has_sharp_rim and _tip(probing) is None:
             raise InputError(
                 f"finite strain: probing '{probing.name}' has the pressure of a flat face, which"
                 " no object bears at its rim; name the tool that slides, or take another profile"
             )
-        if probing.loads or contact.radius is None or contact.pressure_map is not None:
+        if probing.loads or contact.radius is None or isinstance(contact.tool, ShapedTool):
             raise InputError(
                 f"finite strain: probing '{probing.name}' has a load that is no round patch under a"
                 " tool; leave --strain finite out"

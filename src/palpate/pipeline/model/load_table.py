@@ -318,6 +318,6 @@ def _distinct_patches(
 def contact_key(contact: Contact) -> ContactKey:
     """Key that is equal for contacts with the same patch."""
     triangles = () if contact.triangles is None else tuple(contact.triangles.tolist())
-    shape = None if contact.pressure_map is None else contact.pressure_map.pressure.tobytes()
-    size = contact.radius, contact.profile, contact.outward
-    return (*contact.point.tolist(), *size, triangles, shape)
+    found = contact.traction
+    shape = () if found is None else (found.pressure.tobytes(), found.outward.tobytes())
+    return (*contact.point.tolist(), contact.radius, contact.profile, triangles, *shape)

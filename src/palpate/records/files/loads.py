@@ -1,6 +1,7 @@
 """Reads contacts, forces, additional loads and support motions of a probing in session.toml."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,22 +13,12 @@ from palpate.geometry import (
     closest_points,
     read_mesh,
 )
-from palpate.records.contact import (
-    FRICTIONS,
-    MESH,
-    RIGID,
-    SLIDES,
-    TOOL_SHAPES,
-    UNIFORM,
-    Contact,
-    Tool,
-    contact_profiles,
-    mesh_tool,
-)
+from palpate.records.contact import RIGID, UNIFORM, Contact, contact_profiles
 from palpate.records.probing import Load
 from palpate.records.quantities import ANGLE_UNITS, LENGTH_UNITS
 from palpate.records.support import HeldObject, RigidMotion, listed_triangles
 from palpate.records.text.toml_table import TomlTable
+from palpate.records.tools import FRICTIONS, SLIDES, TOOLS, ConvexMesh, Tool, mesh_tool
 from palpate.shapes import Indices, Vector3
 
 
@@ -58,7 +49,7 @@ def read_push(table: TomlTable, body: HeldObject, loads: Sequence[Load]) -> tupl
         if "tool" in contact.values:
             point = body.metres_per_unit * contact.vector("point")
             tool = _tool(contact, body.metres_per_unit, force)
-            return tool.contact(point, bounding_diagonal(body.mesh)), force
+            return Contact.under(tool, point, bounding_diagonal(body.mesh)), force
         return _contact(contact, body), force
     contact.check_keys(("support",))
     number = contact.number("support")
@@ -152,14 +143,29 @@ def _contact(contact: TomlTable, body: HeldObject) -> Contact:
 
 def _tool(contact: TomlTable, metres: float, force: Vector3) -> Tool:
     friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS)) or SLIDES
-    shape = contact.choice("tool", TOOL_SHAPES)
-    if shape == MESH:
+    shape = contact.choice("tool", tuple(TOOLS))
+    kind = TOOLS[shape]
+    if kind is ConvexMesh:
         return _mesh_tool(contact, metres, friction, force)
-    contact.check_keys(("point", "point_std", "tool", "tool_radius", "tool_angle", "friction"))
-    radius = contact.quantity("tool_radius", LENGTH_UNITS, metres)
-    angle = contact.optional("tool_angle", lambda key: contact.quantity(key, ANGLE_UNITS))
+    contact.check_keys(
+        ("point", "point_std", "tool", "tool_radius", "tool_inner_radius", "tool_angle", "friction")
+    )
+    sizes = {
+        "radius": contact.quantity("tool_radius", LENGTH_UNITS, metres),
+        "inner_radius": contact.optional(
+            "tool_inner_radius", lambda key: contact.quantity(key, LENGTH_UNITS, metres)
+        ),
+        "angle": contact.optional("tool_angle", lambda key: contact.quantity(key, ANGLE_UNITS)),
+    }
+    wanted = {each.name for each in fields(kind)}
+    for name, size in sizes.items():
+        if size is None and name in wanted:
+            contact.fail(f"tool_{name}", f"is missing; a tool '{shape}' needs it")
+        if size is not None and name not in wanted:
+            contact.fail(f"tool_{name}", f"a tool '{shape}' has none; leave it out")
+    given = {name: size for name, size in sizes.items() if size is not None}
     with contact.error_context():
-        return Tool(shape, radius, friction, angle)
+        return kind(**given, friction=friction)
 
 
 def _mesh_tool(contact: TomlTable, metres: float, friction: str, force: Vector3) -> Tool:
@@ -174,7 +180,7 @@ def _mesh_tool(contact: TomlTable, metres: float, friction: str, force: Vector3)
     else:
         turn = Rotation.identity()
     with contact.error_context():
-        return mesh_tool(mesh, turn.as_matrix(), friction)
+        return mesh_tool(mesh, turn.as_matrix(), friction=friction)
 
 
 def _middle(mesh: TriangleMesh, triangles: Indices) -> Vector3:

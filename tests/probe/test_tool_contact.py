@@ -1,4 +1,4 @@
-"""Circles that tools touch: closed forms, limits, and surfaces of known curvature."""
+"""Contacts of tools: closed forms, limits, and surfaces of known curvature."""
 
 from collections.abc import Callable
 
@@ -12,10 +12,21 @@ from surfaces import ball_mesh, box, hull_mesh, sphere
 from palpate.bem import PressureDisc, disc_displacement, disc_potentials
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.probe import LocalSurface, contact_circle, convex_contact, local_surface
-from palpate.probe.contact_circle import ConvexContact
-from palpate.records import CONE, CYLINDER, FLAT, SLIDES, SPHERE, STICKS, Tool
-from palpate.records.contact import cone_pressure, mesh_tool
+from palpate.probe import LocalSurface, ToolContact, local_surface, tool_contact
+from palpate.records import (
+    SPREAD,
+    STICKS,
+    TOOLS,
+    Cone,
+    Contact,
+    FlatFace,
+    GridTraction,
+    Ring,
+    Sphere,
+    Tool,
+    mesh_tool,
+)
+from palpate.records.contact import PRESSURES, cone_pressure
 
 SHEAR, NU = 2e4, 0.3
 REDUCED = 2.0 * SHEAR / (1.0 - NU)
@@ -25,13 +36,25 @@ MODULUS = 2.0 * SHEAR / (1.0 - NU)
 UP = np.array([0.0, 0.0, 1.0])
 
 
+def _found(tool: Tool, force: float, curvature: float = 0.0, nu: float = NU) -> ToolContact:
+    local = LocalSurface(UP, curvature)
+    return tool_contact(tool, local, force, shear_modulus=SHEAR, poisson_ratio=nu)
+
+
 def _radius(tool: Tool, curvature: float, force: float, nu: float = NU) -> float:
-    return contact_circle(tool, curvature, force, shear_modulus=SHEAR, poisson_ratio=nu).radius
+    return _found(tool, force, curvature, nu).radius
+
+
+def _share(found: ToolContact, s: np.ndarray) -> np.ndarray:
+    """Pressure at distances over the radius, over its mean over the circle."""
+    angle = np.arcsin(SPREAD)
+    mean = 2.0 * np.trapezoid(found.traction.pressure * SPREAD, angle)
+    return found.traction.mean(s) / mean
 
 
 @pytest.mark.parametrize("curvature", [0.0, 20.0, -50.0])
 def test_a_light_touch_is_hertzian(curvature: float) -> None:
-    tool, force = Tool(SPHERE, 5e-3), 1e-4
+    tool, force = Sphere(5e-3), 1e-4
     relative = 1.0 / tool.radius + curvature
     hertz = (0.75 * force / (LEVEL_REDUCED * relative)) ** (1 / 3)
     # A sphere is a paraboloid but for (a / R)^2 = 1e-3.
@@ -49,7 +72,7 @@ def test_a_deep_touch_is_sneddon_s(share: float) -> None:
         return r**2 * (r / np.sqrt(ball**2 - r**2) + curvature * r)
 
     force = 2.0 * LEVEL_REDUCED * quad(integrand, 0.0, 0.5 * np.pi)[0]
-    found = _radius(Tool(SPHERE, ball), curvature, force, LEVEL_NU)
+    found = _radius(Sphere(ball), curvature, force, LEVEL_NU)
     assert found == pytest.approx(circle, rel=1e-6)
 
 
@@ -58,19 +81,34 @@ def test_a_surface_that_sticks_is_touched_less() -> None:
     # On so small a circle a ball that slides hardly pulls outward.
     force, ball = 1e-12, 5e-3
     for nu, stiffer in ((0.0, np.log(3.0)), (0.4999, 1.0), (0.5, 1.0)):
-        free = _radius(Tool(SPHERE, ball), 0.0, force, nu)
-        stuck = _radius(Tool(SPHERE, ball, STICKS), 0.0, force, nu)
+        free = _radius(Sphere(ball), 0.0, force, nu)
+        stuck = _radius(Sphere(ball, friction=STICKS), 0.0, force, nu)
         assert (free / stuck) ** 3 == pytest.approx(stiffer, rel=1e-3)
 
 
 def test_a_flat_face_touches_all_of_itself_or_less() -> None:
-    tool = Tool(FLAT, 4e-3)
-    found = contact_circle(tool, 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
-    assert (found.radius, found.profile) == (4e-3, "flat")
+    tool, s = FlatFace(4e-3), np.array([0.05, 0.5, 0.9])
+    found = _found(tool, 0.5)
+    assert found.radius == 4e-3
+    np.testing.assert_allclose(_share(found, s), 0.5 / np.sqrt(1.0 - s**2), rtol=1e-4)
+    assert found.approach == pytest.approx(0.5 / (2.0 * REDUCED * 4e-3), rel=1e-6)
     # A ball of 20 mm under a light push is not flattened as far.
-    found = contact_circle(tool, 50.0, 1e-3, shear_modulus=SHEAR, poisson_ratio=NU)
-    assert found.profile == "hertz"
-    assert found.radius == pytest.approx((0.75 * 1e-3 / (REDUCED * 50.0)) ** (1 / 3))
+    found = _found(tool, 1e-3, curvature=50.0)
+    assert found.radius == pytest.approx((0.75 * 1e-3 / (REDUCED * 50.0)) ** (1 / 3), rel=1e-6)
+    np.testing.assert_allclose(_share(found, s), 1.5 * np.sqrt(1.0 - s**2), rtol=1e-4)
+
+
+def test_a_flat_face_just_touched_whole_has_the_pressure_of_a_ball_and_of_a_punch() -> None:
+    """Superposition: what flattens the surface up to the rim, and the rest (Johnson, section 3.8);
+    the contact grows without a jump."""
+    tool, curvature, s = FlatFace(4e-3), 50.0, np.array([0.05, 0.5, 0.9])
+    whole = 4.0 / 3.0 * REDUCED * curvature * tool.radius**3
+    found = _found(tool, 1.5 * whole, curvature)
+    wanted = (1.5 * np.sqrt(1.0 - s**2) + 0.5 * 0.5 / np.sqrt(1.0 - s**2)) / 1.5
+    np.testing.assert_allclose(_share(found, s), wanted, rtol=1e-4)
+    before, after = (_found(tool, share * whole, curvature) for share in (0.9999, 1.0001))
+    np.testing.assert_allclose(_share(before, s), _share(after, s), rtol=2e-3)
+    assert after.approach == pytest.approx(before.approach, rel=1e-3)
 
 
 @pytest.mark.parametrize("degrees", [45.0, 70.0, 85.0])
@@ -78,12 +116,13 @@ def test_a_cone_is_sneddon_s(degrees: float) -> None:
     """F = 2 E* tan(angle) d^2 / pi at the depth d, of a circle of 2 d tan(angle) / pi."""
     angle, depth = np.radians(degrees), 1e-4
     force = 2.0 / np.pi * LEVEL_REDUCED * np.tan(angle) * depth**2
-    found = contact_circle(
-        Tool(CONE, 0.05, SLIDES, angle), 0.0, force, shear_modulus=SHEAR, poisson_ratio=LEVEL_NU
-    )
-    assert found.profile == "cone"
-    # The search ends at 1e-9 of the base.
+    found = _found(Cone(0.05, angle), force, nu=LEVEL_NU)
     assert found.radius == pytest.approx(2.0 / np.pi * depth * np.tan(angle), rel=1e-6)
+    assert found.approach == pytest.approx(depth, rel=1e-6)
+    # Beyond the first of the distances at which it is tabulated.
+    s = np.array([0.05, 0.3, 0.9])
+    # Over its mean: the integral of 2 s arcosh(1 / s) is 1.
+    np.testing.assert_allclose(_share(found, s), np.arccosh(1.0 / s), rtol=2e-3)
 
 
 def test_its_pressure_gives_the_depth() -> None:
@@ -98,17 +137,37 @@ def test_its_pressure_gives_the_depth() -> None:
     assert depth == pytest.approx(0.5 * np.pi * radius / np.tan(angle), rel=1e-6)
 
 
+def test_the_pressure_of_a_sphere_is_sneddon_s() -> None:
+    """Against his integral, at a circle of 0.7 radii, where Hertz's is 5 % too blunt."""
+    ball, share = 4e-3, 0.7
+    log = np.log((1 + share) / (1 - share))
+    force = LEVEL_REDUCED * ball**2 * (0.5 * (share**2 + 1.0) * log - share)
+    found = _found(Sphere(ball), force, nu=LEVEL_NU)
+    assert found.radius == pytest.approx(share * ball, rel=1e-5)
+    assert found.approach == pytest.approx(share * ball * np.arctanh(share), rel=1e-5)
+
+    def pressure(s: float) -> float:
+        def steeper(w: float) -> float:
+            t = s * share * np.cosh(w)
+            return float(np.arctanh(t) + t / (1.0 - t**2))
+
+        return float(quad(steeper, 0.0, np.arccosh(1.0 / s))[0])
+
+    s = np.array([0.1, 0.5, 0.8, 0.95])
+    wanted = np.array([pressure(each) for each in s])
+    here = found.traction.mean(s)
+    np.testing.assert_allclose(here / here[0], wanted / wanted[0], rtol=1e-4)
+    hertz = PRESSURES["hertz"](s)
+    assert abs(hertz[2] / hertz[0] / (wanted[2] / wanted[0]) - 1.0) > 0.05
+
+
 def test_the_faces_of_a_punch_and_of_a_cylinder_are_one() -> None:
-    found = [
-        contact_circle(Tool(shape, 4e-3), 0.0, 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
-        for shape in (FLAT, CYLINDER)
-    ]
-    assert found[0] == found[1]
-    assert Tool(CYLINDER, 4e-3).contact(np.zeros(3)).profile == "flat"
+    assert TOOLS["flat"] is TOOLS["cylinder"] is FlatFace
+    assert Contact.under(FlatFace(4e-3), np.zeros(3)).profile == "flat"
 
 
-def _outward(tool: Tool, force: float, nu: float = NU, curvature: float = 0.0) -> float:
-    return contact_circle(tool, curvature, force, shear_modulus=SHEAR, poisson_ratio=nu).outward
+def _lever(tool: Tool, force: float, nu: float = NU, curvature: float = 0.0) -> float:
+    return _found(tool, force, curvature, nu).traction.lever
 
 
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.6])
@@ -126,15 +185,15 @@ def test_a_sphere_that_slides_pulls_outward_along_its_normals(share: float) -> N
     lever = total(lambda r: r**2 / np.sqrt(1.0 - r**2)) / total(lambda r: 1.0)
     log = np.log((1 + share) / (1 - share))
     force = LEVEL_REDUCED * ball**2 * (0.5 * (share**2 + 1.0) * log - share)
-    assert _outward(Tool(SPHERE, ball), force, LEVEL_NU) == pytest.approx(lever / share, rel=1e-4)
+    assert _lever(Sphere(ball), force, LEVEL_NU) == pytest.approx(lever / share, rel=1e-4)
     if share < 0.1:
         assert lever / share == pytest.approx(0.4 * share, rel=1e-3)
 
 
 def test_so_does_a_cone_and_no_flat_face() -> None:
-    cone = Tool(CONE, 0.05, SLIDES, np.arctan(2.0))
-    assert _outward(cone, 1e-3) == pytest.approx(np.pi / 12.0)
-    assert _outward(Tool(FLAT, 4e-3), 0.5) == 0.0
+    cone = Cone(0.05, np.arctan(2.0))
+    assert _lever(cone, 1e-3) == pytest.approx(np.pi / 12.0, rel=1e-4)
+    assert _lever(FlatFace(4e-3), 0.5) == 0.0
 
 
 def _cells(across: int, size: float) -> tuple[np.ndarray, float]:
@@ -176,20 +235,20 @@ def test_a_flat_face_that_sticks_holds_the_surface_back(nu: float) -> None:
     coarse, fine = (_no_slip_outward(nu, across) for across in (6, 10))
     # The error is of first order in the cells, whose rim is ragged.
     extrapolated = (10.0 * fine - 6.0 * coarse) / 4.0
-    assert _outward(Tool(FLAT, 4e-3, STICKS), 0.5, nu) == pytest.approx(extrapolated, rel=0.01)
+    assert _lever(FlatFace(4e-3, friction=STICKS), 0.5, nu) == pytest.approx(extrapolated, rel=0.01)
 
 
 def test_every_newton_of_a_tool_that_sticks_is_that_of_a_flat_face() -> None:
-    flat = _outward(Tool(FLAT, 4e-3, STICKS), 0.5)
+    flat = _lever(FlatFace(4e-3, friction=STICKS), 0.5)
     # The mean circle of forces that grow with its cube and its square.
-    assert _outward(Tool(SPHERE, 5e-3, STICKS), 1e-5) == pytest.approx(0.75 * flat, rel=1e-4)
-    cone = Tool(CONE, 0.05, STICKS, 1.0)
-    assert _outward(cone, 1e-3) == pytest.approx(2.0 / 3.0 * flat, rel=1e-9)
+    assert _lever(Sphere(5e-3, friction=STICKS), 1e-5) == pytest.approx(0.75 * flat, rel=1e-4)
+    cone = Cone(0.05, 1.0, friction=STICKS)
+    assert _lever(cone, 1e-3) == pytest.approx(2.0 / 3.0 * flat, rel=1e-6)
     # A flat face that a ball does not touch whole.
-    touched = _outward(Tool(FLAT, 4e-3, STICKS), 1e-3, curvature=50.0)
-    assert touched == pytest.approx(0.75 * flat, rel=1e-9)
+    touched = _lever(FlatFace(4e-3, friction=STICKS), 1e-3, curvature=50.0)
+    assert touched == pytest.approx(0.75 * flat, rel=1e-6)
     # Where nothing changes its volume, a surface does not move sideways under a tool.
-    assert _outward(Tool(SPHERE, 5e-3, STICKS), 1e-2, 0.5) == 0.0
+    assert _lever(Sphere(5e-3, friction=STICKS), 1e-2, 0.5) == 0.0
 
 
 @pytest.mark.parametrize(("nu", "miss"), [(0.0, 0.02), (0.3, 0.01), (0.5, 0.01)])
@@ -217,7 +276,9 @@ def test_a_sphere_that_slides_is_met_by_a_surface_that_it_raises(nu: float, miss
     else:
         pytest.fail("the cells in contact do not settle")
     force = float(pressure.sum())
-    found = contact_circle(Tool(SPHERE, 1.0), 0.0, force, shear_modulus=1.0, poisson_ratio=nu)
+    found = tool_contact(
+        Sphere(1.0), LocalSurface(UP, 0.0), force, shear_modulus=1.0, poisson_ratio=nu
+    )
     wanted = np.sqrt(2.5 * (pressure @ distance**2) / force)
     assert found.radius == pytest.approx(wanted, rel=miss)
 
@@ -237,28 +298,25 @@ def test_normal_and_curvature_are_those_of_the_surface() -> None:
 
 
 def test_what_cannot_be() -> None:
-    ball = Tool(SPHERE, 3e-3)
+    ball = Sphere(3e-3)
     with pytest.raises(InputError, match="pulls"):
-        contact_circle(ball, 0.0, -0.1, shear_modulus=SHEAR, poisson_ratio=NU)
+        _found(ball, -0.1)
     with pytest.raises(InputError, match="bury a sphere of 3 mm"):
-        contact_circle(ball, 0.0, 50.0, shear_modulus=SHEAR, poisson_ratio=NU)
+        _found(ball, 50.0)
 
 
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("kind", "given", "text"),
     [
-        ({"shape": "wedge"}, "wedge"),
-        ({"radius": 0.0}, "positive"),
-        ({"friction": "glue"}, "glue"),
-        ({"shape": CONE}, "no tool_angle"),
-        ({"angle": 1.0}, "a tool_angle"),
-        ({"shape": CONE, "angle": 0.2}, "11.5 degrees"),
+        (Sphere, {"radius": 0.0}, "positive"),
+        (Sphere, {"radius": 3e-3, "friction": "glue"}, "glue"),
+        (Cone, {"radius": 3e-3, "angle": 0.2}, "11.5 degrees"),
+        (Ring, {"radius": 3e-3, "inner_radius": 3e-3}, "below tool_radius, 3 mm"),
     ],
 )
-def test_tools_that_there_are_not(change: dict[str, object], text: str) -> None:
-    given = {"shape": SPHERE, "radius": 3e-3, "friction": STICKS} | change
+def test_tools_that_there_are_not(kind: type[Tool], given: dict[str, float], text: str) -> None:
     with pytest.raises(InputError, match=text):
-        Tool(**given)
+        kind(**given)
 
 
 def _bar(half: np.ndarray) -> TriangleMesh:
@@ -274,19 +332,24 @@ def _contact(
     turn: Rotation | None = None,
     curvature: float = 0.0,
     friction: str = "slides",
-) -> ConvexContact:
+) -> ToolContact:
     turned = np.eye(3) if turn is None else turn.as_matrix()
-    tool = mesh_tool(mesh, turned, friction)
+    tool = mesh_tool(mesh, turned, friction=friction)
     local = LocalSurface(turned @ UP, curvature)
-    return convex_contact(tool, local, force, shear_modulus=SHEAR, poisson_ratio=NU)
+    return tool_contact(tool, local, force, shear_modulus=SHEAR, poisson_ratio=NU)
 
 
-def _moments(found: ConvexContact) -> tuple[float, float]:
+def _grid(found: ToolContact) -> GridTraction:
+    assert isinstance(found.traction, GridTraction)
+    return found.traction
+
+
+def _moments(found: ToolContact) -> tuple[float, float]:
     """Root mean square extent of the pressure along its axes [m], and its sum is one."""
-    pressures = found.pressure_map
-    cells = len(pressures.pressure)
-    x = pressures.half_side * found.radius * ((2.0 * np.arange(cells) + 1.0) / cells - 1.0)
-    weight = pressures.pressure / pressures.pressure.sum()
+    traction = _grid(found)
+    cells = len(traction.grid)
+    x = traction.half_side * found.radius * ((2.0 * np.arange(cells) + 1.0) / cells - 1.0)
+    weight = traction.grid / traction.grid.sum()
     return (
         float(np.sqrt(weight.sum(axis=1) @ x**2)),
         float(np.sqrt(weight.sum(axis=0) @ x**2)),
@@ -298,20 +361,18 @@ def _moments(found: ConvexContact) -> tuple[float, float]:
 def test_a_ball_touches_the_circle_of_a_sphere(curvature: float, friction: str) -> None:
     """Its 8,000 vertices lie on a sphere; at this depth the sphere is a paraboloid to 1 %."""
     found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, curvature=curvature, friction=friction)
-    sphere = contact_circle(
-        Tool(SPHERE, 6e-3, friction), curvature, 0.05, shear_modulus=SHEAR, poisson_ratio=NU
-    )
+    sphere = _found(Sphere(6e-3, friction=friction), 0.05, curvature)
     assert found.radius == pytest.approx(sphere.radius, rel=0.01)
     # Hertz: the mean square of each coordinate is a fifth of the circle's.
     assert _moments(found) == pytest.approx([sphere.radius / np.sqrt(5.0)] * 2, rel=0.01)
-    mean = found.pressure_map.mean(np.linspace(0.0, 0.9, 10) * found.radius / _reach(found))
+    mean = found.traction.mean(np.linspace(0.0, 0.9, 10) * found.radius / _reach(found))
     hertz = np.sqrt(1.0 - np.linspace(0.0, 0.9, 10) ** 2)
     # The facets are seen in the pressure: a fortieth of its mean at the centre.
     np.testing.assert_allclose(mean / mean.mean(), hertz / hertz.mean(), atol=0.04)
 
 
-def _reach(found: ConvexContact) -> float:
-    return found.radius * found.pressure_map.reach
+def _reach(found: ToolContact) -> float:
+    return found.radius * found.traction.reach
 
 
 def test_a_square_face_is_as_stiff_as_king_found() -> None:
@@ -322,7 +383,7 @@ def test_a_square_face_is_as_stiff_as_king_found() -> None:
     beta = 0.3 / found.approach / (2.0 * MODULUS * np.sqrt(4.0 * half**2 / np.pi))
     assert beta == pytest.approx(1.012, rel=0.005)
     assert _reach(found) == pytest.approx(np.sqrt(2.0) * half, rel=0.05)
-    assert not found.pressure_map.outward.any()
+    assert not found.traction.outward.any()
 
 
 def test_an_ellipsoid_touches_the_ellipse_of_hertz() -> None:
@@ -356,34 +417,56 @@ def test_pressure_turns_with_the_tool() -> None:
     assert there.radius == pytest.approx(here.radius, rel=0.02)
     rng = np.random.default_rng(0)
     places = rng.uniform(-0.5, 0.5, (200, 3)) * np.array([1.0, 0.3, 0.0])
-    inner = here.pressure_map.at(places) / here.pressure_map.pressure.max()
-    turned = there.pressure_map.at(turn.apply(places) * here.radius / there.radius)
+    inner = here.traction.at(places) / _grid(here).grid.max()
+    turned = there.traction.at(turn.apply(places) * here.radius / there.radius)
     np.testing.assert_allclose(turned / np.median(turned), inner / np.median(inner), rtol=0.05)
 
 
-def test_the_outward_traction_of_a_ball_is_that_of_a_sphere() -> None:
-    """p r / R on average: its integral is that of r / R over Hertz's pressure, 3 pi / 16 of a / R;
-    at the rim the slope of a sphere is 3.6 % above r / R."""
-    found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05)
-    pressures = found.pressure_map
-    outward = pressures.outward.sum() / pressures.pressure.sum()
-    assert outward == pytest.approx(3.0 * np.pi / 16.0 * found.radius / 6e-3, rel=0.03)
-    s = np.linspace(0.2, 0.8, 7) * found.radius / _reach(found)
-    slope = pressures.mean_outward(s) / pressures.mean(s)
-    np.testing.assert_allclose(slope, s * _reach(found) / 6e-3, rtol=0.05)
+@pytest.mark.parametrize("friction", ["slides", STICKS])
+def test_the_outward_traction_of_a_ball_is_that_of_a_sphere(friction: str) -> None:
+    found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, friction=friction)
+    sphere = _found(Sphere(6e-3, friction=friction), 0.05)
+    # By the facets, and by the cells at the rim.
+    lever = found.traction.lever * found.traction.reach * found.radius
+    assert lever == pytest.approx(sphere.traction.lever * sphere.radius, rel=0.02)
+    at = np.searchsorted(SPREAD, 0.6)
+    slope = found.traction.outward[at] / found.traction.pressure[at] / (SPREAD[at] * _reach(found))
+    wanted = sphere.traction.outward[at] / sphere.traction.pressure[at]
+    assert slope == pytest.approx(wanted / (SPREAD[at] * sphere.radius), rel=0.05)
 
 
-def test_a_mesh_that_sticks_pulls_outward_as_a_sphere_does() -> None:
-    found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, friction=STICKS)
-    pressures = found.pressure_map
-    middle = (2.0 * np.arange(len(pressures.pressure)) + 1.0) / len(pressures.pressure) - 1.0
-    distance = pressures.half_side * np.hypot(*np.meshgrid(middle, middle))
-    outward = (pressures.outward * distance).sum() / pressures.pressure.sum()
-    sphere = contact_circle(
-        Tool(SPHERE, 6e-3, STICKS), 0.0, 0.05, shear_modulus=SHEAR, poisson_ratio=NU
-    )
-    # At this depth the sphere is no paraboloid by 1 %.
-    assert outward == pytest.approx(sphere.outward, rel=0.02)
+@pytest.mark.parametrize("inner", [0.3, 0.6])
+def test_a_narrow_ring_s_mean_circle_and_stiffness(inner: float) -> None:
+    """Axisymmetric rings of uniform pressure between the rims, by the same displacement of discs:
+    the force of a ring that dents by one, and the mean square of its distance."""
+    tool = Ring(4e-3, inner * 4e-3)
+    found = _found(tool, 0.3)
+    stiffness, square = _ring_by_annuli(inner, 60)
+    assert 0.3 / found.approach == pytest.approx(REDUCED * tool.radius * stiffness, rel=0.01)
+    assert found.radius == pytest.approx(tool.radius * np.sqrt(2.5 * square), rel=0.01)
+    # No pressure within, and none outward.
+    assert not found.traction.at(np.zeros((1, 3))).any()
+    assert not found.traction.outward.any()
+
+
+def _ring_by_annuli(inner: float, count: int) -> tuple[float, float]:
+    """Force over E* and depth of a ring of outer radius 1, and mean square distance of its
+    pressure, by annuli of uniform pressure, narrower toward both rims."""
+    edge = 0.5 * (1.0 + inner) - 0.5 * (1.0 - inner) * np.cos(np.pi * np.arange(count + 1) / count)
+    middle = 0.5 * (edge[1:] + edge[:-1])
+
+    def disc(r: np.ndarray, radius: float) -> np.ndarray:
+        """Displacement times E* under a uniform pressure of one: Johnson, equation 3.29."""
+        s = r / radius
+        far = 1.0 / np.maximum(s, 1.0) ** 2
+        inside = 4.0 / np.pi * radius * ellipe(np.minimum(s, 1.0) ** 2)
+        outside = 4.0 / np.pi * r * (ellipe(far) - (1.0 - far) * ellipk(np.minimum(far, 1 - 1e-15)))
+        return np.where(s < 1.0, inside, outside)
+
+    at = np.stack([disc(middle, each) for each in edge], axis=1)
+    pressure = np.linalg.solve(np.diff(at, axis=1), np.ones(count))
+    force = pressure * np.pi * np.diff(edge**2)
+    return float(force.sum()), float(force @ middle**2 / force.sum())
 
 
 def test_a_punch_that_leans_by_a_degree_is_not_buried() -> None:
@@ -392,17 +475,17 @@ def test_a_punch_that_leans_by_a_degree_is_not_buried() -> None:
     bar = _bar(np.array([3e-3, 3e-3, 0.02]))
     lean = Rotation.from_rotvec([0.0, np.radians(1.0), 0.0])
     tool = mesh_tool(bar, lean.as_matrix())
-    found = convex_contact(tool, LocalSurface(UP, 0.0), 0.5, shear_modulus=SHEAR, poisson_ratio=NU)
-    weight = found.pressure_map.pressure / found.pressure_map.pressure.sum()
+    found = _found(tool, 0.5)
+    traction = _grid(found)
+    weight = traction.grid / traction.grid.sum()
     cells = np.arange(len(weight)) - 0.5 * (len(weight) - 1)
-    middle = (weight.sum(axis=1) @ cells * found.pressure_map.axes[0]) + (
-        weight.sum(axis=0) @ cells * found.pressure_map.axes[1]
+    middle = (weight.sum(axis=1) @ cells * traction.axes[0]) + (
+        weight.sum(axis=0) @ cells * traction.axes[1]
     )
     # In cells of a fiftieth of the face.
     assert middle[0] > 0.5
     assert abs(middle[1]) < 0.1
-    outward = found.pressure_map.outward
-    assert abs(outward).max() < 0.01 * found.pressure_map.pressure.max()
+    assert traction.outward.max() < 0.01 * traction.pressure.max()
 
 
 def test_what_cannot_touch_is_said() -> None:
