@@ -152,9 +152,10 @@ def test_a_ball_that_is_given_as_a_mesh_is_as_good(measured: Session) -> None:
 
 
 def test_without_its_outward_part_a_sphere_makes_nu_too_large(measured: Session) -> None:
-    """The right circle as if it were nothing but one, against the same under a ball."""
+    """The right circle and pressure, and nothing but these."""
     (probing,) = measured.probings
-    plain = replace(probing.contact, tool=None, traction=None)
+    pressure = probing.contact.traction.pressure
+    plain = replace(probing.contact, tool=None, traction=ToolTraction(pressure, 0.0 * pressure))
     estimate = fit_session(replace(measured, probings=(replace(probing, contact=plain),))).estimate
     assert estimate.poisson_ratio.value > NU + 2e-3
 
