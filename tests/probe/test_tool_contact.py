@@ -192,7 +192,7 @@ def test_a_sphere_that_slides_pulls_outward_along_its_normals(share: float) -> N
 
 def test_so_does_a_cone_and_no_flat_face() -> None:
     cone = Cone(0.05, np.arctan(2.0))
-    assert _lever(cone, 1e-3) == pytest.approx(np.pi / 12.0, rel=1e-4)
+    assert _lever(cone, 1e-3, LEVEL_NU) == pytest.approx(np.pi / 12.0, rel=1e-4)
     assert _lever(FlatFace(4e-3), 0.5) == 0.0
 
 
@@ -251,11 +251,11 @@ def test_every_newton_of_a_tool_that_sticks_is_that_of_a_flat_face() -> None:
     assert _lever(Sphere(5e-3, friction=STICKS), 1e-2, 0.5) == 0.0
 
 
-@pytest.mark.parametrize(("nu", "miss"), [(0.0, 0.02), (0.3, 0.01), (0.5, 0.01)])
-def test_a_sphere_that_slides_is_met_by_a_surface_that_it_raises(nu: float, miss: float) -> None:
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_a_sphere_that_slides_is_met_by_a_surface_that_it_raises(nu: float) -> None:
     """Against cells without friction under a ball of radius 1, which touch it or carry nothing: the
-    circle of Hertz's mean square distance. Without the outward traction's part in it the circle
-    would be larger by 1.9 % at a nu of 0.3, by 3.3 % at 0."""
+    mean square distance of their pressure, which 500 cells know to 0.05 %. Without the outward
+    traction's part it would be larger by 2 % at a nu of 0.3, by 4 % at 0."""
     share = 0.4
     centre, radius = _cells(13, 1.3 * share)
     distance = np.hypot(*centre.T[:2])
@@ -280,7 +280,11 @@ def test_a_sphere_that_slides_is_met_by_a_surface_that_it_raises(nu: float, miss
         Sphere(1.0), LocalSurface(UP, 0.0), force, shear_modulus=1.0, poisson_ratio=nu
     )
     wanted = np.sqrt(2.5 * (pressure @ distance**2) / force)
-    assert found.radius == pytest.approx(wanted, rel=miss)
+    angle = np.arcsin(SPREAD)
+    square = np.trapezoid(found.traction.pressure * SPREAD**3, angle) / np.trapezoid(
+        found.traction.pressure * SPREAD, angle
+    )
+    assert found.radius * np.sqrt(2.5 * square) == pytest.approx(wanted, rel=1e-3)
 
 
 def test_normal_and_curvature_are_those_of_the_surface() -> None:

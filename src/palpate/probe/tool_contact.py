@@ -65,11 +65,14 @@ _MAX_RADIUS_RATIO = 0.98
 # circles of 0.98 radii of a sphere.
 _POINTS, _WEIGHTS = (0.5 * (each + k) for each, k in zip(leggauss(32), (1.0, 0.0), strict=True))
 _DEGREE = 40
-# Change of the force due to the outward traction at which it has converged; most rounds.
-_CONVERGED, _MOST_ROUNDS = 1e-9, 40
+# Relative change of the circle at which its outward traction has converged; most rounds.
+_CONVERGED, _MOST_ROUNDS = 1e-6, 40
 # Distance over the radius within which the pressure under a tip is taken as constant.
 _NEAREST = 1e-6
-Slope = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
+Distances = Float[np.ndarray, "*n"]
+# Of the gap before the contact, at distances from the axis [m], about a circle of a radius [m].
+Slope = Callable[[Distances, float], Distances]
+_NONE = ToolTraction(np.zeros_like(SPREAD), np.zeros_like(SPREAD))
 Grid = Float[np.ndarray, "n n"]
 # Cells along each side of the square about the contact point.
 _CELLS = 64
@@ -78,10 +81,6 @@ _CELLS = 64
 _FILLED, _ZOOM = (0.6, 0.9), (0.1, 2.0)
 # The same on a grid, whose circle changes by steps.
 _CONVERGED_ON_GRID = 1e-3
-# Relative increase of the force on a circle per lever of the outward traction and (1 - 2 nu) /
-# (1 - nu), under Hertz's pressure.
-_HERTZ_STIFFENING = 15.0 / (8.0 * np.pi)
-_TINY = float(np.finfo(float).tiny)
 # Relative change of the pressure at which the iteration ends, and most iterations.
 _TOLERANCE, _MOST_ITERATIONS = 1e-6, 2000
 # Farthest the middle of the contact may lie from the tool's centre point, over its half extent.
@@ -237,15 +236,19 @@ def _on_circle(
     buried."""
     # A flat face meets a hollow as it meets a plane.
     curvature = max(local.curvature, 0.0) if tool.is_flat else local.curvature
-
-    def slope(r: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        return tool.slope(r) + curvature * r
-
-    largest, stiffer = tool.radius * (1.0 if tool.is_flat else _MAX_RADIUS_RATIO), 1.0
+    largest = tool.radius * (1.0 if tool.is_flat else _MAX_RADIUS_RATIO)
+    raised, radius, traction = _raised(poisson_ratio), 0.0, _NONE
     for _ in range(_MOST_ROUNDS):
-        radius, spare = largest, load / stiffer - _load_on(slope, largest)
+
+        def slope(r: Distances, circle: float, pressure: ToolTraction = traction) -> Distances:
+            own = tool.slope(r)
+            pulled = pressure.mean(r / circle) if tool.friction != STICKS else 0.0
+            return own * (1.0 + raised * pulled) + curvature * r
+
+        previous, radius = radius, largest
+        spare = load - _load_on(slope, largest)
         if spare < 0.0:
-            radius, spare = _circle(slope, load / stiffer, largest), 0.0
+            radius, spare = _circle(slope, load, largest), 0.0
         elif not tool.is_flat:
             return None
         pressure, approach = _pressure(slope, radius)
@@ -256,22 +259,29 @@ def _on_circle(
             pulled = _mean_circle(slope, radius, load) * _no_slip_lever(poisson_ratio)
             return ToolContact(radius, _sticking(pressure, pulled), approach)
         traction = ToolTraction(pressure, pressure * tool.slope(radius * SPREAD))
-        previous, stiffer = stiffer, _stiffening(traction, poisson_ratio)
-        if abs(stiffer - previous) < _CONVERGED:
+        approach -= raised * radius * float(traction.potential[0])
+        if abs(radius - previous) < _CONVERGED * radius:
             return ToolContact(radius, traction, approach)
     raise NotConvergedError("the circle that a tool touches did not settle")
 
 
+def _raised(poisson_ratio: float) -> float:
+    """How far an outward traction -dQ / dr raises the surface, over Q and times the reduced
+    modulus."""
+    return (1.0 - 2.0 * poisson_ratio) / (1.0 - poisson_ratio)
+
+
 def _circle(slope: Slope, load: float, largest: float) -> float:
     """Radius of the circle under a force over the reduced modulus."""
-    found = brentq(lambda a: _load_on(slope, a) - load, 0.0, largest, xtol=1e-12 * largest)
+    least = 1e-9 * largest
+    found = brentq(lambda a: _load_on(slope, a) - load, least, largest, xtol=1e-12 * largest)
     return float(found)
 
 
 def _load_on(slope: Slope, radius: float) -> float:
     """Force over the reduced modulus on a circle [m^2]."""
     s = np.sin(0.5 * np.pi * _POINTS)
-    return float(np.pi * radius**2 * (_WEIGHTS @ (s**2 * slope(radius * s))))
+    return float(np.pi * radius**2 * (_WEIGHTS @ (s**2 * slope(radius * s, radius))))
 
 
 def _pressure(slope: Slope, radius: float) -> tuple[Float[np.ndarray, " k"], float]:
@@ -279,7 +289,9 @@ def _pressure(slope: Slope, radius: float) -> tuple[Float[np.ndarray, " k"], flo
     without a rim."""
     s = np.sin(0.5 * np.pi * _POINTS)
     rise = Chebyshev.interpolate(
-        lambda x: 0.5 * np.pi * x * (slope(x[:, None] * s) @ _WEIGHTS), _DEGREE, [0.0, radius]
+        lambda x: 0.5 * np.pi * x * (slope(x[:, None] * s, radius) @ _WEIGHTS),
+        _DEGREE,
+        [0.0, radius],
     )
     change = rise.deriv()
     # A tip has a slope at the axis: the arcosh of a cone.
@@ -289,20 +301,6 @@ def _pressure(slope: Slope, radius: float) -> tuple[Float[np.ndarray, " k"], flo
     smooth = (((change(at) - tip) / at) @ _WEIGHTS) * radius * square
     sharp = tip * np.arccosh(1.0 / np.maximum(SPREAD, _NEAREST)) * np.sqrt(square)
     return (smooth + sharp) / np.pi, float(rise(radius))
-
-
-def _stiffening(traction: ToolTraction, poisson_ratio: float) -> float:
-    """Force of a round tool that slides, over that without its outward traction on the same circle:
-    Sneddon's integral for a tool as much steeper as the surface rises."""
-    root = np.sqrt(np.clip(1.0 - SPREAD**2, _TINY, None))
-    steeper = _over_angles(traction.outward / root * SPREAD**2)
-    share = steeper / (np.pi * _over_angles(traction.pressure * SPREAD))
-    return 1.0 + share * (1.0 - 2.0 * poisson_ratio) / (1.0 - poisson_ratio)
-
-
-def _over_angles(value: Float[np.ndarray, " k"]) -> float:
-    """Integral of values at `SPREAD` over the angles whose sines these are."""
-    return float(np.trapezoid(value, np.arcsin(SPREAD)))
 
 
 def _mean_circle(slope: Slope, radius: float, load: float) -> float:
@@ -328,36 +326,36 @@ def _on_grid(
     Source: Polonsky and Keer, Wear 231 (1999) 206; displacement under a cell: Love, Phil. Trans. R.
     Soc. A 228 (1929) 377, as in Johnson, Contact Mechanics (1985), equation 3.25.
     """
-    axes, half, stiffer = local.tangents, tool.radius, 1.0
+    axes, half, radius, traction = local.tangents, tool.radius, 0.0, _NONE
     for _ in range(_MOST_ROUNDS):
         x, y = half * np.stack(np.meshgrid(_centres(), _centres(), indexing="ij"))
         face = tool.face(axes, local.normal, x, y)
         if not face.inside.any():
             half *= _ZOOM[1]
             continue
-        gap = face.height + 0.5 * local.curvature * (x**2 + y**2)
-        pressure, approach = _solved(gap, face.inside, half, load / stiffer)
-        touched, distance = pressure > 0.0, np.hypot(x, y)
+        gap, distance = face.height + 0.5 * local.curvature * (x**2 + y**2), np.hypot(x, y)
+        if tool.friction != STICKS and radius > 0.0:
+            reach = traction.reach * radius
+            raised = np.interp(distance / reach, SPREAD, traction.potential) * reach * np.pi
+            gap -= _raised(poisson_ratio) * raised
+        pressure, approach = _solved(gap, face.inside, half, load)
+        touched = pressure > 0.0
         extent = np.maximum(abs(x), abs(y))[touched].max() / half + 1.0 / _CELLS
         if not _FILLED[0] <= extent <= _FILLED[1]:
             half *= float(np.clip(extent / np.mean(_FILLED), *_ZOOM))
             continue
-        radius = float(np.sqrt(2.5 * np.average(distance**2, weights=pressure)))
+        steep = np.hypot(*face.slope) > _STEEPEST
+        if pressure[steep].sum() > _STEEP_SHARE * pressure.sum():
+            return None
+        previous, radius = radius, float(np.sqrt(2.5 * np.average(distance**2, weights=pressure)))
         reach = float(distance[touched].max() + np.sqrt(2.0) * half / _CELLS)
         outward = _outward(tool, (x, y), face.slope, pressure, radius, poisson_ratio)
         traction = grid_traction(axes, half / radius, reach / radius, pressure, outward)
-        previous = stiffer
-        if tool.friction != STICKS:
-            # As under Hertz's pressure with the same lever.
-            share = _HERTZ_STIFFENING * traction.lever * traction.reach
-            stiffer = 1.0 + share * (1.0 - 2.0 * poisson_ratio) / (1.0 - poisson_ratio)
-        if abs(stiffer - previous) < _CONVERGED_ON_GRID:
+        if abs(radius - previous) < _CONVERGED_ON_GRID * radius:
             break
     else:
         raise NotConvergedError(f"the contact of a {tool.shape} was not found on any square")
     _check_near_centre(x[touched], y[touched])
-    if pressure[np.hypot(*face.slope) > _STEEPEST].sum() > _STEEP_SHARE * pressure.sum():
-        return None
     return ToolContact(radius, traction, approach)
 
 
