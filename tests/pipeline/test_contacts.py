@@ -274,6 +274,10 @@ def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None
     for other in (moved, wider, pulled):
         changed = replace(measured, probings=(replace(probing, contact=other),))
         assert largest_change(measured, changed) == pytest.approx(0.01, rel=1e-9)
+    unknown = replace(
+        measured, probings=(replace(probing, contact=replace(contact, traction=None)),)
+    )
+    assert largest_change(unknown, measured) == 1.0
 
 
 def _block_session(mesh: TriangleMesh, tool: Tool, travel: np.ndarray | None = None) -> Session:

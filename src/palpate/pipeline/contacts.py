@@ -196,17 +196,22 @@ def settled_contact(
 
 
 def largest_change(before: Session, after: Session) -> float:
-    """Largest change of a contact between two versions of a session: of its radius, over it, of its
-    point, over `_POINT_SHARE` of the radius, or of its outward traction [-]."""
+    """Largest change of a contact between two versions of a session: of the spread of its pressure,
+    over it, of its point, over `_POINT_SHARE` of the radius, or of its outward traction [-]; 1
+    where the traction was not known before."""
     changes = [0.0]
     for earlier, later in zip(before.probings, after.probings, strict=True):
         old, new = earlier.contact, later.contact
-        if old.radius is not None and new.radius is not None:
-            changes.append(abs(old.radius / new.radius - 1.0))
-            if old.traction is not None and new.traction is not None:
-                changes.append(abs(old.traction.lever - new.traction.lever))
-            shift = float(np.linalg.norm(new.point - old.point))
-            changes.append(shift / (_POINT_SHARE * new.radius))
+        if old.radius is None or new.radius is None:
+            continue
+        shift = float(np.linalg.norm(new.point - old.point))
+        changes.append(shift / (_POINT_SHARE * new.radius))
+        if new.traction is None:
+            continue
+        if old.traction is None:
+            return 1.0
+        ratio = old.radius * old.traction.spread / (new.radius * new.traction.spread)
+        changes += [abs(ratio - 1.0), abs(old.traction.lever - new.traction.lever)]
     return max(changes)
 
 

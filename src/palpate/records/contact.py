@@ -67,6 +67,13 @@ class ToolTraction:
         return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
     @property
+    def spread(self) -> float:
+        """Root mean square distance of the pressure from the axis, in contact radii."""
+        pressed = self.pressure * SPREAD
+        square = np.trapezoid(pressed * SPREAD**2, _ANGLE) / np.trapezoid(pressed, _ANGLE)
+        return float(self.reach * np.sqrt(square))
+
+    @property
     def lever(self) -> float:
         """Integral of the outward traction times the distance from the axis, over the reach and
         over the integral of the pressure [-]."""
