@@ -30,6 +30,10 @@ from palpate.field.field_map import (
     MapResponse as MapResponse,
     make_map_response as make_map_response,
 )
+from palpate.field.inclusions import (
+    InclusionFit as InclusionFit,
+    fit_inclusions as fit_inclusions,
+)
 from palpate.field.poke_responses import (
     PokeModel as PokeModel,
     PokeResponse as PokeResponse,

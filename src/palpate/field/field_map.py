@@ -167,7 +167,8 @@ class FieldPosterior:
         weight = volume * np.abs(self.log_modulus[part] - outside @ self.coefficients)
         x, y, z = (float(each) for each in weight @ self.centre[part] / weight.sum())
         size = float(6.0 * volume.sum() / np.pi) ** (1.0 / 3.0)
-        return StiffPart((x, y, z), size, *(float(np.exp(each)) for each in (ratio, low, high)))
+        ratio, low, high = (float(np.exp(each)) for each in (ratio, low, high))
+        return StiffPart((x, y, z), size, ratio, low, high)
 
 
 def _is_mentioned(part: StiffPart) -> bool:

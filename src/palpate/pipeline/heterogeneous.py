@@ -22,10 +22,12 @@ from palpate.field import (
     Cause,
     Explanation,
     FieldFit,
+    InclusionFit,
     RegionFit,
     evidence_of_errors,
     explanations,
     fit_field,
+    fit_inclusions,
     fit_regions,
     no_field_reason,
 )
@@ -37,7 +39,7 @@ from palpate.pipeline.model.object_model import make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
 from palpate.pipeline.observations import converged_observations
 from palpate.progress import Progress, part_of
-from palpate.records import ProbeEstimate, Session, Status
+from palpate.records import FieldEstimate, ModulusMap, ProbeEstimate, Session, Status
 
 # Fraction of the work that finding the field takes, and where other causes are asked for.
 _FOUND, _ASKED = 0.7, 0.97
@@ -81,7 +83,7 @@ class Predictor:
     """
 
     minimum: Evaluation
-    field: FieldFit | RegionFit | Explanation | None
+    field: FieldFit | InclusionFit | RegionFit | Explanation | None
     settings: FitSettings
 
     def __call__(self, session: Session) -> tuple[Prediction, ...]:
@@ -120,7 +122,7 @@ def fit_material(
     settings: FitSettings,
     progress: Progress,
     cache: Cache | None = None,
-) -> tuple[FitResult, FieldFit | RegionFit | Explanation | None]:
+) -> tuple[FitResult, FieldFit | InclusionFit | RegionFit | Explanation | None]:
     """The fit with what the object may be made of.
 
     Parameters
@@ -182,7 +184,7 @@ def fit_other_causes(
     settings: FitSettings,
     progress: Progress,
     cache: Cache | None = None,
-) -> tuple[FitResult, FieldFit | Explanation | None]:
+) -> tuple[FitResult, FieldFit | InclusionFit | Explanation | None]:
     """The fit with a field of moduli, or with another cause where that is decisively likelier;
     `plain` where one modulus will do.
 
@@ -268,7 +270,7 @@ def _fit_with_field(
     material: Material,
     settings: FitSettings,
     progress: Progress,
-) -> tuple[FitResult, FieldFit | None]:
+) -> tuple[FitResult, FieldFit | InclusionFit | None]:
     """The fit with a field of moduli, where the data are decisively likelier with one.
 
     Parameters
@@ -283,7 +285,7 @@ def _fit_with_field(
     Returns
     -------
     FitResult                                   `plain` where one modulus will do
-    FieldFit or None                            None: one modulus will do
+    FieldFit, InclusionFit or None              None: one modulus will do
 
     Raises
     ------
@@ -300,9 +302,22 @@ def _fit_with_field(
         return replace(plain, estimate=replace(plain.estimate, notes=notes)), None
     if field.log_evidence < DECISIVE:
         return plain, None
-    result = fit(field.observations, settings=settings, progress=part_of(progress, _FOUND, 1.0))
+    last = part_of(progress, _FOUND, 1.0)
+    result = fit(field.observations, settings=settings, progress=last)
     posterior = field.posterior(result.minimum)
-    described = field.estimate(posterior)
+    round_parts = fit_inclusions(field, posterior, observations, settings)
+    if round_parts is None or round_parts.log_evidence - field.log_evidence < DECISIVE:
+        described, mapped = field.estimate(posterior), posterior.map()
+        return _heterogeneous(result, plain, described, mapped), field
+    result = fit(round_parts.observations, settings=settings, progress=last)
+    described, mapped = round_parts.described(result.minimum)
+    return _heterogeneous(result, plain, described, mapped), round_parts
+
+
+def _heterogeneous(
+    result: FitResult, plain: FitResult, described: FieldEstimate, mapped: ModulusMap
+) -> FitResult:
+    """A fit with what it says of moduli that differ from place to place, beside the plain one."""
     estimate = result.estimate
     status = Status.HETEROGENEOUS if estimate.status is Status.OK else estimate.status
     probes = tuple(
@@ -316,7 +331,7 @@ def _fit_with_field(
     estimate = replace(
         estimate, status=status, field=described, probes=probes, notes=(*notes, *estimate.notes)
     )
-    return replace(result, estimate=estimate, map=posterior.map()), field
+    return replace(result, estimate=estimate, map=mapped)
 
 
 def _gain(probes: Sequence[ProbeEstimate]) -> str:

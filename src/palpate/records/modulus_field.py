@@ -27,8 +27,10 @@ class StiffPart:
     centre : (float, float, float) [m]
     size : float [m]                diameter of a ball of its volume, > 0
     ratio : float [-]               its modulus over that of the rest, means of logarithms, > 0
-    low, high : float [-]           95 % interval of the ratio, of a smooth field
+    low, high : float [-]           95 % interval of the ratio, of a smooth field where not round
     depth : float [m]               of the outermost layer of the body, which it is; 0: it is none
+    known : (float, float) [m] or None      standard deviation of the centre and of the size of a
+                                    part that is round; None: it is not
 
     Raises
     ------
@@ -41,6 +43,7 @@ class StiffPart:
     low: float
     high: float
     depth: float = 0.0
+    known: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not (
@@ -61,6 +64,14 @@ class StiffPart:
         more than its interval says."""
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
         place = ", ".join(str(round(1e3 * x)) for x in self.centre)
+        if self.known is not None:
+            most = self.high if self.ratio >= 1.0 else 1.0 / self.low
+            place_std, size_std = (1e3 * each for each in self.known)
+            return (
+                f"a round part about {1e3 * self.size:.0f} mm across (+- {size_std:.1f}) near"
+                f" ({place}) mm (+- {place_std:.1f}) is {least:.2g} to {most:.2g} times as {word}"
+                " as the rest"
+            )
         what = f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm"
         if self.depth:
             what = f"the outermost {1e3 * self.depth:.2g} mm or so"
@@ -100,10 +111,13 @@ class FieldEstimate:
     @property
     def sentences(self) -> tuple[str, ...]:
         """For a reader, without full stops."""
+        what, of = "a field of moduli", "means over the body"
+        if any(part.known for part in self.parts):
+            what, of = "round parts of another modulus", "those of the rest"
         verdict = (
             "the modulus is not the same everywhere: the data are exp"
-            f"({self.log_evidence:.0f}) times as likely with a field of moduli as with one, and the"
-            " constants are means over the body"
+            f"({self.log_evidence:.0f}) times as likely with {what} as with one, and the"
+            f" constants are {of}"
         )
         return (verdict, *(part.sentence for part in self.parts))
 
