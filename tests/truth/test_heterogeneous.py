@@ -39,10 +39,13 @@ def test_what_is_inside_is_found_and_predicted(shared_data):
     result = fit_session(fitted, material=Material.AUTO)
     assert result.estimate.status is Status.HETEROGENEOUS
     before, after = (errors(held, each.predict(held)) for each in (plain, result))
-    assert np.median(after) < 0.5 * np.median(before)
-    assert after.max() < 0.04
-    place = np.array(result.estimate.field.parts[0].centre)
-    assert np.linalg.norm(place - BALL) < 4e-3
+    assert np.median(after) < 0.3 * np.median(before)
+    assert after.max() < 0.01
+    (ball,) = result.estimate.field.parts
+    # A part of its own, which cameras see the effect of alone: half a contact radius.
+    assert np.linalg.norm(np.array(ball.centre) - BALL) < 3e-3
+    assert ball.known is not None
+    assert ball.low < 5.0 < ball.high
     # Prior and posterior: what is known is where the pushes were, and not everywhere.
     assert 0.3 < result.estimate.field.known < 1.0
 

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
 from palpate.field.field_fit import FieldFit, log_bayes_factor, modes_in
 from palpate.field.field_map import FieldPosterior, leading_directions
-from palpate.field.field_prior import FieldModes, FieldPrior
+from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import (
     CoefficientPrior,
     FieldExpansion,
@@ -46,7 +46,8 @@ class InclusionFit:
 
     Attributes
     ----------
-    smooth : FieldPrior             of the smooth field in whose place they are
+    smooth : FieldEstimate          the smooth field in whose place they are
+    is_known : (m,) bool            elements of which that field is known
     expansion : FieldExpansion      about the parts that fit best
     prior : CoefficientPrior        of the changes of their parameters
     about : (k, 5) float            parameters about which it is expanded: centre [m], logarithm of
@@ -56,7 +57,8 @@ class InclusionFit:
                                     all probings share
     """
 
-    smooth: FieldPrior
+    smooth: FieldEstimate
+    is_known: Bool[np.ndarray, " m"]
     expansion: FieldExpansion
     prior: CoefficientPrior
     about: Float[np.ndarray, "k 5"]
@@ -88,8 +90,9 @@ class InclusionFit:
         covariance = scale @ minimum.normal.covariance[np.ix_(where, where)] @ scale.T
         parts = self.about + moved.reshape(-1, _EACH)
         found = _stiff_parts(parts, np.sqrt(np.diag(covariance)).reshape(-1, _EACH))
-        estimate = FieldEstimate(self.smooth.std, self.smooth.length, self.log_evidence, 1.0, found)
-        return estimate, _map_of(self.expansion.model, parts, covariance)
+        estimate = replace(self.smooth, log_evidence=self.log_evidence, parts=found)
+        mapped = _map_of(self.expansion.model, parts, covariance)
+        return estimate, replace(mapped, is_known=self.is_known)
 
 
 def _stiff_parts(
@@ -168,7 +171,10 @@ def fit_inclusions(
             expansion = expansion.with_slope()
             evidence = log_bayes_factor(minimum, plain, settings)
             observed = expansion.observations(prior)
-            return InclusionFit(field.prior, expansion, prior, parts, evidence, observed)
+            return InclusionFit(
+                field.estimate(posterior), posterior.is_known, expansion, prior, parts, evidence,
+                observed,
+            )  # fmt: skip
         # Of steps that alternate the middle is nearer.
         step = step / max(change, 2.0 if (step * before / limit**2).sum() < 0.0 else 1.0)
         parts, before = parts + step, step
@@ -189,7 +195,7 @@ def _width(model: FieldModel) -> float:
 
 def _fields(
     parts: Float[np.ndarray, "k 5"], points: Points, width: float
-) -> Float[np.ndarray, "p 1_k5"]:
+) -> Float[np.ndarray, "p f"]:
     """Logarithm of the modulus at points, and its derivatives by the parameters of the parts."""
     value, slopes = np.zeros(len(points)), []
     for *centre, log_radius, contrast in parts:
