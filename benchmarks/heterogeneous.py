@@ -48,9 +48,9 @@ NOISE, FORCE = (3e-6, 3e-6, 10e-6), 0.005
 FARTHEST = 2e-3
 # Edge of the truth's elements over that of the body's surface, and under a tool over its radius.
 _EDGE, _FINE = 0.8, 0.3
-# Bodies whose truth has cells between planes through every face of its regions, and the longest side
-# of these. Pushes by such cells and by those of 2.4 mm differ by 0.03 to 0.16 % on the block with a
-# skin, by those of 1.6 and 2.1 mm by 0.2 to 0.5 % on the slab with an insert.
+# Bodies whose truth has cells between planes through every face of its regions, and the longest
+# side of these. Pushes by such cells and by those of 2.4 mm differ by 0.03 to 0.16 % on the block
+# with a skin, by those of 1.6 and 2.1 mm by 0.2 to 0.5 % on the slab with an insert.
 _LAYERED, _CELL = ("block", "slab"), 1.9e-3
 
 
