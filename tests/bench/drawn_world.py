@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from palpate.bench import Bench, DrawnBody, virtual_bench
+from palpate.bench import Bench, DrawnBody, Questions, virtual_bench
 from palpate.geometry import TriangleMesh
 from palpate.lab import LabConfig, built_in, make_render_mesh, read_lab_config, texture
 from palpate.progress import Progress, silent
@@ -66,7 +66,7 @@ def drawn_bench() -> Bench:
     return virtual_bench(small_config(), draw=drawn_body)
 
 
-class Script:
+class Script(Questions):
     """Answers by the beginnings of questions, others with the first choice; remembers all texts."""
 
     def __init__(self, *answers: tuple[str, str], on_tell: Callable[[str], None] | None = None):

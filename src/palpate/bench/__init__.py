@@ -25,5 +25,5 @@ from palpate.bench.measure import (
     measure as measure,
     wanted_precision as wanted_precision,
 )
-from palpate.bench.pushing import Questions as Questions
+from palpate.bench.questions import Questions as Questions
 from palpate.bench.virtual import DrawnBody as DrawnBody

@@ -95,17 +95,11 @@ class Bench:
         return (*self.cameras, self.force, *(() if self.arm is None else (self.arm,)))
 
     @contextmanager
-    def started(self) -> Iterator[None]:
-        """All devices started, and closed when the block ends.
-
-        Raises
-        ------
-        DeviceError                 one does not start
-        """
+    def closed_afterwards(self) -> Iterator[None]:
+        """All devices closed when the block ends."""
         with ExitStack() as stack:
             for device in self.devices:
                 stack.callback(device.close)
-                device.start()
             yield
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import tomlkit
 from scipy.spatial import cKDTree
 
-from palpate.bench.pushing import Pictures, PushError, TakenPush
+from palpate.bench.pushing import PushError, TakenPush
+from palpate.bench.questions import Pictures
 from palpate.disk import atomic_replacement, write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.estimation import FitResult

@@ -7,22 +7,19 @@ than that; pictures that move there are refused.
 
 import time
 from collections import deque
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from palpate.arrays import tangents_of
 from palpate.bench.arms import GuardedArm, check_push
 from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.gauges import TypedForce
+from palpate.bench.questions import Pictures, Questions
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
-from palpate.progress import Progress
 from palpate.recording import (
     ForceLog,
     Reading,
@@ -56,27 +53,6 @@ _STEPS, _TURN = 100, 0.2
 _PAUSE, _SAME = 2e-3, 1e-6
 # Standard deviation of a force that was read by eye, over the force.
 _BY_EYE = 0.02
-Pictures = tuple[UInt8[np.ndarray, "_ _"], ...]
-
-
-@runtime_checkable
-class Questions(Protocol):
-    """How a person is spoken to: at the terminal, in the browser, or by a script."""
-
-    def tell(self, text: str) -> None:
-        """Say something."""
-
-    def choose(self, text: str, options: list[str]) -> str:
-        """One of some words; the first is the usual one."""
-
-    def ask(self, text: str, usual: str) -> str:
-        """A number or a word; empty: the usual one."""
-
-    def wait(self, text: str) -> None:
-        """Until the person has done something."""
-
-    def working(self) -> AbstractContextManager[Progress]:
-        """Show what is being done until the block ends; nothing is asked or told in it."""
 
 
 class PushError(InputError):
@@ -127,10 +103,10 @@ def grabbed(bench: Bench) -> tuple[float, Pictures]:
 
 
 class _Watch:
-    """The latest pictures, and all readings since it began."""
+    """The latest pictures, and all readings since it began; shown to the person as they come."""
 
-    def __init__(self, bench: Bench) -> None:
-        self.bench = bench
+    def __init__(self, bench: Bench, questions: Questions) -> None:
+        self.bench, self.questions = bench, questions
         self.frames: deque[tuple[float, Pictures]] = deque(maxlen=_KEPT)
         self.time: list[float] = []
         self.reading: list[float] = []
@@ -139,6 +115,7 @@ class _Watch:
         """Take a picture with every camera, and what the gauge has sent."""
         self.frames.append(grabbed(self.bench))
         self.read()
+        self.questions.see(self.frames[-1][1], self.time, self.reading)
 
     def read(self) -> int:
         """Take what the gauge has sent; how many readings."""
@@ -247,7 +224,8 @@ def take_push(
     DeviceError                     a device that fails
     InputError                      a push that leaves the arm's limits
     """
-    watch, where = _Watch(bench), f"{np.round(1e3 * place, 1).tolist()} mm"
+    questions.place(place, inward)
+    watch, where = _Watch(bench, questions), f"{np.round(1e3 * place, 1).tolist()} mm"
     if bench.arm is not None:
         questions.tell(f"The arm presses at {where}")
         rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, place, inward)

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import InputError, PalpateError
+from palpate.geometry import ray_intersection
 from palpate.optional_imports import late_import
 from palpate.records import verdict_text
-from palpate.viewer.clicking import ray_intersection
 from palpate.viewer.panels import (
     InsidePanel,
     LookPanel,

@@ -8,13 +8,13 @@ from rich.prompt import Prompt
 from palpate.app.process import check_cache
 from palpate.app.tables import constants_table
 from palpate.app.terminal import print_tables, print_text, progress_bar
-from palpate.bench import measure as measure_live, read_bench, wanted_precision
+from palpate.bench import Questions, measure as measure_live, read_bench, wanted_precision
 from palpate.disk import created_folder
 from palpate.errors import InputError, visible
 from palpate.progress import Progress
 
 
-class _Terminal:
+class _Terminal(Questions):
     """A person at the terminal."""
 
     def tell(self, text: str) -> None:
