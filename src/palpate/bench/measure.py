@@ -287,7 +287,9 @@ def _push(
                         f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
                         " back, or stop and begin another session"
                     )
-                return session.add(taken, place, inward)
+                measured = session.add(taken, place, inward)
+            questions.tell(f"Push {session.count} is taken: {taken.force:.3g} N")
+            return measured
         except PushError as error:
             questions.tell(f"This push does not count: {error}")
         except DeviceError as error:

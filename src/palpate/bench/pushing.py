@@ -110,12 +110,13 @@ class _Watch:
         self.frames: deque[tuple[float, Pictures]] = deque(maxlen=_KEPT)
         self.time: list[float] = []
         self.reading: list[float] = []
+        self.state = "at rest"
 
     def poll(self) -> None:
         """Take a picture with every camera, and what the gauge has sent."""
         self.frames.append(grabbed(self.bench))
         self.read()
-        self.questions.see(self.frames[-1][1], self.time, self.reading)
+        self.questions.see(self.frames[-1][1], self.time, self.reading, self.state)
 
     def read(self) -> int:
         """Take what the gauge has sent; how many readings."""
@@ -225,7 +226,7 @@ def take_push(
     InputError                      a push that leaves the arm's limits
     """
     questions.place(place, inward)
-    watch, where = _Watch(bench, questions), f"{np.round(1e3 * place, 1).tolist()} mm"
+    watch, where = _Watch(bench, questions), f"{(np.round(1e3 * place, 1) + 0.0).tolist()} mm"
     if bench.arm is not None:
         questions.tell(f"The arm presses at {where}")
         rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, place, inward)
@@ -256,14 +257,17 @@ def _by_hand(
     """A person presses, the gauge says when it is held and when it is over."""
     rest = _at_rest(questions, watch, where)
     questions.tell(f"Press straight in near {where}, and hold still for {bench.hold:g} s")
-    begun, found = time.monotonic(), None
+    begun, found, watch.state = time.monotonic(), None, "press"
     while found is None or found.held < bench.hold:
         watch.poll()
         found = watch.force()
+        if found is not None and found.span is not None:
+            watch.state = f"hold still: {found.held:.1f} of {bench.hold:g} s"
         if time.monotonic() - begun > _PATIENCE:
             raise PushError(f"no push was held for {bench.hold:g} s within a minute; try again")
     begin, end = found.span or (0.0, 0.0)
     loaded = watch.mean(begin + _DELIVERY, end, rest)
+    watch.state = "lift off"
     questions.tell("Got it: lift off")
     while not found.touch.ended:
         watch.poll()
@@ -279,6 +283,7 @@ def _typed(
     """A person presses and reads the force."""
     rest = _at_rest(questions, watch, where)
     questions.wait(f"Press straight in near {where}, and hold still")
+    watch.state = "hold still"
     loaded = watch.seen_for(_DELIVERY)
     while True:
         try:
@@ -307,11 +312,14 @@ def _by_arm(
             arm.move(position, inward, limits.speed)
         rest = watch.seen_for(_REST)
         try:
+            watch.state = "presses"
             _press(arm, watch, place, inward, wanted)
+            watch.state = "holds"
             watch.seen_for(_DELIVERY)
             loaded = watch.seen_for(bench.hold, rest)
         finally:
             arm.move(above, inward, limits.speed)
+        watch.state = "lifts off"
         watch.seen_for(_REST)
     except DeviceError:
         arm.stop()

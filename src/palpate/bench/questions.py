@@ -57,8 +57,8 @@ class Questions(Protocol):
     def watch(self, rig: Rig, look: Callable[[], Pictures]) -> None:
         """Say what shows the cameras' pictures while a question is open."""
 
-    def see(self, pictures: Pictures, time: list[float], force: list[float]) -> None:
-        """Show the newest pictures, and all readings [s, N] of the push in hand."""
+    def see(self, pictures: Pictures, time: list[float], force: list[float], state: str) -> None:
+        """Show the newest pictures, all readings [s, N] of the push in hand, and how it stands."""
 
     def body(self, mesh: TriangleMesh, held: Indices) -> None:
         """Show the object [m], and which triangles are held."""

@@ -121,7 +121,7 @@ class Stage:
             for name in ("points", "arrows", "probings", "cameras")
         }
         self.draw_body(np.zeros_like(mesh.vertices), None)
-        _light(self.scene, self.size)
+        light(self.scene)
         self.look_from(OBJECT)
 
     @property
@@ -140,7 +140,7 @@ class Stage:
                     self._client.camera.wxyz, self._client.camera.position = orientation, position
                     self._client.camera.fov = fov
                 return
-        look(self._client, self.subject, self.size)
+        look(self._client, self.subject.session.mesh, direction_of(self.subject))
 
     @property
     def body(self) -> Any:
@@ -191,7 +191,7 @@ class Stage:
         corner[self._held if self._marked is None else self._marked] = rgb(HELD)
         if self._marked is not None:
             corner[np.setdiff1d(self._marked, self._held)] = rgb(_SET)
-        return _facets(vertices[triangles], corner)
+        return facets(vertices[triangles], corner)
 
     def draw_inside(self, axis: int | None, at: float = 0.0) -> None:
         """Draw the modulus inside the object, what lies beyond a plane cut away.
@@ -212,7 +212,7 @@ class Stage:
             return
         corners, element = cut_faces(modulus, axis, at)
         colour = modulus_colours(modulus)[element].astype(float)
-        glb = _facets(1e3 * corners, np.repeat(colour[:, None], 3, axis=1))
+        glb = facets(1e3 * corners, np.repeat(colour[:, None], 3, axis=1))
         self._inside = self.scene.add_glb("/inside", glb)
 
     def draw_points(self, field: ColouredField | None, magnification: float) -> None:
@@ -234,19 +234,9 @@ class Stage:
         longest = max(float(length.max()), 1e-9)
         arrow_vector = 1e3 * field.displacement[shown] * (0.5 * _ARROW * self.size / longest)
         start = 1e3 * field.points[shown]
-        self._loose["arrows"] = self._arrows(
-            "/arrows/moved", start, start + arrow_vector, rgb(INK), 0.5
+        self._loose["arrows"] = draw_arrows(
+            self.scene, "/arrows/moved", start, start + arrow_vector, rgb(INK), 0.5 * self.size
         )
-
-    def _arrows(
-        self, name: str, start: np.ndarray, end: np.ndarray, colour: Any, thick: float = 1.0
-    ) -> Any:
-        """Draw arrows, scaled to the object [mm]."""
-        unit = thick * _TIP * self.size
-        return self.scene.add_arrows(
-            name, np.stack([start, end], axis=1), colour,
-            shaft_radius=0.5 * unit, head_radius=1.5 * unit, head_length=3.0 * unit,
-        )  # fmt: skip
 
     def draw_probings(self, probings: tuple[FittedProbing, ...], chosen: str) -> None:
         """Draw the force of every probing; the chosen one in orange, with its magnitude."""
@@ -258,7 +248,8 @@ class Stage:
             end, here = 1e3 * one.contact, one.name == chosen
             start = end - _ARROW * self.size * one.force / newtons
             colour = rgb(ORANGE if here else GREY)
-            self._arrows(f"/probings/{one.name}/force", start[None], end[None], colour)
+            name = f"/probings/{one.name}/force"
+            draw_arrows(self.scene, name, start[None], end[None], colour, self.size)
             starts[one.name] = start, f"{one.name}: {newtons:.3g} N" if here else ""
         for number, (text, start) in enumerate(merged_labels(starts, _NEAR * self.size)):
             self.scene.add_label(f"/probings/label {number}", text, position=tuple(start))
@@ -271,16 +262,7 @@ class Stage:
         patterns = frames(session, probing)
         for number, camera in enumerate(rig.cameras):
             seen = camera_picture(session, rig, number, patterns[0]) if patterns else None
-            self._draw_camera(camera, seen)
-
-    def _draw_camera(self, camera: Camera, picture: Any) -> None:
-        orientation, position, fov = camera_view_pose(camera)
-        columns, rows = camera.size or _IMAGE_SIZE
-        self.scene.add_camera_frustum(
-            f"/cameras/{camera.name}", fov=fov, aspect=columns / rows, scale=_FRUSTUM * self.size,
-            thickness=0.002 * self.size, color=rgb(BLUE), image=picture, wxyz=orientation,
-            position=position,
-        )  # fmt: skip
+            draw_camera(self.scene, camera, self.size, seen)
 
     def draw_ball(self, centre: Vector3, radius: float, force: Vector3, text: str) -> None:
         """Draw the ball that presses, its force and a label [m, N]."""
@@ -293,7 +275,9 @@ class Stage:
             # The arrow ends at the ball's surface.
             end = middle - 1e3 * radius * force / newtons
             start = end - _ARROW * self.size * force / newtons
-            self._loose["push"] = self._arrows("/push", start[None], end[None], rgb(ORANGE))
+            self._loose["push"] = draw_arrows(
+                self.scene, "/push", start[None], end[None], rgb(ORANGE), self.size
+            )
             self._loose["newtons"] = self.scene.add_label("/newtons", text, position=tuple(start))
 
     def clear_ball(self) -> None:
@@ -368,24 +352,46 @@ def camera_view_pose(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, f
     return orientation, position, float(2 * np.arctan(0.5 * rows / camera.matrix[1, 1]))
 
 
-def _light(scene: Any, size: float) -> None:
+def draw_camera(scene: Any, camera: Camera, size: float, picture: Any = None) -> None:
+    """Draw a camera, with what it sees, where an object has a size [mm]."""
+    orientation, position, fov = camera_view_pose(camera)
+    columns, rows = camera.size or _IMAGE_SIZE
+    scene.add_camera_frustum(
+        f"/cameras/{camera.name}", fov=fov, aspect=columns / rows, scale=_FRUSTUM * size,
+        thickness=0.002 * size, color=rgb(BLUE), image=picture, wxyz=orientation,
+        position=position,
+    )  # fmt: skip
+
+
+def draw_arrows(
+    scene: Any, name: str, start: np.ndarray, end: np.ndarray, colour: Any, size: float
+) -> Any:
+    """Draw arrows, as thick as fits an object of some size [mm]."""
+    unit = _TIP * size
+    return scene.add_arrows(
+        name, np.stack([start, end], axis=1), colour,
+        shaft_radius=0.5 * unit, head_radius=1.5 * unit, head_length=3.0 * unit,
+    )  # fmt: skip
+
+
+def light(scene: Any) -> None:
     """Default lights and a little ambient light."""
     scene.configure_default_lights(enabled=True, cast_shadow=False)
     scene.add_light_ambient("/light", intensity=0.15)
 
 
-def look(client: Any, subject: Subject, size: float) -> None:
-    """Set a tab's view to the side from which most of the first probing is visible.
+def look(client: Any, mesh: TriangleMesh, toward: Vector3) -> None:
+    """Set a tab's view so that the object fills it.
 
     Parameters
     ----------
     client : ClientHandle of viser
-    subject : Subject
-    size : float [mm]               bounding diagonal of the object
+    mesh : TriangleMesh             the object
+    toward : (3,) float             unit vector toward the viewer, not vertical
     """
-    corners = 1e3 * subject.session.mesh.vertices
+    corners, size = 1e3 * mesh.vertices, 1e3 * bounding_diagonal(mesh)
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    camera, toward = client.camera, direction_of(subject)
+    camera = client.camera
     across = np.cross((0.0, 0.0, 1.0), toward)
     across /= np.linalg.norm(across)
     axes = np.stack([across, np.cross(toward, across)])
@@ -468,7 +474,7 @@ def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
     )
 
 
-def _facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3 3"]) -> bytes:
+def facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3 3"]) -> bytes:
     """Triangles as binary glTF, shaded flat, their corners in mm and colours 0 to 255."""
     light = np.rint(255 * linear_light(colours.reshape(-1, 3) / 255))
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
