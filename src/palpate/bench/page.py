@@ -4,7 +4,7 @@ Closing a tab loses nothing: all that is shown belongs to the server, and a new 
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from threading import Event
@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from palpate.bench.page_parts import (
-    BAD,
-    block,
     constants_html,
     intervals_svg,
     montage,
     question_html,
     said_html,
+    state_html,
     steps_html,
     trace_svg,
     verdicts_html,
@@ -40,7 +39,6 @@ from palpate.shapes import Indices, Vector3
 from palpate.viewer import (
     draw_arrows,
     draw_camera,
-    facets,
     flat_face,
     light,
     look,
@@ -54,7 +52,7 @@ from palpate.viewer import (
 _PAUSE, _JUDGED, _KEPT = 0.3, 1.0, 3
 # Width of a column of the page [px]; length of the arrow over the object's size.
 _COLUMN, _ARROW = 340, 0.15
-_BODY, _AMBIENT = "#b4b9c2", 1.5
+_BODY, _AMBIENT = "#c9ccd2", 0.8
 
 
 class Page(Questions):
@@ -125,20 +123,21 @@ class Page(Questions):
 
     def choose(self, text: str, options: list[str]) -> str:
         """As in `Questions`; a button for each."""
-        return str(self._answer(text, {option: lambda option=option: option for option in options}))
+        return self._answer(text, options)
 
     def wait(self, text: str) -> None:
         """As in `Questions`."""
-        self._answer(text, {"Ready": lambda: ""})
+        self._answer(text, ["Ready"])
 
     def ask(self, text: str, usual: str) -> str:
         """As in `Questions`; Enter answers, too."""
-        with self._answers:
+        with self._answers, self._server.gui.add_form(None) as form:
             field = self._server.gui.add_text("answer", usual)
         try:
-            return str(self._answer(text, {"OK": lambda: field.value.strip() or usual}))
+            self._answer(text, ["OK"], form)
+            return str(field.value).strip() or usual
         finally:
-            field.remove()
+            form.remove()
 
     def face(self, text: str, mesh: TriangleMesh, faces: Mapping[str, Indices]) -> Indices:
         """As in `Questions`: a click chooses the flat face there, with the shift key one more."""
@@ -156,8 +155,8 @@ class Page(Questions):
             self._turn(_aslant(unit_normals(mesh)[held[0]]))
         try:
             while True:
-                question = f"{text} Click on the object where that is wrong; shift adds a face."
-                self._answer(question, {"This is held": lambda: ""})
+                question = f"{text} It is orange. Click on another face, or with shift on one more."
+                self._answer(question, ["This is held"])
                 if len(held):
                     return held
                 self.tell("Nothing is marked yet: click on what is held")
@@ -198,13 +197,16 @@ class Page(Questions):
         """As in `Questions`."""
         new = self._mesh is None or not np.array_equal(self._mesh.vertices, mesh.vertices)
         self._mesh = mesh
-        colours = np.tile(np.array(rgb(_BODY), dtype=float), (len(mesh.triangles), 3, 1))
-        colours[held] = rgb(HELD if self._clicked is None else ORANGE)
-        glb = facets(1e3 * mesh.vertices[mesh.triangles], colours)
-        if "body" in self._drawn:
-            self._drawn["body"].glb_data = glb
-        else:
-            self._drawn["body"] = self._server.scene.add_glb("/body", glb)
+        marked = np.isin(np.arange(len(mesh.triangles)), held)
+        for name, faces, colour in (
+            ("/body", mesh.triangles[~marked], _BODY),
+            ("/held", mesh.triangles[marked], HELD if self._clicked is None else ORANGE),
+        ):
+            self._forget(name)
+            if len(faces):
+                self._drawn[name] = self._server.scene.add_mesh_simple(
+                    name, 1e3 * mesh.vertices, faces, color=rgb(colour), flat_shading=True
+                )
         if new:
             if self._rig is not None:
                 for camera in self._rig.cameras:
@@ -219,6 +221,7 @@ class Page(Questions):
         size, end = 1e3 * bounding_diagonal(self._mesh), 1e3 * point
         start = end - _ARROW * size * inward
         scene = self._server.scene
+        self._forget("arrow", "label")
         arrow = draw_arrows(scene, "/press", start[None], end[None], rgb(ORANGE), 1.2 * size)
         label = scene.add_label(
             "/press here", "press here", position=tuple(start), anchor="bottom-center"
@@ -230,28 +233,29 @@ class Page(Questions):
         """As in `Questions`: a table, and the intervals over the pushes."""
         self._estimates.append(estimate)
         self._table.content = constants_html(estimate)
-        names = ("young_modulus", "poisson_ratio")
-        self._plots.content = "".join(intervals_svg(self._estimates, name) for name in names)
+        self._plots.content = intervals_svg(self._estimates)
 
     def finish(self, text: str) -> None:
         """Show what was found until the person has seen it."""
         self._look, self._stop.visible = None, False
         self._stopped.clear()
         self._steps.content = steps_html("")
-        for name in {"arrow", "label"} & set(self._drawn):
-            self._drawn.pop(name).remove()
-        self._answer(text, {"Close": lambda: ""})
+        self._forget("arrow", "label")
+        self._answer(text, ["Close"])
 
-    def _answer(self, text: str, buttons: Mapping[str, Callable[[], str]]) -> str:
-        """Ask, and show live pictures until somebody answers in any tab."""
+    def _answer(self, text: str, labels: Sequence[str], form: Any = None) -> str:
+        """Which button is pressed in any tab, or none where a form is sent off; until then there
+        are live pictures."""
         answers: SimpleQueue[str] = SimpleQueue()
         self._question.content = question_html(text)
+        shown: list[Any] = []
         with self._answers:
-            shown = []
-            for label, value in buttons.items():
+            for label in labels:
                 colour = "gray" if shown else None
                 shown.append(self._server.gui.add_button(label, color=colour))
-                shown[-1].on_click(lambda _, value=value: answers.put(value()))
+                shown[-1].on_click(lambda _, label=label: answers.put(label))
+        if form is not None:
+            form.on_submit(lambda _: answers.put(""))
         try:
             while not self._stopped.is_set():
                 with suppress(Empty):
@@ -280,12 +284,17 @@ class Page(Questions):
         self._shown = now
         self._picture.image = montage(self._rig, pictures, self._place)
         ring = "" if self._place is None else "; the ring is where to press"
-        self._state.content = block(f'<b style="color:{BAD}">●</b> {state}{ring}')
+        self._state.content = state_html(state + ring)
         if now > self._judged + _JUDGED:
             self._judged = now
             names = [camera.name for camera in self._rig.cameras]
             self._verdicts.content = verdicts_html(names, pictures)
         return True
+
+    def _forget(self, *names: str) -> None:
+        for name in names:
+            if name in self._drawn:
+                self._drawn.pop(name).remove()
 
     def _turn(self, toward: Vector3) -> None:
         """Have all tabs look at the object from a side."""

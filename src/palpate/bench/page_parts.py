@@ -59,6 +59,11 @@ def question_html(text: str) -> str:
     )
 
 
+def state_html(text: str) -> str:
+    """What the cameras are seeing."""
+    return block(f'<b style="color:{BAD}">●</b> {escape(text)}')
+
+
 def said_html(texts: Sequence[str]) -> str:
     """What was said, the newest first and in ink."""
     lines = [
@@ -81,8 +86,12 @@ def constants_html(estimate: Estimate) -> str:
     return block(f'<table style="font-variant-numeric:tabular-nums">{table}</table>')
 
 
-def intervals_svg(estimates: Sequence[Estimate], key: str) -> str:
-    """A constant with its 95 % interval over the pushes; empty where it was never determined."""
+def intervals_svg(estimates: Sequence[Estimate]) -> str:
+    """E and nu with their 95 % intervals over the pushes, where they were determined."""
+    return "".join(_interval_svg(estimates, key) for key in _TITLES)
+
+
+def _interval_svg(estimates: Sequence[Estimate], key: str) -> str:
     known = [one for one in estimates if one.identifiable[key]]
     known = [one for one in known if np.isfinite(getattr(one, key).ci95).all()]
     if not known:

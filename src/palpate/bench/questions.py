@@ -53,18 +53,24 @@ class Questions(Protocol):
 
     def step(self, name: str) -> None:
         """Say which of `STEPS` begins."""
+        return None
 
     def watch(self, rig: Rig, look: Callable[[], Pictures]) -> None:
         """Say what shows the cameras' pictures while a question is open."""
+        return None
 
     def see(self, pictures: Pictures, time: list[float], force: list[float], state: str) -> None:
         """Show the newest pictures, all readings [s, N] of the push in hand, and how it stands."""
+        return None
 
     def body(self, mesh: TriangleMesh, held: Indices) -> None:
         """Show the object [m], and which triangles are held."""
+        return None
 
     def place(self, point: Vector3, inward: Vector3) -> None:
         """Show where to press [m], and the direction."""
+        return None
 
     def judged(self, estimate: Estimate) -> None:
         """Show the constants after a push."""
+        return None

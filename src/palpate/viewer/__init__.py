@@ -18,7 +18,6 @@ from palpate.viewer.server import (
 from palpate.viewer.stage import (
     draw_arrows as draw_arrows,
     draw_camera as draw_camera,
-    facets as facets,
     light as light,
     look as look,
     rgb as rgb,

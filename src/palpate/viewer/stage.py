@@ -191,7 +191,7 @@ class Stage:
         corner[self._held if self._marked is None else self._marked] = rgb(HELD)
         if self._marked is not None:
             corner[np.setdiff1d(self._marked, self._held)] = rgb(_SET)
-        return facets(vertices[triangles], corner)
+        return _facets(vertices[triangles], corner)
 
     def draw_inside(self, axis: int | None, at: float = 0.0) -> None:
         """Draw the modulus inside the object, what lies beyond a plane cut away.
@@ -212,7 +212,7 @@ class Stage:
             return
         corners, element = cut_faces(modulus, axis, at)
         colour = modulus_colours(modulus)[element].astype(float)
-        glb = facets(1e3 * corners, np.repeat(colour[:, None], 3, axis=1))
+        glb = _facets(1e3 * corners, np.repeat(colour[:, None], 3, axis=1))
         self._inside = self.scene.add_glb("/inside", glb)
 
     def draw_points(self, field: ColouredField | None, magnification: float) -> None:
@@ -474,7 +474,7 @@ def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
     )
 
 
-def facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3 3"]) -> bytes:
+def _facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3 3"]) -> bytes:
     """Triangles as binary glTF, shaded flat, their corners in mm and colours 0 to 255."""
     light = np.rint(255 * linear_light(colours.reshape(-1, 3) / 255))
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
