@@ -184,11 +184,12 @@ def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None)
     bench.supply(folder)
     head: dict[str, Any] = {"name": bench.name, **bench.head, "rig": {"cameras": "rig.toml"}}
     before = _before(folder)
+    before_contact = before.pop("contact", None)
+    contact = bench.contact or before_contact
     if "object" in head and "support" in head:
         head["object"] = {**head["object"], "mesh": Path(head["object"]["mesh"]).name}
     else:
         head |= before or _asked_object(questions, bench.folder, folder)
-    contact = bench.contact or before.pop("contact", None)
     if contact is None:
         unit = head["object"]["length_unit"]
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
@@ -200,11 +201,10 @@ def _before(folder: Path) -> dict[str, Any]:
     """What a person said of the object and the tool when the session was begun."""
     if not (folder / "session.toml").exists():
         return {}
-    there = read_toml(folder / "session.toml").values
-    contact = there["probe"][0]["contact"]
+    there = read_toml(folder / "session.toml")
+    contact = there.tables("probe")[0].table("contact").values
     return {
-        "object": there["object"],
-        "support": there["support"],
+        **{key: there.table(key).values for key in ("object", "support")},
         "contact": {key: contact[key] for key in ("tool", "tool_radius") if key in contact},
     }
 

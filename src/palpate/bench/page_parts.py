@@ -120,7 +120,7 @@ def trace_svg(time: Sequence[float], force: Sequence[float]) -> str:
     t, f = np.array(time)[::every] - time[0], np.array(force)[::every]
     rest = f[: max(2, len(f) // 10)]
     f = f - np.median(rest)
-    f = f if f.max() >= -f.min() else -f
+    f = (f if f.max() >= -f.min() else -f) + 0.0
     # At rest there is noise alone: it is not drawn as large as a push.
     plot = _Plot(t, np.append(f, _NOISE * rest.std()))
     return plot.svg(
