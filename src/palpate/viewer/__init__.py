@@ -10,19 +10,19 @@ Read first : `server.py`, then `panels.py`, `stage.py` and `subject.py`.
 """
 
 from palpate.viewer.clicking import flat_face as flat_face
-from palpate.viewer.server import (
-    Viewer as Viewer,
-    open_server as open_server,
-    stop_server as stop_server,
-)
-from palpate.viewer.stage import (
+from palpate.viewer.scenes import (
     draw_arrows as draw_arrows,
     draw_camera as draw_camera,
     light as light,
     look as look,
     rgb as rgb,
-    text_html as text_html,
 )
+from palpate.viewer.server import (
+    Viewer as Viewer,
+    open_server as open_server,
+    stop_server as stop_server,
+)
+from palpate.viewer.stage import text_html as text_html
 from palpate.viewer.stills import (
     write_screenshot as write_screenshot,
     write_turntable as write_turntable,
