@@ -8,6 +8,7 @@ from bench.drawn_world import Script, drawn_bench, small_config
 
 import palpate
 from palpate.bench import DeviceError, measure, wanted_precision
+from palpate.bench.live_session import LiveSession
 from palpate.bench.measure import Wanted
 from palpate.errors import InputError
 from palpate.records import read_session
@@ -127,6 +128,24 @@ def test_a_push_that_is_too_light_does_not_count(tmp_path):
     assert measure(bench, script, tmp_path, pushes=1) is None
     assert any("too light" in text for text in script.told), script.told
     assert not (tmp_path / "session.toml").exists()
+
+
+@pytest.mark.slow
+def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
+    fits, fit = [], LiveSession.fit
+
+    def failing(self, *arguments, **options):
+        fits.append(1)
+        if len(fits) == 1:
+            raise InputError("probing 'n01': the tool is buried")
+        return fit(self, *arguments, **options)
+
+    monkeypatch.setattr(LiveSession, "fit", failing)
+    script = Script()
+    result = measure(drawn_bench(), script, tmp_path, pushes=1)
+    assert "This push does not count: probing 'n01': the tool is buried" in script.told
+    assert len(result.estimate.probes) == len(read_session(tmp_path).probings) == 1
+    assert len(fits) == 2
 
 
 def test_a_rehearsal_moves_nothing(tmp_path):

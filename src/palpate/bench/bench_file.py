@@ -213,7 +213,7 @@ def _copy(root: TomlTable, rig_file: Path, folder: Path) -> None:
 def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]]) -> Any:
     """The device of a table, made by the driver that it names."""
     if not drivers:
-        table.fail("driver", "no arm is built in; docs/howto/measure.md says how to add a driver")
+        table.fail("driver", "no arm is built in; docs/howto/bench.md says how to add a driver")
     make = drivers[table.choice("driver", tuple(drivers))]
     with table.error_context():
         return make(table)

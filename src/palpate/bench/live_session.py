@@ -226,6 +226,14 @@ class LiveSession:
         self.content, self._motions = content, motions
         return self.measured()
 
+    def withdraw(self) -> None:
+        """Take the last push out again."""
+        self.content = self.content | {"probe": self.content["probe"][:-1]}
+        if self.count:
+            write_bytes(self.file, tomlkit.dumps(self.content).encode())
+        else:
+            self.file.unlink()
+
     def measured(self) -> Session:
         """The session of all pushes, with their displacements."""
         session = read_session(self.file)

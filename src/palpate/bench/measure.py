@@ -151,7 +151,11 @@ def measure(
             measured = _push(bench, session, questions, places)
             if measured is None:
                 break
-            result, places = judge(measured)
+            try:
+                result, places = judge(measured)
+            except InputError as error:
+                session.withdraw()
+                questions.tell(f"This push does not count: {error}")
     return result
 
 
