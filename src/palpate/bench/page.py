@@ -272,9 +272,16 @@ class Page(Questions):
         if self._look is None:
             return
         try:
-            self._show(self._look(), "live")
+            pictures = self._look()
         except InputError as error:
             self._state.content = text_html(str(error), italic=True)
+            return
+        self._show(pictures, "live")
+        now = time.monotonic()
+        if self._rig is not None and now > self._judged + _JUDGED:
+            self._judged = now
+            names = [camera.name for camera in self._rig.cameras]
+            self._verdicts.content = verdicts_html(names, pictures)
 
     def _show(self, pictures: Pictures, state: str) -> bool:
         """Show pictures, if it is time for new ones."""
@@ -285,10 +292,6 @@ class Page(Questions):
         self._picture.image = montage(self._rig, pictures, self._place)
         ring = "" if self._place is None else "; the ring is where to press"
         self._state.content = state_html(state + ring)
-        if now > self._judged + _JUDGED:
-            self._judged = now
-            names = [camera.name for camera in self._rig.cameras]
-            self._verdicts.content = verdicts_html(names, pictures)
         return True
 
     def _forget(self, *names: str) -> None:
