@@ -3,7 +3,7 @@
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -134,7 +134,9 @@ def measure(
             devices, person, out, until=wanted, pushes=pushes, cache=cache, dry_run=dry_run
         )
         if isinstance(person, Page):
-            person.finish(_ending(out, result is not None))
+            print_text("Press Close on the page, or Ctrl-C")
+            with suppress(KeyboardInterrupt):
+                person.finish(_ending(out, result is not None))
     if result is not None:
         print_tables(constants_table(result.estimate))
         print_text(_ending(out, True), wrapped=False)
