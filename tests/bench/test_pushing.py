@@ -10,6 +10,7 @@ from bench.drawn_world import DOWN, TOP, Hand, Script, drawn_bench
 from palpate.bench import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.bench.pushing import PushError, take_push, way_round
+from palpate.bench.questions import Stopped
 
 
 @pytest.fixture
@@ -72,6 +73,20 @@ def test_a_blurred_push_is_refused(bench):
     object.__setattr__(world.body, "draw", shaken)
     with pytest.raises(PushError, match=r"blurred, .* as sharp as those at rest"):
         taken(bench, Script(on_tell=person))
+
+
+def test_an_arm_that_is_stopped_lifts_off():
+    """On its way down, before the force is reached."""
+
+    class Stopping(Script):
+        def see(self, pictures, time, force, state):
+            if state == "presses" and max(force) > 0.4:
+                raise Stopped
+
+    bench = drawn_bench()
+    with pytest.raises(Stopped):
+        taken(bench, Stopping())
+    np.testing.assert_allclose(bench.arm.pose(), TOP - bench.arm.limits.depth * DOWN, atol=1e-12)
 
 
 def test_a_scale_under_the_object_is_read(bench):

@@ -116,7 +116,6 @@ class _Watch:
         """Take a picture with every camera, and what the gauge has sent."""
         self.frames.append(grabbed(self.bench))
         self.read()
-        self.questions.see(self.frames[-1][1], self.time, self.reading, self.state)
 
     def read(self) -> int:
         """Take what the gauge has sent; how many readings."""
@@ -130,6 +129,7 @@ class _Watch:
             )
         self.time += when.tolist()
         self.reading += newtons.tolist()
+        self.questions.see(self.frames[-1][1], self.time, self.reading, self.state)
         return len(when)
 
     def seen_for(self, seconds: float, rest: Pictures | None = None) -> Pictures:
