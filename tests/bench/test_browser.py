@@ -52,7 +52,7 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
         try:
             until = wanted_precision("E 0.1 %")
             running = thread.submit(measure, bench, page, session, until=until)
-            tab = browser.new_page(viewport={"width": 1000, "height": 700})
+            tab = browser.new_page(viewport={"width": 700, "height": 500})
             tab.goto(page.address)
             tab.get_by_text("ball.stl is 80 x 79.8 x 40; in which unit?").wait_for(timeout=PATIENCE)
             tab.get_by_text("focus good").first.wait_for(timeout=PATIENCE)
@@ -62,7 +62,7 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
             decide(tab, "Ready")
             tab.get_by_text("Push 1 is taken").wait_for(timeout=PATIENCE)
             tab.close()
-            other = browser.new_page(viewport={"width": 390, "height": 844})
+            other = browser.new_page(viewport={"width": 390, "height": 600})
             other.goto(page.address)
             decide(other, "Ready")
             other.get_by_text("After push 2").wait_for(timeout=PATIENCE)
