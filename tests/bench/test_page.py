@@ -216,4 +216,5 @@ def test_a_push_goes_up_whichever_way_a_gauge_counts():
     time = np.linspace(0.0, 3.0, 301)
     push = 0.2 + np.clip(time - 1.0, 0.0, 0.5)
     assert trace_svg(time.tolist(), push.tolist()) == trace_svg(time.tolist(), (-push).tolist())
-    assert trace_svg([], []) == ""
+    # Nothing yet, and readings that came all at once.
+    assert trace_svg([], []) == trace_svg([1.0, 1.0], [0.1, 0.2]) == ""

@@ -23,7 +23,7 @@ from palpate.bench.page_parts import (
     trace_svg,
     verdicts_html,
 )
-from palpate.bench.questions import DEVICES, Pictures, Questions, Stopped
+from palpate.bench.questions import AT_REST, DEVICES, Pictures, Questions, Stopped
 from palpate.errors import InputError
 from palpate.figures import HELD, ORANGE, best_direction
 from palpate.geometry import (
@@ -52,6 +52,7 @@ from palpate.viewer import (
 _PAUSE, _JUDGED, _KEPT = 0.3, 1.0, 3
 # Width of a column of the page [px]; length of the arrow over the object's size.
 _COLUMN, _ARROW = 340, 0.15
+_LIVE = "live"
 _BODY, _AMBIENT = "#c9ccd2", 0.8
 
 
@@ -272,16 +273,9 @@ class Page(Questions):
         if self._look is None:
             return
         try:
-            pictures = self._look()
+            self._show(self._look(), _LIVE)
         except InputError as error:
             self._state.content = text_html(str(error), italic=True)
-            return
-        self._show(pictures, "live")
-        now = time.monotonic()
-        if self._rig is not None and now > self._judged + _JUDGED:
-            self._judged = now
-            names = [camera.name for camera in self._rig.cameras]
-            self._verdicts.content = verdicts_html(names, pictures)
 
     def _show(self, pictures: Pictures, state: str) -> bool:
         """Show pictures, if it is time for new ones."""
@@ -292,6 +286,11 @@ class Page(Questions):
         self._picture.image = montage(self._rig, pictures, self._place)
         ring = "" if self._place is None else "; the ring is where to press"
         self._state.content = state_html(state + ring)
+        # Without the tool, and with time to spare.
+        if state in (_LIVE, AT_REST) and now > self._judged + _JUDGED:
+            self._judged = now
+            names = [camera.name for camera in self._rig.cameras]
+            self._verdicts.content = verdicts_html(names, pictures)
         return True
 
     def _forget(self, *names: str) -> None:

@@ -27,6 +27,8 @@ _STYLE = "padding:0 .8em .6em;font-size:.875rem;line-height:1.4;overflow-wrap:an
 _CONTRAST, _WITHIN, _LEAST_TEXTURED = 5.0, 5.0, 0.03
 # A plot of forces reaches so many standard deviations of those at rest.
 _NOISE = 30.0
+# Time that it shows [s].
+_SHOWN = 8.0
 # Width of a camera's picture in the page, and a plot's size [px].
 _WIDTH, _PLOT, _MARGIN = 640, (320, 110), (52, 16, 8, 20)
 
@@ -113,13 +115,16 @@ def _interval_svg(estimates: Sequence[Estimate], key: str) -> str:
 
 
 def trace_svg(time: Sequence[float], force: Sequence[float]) -> str:
-    """The readings of a gauge so far, from its first ones on; empty where there are none."""
-    if len(time) < 2:
+    """The latest readings of a gauge, from what it shows at rest; empty where there are none."""
+    t, f = np.array(time), np.array(force)
+    late = np.flatnonzero(t >= t[-1:] - _SHOWN)
+    # Readings that came together have one time.
+    if not len(late) or t[late[0]] == t[-1]:
         return ""
-    every = max(1, len(time) // _PLOT[0])
-    t, f = np.array(time)[::every] - time[0], np.array(force)[::every]
     rest = f[: max(2, len(f) // 10)]
     f = f - np.median(rest)
+    late = late[:: max(1, len(late) // _PLOT[0])]
+    t, f = t[late] - t[late[0]], f[late]
     f = (f if f.max() >= -f.min() else -f) + 0.0
     # At rest there is noise alone: it is not drawn as large as a push.
     plot = _Plot(t, np.append(f, _NOISE * rest.std()))

@@ -17,7 +17,7 @@ from palpate.bench.arms import GuardedArm, check_push
 from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.gauges import TypedForce
-from palpate.bench.questions import Pictures, Questions
+from palpate.bench.questions import AT_REST, Pictures, Questions
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
 from palpate.recording import (
@@ -110,7 +110,7 @@ class _Watch:
         self.frames: deque[tuple[float, Pictures]] = deque(maxlen=_KEPT)
         self.time: list[float] = []
         self.reading: list[float] = []
-        self.state = "at rest"
+        self.state = AT_REST
 
     def poll(self) -> None:
         """Take a picture with every camera, and what the gauge has sent."""

@@ -16,6 +16,9 @@ from palpate.shapes import Indices, Vector3
 Pictures = tuple[UInt8[np.ndarray, "_ _"], ...]
 DEVICES, OBJECT, REST, PUSHES = STEPS = ("Devices", "Object", "At rest", "Pushes")
 
+# How a push stands before it begins.
+AT_REST = "at rest"
+
 
 class Stopped(Exception):
     """The person has said that it is enough; any question, and `see`, may raise it."""
