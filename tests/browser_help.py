@@ -1,6 +1,13 @@
-"""Waiting for what other threads and a browser bring about."""
+"""A browser without a display, and waiting for what it and other threads bring about."""
 
+import shutil
 import time
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chrome")
+# Software draws: no graphics card, no display.
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 def until(condition, patience=60.0):
@@ -9,3 +16,17 @@ def until(condition, patience=60.0):
     while not condition():
         assert time.monotonic() < end, "it did not happen in time"
         time.sleep(0.05)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium."""
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="needs playwright to drive a browser, which is not installed"
+    )
+    if CHROMIUM is None:
+        pytest.skip("needs a Chromium browser, which is not installed")
+    with sync_api.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield started
+        started.close()

@@ -3,16 +3,19 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from palpate.bench import Bench, DrawnBody, virtual_bench
-from palpate.geometry import TriangleMesh
+from palpate.bench import Bench, DrawnBody, Questions, virtual_bench
+from palpate.geometry import TriangleMesh, write_mesh
 from palpate.lab import LabConfig, built_in, make_render_mesh, read_lab_config, texture
 from palpate.progress import Progress, silent
-from palpate.records import Rig
+from palpate.records import Rig, write_rig
 from palpate.vision import surface_map
+
+TOP, DOWN = np.array([0.0, 0.0, 0.04]), np.array([0.0, 0.0, -1.0])
 
 
 def drawn_body(config: LabConfig, rig: Rig) -> DrawnBody:
@@ -66,7 +69,48 @@ def drawn_bench() -> Bench:
     return virtual_bench(small_config(), draw=drawn_body)
 
 
-class Script:
+def hand_bench(folder: Path) -> Bench:
+    """That bench for a person who presses, and who is asked what the object in the folder is."""
+    bench = drawn_bench()
+    mesh = small_config().specimen.mesh
+    write_mesh(folder / "ball.stl", TriangleMesh(1e3 * mesh.vertices, mesh.triangles))
+
+    def supply(session: Path) -> None:
+        write_rig(session / "rig.toml", bench.rig)
+
+    return replace(bench, arm=None, head={}, contact=None, folder=folder, supply=supply)
+
+
+class Hand:
+    """Presses when told to, over half a second, holds, and lifts off when told to."""
+
+    def __init__(self, bench: Bench, *, slides: bool = False):
+        self.slides, self.there = slides, (TOP, DOWN)
+        self.world = bench.cameras[0]._world
+        self.begun, self.left, self.wait = np.inf, np.inf, self.world.wait
+        self.world.position = TOP - 0.02 * DOWN
+        self.world.wait = self.go_on
+
+    def __call__(self, text: str) -> None:
+        if text.startswith("Press"):
+            self.world.position = self.there[0] - 0.02 * self.there[1]
+            self.world.aim_at(*self.there)
+            self.begun, self.left = self.world.time, np.inf
+        if text.startswith("Got it"):
+            self.left = self.world.time
+
+    def go_on(self, seconds: float) -> None:
+        now = self.world.time + seconds
+        if now > self.begun:
+            share = np.clip((now - self.begun) / 0.5, 0.0, 1.0) - (now > self.left)
+            depth = 0.8 * share * self.world._press.depth
+            self.world.position = self.there[0] + (depth if share > 0.0 else -0.02) * self.there[1]
+        self.wait(seconds)
+        if self.slides and now > self.begun + 0.5:
+            self.world._drawn = None
+
+
+class Script(Questions):
     """Answers by the beginnings of questions, others with the first choice; remembers all texts."""
 
     def __init__(self, *answers: tuple[str, str], on_tell: Callable[[str], None] | None = None):

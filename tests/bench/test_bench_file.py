@@ -97,5 +97,5 @@ def test_what_is_wrong(folder, monkeypatch, old, new, words):
 
 
 def test_no_arm_is_built_in(folder):
-    with pytest.raises(RecordError, match=r"no arm is built in; docs/howto/measure\.md"):
+    with pytest.raises(RecordError, match=r"no arm is built in; docs/howto/bench\.md"):
         read(folder, HEAD + CAMERAS + FORCE + ARM)

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench.drawn_world import Script, drawn_bench, small_config
+from bench.drawn_world import Script, drawn_bench, hand_bench, small_config
 
 import palpate
 from palpate.bench import DeviceError, measure, wanted_precision
+from palpate.bench.live_session import LiveSession
 from palpate.bench.measure import Wanted
 from palpate.errors import InputError
 from palpate.records import read_session
@@ -129,12 +130,54 @@ def test_a_push_that_is_too_light_does_not_count(tmp_path):
     assert not (tmp_path / "session.toml").exists()
 
 
+@pytest.mark.slow
+def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
+    fits, fit = [], LiveSession.fit
+
+    def failing(self, *arguments, **options):
+        fits.append(1)
+        if len(fits) == 1:
+            raise InputError("probing 'n01': the tool is buried")
+        return fit(self, *arguments, **options)
+
+    monkeypatch.setattr(LiveSession, "fit", failing)
+    script = Script()
+    result = measure(drawn_bench(), script, tmp_path, pushes=1)
+    assert "This push does not count: probing 'n01': the tool is buried" in script.told
+    assert len(result.estimate.probes) == len(read_session(tmp_path).probings) == 1
+    assert len(fits) == 2
+
+
 def test_a_rehearsal_moves_nothing(tmp_path):
     bench, script = drawn_bench(), Script()
     before = bench.arm.pose()
     assert measure(bench, script, tmp_path, dry_run=True) is None
     np.testing.assert_array_equal(bench.arm.pose(), before)
     assert "never beyond 0.585 N" in script.told[-1]
+
+
+def test_what_is_not_in_the_bench_is_asked_for(tmp_path):
+    """And a device that does not start is said, and started again."""
+    bench, script, session = hand_bench(tmp_path), Script(("Radius", "big")), tmp_path / "session"
+    session.mkdir()
+    fails, camera = [1], bench.cameras[1]
+
+    def start():
+        if fails:
+            fails.pop()
+            raise DeviceError("camera 'c1': it does not open")
+
+    camera.start = start
+    assert measure(bench, script, session, dry_run=True) is None
+    assert script.told[0] == "camera 'c1': it does not open"
+    radius = "Radius of the ball that presses, in mm"
+    unit, side = "ball.stl is 80 x 79.8 x 40; in which unit?", "Which side is held?"
+    assert script.asked == ["Go on?", unit, side, radius, radius]
+    assert any('"big" is no radius' in text for text in script.told)
+    # The flat side of the half ball is a circle of 40 mm, of triangles with all corners at z = 0.
+    mesh = small_config().specimen.mesh
+    low = (mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1)
+    assert len((session / "support_triangles.txt").read_text().split()) == low.sum()
 
 
 @pytest.mark.parametrize(

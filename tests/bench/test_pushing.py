@@ -5,41 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench.drawn_world import Script, drawn_bench
+from bench.drawn_world import DOWN, TOP, Hand, Script, drawn_bench
 
 from palpate.bench import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.bench.pushing import PushError, take_push, way_round
-
-TOP, DOWN = np.array([0.0, 0.0, 0.04]), np.array([0.0, 0.0, -1.0])
-
-
-class Person:
-    """Presses when told to, over half a second, holds, and lifts off when told to."""
-
-    def __init__(self, bench, *, slides=False):
-        self.slides = slides
-        self.world = bench.cameras[0]._world
-        self.begun, self.left, self.wait = np.inf, np.inf, self.world.wait
-        self.world.position = TOP - 0.02 * DOWN
-        self.world.wait = self.go_on
-
-    def __call__(self, text):
-        if text.startswith("Press"):
-            self.world.aim_at(TOP, DOWN)
-            self.begun = self.world.time
-        if text.startswith("Got it"):
-            self.left = self.world.time
-
-    def go_on(self, seconds):
-        now = self.world.time + seconds
-        if now > self.begun:
-            share = np.clip((now - self.begun) / 0.5, 0.0, 1.0) - (now > self.left)
-            depth = 0.8 * share * self.world._press.depth
-            self.world.position = TOP + (depth if share > 0.0 else -0.02) * DOWN
-        self.wait(seconds)
-        if self.slides and now > self.begun + 0.5:
-            self.world._drawn = None
+from palpate.bench.questions import Stopped
 
 
 @pytest.fixture
@@ -56,7 +27,7 @@ def taken(bench, script):
 
 @pytest.mark.slow
 def test_a_gauge_says_when_a_push_is_held(bench):
-    person = Person(bench)
+    person = Hand(bench)
     script = Script(on_tell=person)
     push = taken(bench, script)
     press = person.world._press
@@ -73,7 +44,7 @@ def test_a_gauge_says_when_a_push_is_held(bench):
 @pytest.mark.slow
 def test_a_slip_is_refused(bench):
     """The object slides by 2 mm a second under the tool, whose force stays as it is."""
-    person = Person(bench, slides=True)
+    person = Hand(bench, slides=True)
     world = person.world
     draw = world.body.draw
 
@@ -87,7 +58,7 @@ def test_a_slip_is_refused(bench):
 
 
 def test_a_blurred_push_is_refused(bench):
-    person = Person(bench)
+    person = Hand(bench)
     world = person.world
     draw = world.body.draw
 
@@ -104,9 +75,23 @@ def test_a_blurred_push_is_refused(bench):
         taken(bench, Script(on_tell=person))
 
 
+def test_an_arm_that_is_stopped_lifts_off():
+    """On its way down, before the force is reached."""
+
+    class Stopping(Script):
+        def see(self, pictures, time, force, state):
+            if state == "presses" and max(force) > 0.4:
+                raise Stopped
+
+    bench = drawn_bench()
+    with pytest.raises(Stopped):
+        taken(bench, Stopping())
+    np.testing.assert_allclose(bench.arm.pose(), TOP - bench.arm.limits.depth * DOWN, atol=1e-12)
+
+
 def test_a_scale_under_the_object_is_read(bench):
     """It reads the vertical part of a push along the normal: cos 60 degrees here."""
-    person = Person(bench)
+    person = Hand(bench)
     aslant = np.array([0.0, np.sqrt(0.75), -0.5])
     script = Script(("What", "much"), ("What", "46 g"), on_tell=person)
     scale = replace(bench, force=TypedForce(unit="gf"), direction=DOWN)

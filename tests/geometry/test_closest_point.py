@@ -10,6 +10,7 @@ from palpate.geometry import (
     TriangleMesh,
     closest_points,
     distinct_points,
+    ray_intersection,
     triangle_distances,
 )
 
@@ -112,3 +113,21 @@ def test_no_points_give_no_answer():
 def test_points_that_are_not_finite_are_refused():
     with pytest.raises(InputError, match="points has 1 entries that are not finite"):
         closest_points(box(), np.array([[0.0, np.nan, 0.0]]))
+
+
+def test_rays_meet_the_cube_where_they_enter_its_slabs():
+    mesh = box(size=(0.04, 0.04, 0.04), cells=2)
+    draws = np.random.default_rng(3)
+    met = 0
+    for _ in range(40):
+        start = 0.02 + 0.1 * np.sign(draws.normal(size=3)) * draws.uniform(0.5, 1.0, 3)
+        way = 0.02 + 0.02 * draws.normal(size=3) - start
+        # Between 0 and 40 mm along x, y and z at once, from the latest entry to the first exit.
+        times = np.sort((np.array([[0.0], [0.04]]) - start) / way, axis=0)
+        enters, leaves = times[0].max(), times[1].min()
+        found = ray_intersection(mesh, start, way)
+        assert (found is not None) == (enters < leaves)
+        if found is not None:
+            met += 1
+            np.testing.assert_allclose(found, start + enters * way, atol=1e-12)
+    assert 10 < met < 40

@@ -30,20 +30,25 @@ def model() -> ContactModel:
     return make_contact_model(mesh, _held(mesh))
 
 
+def _pressing(contact: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """How points move under a sphere of 8 mm, its force, and the radius that it touches."""
+    mesh = _block(5)
+    solid = make_solid(mesh, edge=0.011, fine=((contact, 0.003, 0.0018),))
+    body = make_body(solid, held_nodes(solid, _held(mesh)), shear_modulus=2e4, poisson_ratio=0.4)
+    tip = TIPS["sphere"](0.008, contact + np.array([0.0, 0.0, 0.008]), np.array([0.0, 0.0, -1.0]))
+    state = press_to_force(body, tip, 0.5)
+    return surface_values(solid, points) @ state.displacement, state.force, state.radius
+
+
 @pytest.fixture(scope="module")
 def pressed() -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Points beside a sphere of 8 mm, how they move, its force, and the radius that it touches."""
-    mesh = _block(5)
-    solid = make_solid(mesh, edge=0.011, fine=((_CONTACT, 0.003, 0.0018),))
-    body = make_body(solid, held_nodes(solid, _held(mesh)), shear_modulus=2e4, poisson_ratio=0.4)
-    tip = TIPS["sphere"](0.008, np.array([0.004, -0.003, 0.008]), np.array([0.0, 0.0, -1.0]))
-    state = press_to_force(body, tip, 0.5)
+    """Points beside a sphere, and their motion under it."""
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-0.022, 0.022, (700, 2)), np.zeros(700)])
     # The sphere's shaft hides its own place and all on one side of it.
     away = points - _CONTACT
     points = points[(np.linalg.norm(away, axis=1) > 0.006) & (away[:, 0] < 0.006)]
-    return points, surface_values(solid, points) @ state.displacement, state.force, state.radius
+    return points, *_pressing(_CONTACT, points)
 
 
 def test_a_pressed_block_shows_where(
@@ -65,6 +70,20 @@ def test_a_pressed_block_shows_where(
     # A tenth of the touched radius: two methods and two coarse meshes are between truth and model.
     assert size < 3.5e-4
     assert size < 3.0 * float(np.mean(claims))
+
+
+@pytest.mark.slow
+def test_a_push_from_above_is_not_found_on_a_side(model: ContactModel) -> None:
+    """Cameras see the side of the block alone, whose upper edge a sphere presses close by."""
+    contact = np.array([0.017, 0.0, 0.0])
+    rng = np.random.default_rng(1)
+    across, up = rng.uniform(-0.022, 0.022, 300), rng.uniform(-0.02, -0.001, 300)
+    points = np.column_stack([np.full(300, 0.025), across, up])
+    moved, force, radius = _pressing(contact, points)
+    found, _, _ = find_contact(model, points, moved, force, radius=radius, profile="hertz")
+    assert found[2] == pytest.approx(0.0, abs=1e-12)
+    # Points of one side tell less of how far from it the push is: half the touched radius.
+    assert np.linalg.norm(found - contact) < 0.5 * radius
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ class Control:
     def on_click(self, callback):
         self.called.append(callback)
 
-    on_update = on_click
+    on_update = on_submit = on_click
 
     def click(self):
         for callback in self.called:
@@ -25,6 +25,8 @@ class Control:
 
     def close(self):
         self.closed = True
+
+    remove = close
 
     def __enter__(self):
         return self

@@ -11,6 +11,7 @@ viser = pytest.importorskip("viser", reason="needs viser, the extra `view`, whic
 from websockets.exceptions import InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
+from palpate.bench import Page  # noqa: E402
 from palpate.errors import PalpateError  # noqa: E402
 from palpate.viewer.server import guarded_server  # noqa: E402
 
@@ -148,6 +149,19 @@ def test_every_viewer_has_a_token_of_its_own(viewer):
         assert answer(Address(second.address), Address(viewer.address).path)[0] == 403
     finally:
         second.stop()
+
+
+def test_the_page_of_a_measurement_is_guarded_alike():
+    page = Page("ball", port=None, say=lambda _: None)
+    try:
+        here = Address(page.address)
+        assert [answer(here, path)[0] for path in ("/", f"/{'0' * 32}/")] == [403, 403]
+        assert first_message(here, "/") == 403
+        assert first_message(here, here.path, Origin="http://evil.example") == 403
+        assert answer(here, here.path)[0] == 200
+        assert isinstance(first_message(here, here.path, Origin=f"http://{here.name}"), bytes)
+    finally:
+        page.close()
 
 
 def test_a_viser_that_cannot_be_guarded_is_stopped(monkeypatch):

@@ -6,13 +6,16 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from estimate_samples import sample_result
 from security.conftest import NAMES, write_hostile_session
 from security.fake_page import opened_tab
 
+import palpate.bench
 import palpate.viewer
 from palpate.api import Result
+from palpate.bench.page_parts import question_html, said_html, state_html, verdicts_html
 from palpate.errors import InputError
 from palpate.records import read_session
 from palpate.viewer import read_subject
@@ -60,18 +63,19 @@ def test_the_viewer_shows_a_name_as_it_is(tmp_path, monkeypatch, name):
     assert set().union(*(one.attributes for one in shown)) == {"style"}
 
 
-def test_every_text_of_the_viewer_is_made_by_one_function():
+def test_every_text_of_a_page_is_made_by_few_functions():
     """viser takes Markdown and HTML unchecked: neither may come from anywhere else."""
 
     def is_safe(node):
         if isinstance(node, ast.IfExp):
             return is_safe(node.body) and is_safe(node.orelse)
         if isinstance(node, ast.Call):
-            return getattr(node.func, "id", "") in ("text_html", "scale_html")
+            return getattr(node.func, "id", "").endswith(("_html", "_svg"))
         return isinstance(node, ast.Constant) and node.value == ""
 
     found = 0
-    for file in Path(palpate.viewer.__file__).parent.rglob("*.py"):
+    viewer, page = Path(palpate.viewer.__file__).parent, Path(palpate.bench.page.__file__)
+    for file in (*viewer.rglob("*.py"), page):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             name = getattr(getattr(node, "func", None), "attr", "")
             assert name not in ("add_markdown", "add_notification"), file
@@ -81,6 +85,19 @@ def test_every_text_of_the_viewer_is_made_by_one_function():
             found += len(values)
             assert all(map(is_safe, values)), f"{file}: line {node.lineno}"
     assert found > 20
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_page_of_a_measurement_shows_a_name_as_it_is(name):
+    picture = np.zeros((8, 8), dtype=np.uint8)
+    for html in (
+        question_html(name), said_html(["", name]), state_html(name),
+        verdicts_html([name], (picture,)),
+    ):  # fmt: skip
+        shown = Shown(html)
+        assert name in shown.text
+        assert shown.tags <= {"div", "span", "b"}
+        assert shown.attributes == {"style"}
 
 
 def test_line_breaks_and_emphasis_are_ours():

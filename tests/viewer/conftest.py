@@ -1,17 +1,12 @@
 """A cube with Green's functions, and one viewer that all browser tests share."""
 
-import shutil
-
 import pytest
-from browser_help import until
+from browser_help import browser as browser, until
 from cube_green import green as green, session as session
 from cube_session import cube_session as cube_session, write_cube_session
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chrome")
 # A name that would act in a page that took it as markup.
 NAME = '<img src=x onerror="document.body.dataset.taken=1">[a](b)'
-# Software draws: no graphics card, no display.
-FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 @pytest.fixture(scope="session")
@@ -26,20 +21,6 @@ def viewer(tmp_path_factory):
     running = Viewer(read_subject(folder))
     yield running
     running.stop()
-
-
-@pytest.fixture(scope="session")
-def browser():
-    """A headless Chromium."""
-    sync_api = pytest.importorskip(
-        "playwright.sync_api", reason="needs playwright to drive a browser, which is not installed"
-    )
-    if CHROMIUM is None:
-        pytest.skip("needs a Chromium browser, which is not installed")
-    with sync_api.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="session")

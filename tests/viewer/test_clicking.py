@@ -15,7 +15,6 @@ from palpate.viewer.clicking import (
     force_text,
     place_ball,
     press,
-    ray_intersection,
     triangles_near,
     write_draft,
 )
@@ -144,20 +143,3 @@ def test_a_force_that_is_not_resolved_has_no_sigma(green):
     assert "\N{PLUS-MINUS SIGN}" in force_text(press(unsure, place_ball(unsure, TOP, 0.2), 2e-3))
     few = force_text(press(unsure, place_ball(unsure, TOP, 0.002), 2e-4))
     assert "\N{PLUS-MINUS SIGN}" not in few
-
-
-def test_rays_meet_the_cube_where_they_enter_its_slabs(session):
-    draws = np.random.default_rng(3)
-    met = 0
-    for _ in range(40):
-        start = 0.02 + 0.1 * np.sign(draws.normal(size=3)) * draws.uniform(0.5, 1.0, 3)
-        way = 0.02 + 0.02 * draws.normal(size=3) - start
-        # Between 0 and 40 mm along x, y and z at once, from the latest entry to the first exit.
-        times = np.sort((np.array([[0.0], [0.04]]) - start) / way, axis=0)
-        enters, leaves = times[0].max(), times[1].min()
-        found = ray_intersection(session.mesh, start, way)
-        assert (found is not None) == (enters < leaves)
-        if found is not None:
-            met += 1
-            np.testing.assert_allclose(found, start + enters * way, atol=1e-12)
-    assert 10 < met < 40

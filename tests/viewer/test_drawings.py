@@ -9,7 +9,8 @@ from palpate.estimation import LikelihoodMap
 from palpate.records import Camera, Rig, read_session
 from palpate.viewer.drawings import LikelihoodPlot, camera_picture
 from palpate.viewer.panels import rms_text
-from palpate.viewer.stage import camera_view_pose, merged_labels
+from palpate.viewer.scenes import camera_view_pose
+from palpate.viewer.stage import merged_labels
 from palpate.viewer.subject import read_subject, shown_probings
 
 FOCAL, SIZE, HEIGHT = 800.0, (400, 300), 0.2

@@ -4,9 +4,9 @@ Purpose    : drive cameras, a gauge and an arm, or guide a person, push after pu
              constants are known as well as wanted.
 Takes      : bench.toml, or a configuration of the virtual laboratory; answers to questions.
 Gives      : a session's folder that is whole after each push, and its `FitResult`.
-Depends on : `pipeline`, `estimation`, `recording`, `lab`, `solids`, `vision`, `records`,
-             `geometry`.
-Read first : `devices.py`, `measure.py`, then `pushing.py` and `live_session.py`.
+Depends on : `viewer`, `figures`, `pipeline`, `estimation`, `recording`, `lab`, `solids`, `vision`,
+             `records`, `geometry`.
+Read first : `devices.py`, `questions.py`, `measure.py`, then `pushing.py` and `page.py`.
 """
 
 from palpate.bench.bench_file import (
@@ -25,5 +25,6 @@ from palpate.bench.measure import (
     measure as measure,
     wanted_precision as wanted_precision,
 )
-from palpate.bench.pushing import Questions as Questions
+from palpate.bench.page import Page as Page
+from palpate.bench.questions import Questions as Questions
 from palpate.bench.virtual import DrawnBody as DrawnBody

@@ -95,17 +95,11 @@ class Bench:
         return (*self.cameras, self.force, *(() if self.arm is None else (self.arm,)))
 
     @contextmanager
-    def started(self) -> Iterator[None]:
-        """All devices started, and closed when the block ends.
-
-        Raises
-        ------
-        DeviceError                 one does not start
-        """
+    def closed_afterwards(self) -> Iterator[None]:
+        """All devices closed when the block ends."""
         with ExitStack() as stack:
             for device in self.devices:
                 stack.callback(device.close)
-                device.start()
             yield
 
 
@@ -219,7 +213,7 @@ def _copy(root: TomlTable, rig_file: Path, folder: Path) -> None:
 def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]]) -> Any:
     """The device of a table, made by the driver that it names."""
     if not drivers:
-        table.fail("driver", "no arm is built in; docs/howto/measure.md says how to add a driver")
+        table.fail("driver", "no arm is built in; docs/howto/bench.md says how to add a driver")
     make = drivers[table.choice("driver", tuple(drivers))]
     with table.error_context():
         return make(table)

@@ -14,7 +14,8 @@ import numpy as np
 import tomlkit
 from scipy.spatial import cKDTree
 
-from palpate.bench.pushing import Pictures, PushError, TakenPush
+from palpate.bench.pushing import PushError, TakenPush
+from palpate.bench.questions import Pictures
 from palpate.disk import atomic_replacement, write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.estimation import FitResult
@@ -224,6 +225,14 @@ class LiveSession:
                 read_session(staged)
         self.content, self._motions = content, motions
         return self.measured()
+
+    def withdraw(self) -> None:
+        """Take the last push out again."""
+        self.content = self.content | {"probe": self.content["probe"][:-1]}
+        if self.count:
+            write_bytes(self.file, tomlkit.dumps(self.content).encode())
+        else:
+            self.file.unlink()
 
     def measured(self) -> Session:
         """The session of all pushes, with their displacements."""

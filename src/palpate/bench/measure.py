@@ -6,6 +6,7 @@ in the browser answers.
 """
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,12 +18,13 @@ from palpate.bench.arms import check_push
 from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
-from palpate.bench.pushing import PushError, Questions, grabbed, take_push
+from palpate.bench.pushing import PushError, grabbed, take_push
+from palpate.bench.questions import DEVICES, OBJECT, PUSHES, REST, Questions, Stopped
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
+from palpate.geometry import TriangleMesh, checked_mesh
 from palpate.pipeline import NextProbings, first_place
 from palpate.recording import (
-    chosen_side,
     default_radius,
     flat_sides,
     likely_unit,
@@ -35,6 +37,7 @@ from palpate.records import (
     Constant,
     Estimate,
     Session,
+    read_toml,
     verdict_text,
 )
 from palpate.shapes import Vector3
@@ -43,6 +46,8 @@ _CONSTANTS = {"E": "young_modulus", "G": "shear_modulus", "nu": "poisson_ratio"}
 _WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
 # A scale under the object reads a push whose direction has at least this component along its own.
 _FROM_ABOVE = 0.7
+# Triangles that a person says are held, in the session's folder.
+_HELD_FILE = "support_triangles.txt"
 # What a person can say to a push that failed.
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
 _Places = list[tuple[Vector3, Vector3]]
@@ -124,23 +129,55 @@ def measure(
     DeviceError                     a device that fails, where the person stops
     PalpateError                    as in `read_session`, `fit_session`
     """
-    with bench.started():
+    result: FitResult | None = None
+    with bench.closed_afterwards(), suppress(Stopped):
+        questions.step(DEVICES)
+        _start(bench, questions)
+        questions.watch(bench.rig, lambda: grabbed(bench)[1])
+        questions.step(OBJECT)
         session = _begun(bench, questions, folder, cache)
+        questions.body(session.mesh, session.bare.held_triangles)
         places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
             _rehearse(bench, questions, *places[0])
             return None
+        questions.step(REST)
         _look(bench, questions, session)
+        questions.step(PUSHES)
         judge = partial(_judged, bench, session, questions, until=until)
-        result: FitResult | None = None
         if session.count:
             result, places = judge(session.measured())
         while not _enough(session, result, until, pushes, questions):
             measured = _push(bench, session, questions, places)
             if measured is None:
                 break
-            result, places = judge(measured)
+            try:
+                result, places = judge(measured)
+            except InputError as error:
+                session.withdraw()
+                questions.tell(f"This push does not count: {error}")
     return result
+
+
+def _start(bench: Bench, questions: Questions, error: DeviceError | None = None) -> None:
+    """Start the devices, again where one has failed, until all are there; the error where the
+    person stops."""
+    remaining = list(bench.devices)
+    while True:
+        if error is not None:
+            questions.tell(str(error))
+            if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
+                raise error
+        try:
+            with questions.working() as progress:
+                progress("cameras and gauge", 0.0)
+                while remaining:
+                    remaining[0].close()
+                    remaining[0].start()
+                    del remaining[0]
+            return
+        except DeviceError as another:
+            error = another
 
 
 def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None) -> LiveSession:
@@ -150,17 +187,30 @@ def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None)
         questions.tell(f"Camera {camera.name}: {shown}")
     bench.supply(folder)
     head: dict[str, Any] = {"name": bench.name, **bench.head, "rig": {"cameras": "rig.toml"}}
-    if "object" not in head or "support" not in head:
-        head |= _asked_object(questions, bench.folder, folder)
-    else:
+    before = _before(folder)
+    before_contact = before.pop("contact", None)
+    contact = bench.contact or before_contact
+    if "object" in head and "support" in head:
         head["object"] = {**head["object"], "mesh": Path(head["object"]["mesh"]).name}
-    contact = bench.contact
+    else:
+        head |= before or _asked_object(questions, bench.folder, folder)
     if contact is None:
         unit = head["object"]["length_unit"]
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
-        radius = questions.ask(f"Radius of the ball that presses, in {unit}", usual)
-        contact = {"tool": "sphere", "tool_radius": _number(radius)}
+        contact = {"tool": "sphere", "tool_radius": _asked_radius(questions, unit, usual)}
     return LiveSession(folder, head, contact, by_hand=bench.arm is None, cache=cache)
+
+
+def _before(folder: Path) -> dict[str, Any]:
+    """What a person said of the object and the tool when the session was begun."""
+    if not (folder / "session.toml").exists():
+        return {}
+    there = read_toml(folder / "session.toml")
+    contact = there.tables("probe")[0].table("contact").values
+    return {
+        **{key: there.table(key).values for key in ("object", "support")},
+        "contact": {key: contact[key] for key in ("tool", "tool_radius") if key in contact},
+    }
 
 
 def _asked_object(questions: Questions, there: Path, folder: Path) -> dict[str, Any]:
@@ -170,30 +220,40 @@ def _asked_object(questions: Questions, there: Path, folder: Path) -> dict[str, 
         raise InputError(
             f"{there}: holds no surface of the object (PLY, STL, OBJ, ...); put it there"
         )
-    name = questions.choose("Which file is the object?", list(survey.meshes))
+    name, *others = survey.meshes
+    if others:
+        name = questions.choose("Which file is the object?", list(survey.meshes))
     surface = read_surface(survey, name)
     likely = likely_unit(surface)
+    questions.body(_in_metres(surface, likely), np.zeros(0, dtype=np.int64))
     units = [likely, *(unit for unit in FILE_LENGTH_UNITS if unit != likely)]
     size = " x ".join(f"{x:.3g}" for x in np.ptp(surface.vertices, axis=0))
-    unit = questions.choose(f"It is {size}; in which unit?", units)
-    sides = flat_sides(surface)
-    if not sides:
-        raise InputError(f"{name}: has no flat side along an axis; say what is held as [support]")
-    side = chosen_side(sides, questions.choose("Which side is held?", [s.name for s in sides]))
+    unit = questions.choose(f"{name} is {size}; in which unit?", units)
+    mesh = _in_metres(surface, unit)
+    faces = {}
+    for side in flat_sides(mesh):
+        on_it = (mesh.vertices - side.point) @ side.normal > -side.tolerance
+        faces[side.name] = np.flatnonzero(on_it[mesh.triangles].all(axis=1))
+    held = questions.face("Which side is held?", mesh, faces)
     (folder / Path(name).name).write_bytes((there / name).read_bytes())
-    plane = {
-        "point": side.point.tolist(), "normal": side.normal.tolist(), "tolerance": side.tolerance
-    } if side else {}  # fmt: skip
-    return {
-        "object": {"mesh": Path(name).name, "length_unit": unit}, "support": {"plane": plane}
-    }  # fmt: skip
+    (folder / _HELD_FILE).write_text("".join(f"{row}\n" for row in held), encoding="utf-8")
+    support = {"triangles": _HELD_FILE}
+    return {"object": {"mesh": Path(name).name, "length_unit": unit}, "support": support}
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f'"{text}" is no number; measure again') from None
+def _in_metres(surface: TriangleMesh, unit: str) -> TriangleMesh:
+    """The surface as a session has it."""
+    scaled = TriangleMesh(FILE_LENGTH_UNITS[unit] * surface.vertices, surface.triangles)
+    return checked_mesh(scaled)[0]
+
+
+def _asked_radius(questions: Questions, unit: str, usual: str) -> float:
+    while True:
+        text = questions.ask(f"Radius of the ball that presses, in {unit}", usual)
+        with suppress(ValueError):
+            if (radius := float(text)) > 0.0:
+                return radius
+        questions.tell(f'"{text}" is no radius; it is a number above zero, such as {usual}')
 
 
 def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
@@ -205,7 +265,7 @@ def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
                 progress("the pictures at rest", 0.0)
                 notes, good = session.look(*views)
         except DeviceError as error:
-            _restarted(bench, questions, error)
+            _start(bench, questions, error)
             continue
         except InputError as error:
             notes, good = (str(error),), False
@@ -231,35 +291,19 @@ def _push(
                         f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
                         " back, or stop and begin another session"
                     )
-                return session.add(taken, place, inward)
+                measured = session.add(taken, place, inward)
+            questions.tell(f"Push {session.count} is taken: {taken.force:.3g} N")
+            return measured
         except PushError as error:
             questions.tell(f"This push does not count: {error}")
         except DeviceError as error:
-            _restarted(bench, questions, error)
+            _start(bench, questions, error)
             continue
         again = AGAIN if bench.arm is None else ELSEWHERE
         if questions.choose("Push again?", [again, STOP]) == STOP:
             return None
         places = places if bench.arm is None else places[1:]
     return None
-
-
-def _restarted(bench: Bench, questions: Questions, error: DeviceError) -> None:
-    """Say what failed, and start the devices again until all are there; the error where the person
-    stops."""
-    remaining = list(bench.devices)
-    while True:
-        questions.tell(str(error))
-        if questions.choose("Go on?", [AGAIN, STOP]) == STOP:
-            raise error
-        try:
-            while remaining:
-                remaining[0].close()
-                remaining[0].start()
-                del remaining[0]
-            return
-        except DeviceError as another:
-            error = another
 
 
 def _judged(
@@ -275,6 +319,7 @@ def _judged(
         result = session.fit(measured, progress=progress)
     estimate = result.estimate
     questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
+    questions.judged(estimate)
     try:
         with questions.working() as progress:
             plan = session.plan(measured, result, progress=progress)

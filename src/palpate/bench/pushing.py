@@ -7,22 +7,19 @@ than that; pictures that move there are refused.
 
 import time
 from collections import deque
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from palpate.arrays import tangents_of
 from palpate.bench.arms import GuardedArm, check_push
 from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.gauges import TypedForce
+from palpate.bench.questions import AT_REST, Pictures, Questions
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
-from palpate.progress import Progress
 from palpate.recording import (
     ForceLog,
     Reading,
@@ -56,27 +53,6 @@ _STEPS, _TURN = 100, 0.2
 _PAUSE, _SAME = 2e-3, 1e-6
 # Standard deviation of a force that was read by eye, over the force.
 _BY_EYE = 0.02
-Pictures = tuple[UInt8[np.ndarray, "_ _"], ...]
-
-
-@runtime_checkable
-class Questions(Protocol):
-    """How a person is spoken to: at the terminal, in the browser, or by a script."""
-
-    def tell(self, text: str) -> None:
-        """Say something."""
-
-    def choose(self, text: str, options: list[str]) -> str:
-        """One of some words; the first is the usual one."""
-
-    def ask(self, text: str, usual: str) -> str:
-        """A number or a word; empty: the usual one."""
-
-    def wait(self, text: str) -> None:
-        """Until the person has done something."""
-
-    def working(self) -> AbstractContextManager[Progress]:
-        """Show what is being done until the block ends; nothing is asked or told in it."""
 
 
 class PushError(InputError):
@@ -127,13 +103,14 @@ def grabbed(bench: Bench) -> tuple[float, Pictures]:
 
 
 class _Watch:
-    """The latest pictures, and all readings since it began."""
+    """The latest pictures, and all readings since it began; shown to the person as they come."""
 
-    def __init__(self, bench: Bench) -> None:
-        self.bench = bench
+    def __init__(self, bench: Bench, questions: Questions) -> None:
+        self.bench, self.questions = bench, questions
         self.frames: deque[tuple[float, Pictures]] = deque(maxlen=_KEPT)
         self.time: list[float] = []
         self.reading: list[float] = []
+        self.state = AT_REST
 
     def poll(self) -> None:
         """Take a picture with every camera, and what the gauge has sent."""
@@ -152,6 +129,7 @@ class _Watch:
             )
         self.time += when.tolist()
         self.reading += newtons.tolist()
+        self.questions.see(self.frames[-1][1], self.time, self.reading, self.state)
         return len(when)
 
     def seen_for(self, seconds: float, rest: Pictures | None = None) -> Pictures:
@@ -247,7 +225,8 @@ def take_push(
     DeviceError                     a device that fails
     InputError                      a push that leaves the arm's limits
     """
-    watch, where = _Watch(bench), f"{np.round(1e3 * place, 1).tolist()} mm"
+    questions.place(place, inward)
+    watch, where = _Watch(bench, questions), f"{(np.round(1e3 * place, 1) + 0.0).tolist()} mm"
     if bench.arm is not None:
         questions.tell(f"The arm presses at {where}")
         rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, place, inward)
@@ -278,14 +257,17 @@ def _by_hand(
     """A person presses, the gauge says when it is held and when it is over."""
     rest = _at_rest(questions, watch, where)
     questions.tell(f"Press straight in near {where}, and hold still for {bench.hold:g} s")
-    begun, found = time.monotonic(), None
+    begun, found, watch.state = time.monotonic(), None, "press"
     while found is None or found.held < bench.hold:
         watch.poll()
         found = watch.force()
+        if found is not None and found.span is not None:
+            watch.state = f"hold still: {found.held:.1f} of {bench.hold:g} s"
         if time.monotonic() - begun > _PATIENCE:
             raise PushError(f"no push was held for {bench.hold:g} s within a minute; try again")
     begin, end = found.span or (0.0, 0.0)
     loaded = watch.mean(begin + _DELIVERY, end, rest)
+    watch.state = "lift off"
     questions.tell("Got it: lift off")
     while not found.touch.ended:
         watch.poll()
@@ -301,6 +283,7 @@ def _typed(
     """A person presses and reads the force."""
     rest = _at_rest(questions, watch, where)
     questions.wait(f"Press straight in near {where}, and hold still")
+    watch.state = "hold still"
     loaded = watch.seen_for(_DELIVERY)
     while True:
         try:
@@ -329,11 +312,14 @@ def _by_arm(
             arm.move(position, inward, limits.speed)
         rest = watch.seen_for(_REST)
         try:
+            watch.state = "presses"
             _press(arm, watch, place, inward, wanted)
+            watch.state = "holds"
             watch.seen_for(_DELIVERY)
             loaded = watch.seen_for(bench.hold, rest)
         finally:
             arm.move(above, inward, limits.speed)
+        watch.state = "lifts off"
         watch.seen_for(_REST)
     except DeviceError:
         arm.stop()

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from palpate.bench.arms import ArmLimits, GuardedArm
 from palpate.bench.devices import Picture
-from palpate.geometry import TriangleMesh
+from palpate.geometry import TriangleMesh, ray_intersection
 from palpate.lab import (
     Film,
     LabConfig,
@@ -239,7 +239,7 @@ class VirtualArm:
         way = position - world.position
         length = float(np.linalg.norm(way))
         if length > 0.0 and way @ direction > 0.999 * length and not self._on_line(direction):
-            place = surface_hit(world.config.specimen.mesh, world.position, direction)
+            place = ray_intersection(world.config.specimen.mesh, world.position, direction)
             if place is not None:
                 self._aimed = np.stack([place, direction])
                 world.aim_at(place, direction)
@@ -256,29 +256,6 @@ class VirtualArm:
 
     def close(self) -> None:
         """As in `Arm`."""
-
-
-def surface_hit(mesh: TriangleMesh, start: Vector3, direction: Vector3) -> Vector3 | None:
-    """Where a ray first meets a surface.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    start : (3,) float [m]
-    direction : (3,) float [-]      unit vector
-
-    Returns
-    -------
-    (3,) float [m] or None          None: it passes by
-    """
-    first, second, third = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    edges = np.stack([second - first, third - first, np.broadcast_to(-direction, first.shape)], 2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        solvable = np.abs(np.linalg.det(edges)) > 1e-18
-    found = np.linalg.solve(edges[solvable], (start - first[solvable])[..., None])[..., 0]
-    u, v, away = found.T
-    hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (away > 0.0)
-    return None if not hit.any() else start + float(away[hit].min()) * direction
 
 
 def virtual_devices(

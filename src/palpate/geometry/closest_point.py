@@ -278,3 +278,37 @@ def _closest_in_triangle(
         weight[:, start], weight[:, end] = 1.0 - t, t
         best = np.where(closer[:, None], weight, best)
     return best
+
+
+def ray_intersection(mesh: TriangleMesh, origin: Vector3, direction: Vector3) -> Vector3 | None:
+    """First intersection of a ray with a surface, from outside.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    origin : (3,) float [m]
+    direction : (3,) float          of any length
+
+    Returns
+    -------
+    (3,) float [m] or None          None if there is no intersection
+
+    Source
+    ------
+    Moeller and Trumbore, J. Graphics Tools 2 (1997) 21
+    """
+    first, second, third = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
+    side, other = second - first, third - first
+    first_cross = np.cross(direction, other)
+    scale = np.einsum("ma,ma->m", side, first_cross)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = origin - first
+        u = np.einsum("ma,ma->m", offset, first_cross) / scale
+        second_cross = np.cross(offset, side)
+        v = second_cross @ direction / scale
+        distance = np.einsum("ma,ma->m", other, second_cross) / scale
+        # From outside: the ray runs against the normal.
+        hit = (scale > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0)
+    if not hit.any():
+        return None
+    return np.asarray(origin + distance[hit].min() * direction)

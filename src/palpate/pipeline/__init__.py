@@ -98,6 +98,9 @@ from palpate.pipeline.result_files import (
     write_vertices as write_vertices,
 )
 from palpate.pipeline.survey import (
+    COARSEST_TEXTURE as COARSEST_TEXTURE,
+    DARK_LEVEL as DARK_LEVEL,
+    MOST_SATURATED as MOST_SATURATED,
     NEAR_RADII as NEAR_RADII,
     CameraSurvey as CameraSurvey,
     ProbingSurvey as ProbingSurvey,
@@ -108,6 +111,7 @@ from palpate.pipeline.survey import (
     survey_field as survey_field,
     survey_probing as survey_probing,
     survey_view as survey_view,
+    texture_length as texture_length,
     triangulated as triangulated,
     without_contradicted as without_contradicted,
 )

@@ -56,11 +56,11 @@ _LARGE, _USUAL = 3000, 2000
 # grow with its square, the compressed operator in proportion (docs/theory/compressed_operator.md).
 _DENSE_MINUTE, _COMPRESSED_MINUTE = 2500, 1100
 # Texture is lost with a larger fraction of white pixels, or where 99 % are below this grey level.
-_MAX_SATURATED = 0.02
-_DARK = 25.0
+MOST_SATURATED = 0.02
+DARK_LEVEL = 25.0
 # Length scale of a picture's texture [px], the standard deviation of grey levels over that of their
 # gradient: finer texture biases matches, coarser texture leaves too little of it in a window.
-_FINEST, _COARSEST = 0.8, 5.0
+_FINEST, COARSEST_TEXTURE = 0.8, 5.0
 # Noise of a typical camera, 1 sigma [grey levels].
 _NOISE = 1.5
 # With a larger fraction of points without texture, the paint or the lighting is at fault.
@@ -354,7 +354,7 @@ def survey_view(session: Session) -> tuple[ViewSurvey | None, tuple[str, ...]]:
         followed=int(is_valid(flow).sum()),
         vertices=int(measured.sum()),
         windows=float(np.median(vertices.count[measured])) if measured.any() else 0.0,
-        structure=tuple(map(_structure, grey, state.scene.interior)),
+        structure=tuple(map(texture_length, grey, state.scene.interior)),
     )
     names = [camera.name for camera in rig.cameras]
     return survey, (*remarks, *_view_notes(survey, flow, names, whose))
@@ -462,11 +462,20 @@ def _expectation(precision: Mapping[str, float]) -> str:
     return f"These data tell (1 sigma, Cramer-Rao bound on this mesh) {stiffness}, {other}."
 
 
-def _structure(
+def texture_length(
     grey: Float[np.ndarray, "rows columns"], inner: Float[np.ndarray, "rows columns"]
 ) -> float:
-    """Standard deviation of the grey levels over that of their gradient, on the surface [px]; NaN
-    where the surface is not in the picture."""
+    """How fine a texture is: the standard deviation of its grey levels over that of their gradient.
+
+    Parameters
+    ----------
+    grey : (rows, columns) float    grey levels, 0 to 255
+    inner : (rows, columns) float   weights, above 0 where the surface is in the picture
+
+    Returns
+    -------
+    float [px]                      NaN where the surface is not in the picture
+    """
     shown = inner > 0.0
     if not shown.any():
         return np.nan
@@ -496,7 +505,7 @@ def _view_notes(survey: ViewSurvey, flow: RangeFlow, names: list[str], whose: st
             " followed: speckle the surface, or light it better."
         )
     for name, length in zip(names, survey.structure, strict=True):
-        if length > _COARSEST:
+        if length > COARSEST_TEXTURE:
             texts.append(
                 f"Camera {name}: structure of {length:.1f} px is coarse or out of focus; a sharp"
                 " speckle of 3 to 5 px across has 1 to 3."
@@ -571,15 +580,15 @@ def _picture_notes(survey: CameraSurvey) -> list[str]:
             " length_unit of the rig, and that the mesh is in the object's frame."
         )
     white = max((picture.saturated for picture in survey.pictures), default=0.0)
-    if white > _MAX_SATURATED:
+    if white > MOST_SATURATED:
         texts.append(
             f"up to {100 * white:.0f} % of the pixels are white, where no texture can be followed;"
             " take the pictures again with less light or a shorter exposure."
         )
-    dark = sum(picture.grey[1] < _DARK for picture in survey.pictures)
+    dark = sum(picture.grey[1] < DARK_LEVEL for picture in survey.pictures)
     if dark:
         texts.append(
             f"{dark} of {len(survey.pictures)} pictures are dark (99 % of the pixels below"
-            f" {_DARK:g} of 255); take them again with more light or a longer exposure."
+            f" {DARK_LEVEL:g} of 255); take them again with more light or a longer exposure."
         )
     return texts

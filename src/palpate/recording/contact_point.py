@@ -41,6 +41,8 @@ _MIN_DISTANCE = 1.2
 _MOVED_PERCENTILE = 97.0
 # Least number of points, and least fraction of the motion that a contact must explain.
 _MIN_POINTS, _MIN_EXPLAINED = 30, 0.5
+# Least component of the force along the inward normal at a contact, over the force.
+_INWARD = 0.3
 _HEXAGON = np.array([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3.0)])
 
 
@@ -133,21 +135,22 @@ def find_contact(
             f"only {len(points)} points of the surface could be followed: the contact cannot be"
             " found; give `points` or `poses` in [contact]"
         )
-    guess = _first_guess(model.mesh, points, displacement, force)
+    pressed = _pressed_part(model.mesh, force)
+    guess = _first_guess(pressed, points, displacement, force)
     place = closest_points(model.mesh, points)
     nodes = model.system.surface.displacement
     at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
     press = _MeasuredPress(force, radius, profile, points, displacement, at_points)
     for step in _STEPS:
         for _ in range(_MAX_MOVES):
-            ring, tangents = _ring(model.mesh, guess, step * radius)
+            ring, tangents = _ring(pressed, guess, step * radius)
             residuals = _unexplained(model, press, ring)
             best = int(residuals.argmin())
             if best == 0:
                 break
             guess = ring[best]
     shift, half_hessian = _paraboloid_minimum(step * radius * _HEXAGON, residuals)
-    position = closest_points(model.mesh, (guess + shift @ tangents)[None])
+    position = closest_points(pressed, (guess + shift @ tangents)[None])
     explained = 1.0 - float(residuals.min()) / float(_sum_of_squares(press, guess))
     if explained < _MIN_EXPLAINED:
         raise RecordError(
@@ -160,6 +163,12 @@ def find_contact(
     count = float(np.clip(span.prod() / (np.pi * radius**2), 8.0, len(points)))
     variance = float(residuals.min()) / count * np.linalg.inv(half_hessian)
     return position.position[0], float(np.sqrt(variance.trace() / 2.0)), explained
+
+
+def _pressed_part(mesh: TriangleMesh, force: Vector3) -> TriangleMesh:
+    """The part of a surface that a force presses in: a tool touches no other."""
+    inward = -unit_normals(mesh) @ force
+    return TriangleMesh(mesh.vertices, mesh.triangles[inward > _INWARD * np.linalg.norm(force)])
 
 
 def _first_guess(

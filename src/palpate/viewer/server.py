@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import InputError, PalpateError
+from palpate.geometry import ray_intersection
 from palpate.optional_imports import late_import
 from palpate.records import verdict_text
-from palpate.viewer.clicking import ray_intersection
 from palpate.viewer.panels import (
     InsidePanel,
     LookPanel,
@@ -143,24 +143,10 @@ class Viewer:
         self.background = BackgroundWork(subject, cache)
         self.tabs: dict[int, Tab] = {}
         self._lock = threading.Lock()
-        self._token = secrets.token_hex(16)
-        chosen = free_port(port)
-        # Suppress the server's greeting in the command's output.
-        with redirect_stdout(io.StringIO()):
-            self._server = guarded_server(
-                self._token, host=_HOST, port=chosen, label=subject.session.name, verbose=False
-            )
-        self._server.gui.configure_theme(show_logo=False, show_share_button=False)
-        self._server.gui.main_panel.dock_right()
-        self._server.scene.set_up_direction("+z")
+        self._server, self.address = open_server(subject.session.name, port)
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._gone)
         self.background.start()
-
-    @property
-    def address(self) -> str:
-        """URL of the page, with the secret that lets in whoever has it."""
-        return f"http://{_HOST}:{self._server.get_port()}/{self._token}/"
 
     def _connected(self, client: Any) -> None:
         tab = Tab(client, self.background)
@@ -175,8 +161,41 @@ class Viewer:
 
     def stop(self) -> None:
         """Stop the server; open tabs lose their connection."""
-        with redirect_stdout(io.StringIO()):
-            self._server.stop()
+        stop_server(self._server)
+
+
+def open_server(label: str, port: int | None) -> tuple[Any, str]:
+    """Start a page on this computer, for who has its address.
+
+    Parameters
+    ----------
+    label : str                     title of the page
+    port : int or None              None: 8080, or the next free one
+
+    Returns
+    -------
+    ViserServer
+    str                             URL of the page, with the secret that lets in whoever has it
+
+    Raises
+    ------
+    InputError                      viser is not installed; no such port is free
+    PalpateError                    this version of viser cannot be guarded
+    """
+    token, chosen = secrets.token_hex(16), free_port(port)
+    # Suppress the server's greeting in the command's output.
+    with redirect_stdout(io.StringIO()):
+        server = guarded_server(token, host=_HOST, port=chosen, label=label, verbose=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    server.scene.set_up_direction("+z")
+    return server, f"http://{_HOST}:{server.get_port()}/{token}/"
+
+
+def stop_server(server: Any) -> None:
+    """Stop a server; open tabs lose their connection."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
 
 
 def free_port(wanted: int | None) -> int:

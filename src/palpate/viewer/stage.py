@@ -14,10 +14,9 @@ import matplotlib as mpl
 import numpy as np
 import trimesh
 from jaxtyping import Float, UInt8
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_hex
 
 from palpate.figures import (
-    BLUE,
     GREY,
     HELD,
     INK,
@@ -38,21 +37,17 @@ from palpate.geometry import (
     unit_normals,
 )
 from palpate.pipeline import FittedProbing
-from palpate.records import Camera, ModulusMap
+from palpate.records import ModulusMap
 from palpate.shapes import Indices, Points, PointScalars, Vector3, Vertices
 from palpate.viewer.drawings import camera_picture, frames
+from palpate.viewer.scenes import camera_view_pose, draw_arrows, draw_camera, light, look, rgb
 from palpate.viewer.subject import Subject
 
 # Initial view of a tab.
 OBJECT = "the first probing's side"
-# Columns and rows assumed for cameras whose calibration does not give them.
-_IMAGE_SIZE = (640, 480)
-_FOV = np.pi / 3
-# Share of the view that the object fills.
-_FILLED = 0.75
 _BODY, _SET = "#c9ccd2", "#e69f00"
-# Sizes as fractions of the object's: points, arrows, their thickness, cameras, label distance.
-_POINT, _ARROW, _TIP, _FRUSTUM, _NEAR = 0.012, 0.2, 0.006, 0.12, 0.03
+# Sizes as fractions of the object's: points, arrows, label distance.
+_POINT, _ARROW, _NEAR = 0.012, 0.2, 0.03
 # Largest number of arrows; more would hide the points.
 _MAX_ARROWS = 250
 MEASURED, PREDICTED, RESIDUAL, SIGMA = FIELDS = (
@@ -66,12 +61,6 @@ _STYLE = "padding:0 .8em .7em;font-size:.875rem;white-space:pre-line;overflow-wr
 _STOPS = 12
 # Corners of a tetrahedron's faces.
 _FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-
-
-def rgb(colour: str) -> tuple[int, int, int]:
-    """A matplotlib colour as three bytes, 0 to 255."""
-    red, green, blue = (round(255 * share) for share in to_rgb(colour))
-    return red, green, blue
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +110,7 @@ class Stage:
             for name in ("points", "arrows", "probings", "cameras")
         }
         self.draw_body(np.zeros_like(mesh.vertices), None)
-        _light(self.scene, self.size)
+        light(self.scene)
         self.look_from(OBJECT)
 
     @property
@@ -140,7 +129,7 @@ class Stage:
                     self._client.camera.wxyz, self._client.camera.position = orientation, position
                     self._client.camera.fov = fov
                 return
-        look(self._client, self.subject, self.size)
+        look(self._client, self.subject.session.mesh, direction_of(self.subject))
 
     @property
     def body(self) -> Any:
@@ -234,19 +223,9 @@ class Stage:
         longest = max(float(length.max()), 1e-9)
         arrow_vector = 1e3 * field.displacement[shown] * (0.5 * _ARROW * self.size / longest)
         start = 1e3 * field.points[shown]
-        self._loose["arrows"] = self._arrows(
-            "/arrows/moved", start, start + arrow_vector, rgb(INK), 0.5
+        self._loose["arrows"] = draw_arrows(
+            self.scene, "/arrows/moved", start, start + arrow_vector, rgb(INK), 0.5 * self.size
         )
-
-    def _arrows(
-        self, name: str, start: np.ndarray, end: np.ndarray, colour: Any, thick: float = 1.0
-    ) -> Any:
-        """Draw arrows, scaled to the object [mm]."""
-        unit = thick * _TIP * self.size
-        return self.scene.add_arrows(
-            name, np.stack([start, end], axis=1), colour,
-            shaft_radius=0.5 * unit, head_radius=1.5 * unit, head_length=3.0 * unit,
-        )  # fmt: skip
 
     def draw_probings(self, probings: tuple[FittedProbing, ...], chosen: str) -> None:
         """Draw the force of every probing; the chosen one in orange, with its magnitude."""
@@ -258,7 +237,8 @@ class Stage:
             end, here = 1e3 * one.contact, one.name == chosen
             start = end - _ARROW * self.size * one.force / newtons
             colour = rgb(ORANGE if here else GREY)
-            self._arrows(f"/probings/{one.name}/force", start[None], end[None], colour)
+            name = f"/probings/{one.name}/force"
+            draw_arrows(self.scene, name, start[None], end[None], colour, self.size)
             starts[one.name] = start, f"{one.name}: {newtons:.3g} N" if here else ""
         for number, (text, start) in enumerate(merged_labels(starts, _NEAR * self.size)):
             self.scene.add_label(f"/probings/label {number}", text, position=tuple(start))
@@ -271,16 +251,7 @@ class Stage:
         patterns = frames(session, probing)
         for number, camera in enumerate(rig.cameras):
             seen = camera_picture(session, rig, number, patterns[0]) if patterns else None
-            self._draw_camera(camera, seen)
-
-    def _draw_camera(self, camera: Camera, picture: Any) -> None:
-        orientation, position, fov = camera_view_pose(camera)
-        columns, rows = camera.size or _IMAGE_SIZE
-        self.scene.add_camera_frustum(
-            f"/cameras/{camera.name}", fov=fov, aspect=columns / rows, scale=_FRUSTUM * self.size,
-            thickness=0.002 * self.size, color=rgb(BLUE), image=picture, wxyz=orientation,
-            position=position,
-        )  # fmt: skip
+            draw_camera(self.scene, camera, self.size, seen)
 
     def draw_ball(self, centre: Vector3, radius: float, force: Vector3, text: str) -> None:
         """Draw the ball that presses, its force and a label [m, N]."""
@@ -293,7 +264,9 @@ class Stage:
             # The arrow ends at the ball's surface.
             end = middle - 1e3 * radius * force / newtons
             start = end - _ARROW * self.size * force / newtons
-            self._loose["push"] = self._arrows("/push", start[None], end[None], rgb(ORANGE))
+            self._loose["push"] = draw_arrows(
+                self.scene, "/push", start[None], end[None], rgb(ORANGE), self.size
+            )
             self._loose["newtons"] = self.scene.add_label("/newtons", text, position=tuple(start))
 
     def clear_ball(self) -> None:
@@ -345,57 +318,6 @@ def merged_labels(
         label = next((text for name in names if (text := starts[name][1])), names[0])
         found.append((label + more, place))
     return found
-
-
-def camera_view_pose(camera: Camera) -> tuple[Float[np.ndarray, "4"], Vector3, float]:
-    """Orientation, position and field of view of a camera, in viser's conventions.
-
-    Parameters
-    ----------
-    camera : Camera
-
-    Returns
-    -------
-    (4,) float                      quaternion w, x, y, z of the rotation from its frame to the
-                                    object's
-    (3,) float [mm]                 position in the object frame
-    float [rad]                     vertical field of view
-    """
-    pose = camera.T_camera_object
-    orientation = trimesh.transformations.quaternion_from_matrix(np.linalg.inv(pose))
-    rows = (camera.size or _IMAGE_SIZE)[1]
-    position = -1e3 * pose[:3, :3].T @ pose[:3, 3]
-    return orientation, position, float(2 * np.arctan(0.5 * rows / camera.matrix[1, 1]))
-
-
-def _light(scene: Any, size: float) -> None:
-    """Default lights and a little ambient light."""
-    scene.configure_default_lights(enabled=True, cast_shadow=False)
-    scene.add_light_ambient("/light", intensity=0.15)
-
-
-def look(client: Any, subject: Subject, size: float) -> None:
-    """Set a tab's view to the side from which most of the first probing is visible.
-
-    Parameters
-    ----------
-    client : ClientHandle of viser
-    subject : Subject
-    size : float [mm]               bounding diagonal of the object
-    """
-    corners = 1e3 * subject.session.mesh.vertices
-    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    camera, toward = client.camera, direction_of(subject)
-    across = np.cross((0.0, 0.0, 1.0), toward)
-    across /= np.linalg.norm(across)
-    axes = np.stack([across, np.cross(toward, across)])
-    half = _FILLED * np.tan(0.5 * _FOV) * np.array([camera.aspect, 1.0])
-    reach = np.abs((corners - middle) @ axes.T) / half
-    distance = float((reach.max(axis=1) + (corners - middle) @ toward).max())
-    camera.near, camera.far, camera.fov = 0.01 * size, 100.0 * size, _FOV
-    camera.up_direction = (0.0, 0.0, 1.0)
-    camera.position = tuple(middle + distance * toward)
-    camera.look_at = tuple(middle)
 
 
 def direction_of(subject: Subject) -> Vector3:

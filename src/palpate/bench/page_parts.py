@@ -1,0 +1,269 @@
+"""What the page of a live measurement is made of: texts as HTML, small plots as SVG, pictures.
+
+A browser takes HTML as it is: every text that a device or a file may have had a say in is escaped.
+"""
+
+from collections.abc import Sequence
+from html import escape
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from palpate.bench.questions import STEPS, Pictures
+from palpate.figures import BLUE, GREY, INK, ORANGE, PALE_BLUE
+from palpate.pipeline import COARSEST_TEXTURE, DARK_LEVEL, MOST_SATURATED, texture_length
+from palpate.records import MODULUS_UNITS, Camera, Estimate, Rig, camera_centre, constant_row
+from palpate.shapes import Vector3
+from palpate.vision import project
+
+GOOD, BAD = "#00794f", "#b3261e"
+_NAMES = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
+_TITLES = {"young_modulus": "Young's modulus E", "poisson_ratio": "Poisson's ratio nu"}
+_STYLE = "padding:0 .8em .6em;font-size:.875rem;line-height:1.4;overflow-wrap:anywhere"
+# Contrast about a pixel that is more than noise [grey levels], within so many pixels; and the
+# share of a picture that must have it.
+_CONTRAST, _WITHIN, _LEAST_TEXTURED = 5.0, 5.0, 0.03
+# A plot of forces reaches so many standard deviations of those at rest.
+_NOISE = 30.0
+# Time that it shows [s].
+_SHOWN = 8.0
+# Width of a camera's picture in the page, and a plot's size [px].
+_WIDTH, _PLOT, _MARGIN = 640, (320, 110), (52, 16, 8, 20)
+
+
+def block(content: str) -> str:
+    """A part of the page, of HTML."""
+    return f'<div style="{_STYLE}">{content}</div>'
+
+
+def steps_html(current: str) -> str:
+    """Where the measurement is on its way; at its end where that is none of `STEPS`."""
+    at = STEPS.index(current) if current in STEPS else len(STEPS)
+    parts = []
+    for k, name in enumerate(STEPS):
+        colour = (GREY, BLUE, GREY)[1 + (k > at) - (k < at)]
+        mark = "✓" if k < at else str(k + 1)
+        weight = 700 if k == at else 400
+        parts.append(
+            f'<span style="color:{colour};font-weight:{weight};white-space:nowrap">{mark} {name}'
+            "</span>"
+        )
+    row = "display:flex;flex-wrap:wrap;gap:.2em 1em"
+    return block(f'<div style="{row}">{"".join(parts)}</div>')
+
+
+def question_html(text: str) -> str:
+    """What the person is asked, or told to do."""
+    return block(
+        f'<div style="font-size:1.05rem;font-weight:600;white-space:pre-line">{escape(text)}</div>'
+    )
+
+
+def state_html(text: str) -> str:
+    """What the cameras are seeing."""
+    return block(f'<b style="color:{BAD}">●</b> {escape(text)}')
+
+
+def said_html(texts: Sequence[str]) -> str:
+    """What was said, the newest first and in ink."""
+    lines = [
+        f'<div style="color:{INK if k == 0 else GREY};padding-top:.5em">{escape(text)}</div>'
+        for k, text in enumerate(reversed(texts))
+    ]
+    return block("".join(lines))
+
+
+def constants_html(estimate: Estimate) -> str:
+    """The constants with their intervals."""
+    rows = [("", "± 1 sigma", "95 % interval")]
+    for key, name in _NAMES.items():
+        value, interval, unit = constant_row(estimate, key)
+        rows.append((name, f"{value} {unit}", interval))
+    cells = (
+        "".join(f'<td style="padding-right:1em">{escape(x)}</td>' for x in row) for row in rows
+    )
+    table = "".join(f"<tr>{row}</tr>" for row in cells)
+    return block(f'<table style="font-variant-numeric:tabular-nums">{table}</table>')
+
+
+def intervals_svg(estimates: Sequence[Estimate]) -> str:
+    """E and nu with their 95 % intervals over the pushes, where they were determined."""
+    return "".join(_interval_svg(estimates, key) for key in _TITLES)
+
+
+def _interval_svg(estimates: Sequence[Estimate], key: str) -> str:
+    known = [one for one in estimates if one.identifiable[key]]
+    known = [one for one in known if np.isfinite(getattr(one, key).ci95).all()]
+    if not known:
+        return ""
+    _, _, unit = constant_row(known[-1], key)
+    x = np.array([len(one.probes) for one in known], dtype=float)
+    rows = np.array([(getattr(one, key).value, *getattr(one, key).ci95) for one in known])
+    if unit:
+        rows = rows / MODULUS_UNITS[unit]
+    plot = _Plot(x, rows, whole=True)
+    band = plot.line(np.concatenate([x, x[::-1]]), np.concatenate([rows[:, 1], rows[::-1, 2]]))
+    dots = "".join(
+        f'<circle cx="{plot.across(a):.1f}" cy="{plot.up(b):.1f}" r="3.5" fill="{BLUE}"/>'
+        f'<path d="M{plot.across(a):.1f},{plot.up(c):.1f}V{plot.up(d):.1f}" stroke="{BLUE}"/>'
+        for a, (b, c, d) in zip(x, rows, strict=True)
+    )
+    title = f"{_TITLES[key]}{unit and ', ' + unit}, after each push"
+    return plot.svg(title, f'<path d="{band}Z" fill="{PALE_BLUE}"/>{dots}')
+
+
+def trace_svg(time: Sequence[float], force: Sequence[float]) -> str:
+    """The latest readings of a gauge, from what it shows at rest; empty where there are none."""
+    t, f = np.array(time), np.array(force)
+    late = np.flatnonzero(t >= t[-1:] - _SHOWN)
+    # Readings that came together have one time.
+    if not len(late) or t[late[0]] == t[-1]:
+        return ""
+    rest = f[: max(2, len(f) // 10)]
+    f = f - np.median(rest)
+    late = late[:: max(1, len(late) // _PLOT[0])]
+    t, f = t[late] - t[late[0]], f[late]
+    f = (f if f.max() >= -f.min() else -f) + 0.0
+    # At rest there is noise alone: it is not drawn as large as a push.
+    plot = _Plot(t, np.append(f, _NOISE * rest.std()))
+    return plot.svg(
+        "force, N, over seconds",
+        f'<path d="{plot.line(t, f)}" fill="none" stroke="{ORANGE}" stroke-width="2"/>',
+    )
+
+
+class _Plot:
+    """Axes of a small plot that hold some values."""
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, *, whole: bool = False) -> None:
+        low, high = float(y.min()), float(y.max())
+        room = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
+        self.bottom, self.top = low - room, high + room
+        self.first, self.last = (x[0] - 0.4, x[-1] + 0.4) if whole else (x[0], x[-1])
+        self.ticks = x if whole and len(x) <= 10 else np.array([x[0], x[-1]])
+        self.levels = (low, high)
+
+    def across(self, x: float) -> float:
+        left, right = _MARGIN[0], _PLOT[0] - _MARGIN[1]
+        return float(left + (right - left) * (x - self.first) / (self.last - self.first))
+
+    def up(self, y: float) -> float:
+        low, high = _PLOT[1] - _MARGIN[3], _MARGIN[2]
+        return float(low + (high - low) * (y - self.bottom) / (self.top - self.bottom))
+
+    def line(self, x: np.ndarray, y: np.ndarray) -> str:
+        points = (f"{self.across(a):.1f},{self.up(b):.1f}" for a, b in zip(x, y, strict=True))
+        return "M" + "L".join(points)
+
+    def svg(self, title: str, content: str) -> str:
+        """The plot under its title, as HTML."""
+        base = _PLOT[1] - _MARGIN[3]
+        axes = (
+            f'<path d="M{_MARGIN[0]},{_MARGIN[2]}V{base}H{_PLOT[0]}" fill="none" stroke="{GREY}"/>'
+        )
+        for level in self.levels:
+            axes += (
+                f'<text x="{_MARGIN[0] - 5}" y="{self.up(level) + 4:.1f}" text-anchor="end">'
+                f"{level:.3g}</text>"
+            )
+        for tick in self.ticks:
+            axes += (
+                f'<text x="{self.across(tick):.1f}" y="{_PLOT[1] - 5}" text-anchor="middle">'
+                f"{tick:.3g}</text>"
+            )
+        return block(
+            f'<div style="color:{GREY}">{escape(title)}</div>'
+            f'<svg viewBox="0 0 {_PLOT[0]} {_PLOT[1]}" style="width:100%;display:block"'
+            f' font-size="11" fill="{INK}">{content}{axes}</svg>'
+        )
+
+
+def verdicts(picture: UInt8[np.ndarray, "_ _"]) -> tuple[tuple[str, bool], ...]:
+    """What a camera's picture is like in a few words, each with whether it is good.
+
+    Parameters
+    ----------
+    picture : (rows, columns) uint8
+
+    Returns
+    -------
+    tuple of (str, bool)            exposure, texture and focus
+    """
+    white = float((picture == 255).mean())
+    if white > MOST_SATURATED:
+        light = f"{100 * white:.0f} % white: less light", False
+    elif np.percentile(picture[::4, ::4], 99.0) < DARK_LEVEL:
+        light = "dark: more light", False
+    else:
+        light = "light good", True
+    grey = picture.astype(np.float32)
+    mean, square = (cv2.GaussianBlur(x, (0, 0), _WITHIN) for x in (grey, grey**2))
+    textured = (square - mean**2 > _CONTRAST**2).astype(np.float32)
+    if textured.mean() < _LEAST_TEXTURED:
+        return light, ("no texture: speckle the object", False)
+    length = texture_length(grey, textured)
+    if length > COARSEST_TEXTURE:
+        return light, ("blurred, or coarse speckle: focus", False)
+    return light, ("texture good", True), ("focus good", True)
+
+
+def verdicts_html(names: Sequence[str], pictures: Pictures) -> str:
+    """The verdicts on all cameras' pictures."""
+    lines = []
+    for name, picture in zip(names, pictures, strict=True):
+        words = "".join(
+            f'<span style="color:{GOOD if good else BAD};white-space:nowrap;padding-left:.9em">'
+            f"{'●' if good else '▲'} {text}</span>"
+            for text, good in verdicts(picture)
+        )
+        lines.append(f"<div><b>{escape(name)}</b>{words}</div>")
+    return block("".join(lines))
+
+
+def montage(
+    rig: Rig, pictures: Pictures, place: tuple[Vector3, Vector3] | None
+) -> UInt8[np.ndarray, "_ _ 3"]:
+    """The cameras' pictures below each other, two in a row where there are more than two; with
+    their names, and a ring where to press, grey where that is on the far side.
+
+    Parameters
+    ----------
+    rig : Rig
+    pictures : Pictures             of its cameras
+    place : (3,) and (3,) float     point [m] and direction of the push; None: no mark
+    """
+    columns = 1 if len(pictures) <= 2 else 2
+    tiles = [
+        _marked(camera, picture, _WIDTH // columns, place)
+        for camera, picture in zip(rig.cameras, pictures, strict=True)
+    ]
+    height = max(len(tile) for tile in tiles)
+    rows = -(-len(tiles) // columns)
+    sheet = np.full((rows * height, _WIDTH, 3), 255, dtype=np.uint8)
+    for k, tile in enumerate(tiles):
+        row, column = divmod(k, columns)
+        left = column * (_WIDTH // columns)
+        sheet[row * height : row * height + len(tile), left : left + tile.shape[1]] = tile
+    return sheet
+
+
+def _marked(
+    camera: Camera, picture: np.ndarray, width: int, place: tuple[Vector3, Vector3] | None
+) -> Float[np.ndarray, "_ _ 3"] | np.ndarray:
+    """A camera's picture of some width, with its name and the mark."""
+    scale = width / picture.shape[1]
+    size = width, round(scale * picture.shape[0])
+    small = Image.fromarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)).convert("RGB")
+    draw = ImageDraw.Draw(small)
+    font = ImageFont.load_default(size=26)
+    draw.text((10, 6), camera.name, fill="white", font=font, stroke_width=2, stroke_fill="black")
+    if place is not None:
+        point, inward = place
+        x, y = scale * (project(camera, point[None])[0] + 0.5)
+        faces = (camera_centre(camera) - point) @ inward < 0.0
+        for radius, colour, thick in ((25, "black", 9), (23, ORANGE if faces else GREY, 5)):
+            box = (x - radius, y - radius, x + radius, y + radius)
+            draw.ellipse(box, outline=colour, width=thick)
+    return np.asarray(small)
