@@ -224,7 +224,7 @@ def fit_other_causes(
     reason = _no_field_reason(session, observations)
     if material is Material.FIELD:
         if reason:
-            raise InputError(f"{reason} Fit with --material homogeneous")
+            raise InputError(f"{session.path}: {reason} Fit with --material homogeneous")
         return _fit_with_field(session, observations, plain, material, settings, progress)
     if reason:
         return plain, None
