@@ -149,6 +149,22 @@ def test_devices_that_go_wrong_in_a_push(change, error, words):
         take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, place, DOWN)
 
 
+@pytest.mark.slow
+def test_an_interrupt_lifts_the_tool():
+    bench = drawn_bench()
+    read = bench.force.read
+
+    def interrupted():
+        if (bench.arm.pose() - TOP) @ DOWN > 0.0:
+            raise KeyboardInterrupt
+        return read()
+
+    bench.force.read = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, TOP, DOWN)
+    assert (bench.arm.pose() - TOP) @ DOWN == pytest.approx(-bench.arm.limits.depth, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("reading", "deepest", "words"),
     [
@@ -157,9 +173,12 @@ def test_devices_that_go_wrong_in_a_push(change, error, words):
         # The cable comes off where the tool presses with 0.1 N of 0.45 N.
         (lambda x, depth: np.minimum(x, 0.3), 9e-3, "reads 0.1 N, and read 0.1 N a quarter"),
         # Felt, but softer than anybody thought: down to the limit, and no farther.
-        (lambda x, depth: 0.0 * x + max(10 * depth, 0.0), 24e-3, "at the largest depth of 24 mm"),
+        pytest.param(
+            lambda x, depth: 0.0 * x + max(10 * depth, 0.0), 24e-3,
+            "at the largest depth of 24 mm", marks=pytest.mark.slow,
+        ),
     ],
-)
+)  # fmt: skip
 def test_a_gauge_that_does_not_feel_the_object_stops_the_arm(reading, deepest, words):
     bench = drawn_bench()
     _readings(lambda t, x: (t, reading(x, (bench.arm.pose() - TOP) @ DOWN)))(bench)
