@@ -191,7 +191,7 @@ def virtual_bench(
             write_mesh(Path(made, "mesh.ply"), config.specimen.mesh)
             write_rig(Path(made, "rig.toml"), known)
             for file in Path(made).iterdir():
-                put(file, folder / file.name)
+                put(file.read_bytes(), folder / file.name)
 
     head = {
         "object": {"mesh": "mesh.ply", "length_unit": "m"},
@@ -206,33 +206,32 @@ def virtual_bench(
 
 def _copy(root: TomlTable, rig_file: Path, folder: Path) -> None:
     """Copy rig, its covariance and mesh into a session's folder."""
-    put(rig_file, folder / "rig.toml")
+    put(rig_file.read_bytes(), folder / "rig.toml")
     if covariance := covariance_file(rig_file):
-        put(covariance, folder / covariance.name)
+        put(covariance.read_bytes(), folder / covariance.name)
     if "object" in root.values:
         mesh = root.table("object").existing_file("mesh")
-        put(mesh, folder / mesh.name)
+        put(mesh.read_bytes(), folder / mesh.name)
 
 
-def put(file: Path, copy: Path) -> None:
-    """Copy a file of the bench into a session's folder, where nothing else lies in its place.
+def put(content: bytes, file: Path) -> None:
+    """Write a file of the bench into a session's folder, where nothing else lies in its place.
 
     Parameters
     ----------
+    content : bytes
     file : Path
-    copy : Path
 
     Raises
     ------
     InputError                      another file is there
     RecordError                     it cannot be written
     """
-    content = file.read_bytes()
-    if not copy.exists():
-        write_bytes(copy, content)
-    elif copy.read_bytes() != content:
+    if not file.exists():
+        write_bytes(file, content)
+    elif file.read_bytes() != content:
         raise InputError(
-            f"{copy}: is there already, and is not this bench's; nothing was changed: choose"
+            f"{file}: is there already, and is not this bench's; nothing was changed: choose"
             " another folder with --out"
         )
 
