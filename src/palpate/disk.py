@@ -51,7 +51,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     RecordError                     the file cannot be written
     InUseError                      another process is writing it
     """
-    with atomic_replacement([path]) as (staged,):
+    with atomic_replacement([path]) as (staged,), write_errors(path):
         staged.write_bytes(content)
 
 

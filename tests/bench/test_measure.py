@@ -1,10 +1,12 @@
 """The whole way with the virtual bench, its pictures drawn: a session whole after each push."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from bench.drawn_world import Script, drawn_bench, hand_bench, small_config
+from fault_injection import all_states, in_child
 
 import palpate
 from palpate.bench import DeviceError, measure, wanted_precision
@@ -50,9 +52,12 @@ def test_the_fit_of_the_folder_has_the_same_numbers(run):
 def test_a_session_is_gone_on_with(run, tmp_path):
     folder, _, _ = run
     before = (folder / "session.toml").read_text()
+    # What a person adds stays.
+    (folder / "session.toml").write_text(f"{before}\n[errors]\nforce_gain = 0.03\n")
     script = Script()
     result = measure(drawn_bench(), script, folder, pushes=3)
     session = read_session(folder)
+    assert session.errors.force_gain == 0.03
     assert [probing.name for probing in session.probings] == ["n01", "n02", "n03"]
     assert len(result.estimate.probes) == 3
     points = np.array([probing.contact.point for probing in session.probings])
@@ -63,22 +68,33 @@ def test_a_session_is_gone_on_with(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_kill_loses_the_push_in_hand_only(run, tmp_path, monkeypatch):
-    """Pictures of a third push are there, and session.toml does not name them."""
+def test_a_kill_or_a_full_disk_loses_the_push_in_hand_only(run, tmp_path):
+    """Before each step that changes the folder, the third push in hand."""
     folder, _, _ = run
-    before = sorted((folder / "images").iterdir())
-
-    def killed(*_args, **_options):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("palpate.bench.live_session.measure_pictures", killed)
-    bench = drawn_bench()
-    with pytest.raises(KeyboardInterrupt):
-        measure(bench, Script(), folder, pushes=3)
-    monkeypatch.undo()
-    assert len(read_session(folder).probings) == 2
-    assert not list(folder.glob(".session*partial"))
-    assert sorted((folder / "images").iterdir()) >= before
+    work, copies = tmp_path / "work", tmp_path / "copies"
+    shutil.copytree(folder, work)
+    assert all_states(lambda: not measure(drawn_bench(), Script(), work, pushes=3), work, copies)
+    states = sorted(path for path in copies.iterdir() if path.is_dir())
+    counts = [len(read_session(state).probings) for state in states]
+    # Three cameras' pictures, at rest and under load, come before the session that names them.
+    assert len(counts) > 6
+    assert counts == sorted(counts)
+    assert set(counts) == {2, 3}
+    # What was left just before it was done is gone on with.
+    half = states[counts.index(3) - 1]
+    assert len(measure(drawn_bench(), Script(), half, pushes=3).estimate.probes) == 3
+    assert not list(half.rglob(".*"))
+    # A disk that is full while it looks, and when the session takes its place.
+    for step in (3, counts.index(3)):
+        shutil.rmtree(work)
+        shutil.copytree(folder, work)
+        outcome = in_child(
+            lambda: not measure(drawn_bench(), Script(), work, pushes=3), work, step=step,
+            fault="ENOSPC",
+        )  # fmt: skip
+        assert outcome == "refused"
+        assert len(read_session(work).probings) == 2
+        assert not list(work.rglob(".*"))
 
 
 @pytest.mark.slow
@@ -178,6 +194,19 @@ def test_what_is_not_in_the_bench_is_asked_for(tmp_path):
     mesh = small_config().specimen.mesh
     low = (mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1)
     assert len((session / "support_triangles.txt").read_text().split()) == low.sum()
+
+
+@pytest.mark.parametrize("file", ["rig.toml", "mesh.ply"])
+def test_what_is_there_is_left_as_it_is(tmp_path, file):
+    """A rig or a mesh of another session; and the bench's own file in the session's folder."""
+    (tmp_path / file).write_text("mine")
+    with pytest.raises(InputError, match=f"{file}: is there already, and is not this bench's"):
+        measure(drawn_bench(), Script(), tmp_path, dry_run=True)
+    assert (tmp_path / file).read_text() == "mine"
+    (tmp_path / file).unlink()
+    (tmp_path / "bench.toml").write_text("mine")
+    measure(drawn_bench(), Script(), tmp_path, dry_run=True)
+    assert (tmp_path / "bench.toml").read_text() == "mine"
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from palpate.bench import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.bench.pushing import PushError, take_push, way_round
 from palpate.bench.questions import Stopped
+from palpate.errors import InputError
 
 
 @pytest.fixture
@@ -138,8 +139,6 @@ def _readings(change):
         (_smaller, DeviceError, "camera 'c1' sends pictures of 200 x 300 .uint8.; must be 320 x"),
         (_readings(lambda t, x: (t, np.nan * x)), DeviceError, "readings that are no numbers"),
         (_readings(lambda t, x: (t[::-1], x)), DeviceError, "or times that go back"),
-        # Nothing is felt: down to the limit, where every step is within it, and no farther.
-        (_readings(lambda t, x: (t, 0.0 * x)), PushError, "at the largest depth of 24 mm"),
     ],
 )
 def test_devices_that_go_wrong_in_a_push(change, error, words):
@@ -148,5 +147,45 @@ def test_devices_that_go_wrong_in_a_push(change, error, words):
     place = np.array([0.0, 0.0, 0.04])
     with pytest.raises(error, match=words):
         take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, place, DOWN)
-    limits = bench.arm.limits
-    assert (bench.arm.pose() - place) @ DOWN <= limits.depth * (1.0 + 1e-9)
+
+
+@pytest.mark.slow
+def test_an_interrupt_lifts_the_tool():
+    bench = drawn_bench()
+    read = bench.force.read
+
+    def interrupted():
+        if (bench.arm.pose() - TOP) @ DOWN > 0.0:
+            raise KeyboardInterrupt
+        return read()
+
+    bench.force.read = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, TOP, DOWN)
+    assert (bench.arm.pose() - TOP) @ DOWN == pytest.approx(-bench.arm.limits.depth, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("reading", "deepest", "words"),
+    [
+        # Of 24 mm: a quarter, where a gauge that is not connected reads what it read in the air.
+        (lambda x, depth: 0.0 * x + 0.2, 6e-3, "6 mm below the surface the gauge reads 0 N, and"),
+        # The cable comes off where the tool presses with 0.1 N of 0.45 N.
+        (lambda x, depth: np.minimum(x, 0.3), 9e-3, "reads 0.1 N, and read 0.1 N a quarter"),
+        # Felt, but softer than anybody thought: down to the limit, and no farther.
+        pytest.param(
+            lambda x, depth: 0.0 * x + max(10 * depth, 0.0), 24e-3,
+            "at the largest depth of 24 mm", marks=pytest.mark.slow,
+        ),
+    ],
+)  # fmt: skip
+def test_a_gauge_that_does_not_feel_the_object_stops_the_arm(reading, deepest, words):
+    bench = drawn_bench()
+    _readings(lambda t, x: (t, reading(x, (bench.arm.pose() - TOP) @ DOWN)))(bench)
+    go, depths = bench.arm._arm.move, []
+    bench.arm._arm.move = lambda there, *how: (depths.append((there - TOP) @ DOWN), go(there, *how))
+    with pytest.raises(InputError, match=words):
+        take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, TOP, DOWN)
+    assert max(depths) <= deepest * (1.0 + 1e-9)
+    # And up again.
+    assert depths[-1] == -bench.arm.limits.depth

@@ -29,7 +29,7 @@ def _kind(name: str, damage: Callable[[Path], object], *says: str, options: str 
 def _poked(name: str, damage: Callable[[Path], object], *says: str, options: str = "") -> Kind:
     file = "p" + name[name.rindex(".") :]
     words = ("import", "pokes", file, "--thickness", "20mm", *options.split())
-    more = () if "--tool-radius" in options else ("--tool-radius", "3mm")
+    more = () if "--tool-radius" in options else ("--tool-radius", "6mm")
     return Kind(f"pokes: {name}", damage, (*words, *more), says)
 
 
@@ -53,10 +53,14 @@ def _arrays(**arrays: object) -> Callable[[Path], object]:
 _POKES = "x,y,z,force\n" + "1,2,-1,-0.5\n" * 30
 
 
-def _pushes(power: float) -> Callable[[Path], object]:
+def _pushes(power: float, normal: str = "", head: str = "x,y,z,force") -> Callable[[Path], object]:
     """Damage: four pokes a centimetre apart, all but on a line, with a power of the depth."""
-    rows = [f"{10 * k},{1e-3 * (k % 2)},{-d},{0.02 * d**power}" for k in range(4) for d in range(6)]
-    return written("p.csv", "\n".join(["x,y,z,force", *rows]) + "\n")
+    head += ",nx,ny,nz" if normal else ""
+    rows = [
+        f"{10 * k},{1e-3 * (k % 2)},{-d},{0.02 * d**power}{normal}"
+        for k in range(4) for d in range(6)
+    ]  # fmt: skip
+    return written("p.csv", "\n".join([head, *rows]) + "\n")
 
 
 _POOR = [row.replace("0.95", "0.07") for row in _ROWS]
@@ -97,7 +101,16 @@ KINDS = [
     _poked("a body of twenty metres for p.csv", _pushes(1.5), "--margin is 20 m",
            options="--margin 20"),
     _poked("metres in p.csv", _pushes(1.5), "into a body 20 mm thick", "--length-unit",
-           options="--length-unit m"),
+           options="--length-unit m --tool flat"),
+    _poked("a ball of a micrometre for p.csv", _pushes(1.5), "deeper than the ball's radius",
+           "0.001 mm", "--tool-radius", options="--tool-radius 1um"),
+    _poked("normals that point inward in p.csv", _pushes(1.5, ",0,0,-1"), "p.csv: in 4 of 4 pokes",
+           "normals must point out of the body"),
+    _poked("normals of no length in p.csv", _pushes(1.5, ",0,0,0"), "p.csv: a normal is the zero"),
+    _poked("a sample a poke in p.csv", written("p.csv", "x,y,z,force\n0,0,-1,1\n9,0,-1,1\n"),
+           "p.csv: poke 1 of 2 has 1 samples; at least 3", "--poke-column"),
+    _poked("two columns of one name in p.csv", _pushes(1.5, head="x,y,x,force"),
+           "p.csv: the column 'x' is there 2 times; export one"),
     _poked("pokes on a line in p.csv", _pushes(1.5), "are on a line", "--margin",
            options="--margin 0mm"),
     _poked("a force that does not rise in p.csv", _pushes(0.0), "0 of 4 pokes have contact"),

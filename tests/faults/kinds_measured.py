@@ -98,6 +98,8 @@ _CHECKED = [
      ("n01_series.csv", "has forces and no motion")),
     ("a series without a force", _series(*_RISING, head="t,fx,fy,f,tz,tx,ty"),
      ("n01_series.csv: the column 'fz' is missing",)),
+    ("a series longer than anybody waits for", _series(*200_001 * ["0,0,0,0,0,0,0"]),
+     ("n01_series.csv: has 200001 rows", "200000 at most", "fewer of the hold")),
     ("a series in another unit", _series(*_RISING, head="t,fx [mN],fy [mN],fz [mN],tz,tx,ty"),
      ("the force at 7 s is", "they are the same push")),
     ("a series with a gap in a row", _series(*_RISING, "8,0,0,,-4e-4,0,0"),

@@ -33,6 +33,13 @@ def _region(name: str, regions: tuple[str, ...], *says: str, command: tuple[str,
     return Kind(name, _with_regions(*regions), command, ("session.toml", *says))
 
 
+def _open_inside(folder: Path) -> None:
+    """Damage: a region within three faces of a tetrahedron."""
+    corners = "v 0.01 0.01 0.01\nv 0.02 0.01 0.01\nv 0.01 0.02 0.01\nv 0.01 0.01 0.02\n"
+    (folder / "in.obj").write_text(corners + "f 1 3 2\nf 1 2 4\nf 1 4 3\n")
+    _with_regions('name = "in"\nsurface = "in.obj"')(folder)
+
+
 _INSERT = 'name = "insert"\nbox = { min = [0.01, 0.01, 0.02], max = [0.02, 0.02, 0.03] }'
 # Elements are counted by the thickness of the part, so they would not be too many for this one.
 _LEAF = 'name = "leaf"\nbox = { min = [0, 0, 0.02], max = [0.04, 0.04, 0.020001] }'
@@ -54,6 +61,14 @@ REGIONS = [
     _region("two regions of one name", (_INSERT, _INSERT), "'insert' is that of another region"),
     _region("a region with a name as long as a page", (_INSERT.replace("insert", 3000 * "n"),),
             "[[region]]", "has 3000 characters", "200"),
+    _region("regions that are the whole object", ('name = "all"\nsurface = "mesh.ply"',),
+            "the regions fill the whole object", "leave one of them out"),
+    _region("a skin of less than nothing", ('name = "skin"\nskin = "-1 mm"',), "skin: is -0.001 m"),
+    _region("a skin within a box", ('name = "skin"\nskin = "5 mm"', _INSERT.replace("0.01", "0.0")),
+            "of region 'insert' lie in region 'skin'"),
+    Kind("a region within an open surface", _open_inside, _CHECK,
+         ("session.toml: [[region]] number 1: in.obj: the surface is open",)),
+    _region("regions of a single push", (_INSERT,), "takes pushes at several places", command=("fit", ".")),
     _region("regions at finite strain", (_INSERT,), "--strain small",
             command=("fit", ".", "--strain", "finite")),
     _region("a field at finite strain", (), "--strain small",

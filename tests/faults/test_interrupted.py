@@ -52,7 +52,7 @@ _COMMANDS = {
     "a campaign's table": ("campaign", "table", "many", "--out", "made.csv"),
     "a campaign's picture": ("campaign", "plot", "many", "--out", "made.png"),
     "pokes": (
-        "import", "pokes", "pokes.csv", "--tool-radius", "4mm", "--thickness", "20mm", "--out",
+        "import", "pokes", "pokes.csv", "--tool-radius", "8mm", "--thickness", "20mm", "--out",
         "made",
     ),
     "a compression": (

@@ -17,9 +17,10 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
 
+import cv2
 import numpy as np
 import pytest
-from faults.bench import write_shots
+from faults.bench import write_scan, write_shots
 from faults.samples import POKES
 
 from palpate.app import commands
@@ -41,6 +42,13 @@ _ALL = _QUICK | {
     "completion": ("completion", "bash"),
     "a campaign's status": ("campaign", "status", "many"),
     "no such experiment": ("reproduce", "table9"),
+    "a live bench": ("measure", "live", "--out", "measured", "--dry-run"),
+    "a live bench with nobody there": ("measure", "live", "--out", "measured"),
+    "scan": ("scan", "ball", "--vertices", "60", "--out", "scanned"),
+    "a recording": ("record", "recorded", "--out", "cut"),
+    "a plan of the laboratory": (
+        "lab", "plan", "pictured", "--young-modulus", "50kPa", "--out", "planned-there",
+    ),
     "fit": ("fit", "cube", "--cache", "cache", "--out", "fitted"),
     "mesh": ("mesh", "mesh.ply", "--vertices", "60", "--out", "remeshed"),
     "calibrate": (
@@ -58,7 +66,7 @@ _ALL = _QUICK | {
     "a campaign's picture": ("campaign", "plot", "many", "--out", "plot.png"),
     "pictures that are not there": ("flow", "pictured", "--out", "flowed"),
     "pokes": (
-        "import", "pokes", "pokes.csv", "--tool-radius", "4mm", "--thickness", "20mm", "--out",
+        "import", "pokes", "pokes.csv", "--tool-radius", "8mm", "--thickness", "20mm", "--out",
         "poked",
     ),
     "a compression": (
@@ -115,8 +123,40 @@ _SURROUNDINGS: dict[str, Callable[[Path], object]] = {
 _READ_ONLY, _OTHERS_CACHE = "a folder that may not be written", "a cache of another user"
 
 
+_LIVE = """\
+format = "palpate-bench/1"
+object = { mesh = "../mesh.ply", length_unit = "m" }
+support = { plane = { point = [0, 0, 0], normal = [0, 0, 1], tolerance = 1e-6 } }
+rig = { cameras = "../rig.toml" }
+force = { driver = "typed", unit = "gf" }
+contact = { tool = "sphere", tool_radius = "3 mm" }
+[[camera]]
+name = "c0"
+driver = "opencv"
+source = "0.avi"
+[[camera]]
+name = "c1"
+driver = "opencv"
+source = "1.avi"
+"""
+
+
+def _write_live(folder: Path) -> None:
+    """A bench whose cameras are films, and whose scale a person reads."""
+    folder.mkdir()
+    (folder / "bench.toml").write_text(_LIVE)
+    rng = np.random.default_rng(3)
+    for k in range(2):
+        film = cv2.VideoWriter(
+            str(folder / f"{k}.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 15.0, (64, 48)
+        )
+        for _ in range(60):
+            film.write(rng.integers(20, 230, (48, 64, 3), dtype=np.uint8))
+        film.release()
+
+
 @pytest.fixture(scope="module")
-def bench_and_more(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bench_and_more(bench: Path, recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bench with all that the commands need to end well."""
     for module in walk_packages(commands.__path__, f"{commands.__name__}."):
         import_module(module.name)
@@ -128,6 +168,9 @@ def bench_and_more(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     rows = np.stack([30.0 * strain, 1e5 * strain * np.pi * 0.025**2], axis=1)
     np.savetxt(folder / "record.csv", rows, delimiter=",", header="displacement,force", comments="")
     write_shots(folder / "shots")
+    write_scan(folder / "ball")
+    shutil.copytree(recorded, folder / "recorded")
+    _write_live(folder / "live")
     return folder
 
 

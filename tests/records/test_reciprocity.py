@@ -59,4 +59,6 @@ def test_sigmas_are_of_the_difference():
     ],
 )
 def test_its_sentence(change, phrase):
-    assert phrase in replace(FOUND, **change).text
+    found = replace(FOUND, **change)
+    assert phrase in found.text
+    assert found.is_unexplained == ("No single force" in found.text)

@@ -3,12 +3,12 @@
 A driver more is one file and one line in `CAMERA_DRIVERS`, `FORCE_DRIVERS` or `ARM_DRIVERS`.
 """
 
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from palpate.bench.cameras import STREAMS, OpenCvCamera
 from palpate.bench.devices import Arm, Camera, ForceSource
 from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce
 from palpate.bench.virtual import DrawnBody, rendered_body, virtual_devices
-from palpate.errors import quoted
+from palpate.disk import write_bytes
+from palpate.errors import InputError, quoted
 from palpate.geometry import write_mesh
 from palpate.lab import (
     LabConfig,
@@ -185,9 +186,12 @@ def virtual_bench(
 
     def supply(folder: Path) -> None:
         rng = np.random.default_rng([config.seed, 3])
-        write_mesh(folder / "mesh.ply", config.specimen.mesh)
         known = miscalibrated(rig, config.calibration, config.specimen.mesh, rng=rng)
-        write_rig(folder / "rig.toml", known)
+        with TemporaryDirectory() as made:
+            write_mesh(Path(made, "mesh.ply"), config.specimen.mesh)
+            write_rig(Path(made, "rig.toml"), known)
+            for file in Path(made).iterdir():
+                put(file.read_bytes(), folder / file.name)
 
     head = {
         "object": {"mesh": "mesh.ply", "length_unit": "m"},
@@ -202,12 +206,34 @@ def virtual_bench(
 
 def _copy(root: TomlTable, rig_file: Path, folder: Path) -> None:
     """Copy rig, its covariance and mesh into a session's folder."""
-    shutil.copyfile(rig_file, folder / "rig.toml")
+    put(rig_file.read_bytes(), folder / "rig.toml")
     if covariance := covariance_file(rig_file):
-        shutil.copyfile(covariance, folder / covariance.name)
+        put(covariance.read_bytes(), folder / covariance.name)
     if "object" in root.values:
         mesh = root.table("object").existing_file("mesh")
-        shutil.copyfile(mesh, folder / mesh.name)
+        put(mesh.read_bytes(), folder / mesh.name)
+
+
+def put(content: bytes, file: Path) -> None:
+    """Write a file of the bench into a session's folder, where nothing else lies in its place.
+
+    Parameters
+    ----------
+    content : bytes
+    file : Path
+
+    Raises
+    ------
+    InputError                      another file is there
+    RecordError                     it cannot be written
+    """
+    if not file.exists():
+        write_bytes(file, content)
+    elif file.read_bytes() != content:
+        raise InputError(
+            f"{file}: is there already, and is not this bench's; nothing was changed: choose"
+            " another folder with --out"
+        )
 
 
 def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]]) -> Any:

@@ -137,17 +137,14 @@ class LiveSession:
         }  # fmt: skip
         if "point" in self.contact:
             raise InputError("bench.toml: [contact] point: leave it out; it differs between pushes")
-        file = self.folder / "bench.toml"
+        content = self.content | {"probe": [probe]}
         try:
-            file.write_text(tomlkit.dumps(self.content | {"probe": [probe]}), encoding="utf-8")
-            read_session(file)
+            # As it would be read from a file.
+            values = tomlkit.parse(tomlkit.dumps(content)).unwrap()
         except ValueError as error:
-            # tomlkit refuses what is no value of a table, such as None.
-            if isinstance(error, InputError):
-                raise
+            # What is no value of a table, such as None.
             raise InputError(f"bench.toml: {error}") from error
-        finally:
-            file.unlink(missing_ok=True)
+        read_session(TomlTable(self.folder / "bench.toml", "", values))
 
     def look(self, *pictures: Pictures) -> tuple[tuple[str, ...], bool]:
         """What two pictures at rest, one after the other, show, in sentences; and whether that will
@@ -270,7 +267,8 @@ class LiveSession:
                     f"[{key}]", "is not that of this bench; choose another folder with --out, or"
                     " correct bench.toml"
                 )  # fmt: skip
-        self.content["probe"] = list(there.values.get("probe", ()))
+        # What a person has added stays.
+        self.content = {"probe": [], **there.values}
 
     def _write(self, pattern: str, pictures: Pictures) -> None:
         for camera, picture in zip(self.rig.cameras, pictures, strict=True):

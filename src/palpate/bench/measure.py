@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from palpate.bench.arms import check_push
-from palpate.bench.bench_file import Bench
+from palpate.bench.bench_file import Bench, put
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
 from palpate.bench.pushing import PushError, grabbed, take_push
@@ -235,8 +235,8 @@ def _asked_object(questions: Questions, there: Path, folder: Path) -> dict[str, 
         on_it = (mesh.vertices - side.point) @ side.normal > -side.tolerance
         faces[side.name] = np.flatnonzero(on_it[mesh.triangles].all(axis=1))
     held = questions.face("Which side is held?", mesh, faces)
-    (folder / Path(name).name).write_bytes((there / name).read_bytes())
-    (folder / _HELD_FILE).write_text("".join(f"{row}\n" for row in held), encoding="utf-8")
+    put((there / name).read_bytes(), folder / Path(name).name)
+    put("".join(f"{row}\n" for row in held).encode(), folder / _HELD_FILE)
     support = {"triangles": _HELD_FILE}
     return {"object": {"mesh": Path(name).name, "length_unit": unit}, "support": support}
 

@@ -514,7 +514,7 @@ def make_field_model(
     MeshError                       the surface cannot be filled
     """
     if reason := no_field_reason(session):
-        raise InputError(f"{reason} Fit with --material homogeneous")
+        raise InputError(f"{session.path}: {reason} Fit with --material homogeneous")
     solid, _ = filled(session.mesh, [each * elements for each in times])
 
     def modes_of(body: GradedBody) -> FieldModes:

@@ -288,7 +288,7 @@ def make_region_model(
     MeshError                       the surface cannot be filled
     """
     if reason := no_field_reason(session):
-        raise InputError(f"{reason} Fit with --material homogeneous")
+        raise InputError(f"{session.path}: {reason} Fit with --material homogeneous")
     solid = _filled(session)
 
     def modes_of(body: GradedBody) -> FieldModes:

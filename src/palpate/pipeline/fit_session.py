@@ -155,16 +155,16 @@ def _fit_displacements(
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
     last = part_of(progress, _FIT_STARTS, 1.0)
+    tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     if finite_strain:
         result, field = fit(observations, settings=settings, progress=last), None
         result = fit_at_finite_strain(refined, observations, result, settings, last)
     else:
-        result, field = fit_material(material, graded, observations, settings, last, cache)
+        result, field = fit_material(material, graded, observations, settings, last, cache, tested)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
-    tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
     )

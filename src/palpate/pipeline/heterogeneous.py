@@ -39,7 +39,14 @@ from palpate.pipeline.model.object_model import make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
 from palpate.pipeline.observations import converged_observations
 from palpate.progress import Progress, part_of
-from palpate.records import FieldEstimate, ModulusMap, ProbeEstimate, Session, Status
+from palpate.records import (
+    FieldEstimate,
+    ModulusMap,
+    ProbeEstimate,
+    Reciprocity,
+    Session,
+    Status,
+)
 
 # Fraction of the work that finding the field takes, and where other causes are asked for.
 _FOUND, _ASKED = 0.7, 0.97
@@ -48,6 +55,11 @@ _FOUND, _ASKED = 0.7, 0.97
 _BYTES_A_POINT = 8.0 * 3 * 300 * 11
 # Of the machine's memory: the rest of the fit needs some, too.
 _USABLE = 0.5
+# Where pushes break the law of reciprocity, which every elastic body on every support obeys.
+_NO_MATERIAL = (
+    "No field of moduli was looked for, since pushes contradict each other whatever the material;"
+    " --material field looks for one all the same."
+)
 # What causes mean to a reader.
 _MEANING = {
     Cause.DIRECTION: (
@@ -122,6 +134,7 @@ def fit_material(
     settings: FitSettings,
     progress: Progress,
     cache: Cache | None = None,
+    tested: Reciprocity | None = None,
 ) -> tuple[FitResult, FieldFit | InclusionFit | RegionFit | Explanation | None]:
     """The fit with what the object may be made of.
 
@@ -133,6 +146,7 @@ def fit_material(
     settings : FitSettings
     progress : callable
     cache : Cache or None                       as in `explanations`
+    tested : Reciprocity or None                the test of the pushes against each other
 
     Returns
     -------
@@ -155,7 +169,9 @@ def fit_material(
     result = fit(observations, settings=settings, progress=progress)
     if material is Material.HOMOGENEOUS:
         return result, None
-    return fit_other_causes(material, session, observations, result, settings, progress, cache)
+    return fit_other_causes(
+        material, session, observations, result, settings, progress, cache, tested
+    )
 
 
 def _fit_with_regions(
@@ -184,9 +200,10 @@ def fit_other_causes(
     settings: FitSettings,
     progress: Progress,
     cache: Cache | None = None,
+    tested: Reciprocity | None = None,
 ) -> tuple[FitResult, FieldFit | InclusionFit | Explanation | None]:
     """The fit with a field of moduli, or with another cause where that is decisively likelier;
-    `plain` where one modulus will do.
+    `plain` where one modulus will do, or no material at all.
 
     Parameters
     ----------
@@ -197,6 +214,7 @@ def fit_other_causes(
     settings : FitSettings
     progress : callable
     cache : Cache or None                       as in `explanations`
+    tested : Reciprocity or None                the test of the pushes against each other
 
     Raises
     ------
@@ -206,10 +224,12 @@ def fit_other_causes(
     reason = _no_field_reason(session, observations)
     if material is Material.FIELD:
         if reason:
-            raise InputError(f"{reason} Fit with --material homogeneous")
+            raise InputError(f"{session.path}: {reason} Fit with --material homogeneous")
         return _fit_with_field(session, observations, plain, material, settings, progress)
     if reason:
         return plain, None
+    if tested is not None and tested.is_unexplained:
+        return _noted(plain, _NO_MATERIAL), None
     progress("evidence of other causes", _ASKED)
     try:
         likeliest, *others = explanations(session, observations, plain.minimum, cache=cache)
@@ -297,9 +317,7 @@ def _fit_with_field(
     except (MeshError, NotConvergedError, SingularSystemError) as error:
         if material is Material.FIELD:
             raise
-        note = f"No field of moduli was found: {error}."
-        notes = (*plain.estimate.notes, note)
-        return replace(plain, estimate=replace(plain.estimate, notes=notes)), None
+        return _noted(plain, f"No field of moduli was found: {error}."), None
     if field.log_evidence < DECISIVE:
         return plain, None
     last = part_of(progress, _FOUND, 1.0)
@@ -332,6 +350,11 @@ def _heterogeneous(
         estimate, status=status, field=described, probes=probes, notes=(*notes, *estimate.notes)
     )
     return replace(result, estimate=estimate, map=mapped)
+
+
+def _noted(result: FitResult, note: str) -> FitResult:
+    notes = (*result.estimate.notes, note)
+    return replace(result, estimate=replace(result.estimate, notes=notes))
 
 
 def _gain(probes: Sequence[ProbeEstimate]) -> str:

@@ -256,8 +256,9 @@ def plan_next(
     first = session.probings[0]
     if first.displacement is None or (first.contact.radius is None and first.contact.tool is None):
         raise InputError(
-            f"probing '{first.name}' has no contact radius or no displacement: further probings"
-            " are planned like the first one; put one first that has both"
+            f"{session.path}: probing '{first.name}' has no contact radius or no displacement:"
+            " further probings are planned like the first one; put one first that has both (pokes"
+            " without pictures are not planned)"
         )
     if fitted is None:
         report = part_of(progress, 0.0, 0.4)

@@ -113,7 +113,8 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
     Raises
     ------
     InputError                      a poke of fewer than three samples; normals that point inward;
-                                    fewer than three pokes with contact
+                                    fewer than three pokes with contact; a ball that went in
+                                    deeper than its radius
     """
     power = 1.0 / (1.0 - (tool.growth or 0.0))
     parts = list(_parts(table, tool.radius))
@@ -137,9 +138,16 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
     clear = [each for each, _ in found]
     if len(clear) < _FEWEST:
         raise InputError(
-            f"{len(clear)} of {len(curves)} pokes have contact: in the others the force stays"
-            f" within {_CLEAR:g} times its noise of {noise:.2g} N, or does not rise with the depth;"
-            " check which column is the force, its unit, and how deep the tool went"
+            f"{len(clear)} of {len(curves)} pokes have contact; {_FEWEST} must. In any others"
+            f" the force stays within {_CLEAR:g} times its noise of {noise:.2g} N, or does not rise"
+            " with the depth; check which column is the force, its unit, and how deep the tool went"
+        )
+    deepest = float(np.median([each.depth.max() - each.start for each in clear]))
+    if not tool.is_flat and deepest > tool.radius:
+        raise InputError(
+            f"the pokes are {1e3 * deepest:.3g} mm deep, deeper than the ball's radius of"
+            f" {1e3 * tool.radius:.3g} mm; half the radius at most: check --tool-radius and"
+            " --length-unit, or leave the deeper samples out"
         )
     force, depth, std = np.array([reading for _, reading in found]).T
     kept = {each.number for each in clear}

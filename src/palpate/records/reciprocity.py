@@ -95,6 +95,11 @@ class Reciprocity:
         return self.degrees > 0
 
     @property
+    def is_unexplained(self) -> bool:
+        """Whether the law is broken, and neither one force nor stiffening explains why."""
+        return not (self.holds or self.odd or self.grows)
+
+    @property
     def text(self) -> str:
         """The outcome in one sentence or two, for the user."""
         if not self.is_tested:

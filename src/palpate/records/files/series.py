@@ -24,6 +24,8 @@ _FRAME = ("x", "y", "z", "ux", "uy", "uz")
 _CURE = "give a header t,fx,fy,fz,tx,ty,tz or t,fx,fy,fz,displacement and a row per instant"
 # The force of the series at the instant of the probing, relative to that of the probing.
 _APART = 0.2
+# Most rows, so that the modulus over time takes seconds.
+_MOST_ROWS = 200_000
 # A point of a frame is one of the probing's own up to this share of the body's size.
 _SAME = 1e-4
 # Peak of the memory for a point of a frame: what is read, stacked, and checked in a copy [bytes].
@@ -63,6 +65,11 @@ def read_series(
             "series", "follows the force of the tool, and the probing has none; leave it out"
         )
     rows = read_text_table(path, cure=_CURE)
+    if len(rows.rows) > _MOST_ROWS:
+        raise RecordError(
+            f"{path}: has {len(rows.rows)} rows; must have {_MOST_ROWS} at most: keep all while the"
+            " force rises, and fewer and fewer of the hold"
+        )
     columns = {name: _column(rows, name) for name in _COLUMNS}
     time = _values(rows, columns, ("t",), TIME_UNITS, 1.0)[:, 0]
     forces = _values(rows, columns, _FORCE, FORCE_UNITS, 1.0)

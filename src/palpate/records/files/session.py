@@ -67,7 +67,7 @@ def _allow_any_size(*counts: int) -> None:
 
 
 def read_session(
-    path: Path | str,
+    path: Path | str | TomlTable,
     *,
     probes: Sequence[str] | None = None,
     observations: bool = True,
@@ -77,7 +77,8 @@ def read_session(
 
     Parameters
     ----------
-    path : path                     the session's folder (with a session.toml), or a session file
+    path : path or TomlTable        the session's folder (with a session.toml), or a session file;
+                                    or its content, with the file that it is to be
     probes : names or None          read these probings only; None: all
     observations : bool             False: ignore displacements and pictures of the probings, which
                                     may still be missing, and do not check that contacts lie on the
@@ -97,7 +98,7 @@ def read_session(
                                     names file, table and key
     MeshError                       a mesh that cannot be read or is not closed
     """
-    root = read_toml(session_file(Path(path)))
+    root = path if isinstance(path, TomlTable) else read_toml(session_file(Path(path)))
     root.check_keys(_ROOT_KEYS)
     root.check_format(SESSION_FORMAT)
     body = root.table("object")

@@ -199,7 +199,12 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     else:
         table = read_text_table(path, cure=_CURE)
         values = table.values(table.columns)
-        found = {column.name: values[:, column.index] for column in table.columns}
+        found = {
+            column.name: values[:, column.index]
+            for column in table.columns
+            # What is there twice is refused: nobody knows which is meant.
+            if table.find((column.name,), normalise=str)
+        }
         units = {column.name: column.unit for column in table.columns if column.unit}
     wide = {
         name: value.reshape(len(value), math.prod(value.shape[1:]))
