@@ -72,16 +72,7 @@ class FieldPosterior:
 
     def map(self) -> ModulusMap:
         """The modulus of every element."""
-        elements = self.solid.elements[:, :4]
-        used, corners = np.unique(elements, return_inverse=True)
-        return ModulusMap(
-            self.solid.nodes[used],
-            corners.reshape(elements.shape),
-            self.log_modulus,
-            self.std,
-            self.is_known,
-            leading_directions(self.fields, self.covariance),
-        )
+        return map_of(self.solid, self.log_modulus, self.fields, self.covariance, self.is_known)
 
     @property
     def known_share(self) -> float:
@@ -173,6 +164,31 @@ class FieldPosterior:
 
 def _is_mentioned(part: StiffPart) -> bool:
     return part.low > _MENTIONED or part.high < 1.0 / _MENTIONED
+
+
+def map_of(
+    solid: Solid,
+    log_modulus: Float[np.ndarray, " m"],
+    fields: Float[np.ndarray, "m j"],
+    covariance: Float[np.ndarray, "j j"],
+    is_known: Bool[np.ndarray, " m"],
+) -> ModulusMap:
+    """The modulus of every element of a solid.
+
+    Parameters
+    ----------
+    solid : Solid
+    log_modulus : (m,) float
+    fields : (m, j) float           its derivative by some coefficients
+    covariance : (j, j) float       of these
+    is_known : (m,) bool            where the data tell it
+    """
+    used, corners = np.unique(solid.elements[:, :4], return_inverse=True)
+    std = np.sqrt(np.einsum("ej,jk,ek->e", fields, covariance, fields))
+    return ModulusMap(
+        solid.nodes[used], corners.reshape(-1, 4), log_modulus, std, is_known,
+        leading_directions(fields, covariance),
+    )  # fmt: skip
 
 
 def leading_directions(

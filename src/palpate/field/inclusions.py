@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
 from palpate.field.field_fit import FieldFit, log_bayes_factor, modes_in
-from palpate.field.field_map import FieldPosterior, leading_directions
+from palpate.field.field_map import FieldPosterior, map_of
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import (
     CoefficientPrior,
@@ -91,8 +91,11 @@ class InclusionFit:
         parts = self.about + moved.reshape(-1, _EACH)
         found = _stiff_parts(parts, np.sqrt(np.diag(covariance)).reshape(-1, _EACH))
         estimate = replace(self.smooth, log_evidence=self.log_evidence, parts=found)
-        mapped = _map_of(self.expansion.model, parts, covariance)
-        return estimate, replace(mapped, is_known=self.is_known)
+        body = self.expansion.model.body
+        points, width = body.points.reshape(-1, 3), _width(self.expansion.model)
+        fields = body.means(_fields(parts, points, width))
+        mapped = map_of(body.solid, fields[:, 0], fields[:, 1:], covariance, self.is_known)
+        return estimate, mapped
 
 
 def _stiff_parts(
@@ -109,20 +112,6 @@ def _stiff_parts(
         known = float(error[:3].max()), float(error[3]) * size
         found.append(StiffPart((x, y, z), size, middle, low, high, known=known))
     return tuple(sorted(found, key=lambda each: -abs(np.log(each.ratio)) * each.size**3))
-
-
-def _map_of(
-    model: FieldModel, parts: Float[np.ndarray, "k 5"], covariance: Float[np.ndarray, "k5 k5"]
-) -> ModulusMap:
-    body = model.body
-    fields = body.means(_fields(parts, body.points.reshape(-1, 3), _width(model)))
-    slope = fields[:, 1:]
-    std = np.sqrt(np.einsum("ej,jk,ek->e", slope, covariance, slope))
-    used, corners = np.unique(body.solid.elements[:, :4], return_inverse=True)
-    return ModulusMap(
-        body.solid.nodes[used], corners.reshape(-1, 4), fields[:, 0], std,
-        np.ones(len(std), dtype=bool), leading_directions(slope, covariance),
-    )  # fmt: skip
 
 
 def fit_inclusions(

@@ -23,7 +23,7 @@ from palpate.estimation import (
 )
 from palpate.field.elements import ELEMENTS, VOLUME, no_field_reason
 from palpate.field.field_fit import Fitted, expanded_about_best, modes_in
-from palpate.field.field_map import leading_directions
+from palpate.field.field_map import map_of
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import CoefficientPrior, FieldExpansion, PushModel, push_model
 from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
@@ -136,16 +136,11 @@ class RegionFit:
         """
         value, direction = _log_ratios(minimum, self.prior)
         model = self.expansion.model
-        modes, solid = model.body.means(model.modes.modes), model.body.solid
+        modes = model.body.means(model.modes.modes)
         covariance = direction @ minimum.normal.covariance @ direction.T
-        std = np.sqrt(np.einsum("ej,jk,ek->e", modes, covariance, modes))
-        used, corners = np.unique(solid.elements[:, :4], return_inverse=True)
         seen = np.array([each.is_seen for each in self.estimates(minimum)])
         known = modes[:, ~seen].sum(axis=1) < 0.5
-        return ModulusMap(
-            solid.nodes[used], corners.reshape(-1, 4), modes @ value, std, known,
-            leading_directions(modes, covariance),
-        )  # fmt: skip
+        return map_of(model.body.solid, modes @ value, modes, covariance, known)
 
 
 def _log_ratios(
