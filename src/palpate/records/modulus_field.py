@@ -65,11 +65,11 @@ class StiffPart:
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
         place = ", ".join(str(round(1e3 * x)) for x in self.centre)
         if self.known is not None:
-            most = self.high if self.ratio >= 1.0 else 1.0 / self.low
+            most = float(f"{self.high if self.ratio >= 1.0 else 1.0 / self.low:.2g}")
             place_std, size_std = (1e3 * each for each in self.known)
             return (
                 f"a round part about {1e3 * self.size:.0f} mm across (+- {size_std:.1f}) near"
-                f" ({place}) mm (+- {place_std:.1f}) is {least:.2g} to {most:.2g} times as {word}"
+                f" ({place}) mm (+- {place_std:.1f}) is {least:.2g} to {most:g} times as {word}"
                 " as the rest"
             )
         what = f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm"
