@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
+from tool_tractions import traction_of
 
 from palpate.errors import InputError
 from palpate.pipeline import poke_session, tool_contact, von_mises_stress
@@ -110,12 +111,13 @@ def test_a_tool_touches_what_follows_from_force_and_constants(session):
 @pytest.mark.slow
 def test_the_outward_traction_of_a_tool_lifts_the_surface_under_it(session):
     """A traction -dQ/dr along a half space lifts it by (1 - 2 nu) / (2 G) Q; in the middle of
-    Hertz's circle Q is 5 / (4 pi a) of force times `outward`."""
+    Hertz's circle Q is 5 / (4 pi a) of force times the lever."""
     radius, outward = 6e-3, 0.2
-    plain = replace(tool_contact(session, TOP, radius), profile="hertz")
+    known = tool_contact(session, TOP, radius)
+    plain, pulled = (replace(known, traction=traction_of("hertz", each)) for each in (0.0, outward))
     options = {"shear_modulus": SHEAR, "poisson_ratio": NU, "interior": CENTRE}
     without = poke_session(session, PRESS, plain, **options)
-    found = poke_session(session, PRESS, replace(plain, outward=outward), **options)
+    found = poke_session(session, PRESS, pulled, **options)
     lifted = found.displacement[2] - without.displacement[2]
     expected = (1 - 2 * NU) / (2 * SHEAR) * 5 / (4 * np.pi * radius) * outward
     # The edges of the triangles are as long as the radius, the cube is seven radii wide.

@@ -70,6 +70,7 @@ def test_a_known_ball_has_its_modulus(shared_data):
     (found,) = estimate.regions
     assert found.identifiable
     assert found.ratio.value == pytest.approx(5.0, abs=3 * found.ratio.std)
-    assert found.ratio.std < 1.0
+    # Stiffer than five times, a ball hardly moves less: the logarithm is known to a sixth.
+    assert found.ratio.std < 0.25 * found.ratio.value
     # As cameras measure them; a body that is the same everywhere is off by several per cent.
     assert errors(held, result.predict(held)).max() < 0.01
