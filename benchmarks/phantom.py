@@ -54,10 +54,11 @@ def main() -> None:
         _write_points(probing)
     (EXAMPLE / "session.toml").write_text(text, encoding="utf-8")
     box = Box(whole.mesh.vertices.min(0), np.ptp(whole.mesh.vertices, axis=0), whole.mesh)
+    ratio = BODIES[_BODY].poisson_ratio
     (EXAMPLE / "truth.toml").write_text(
-        f"shear_modulus = {SHEAR_MODULUS:g}\npoisson_ratio = {BODIES[_BODY].poisson_ratio:g}\n"
-        f"[ball]\ncentre = [{_numbers(1e3 * box.at(0.65, 0.45, 0.65))}]  # mm\n"
-        "radius = 8.0  # mm\nratio = 5.0\n",
+        f"young_modulus = {2.0 * SHEAR_MODULUS * (1.0 + ratio):g}\nshear_modulus ="
+        f" {SHEAR_MODULUS:g}\npoisson_ratio = {ratio:g}\n\n[ball]\ncentre ="
+        f" [{_numbers(1e3 * box.at(0.65, 0.45, 0.65))}]  # mm\nradius = 8.0  # mm\nratio = 5.0\n",
         encoding="utf-8",
     )
 

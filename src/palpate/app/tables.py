@@ -136,7 +136,7 @@ def truth_text(estimate: Estimate, true: Material) -> str:
         f" E = {true.young_modulus / factor:.4g} {unit}"
     )
     stated = f"The truth of this virtual bench: {shown}"
-    if estimate.field is not None:
+    if estimate.field is not None and not estimate.field.is_of_parts:
         return f"{stated}, before any part of another modulus; the constants above are means."
     outside = []
     for name, label in _LABELS.items():

@@ -71,7 +71,8 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
         axes.set_xlabel(f"{_NAMES[i]} (mm)")
         axes.set_ylabel(f"{_NAMES[j]} (mm)")
     bar = figure.colorbar(image, cax=figure.add_axes((0.89, 0.2, 0.015, 0.6)))
-    bar.set_label("modulus over that of the rest" if field is None else "modulus over its mean")
+    of_rest = field is None or field.is_of_parts
+    bar.set_label("modulus over that of the rest" if of_rest else "modulus over its mean")
     ticks = _ticks(span)
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.ax.minorticks_off()

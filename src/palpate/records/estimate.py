@@ -67,7 +67,7 @@ _STATUS_TEXTS = {
         ),
     ),
     "heterogeneous": (
-        "the material is not the same everywhere, and the constants are means over the body",
+        "the material is not the same everywhere; the notes say what the constants are of",
         "see the map of the modulus in the report; predictions take the field along",
     ),
     "not_converged": (

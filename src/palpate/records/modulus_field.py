@@ -109,10 +109,15 @@ class FieldEstimate:
             )
 
     @property
+    def is_of_parts(self) -> bool:
+        """Whether round parts differ from a rest of one modulus, which the constants are of."""
+        return any(part.known is not None for part in self.parts)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """For a reader, without full stops."""
         what, of = "a field of moduli", "means over the body"
-        if any(part.known for part in self.parts):
+        if self.is_of_parts:
             what, of = "round parts of another modulus", "those of the rest"
         verdict = (
             "the modulus is not the same everywhere: the data are exp"
