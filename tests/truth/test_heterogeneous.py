@@ -44,7 +44,9 @@ def test_what_is_inside_is_found_and_predicted(shared_data):
     (ball,) = result.estimate.field.parts
     # A part of its own, which cameras see the effect of alone: half a contact radius.
     assert np.linalg.norm(np.array(ball.centre) - BALL) < 3e-3
-    assert ball.known is not None
+    assert ball.place_std is not None
+    # Of the same effect at its ratio, which is no smaller than the true one.
+    assert ball.size < 0.018
     assert ball.low < 5.0 < ball.high
     # Prior and posterior: what is known is where the pushes were, and not everywhere.
     assert 0.3 < result.estimate.field.known < 1.0

@@ -109,8 +109,8 @@ def _stiff_parts(
             float(np.exp(part[4] + side * HALF_95 * error[4])) for side in (-1.0, 0.0, 1.0)
         )
         size = 2.0 * float(np.exp(part[3]))
-        known = float(error[:3].max()), float(error[3]) * size
-        found.append(StiffPart((x, y, z), size, middle, low, high, known=known))
+        place_std = float(error[:3].max())
+        found.append(StiffPart((x, y, z), size, middle, low, high, place_std=place_std))
     return tuple(sorted(found, key=lambda each: -abs(np.log(each.ratio)) * each.size**3))
 
 

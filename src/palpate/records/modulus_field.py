@@ -29,8 +29,8 @@ class StiffPart:
     ratio : float [-]               its modulus over that of the rest, means of logarithms, > 0
     low, high : float [-]           95 % interval of the ratio, of a smooth field where not round
     depth : float [m]               of the outermost layer of the body, which it is; 0: it is none
-    known : (float, float) [m] or None      standard deviation of the centre and of the size of a
-                                    part that is round; None: it is not
+    place_std : float [m] or None   standard deviation of the centre of a part that is round, whose
+                                    size is that at the ratio; None: it is not
 
     Raises
     ------
@@ -43,7 +43,7 @@ class StiffPart:
     low: float
     high: float
     depth: float = 0.0
-    known: tuple[float, float] | None = None
+    place_std: float | None = None
 
     def __post_init__(self) -> None:
         if not (
@@ -64,13 +64,15 @@ class StiffPart:
         more than its interval says."""
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
         place = ", ".join(str(round(1e3 * x)) for x in self.centre)
-        if self.known is not None:
-            most = float(f"{self.high if self.ratio >= 1.0 else 1.0 / self.low:.2g}")
-            place_std, size_std = (1e3 * each for each in self.known)
+        if self.place_std is not None:
+            ratio, most = self.ratio, self.high
+            if self.ratio < 1.0:
+                ratio, most = 1.0 / self.ratio, 1.0 / self.low
+            ratio, most = (float(f"{each:.2g}") for each in (ratio, most))
             return (
-                f"a round part about {1e3 * self.size:.0f} mm across (+- {size_std:.1f}) near"
-                f" ({place}) mm (+- {place_std:.1f}) is {least:.2g} to {most:g} times as {word}"
-                " as the rest"
+                f"a round part near ({place}) mm (+- {1e3 * self.place_std:.1f}) is {least:.2g} to"
+                f" {most:g} times as {word} as the rest; at {ratio:g} times it is about"
+                f" {1e3 * self.size:.0f} mm across, and larger if it differs less"
             )
         what = f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm"
         if self.depth:
@@ -111,7 +113,7 @@ class FieldEstimate:
     @property
     def is_of_parts(self) -> bool:
         """Whether round parts differ from a rest of one modulus, which the constants are of."""
-        return any(part.known is not None for part in self.parts)
+        return any(part.place_std is not None for part in self.parts)
 
     @property
     def sentences(self) -> tuple[str, ...]:

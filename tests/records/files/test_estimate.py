@@ -60,7 +60,7 @@ def test_round_trip_is_exact(tmp_path, stiffening):
 
 def test_a_field_of_moduli_comes_back(tmp_path):
     part = StiffPart((0.01, -0.004, 0.044), 0.016, 5.0, 3.1, 6.4)
-    field = FieldEstimate(0.4, 0.011, 174.2, 0.8, (part, replace(part, known=(1e-3, 2e-3))))
+    field = FieldEstimate(0.4, 0.011, 174.2, 0.8, (part, replace(part, place_std=1e-3)))
     estimate = _estimate(status=Status.HETEROGENEOUS, field=field)
     write_estimate(tmp_path / "estimate.json", estimate)
     assert read_estimate(tmp_path / "estimate.json") == estimate
@@ -68,8 +68,8 @@ def test_a_field_of_moduli_comes_back(tmp_path):
         "a part about 16 mm across near (10, -4, 44) mm is at least 3.1 times as stiff as the rest"
     )
     assert field.sentences[2] == (
-        "a round part about 16 mm across (+- 2.0) near (10, -4, 44) mm (+- 1.0) is 3.1 to 6.4 times"
-        " as stiff as the rest"
+        "a round part near (10, -4, 44) mm (+- 1.0) is 3.1 to 6.4 times as stiff as the rest; at 5"
+        " times it is about 16 mm across, and larger if it differs less"
     )
     assert "round parts of another modulus" in field.sentences[0]
 
