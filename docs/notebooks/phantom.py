@@ -22,7 +22,7 @@ result
 
 # %% [markdown]
 # The data are decisively likelier with a round part of another modulus. Its place is sharp; its
-# size and its contrast can hardly be told apart, and both intervals say so.
+# size and its contrast can hardly be told apart, and the sentence says so.
 
 # %%
 for part in result.estimate.field.parts:
