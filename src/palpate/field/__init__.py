@@ -22,7 +22,6 @@ from palpate.field.explanations import (
 )
 from palpate.field.field_fit import (
     DECISIVE as DECISIVE,
-    FieldFit as FieldFit,
     fit_field as fit_field,
 )
 from palpate.field.field_map import (
@@ -30,10 +29,8 @@ from palpate.field.field_map import (
     MapResponse as MapResponse,
     make_map_response as make_map_response,
 )
-from palpate.field.inclusions import (
-    InclusionFit as InclusionFit,
-    fit_inclusions as fit_inclusions,
-)
+from palpate.field.field_responses import UnevenBody as UnevenBody
+from palpate.field.inclusions import fit_inclusions as fit_inclusions
 from palpate.field.poke_responses import (
     PokeModel as PokeModel,
     PokeResponse as PokeResponse,

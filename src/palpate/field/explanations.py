@@ -81,14 +81,7 @@ class Explanation:
     def with_field(
         self, session: Session, observations: Sequence[ProbeObservations]
     ) -> list[ProbeObservations]:
-        """Observations of pushes of the body, with the cause's coefficients as errors that all
-        probings share.
-
-        Parameters
-        ----------
-        session : Session                           k probings
-        observations : sequence of k ProbeObservations      with the homogeneous body's response
-        """
+        """As of every `UnevenBody`."""
         return self._observations(self.model.under(session, observations))
 
     def with_parts_let_go(self, minimum: Evaluation, settings: FitSettings) -> "Explanation":

@@ -69,13 +69,7 @@ class FieldFit:
     def with_field(
         self, session: Session, observations: Sequence[ProbeObservations]
     ) -> list[ProbeObservations]:
-        """Observations of other pushes of the same body, with the field's response.
-
-        Parameters
-        ----------
-        session : Session                           k probings
-        observations : sequence of k ProbeObservations      with the homogeneous body's response
-        """
+        """As of every `UnevenBody`."""
         prior = smooth_prior(self.expansion.model.modes.mixing_of(self.prior))
         return self.expansion.under(session, observations).observations(prior)
 

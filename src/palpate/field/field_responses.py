@@ -13,7 +13,7 @@ d the difference at the coefficients b0 about which it is expanded, S the deriva
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -99,6 +99,24 @@ def smooth_prior(mixing: Float[np.ndarray, "b j"]) -> CoefficientPrior:
     names = tuple(f"{_MODE} {j}" for j in range(mixing.shape[1]))
     none = np.zeros(len(mixing))
     return CoefficientPrior(names, mixing, none, none, none)
+
+
+@runtime_checkable
+class UnevenBody(Protocol):
+    """What was found of a body that is not the same everywhere: a field, regions, round parts or
+    another cause."""
+
+    def with_field(
+        self, session: Session, observations: Sequence[ProbeObservations]
+    ) -> list[ProbeObservations]:
+        """Observations of other pushes of the same body, with what was found in the response, its
+        coefficients as errors that all probings share.
+
+        Parameters
+        ----------
+        session : Session                           k probings
+        observations : sequence of k ProbeObservations      with the homogeneous body's response
+        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -68,13 +68,7 @@ class InclusionFit:
     def with_field(
         self, session: Session, observations: Sequence[ProbeObservations]
     ) -> list[ProbeObservations]:
-        """Observations of other pushes of the same body, with the parts' response.
-
-        Parameters
-        ----------
-        session : Session                           k probings
-        observations : sequence of k ProbeObservations      with the homogeneous body's response
-        """
+        """As of every `UnevenBody`."""
         return self.expansion.under(session, observations).observations(self.prior)
 
     def described(self, minimum: Evaluation) -> tuple[FieldEstimate, ModulusMap]:
@@ -144,11 +138,10 @@ def fit_inclusions(
     model = field.expansion.model
     plain = joint_minimum(observations, settings)
     ratio = field.expansion.poisson_ratio
-    homogeneous = model.moved(np.zeros(model.modes.modes.shape[1]), ratio)
     before = np.zeros_like(parts)
     for _ in range(_MOST_ROUNDS):
         expansion = _with_parts(model, parts).expanded(
-            np.eye(1 + parts.size)[0], ratio, homogeneous
+            np.eye(1 + parts.size)[0], ratio, field.expansion.homogeneous
         )
         prior = _prior(model, parts)
         minimum = joint_minimum(expansion.observations(prior), settings)

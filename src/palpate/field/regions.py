@@ -89,13 +89,7 @@ class RegionFit:
     def with_field(
         self, session: Session, observations: Sequence[ProbeObservations]
     ) -> list[ProbeObservations]:
-        """Observations of other pushes of the same body, with the regions' response.
-
-        Parameters
-        ----------
-        session : Session                           k probings
-        observations : sequence of k ProbeObservations      with the homogeneous body's response
-        """
+        """As of every `UnevenBody`."""
         return _with_cut_elements(self.expansion.under(session, observations), self.prior)
 
     def estimates(self, minimum: Evaluation) -> tuple[RegionEstimate, ...]:

@@ -21,9 +21,8 @@ from palpate.field import (
     DECISIVE,
     Cause,
     Explanation,
-    FieldFit,
-    InclusionFit,
     RegionFit,
+    UnevenBody,
     evidence_of_errors,
     explanations,
     fit_field,
@@ -90,12 +89,12 @@ class Predictor:
     Attributes
     ----------
     minimum : Evaluation
-    field : FieldFit, RegionFit, Explanation or None        None: the object is the same everywhere
+    field : UnevenBody or None      None: the object is the same everywhere
     settings : FitSettings
     """
 
     minimum: Evaluation
-    field: FieldFit | InclusionFit | RegionFit | Explanation | None
+    field: UnevenBody | None
     settings: FitSettings
 
     def __call__(self, session: Session) -> tuple[Prediction, ...]:
@@ -135,7 +134,7 @@ def fit_material(
     progress: Progress,
     cache: Cache | None = None,
     tested: Reciprocity | None = None,
-) -> tuple[FitResult, FieldFit | InclusionFit | RegionFit | Explanation | None]:
+) -> tuple[FitResult, UnevenBody | None]:
     """The fit with what the object may be made of.
 
     Parameters
@@ -151,7 +150,7 @@ def fit_material(
     Returns
     -------
     FitResult
-    FieldFit, RegionFit, Explanation or None    None: one modulus everywhere
+    UnevenBody or None              None: one modulus everywhere
 
     Raises
     ------
@@ -201,7 +200,7 @@ def fit_other_causes(
     progress: Progress,
     cache: Cache | None = None,
     tested: Reciprocity | None = None,
-) -> tuple[FitResult, FieldFit | InclusionFit | Explanation | None]:
+) -> tuple[FitResult, UnevenBody | None]:
     """The fit with a field of moduli, or with another cause where that is decisively likelier;
     `plain` where one modulus will do, or no material at all.
 
@@ -290,7 +289,7 @@ def _fit_with_field(
     material: Material,
     settings: FitSettings,
     progress: Progress,
-) -> tuple[FitResult, FieldFit | InclusionFit | None]:
+) -> tuple[FitResult, UnevenBody | None]:
     """The fit with a field of moduli, where the data are decisively likelier with one.
 
     Parameters
@@ -305,7 +304,7 @@ def _fit_with_field(
     Returns
     -------
     FitResult                                   `plain` where one modulus will do
-    FieldFit, InclusionFit or None              None: one modulus will do
+    UnevenBody or None              None: one modulus will do
 
     Raises
     ------
