@@ -51,7 +51,6 @@ from palpate.bem.loads.right_hand import (
     support_columns as support_columns,
 )
 from palpate.bem.loads.surface_load import (
-    LOAD_CELLS as LOAD_CELLS,
     LoadCells as LoadCells,
     SurfaceLoad as SurfaceLoad,
 )

@@ -61,6 +61,11 @@ class ToolTraction:
         return self.mean(np.linalg.norm(offset, axis=1) / self.reach)
 
     @property
+    def has_sharp_rim(self) -> bool:
+        """Whether the pressure is singular at the rim."""
+        return bool(self.pressure[-1] > 0.0)
+
+    @property
     def potential(self) -> Float[np.ndarray, " k"]:
         """Integral of the outward traction from the distances `SPREAD` to the rim."""
         steps = 0.5 * (self.outward[1:] + self.outward[:-1]) * np.diff(_ANGLE)
@@ -100,17 +105,13 @@ class GridTraction(ToolTraction):
     half_side: float = field(kw_only=True)
     grid: Float[np.ndarray, "g g"] = field(kw_only=True)
 
+    @property
+    def has_sharp_rim(self) -> bool:
+        """A grid shows no rim so sharp that a mesh would have to follow it."""
+        return False
+
     def at(self, offset: Points) -> PointScalars:
-        """Pressure at points, interpolated bilinearly; 0 outside the square.
-
-        Parameters
-        ----------
-        offset : (p, 3) float [-]       from the contact point, in contact radii
-
-        Returns
-        -------
-        (p,) float
-        """
+        """As of every `ToolTraction`, interpolated bilinearly; 0 outside the square."""
         return _interpolated(self.grid, offset @ self.axes.T / self.half_side)
 
 
@@ -240,7 +241,7 @@ class Contact:
         """Whether the pressure is singular at the rim of a round patch."""
         if self.traction is None:
             return self.profile == "flat" and self.radius is not None
-        return type(self.traction) is ToolTraction and bool(self.traction.pressure[-1] > 0.0)
+        return self.traction.has_sharp_rim
 
     @property
     def pressure(self) -> Pressure:

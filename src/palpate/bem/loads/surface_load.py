@@ -165,8 +165,8 @@ def integrate_loads(
     collocation: Collocation,
     rows: Int[np.ndarray, "b lanes"],
 ) -> Float[np.ndarray, "r k 6"]:
-    """The six displacement fields integrated against loads, at every collocation point: one pass
-    over the points of all loads, and one over the collocation points that lie on them.
+    """The six displacement fields integrated against loads, at every collocation point: in one pass
+    over the points of all loads, but for collocation points that lie on them.
 
     Parameters
     ----------

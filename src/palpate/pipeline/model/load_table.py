@@ -153,7 +153,8 @@ class LoadTable:
         spread = [each for each in self.tractions if not each.is_uniform]
         units = [face_columns(system, each.load.triangles).terms for each in uniform]
         if spread:
-            units += _by_load(load_right_hand(system, [each.load for each in spread]))
+            every = load_right_hand(system, [each.load for each in spread]).terms
+            units += np.split(every, len(spread), axis=2)
         for traction, unit in zip(uniform + spread, units, strict=True):
             terms[:, :, traction.columns] += unit @ traction.force
         dips = [(each.columns, *dip) for each in self.tractions for dip in each.dips()]
@@ -289,11 +290,6 @@ def _traction(
 ) -> Traction:
     columns, force = np.array([*forces], dtype=np.int64), np.stack([*forces.values()], axis=1)
     return Traction(load, is_uniform, columns, force, dip, force)
-
-
-def _by_load(right: RightHand) -> list[Float[np.ndarray, "3 k 3"]]:
-    """The three columns of each load."""
-    return np.split(right.terms, right.terms.shape[2] // 3, axis=2)
 
 
 def _distinct_patches(
