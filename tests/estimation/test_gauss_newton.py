@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from estimation.fitted import RANGE, minimum_of, problem_of
-from estimation.half_space import half_space_probes
+from estimation.half_space import Cantilever, half_space_probes
 from scipy.optimize import minimize
 
 from palpate.estimation import (
@@ -42,6 +42,31 @@ def test_every_step_lowers_the_objective() -> None:
     # The model is expanded anew where nu moves, by 1e-6 of the residuals at most.
     assert all(after <= before * (1 + 1e-5) for before, after in values)
     assert values[-1][1] == pytest.approx(minimum_of(problem).value, rel=1e-6)
+
+
+def test_steps_lower_the_objective_where_an_error_of_the_model_changes_with_nu() -> None:
+    """The expansion leaves that out, and a beam tells nothing else of nu."""
+    x = np.linspace(0.02, 0.1, 6)
+    beam, force = Cantilever(np.column_stack([x, 0 * x, 0 * x])), np.array([0.0, 0.0, -0.3])
+    turned = np.zeros((18, 1, 4))
+    turned[2::3, 0, 2] = x / x[-1] * np.abs(beam.value(0.2)).max()
+    moved = ((beam.value(0.2) + 0.1 * turned[:, 0])[:, :3] @ force / 2e4).reshape(-1, 3)
+    error = model_step(
+        "mesh", 1.0, lambda nu: 0 * turned, lambda nu: (0.1 - 0.3 * (nu - 0.2)) * turned
+    )
+    probe = replace(
+        _probes()[0], position=beam.position, displacement=moved, force=force, response=beam,
+        std=np.full((6, 3), 1e-3 * np.abs(moved).max()), force_std=np.zeros(3), nuisances=(error,),
+    )  # fmt: skip
+    problem = problem_of([probe]).expanded(0.3)
+    theta = np.zeros(problem.layout.size)
+    theta[:2] = 0.3, np.log(2e4)
+    at = Evaluation(problem, theta)
+    for _ in range(15):
+        found = gauss_newton(at.problem, at.theta, poisson_range=RANGE, steps=1)
+        assert found.value <= at.value
+        at = found
+    assert gauss_newton(at.problem, at.theta, poisson_range=RANGE).converged
 
 
 def test_the_minimum_is_that_of_a_general_optimiser() -> None:

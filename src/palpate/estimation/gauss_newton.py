@@ -119,21 +119,27 @@ def gauss_newton(
     theta[0] = np.clip(theta[0], *poisson_range)
     at = Evaluation(_about(problem, theta[0]), theta)
     for _ in range(steps):
-        about = at.problem.expansions[0].poisson_ratio
-        bounds = (max(poisson_range[0], about - _REACH), min(poisson_range[1], about + _REACH))
-        step = at.normal.step(fixed, at.theta[0], bounds)
-        for factor in 0.5 ** np.arange(_MAX_HALVINGS):
+        factor, reach = 1.0, _REACH
+        for _ in range(_MAX_HALVINGS):
+            ratio = at.theta[0]
+            bounds = (max(poisson_range[0], ratio - reach), min(poisson_range[1], ratio + reach))
+            step = at.normal.step(fixed, ratio, bounds)
             trial = Evaluation(at.problem, at.theta + factor * step)
+            if trial.value > at.value:
+                factor *= 0.5
+                continue
+            # The expansion leaves out how the errors' effects change with Poisson's ratio.
+            trial = _renewed(trial)
             if trial.value <= at.value:
                 break
+            reach *= 0.5
         else:
             # No step in this direction lowers the objective: only rounding error is left.
             at.converged = True
             break
         gain = at.value - trial.value
         moved = np.abs(factor * step[:2]) * diagonal_root(at.normal.common)[:2]
-        renewed = _about(at.problem, trial.theta[0])
-        at = trial if renewed is at.problem else Evaluation(renewed, trial.theta)
+        at = trial
         at.converged = gain < _IRRELEVANT
         if gain < _OBJECTIVE_TOLERANCE * (1.0 + abs(at.value)) or moved.max() < _STEP_OVER_ERROR:
             at.converged = True
@@ -222,6 +228,12 @@ def _updated(minimum: Evaluation, excess: float) -> Problem:
     calibrated = min(moments.slope, expected.slope) / max(moments.power, expected.power)
     calibrated = max(calibrated, SMALLEST_SLOPE * expected.information)
     return replace(problem, level=level, scale=scale, information=calibrated / excess)
+
+
+def _renewed(at: Evaluation) -> Evaluation:
+    """The objective at the same point, with the model expanded about it."""
+    problem = _about(at.problem, at.theta[0])
+    return at if problem is at.problem else Evaluation(problem, at.theta)
 
 
 def _about(problem: Problem, poisson_ratio: float) -> Problem:
