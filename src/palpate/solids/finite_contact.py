@@ -41,6 +41,9 @@ from palpate.solids.tips import Tip
 _SPRINGS = 100.0
 # Contact is considered within this many tip radii of the point of first contact.
 _REACH = 1.6
+# Skin is drawn in under a rim until this fraction of the force acts on what moved across it; so
+# often at most.
+_RIM_TOLERANCE, _MOST_DRAWS = 1e-3, 20
 # Tolerance on the residual forces, relative to the tip's force.
 _FORCE_TOLERANCE = 1e-7
 
@@ -95,14 +98,14 @@ def press_finite(
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
-    potential = _ContactPotential(
-        body, law(*body.lame), quadratic_basis(body.solid), tip, *_contact_points(body, tip), force
-    )
+    potential = _make_potential(body, law(*body.lame), tip, force)
     found = None
     if start is not None:
+        potential = potential.drawn_in(_joined(start))
         found = potential.equilibrium(_joined(start))
     if found is None:
         found = potential.equilibrium_from_contact()
+    found = potential.settled(found)
     return FinitePress(found[:-1].reshape(-1, 3), float(found[-1]))
 
 
@@ -126,11 +129,10 @@ def press_slopes(
     ------
     NotConvergedError               the equilibrium is not stable
     """
-    basis = quadratic_basis(body.solid)
-    potential = _ContactPotential(body, law, basis, tip, *_contact_points(body, tip), force)
     at, forces = _joined(press), np.zeros((press.displacement.size + 1, 1 + len(others)))
+    potential = _make_potential(body, law, tip, force).drawn_in(at)
     forces[-1, 0] = force
-    forces[:-1, 1:] = law_changes(law, others, basis, press.displacement)
+    forces[:-1, 1:] = law_changes(law, others, potential.basis, press.displacement)
     return slopes(potential, at, forces)[:-1]
 
 
@@ -144,11 +146,18 @@ class _ContactPotential:
     basis: Any
     tip: Tip
     # Points of the surface that may touch the tip, each with a spring: their interpolation from the
-    # nodes, positions at rest [m], and penalty stiffness [N/m].
+    # nodes, positions at rest [m], the area they stand for [m^2], and which share of it is within
+    # the tip's rim.
     at_points: csr_array
     points: Points
-    stiffness: PointScalars
+    area: PointScalars
+    within: PointScalars
     force: float
+
+    @property
+    def stiffness(self) -> PointScalars:
+        """Of the springs [N/m]."""
+        return _SPRINGS * self.body.shear_modulus / self.tip.radius * self.area * self.within
 
     def value(self, at: Unknowns) -> float:
         """Stored energy of body and springs minus the work of the force on the tip [J]."""
@@ -202,6 +211,28 @@ class _ContactPotential:
         distance, normal = self.tip.distance(float(at[-1]), positions)
         return np.maximum(-distance, 0.0), normal
 
+    def drawn_in(self, at: Unknowns) -> "_ContactPotential":
+        """The same with what of the surface is within the rim now."""
+        positions = self.points + self.at_points @ at[:-1].reshape(-1, 3)
+        return replace(self, within=_within(self.tip, positions, self.area))
+
+    def settled(self, at: Unknowns) -> Unknowns:
+        """Equilibrium with the skin that has moved under the rim by then, from one with that
+        which was there before."""
+        before = self
+        for _ in range(_MOST_DRAWS):
+            now = before.drawn_in(at)
+            moved = np.abs(now.stiffness - before.stiffness) @ self.penetration(at)[0]
+            if moved < _RIM_TOLERANCE * self.force:
+                return at
+            found = now.equilibrium(at)
+            if found is None:
+                break
+            before, at = now, found
+        raise NotConvergedError(
+            "skin is drawn in under the rim of the tool and finds no place of rest: press less"
+        )
+
     def equilibrium(self, at: Unknowns) -> Unknowns | None:
         """Equilibrium near an initial guess; None if it is not found."""
         return find_equilibrium(self, at, tolerance=_FORCE_TOLERANCE * self.force)
@@ -253,8 +284,8 @@ def _along_normals(shape: csr_array, normal: Points) -> csr_array:
     return csr_array((value.ravel(), (row, column.ravel())), shape=size)
 
 
-def _contact_points(body: Body, tip: Tip) -> tuple[csr_array, Points, PointScalars]:
-    """Contact points on the outer faces near the tip."""
+def _make_potential(body: Body, law: Law, tip: Tip, force: float) -> _ContactPotential:
+    """Potential with contact points on the outer faces near the tip."""
     solid = body.solid
     first = tip.point + touch(solid, tip) * tip.direction
     nodes = solid.nodes[solid.facets]
@@ -269,6 +300,13 @@ def _contact_points(body: Body, tip: Tip) -> tuple[csr_array, Points, PointScala
     matrix = csr_array((value, (row, facets.ravel())), shape=(len(facets), len(solid.nodes)))
     area = np.repeat(0.5 * np.linalg.norm(side[near], axis=1) / count, count)
     points = matrix @ solid.nodes
-    # The face of a punch, taken as a plane by its distance, ends at the rim.
-    area = np.where(np.isfinite(tip.travel(points)), area, 0.0)
-    return matrix, points, _SPRINGS * body.shear_modulus / tip.radius * area
+    within = _within(tip, points, area)
+    return _ContactPotential(
+        body, law, quadratic_basis(solid), tip, matrix, points, area, within, force
+    )
+
+
+def _within(tip: Tip, points: Points, area: PointScalars) -> PointScalars:
+    """Share of the area around each point that is within the rim of a tip."""
+    width = np.sqrt(area)
+    return np.clip(0.5 + (tip.radius - tip.radial_distance(points)) / width, 0.0, 1.0)

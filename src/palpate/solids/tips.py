@@ -63,10 +63,12 @@ class Tip(ABC):
         -------
         (n,) float [m]                  infinite for points that it misses
         """
-        offset = points - self.point
-        along = offset @ self.direction
-        radial_distance = np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
-        return along - self.surface_offset(radial_distance)
+        along = (points - self.point) @ self.direction
+        return along - self.surface_offset(self.radial_distance(points))
+
+    def radial_distance(self, points: Points) -> PointScalars:
+        """Distance of points from the axis, (n,) [m]."""
+        return np.linalg.norm(np.cross(points - self.point, self.direction), axis=1)
 
     @property
     def max_depth(self) -> float:
