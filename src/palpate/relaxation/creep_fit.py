@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import least_squares, nnls
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
@@ -98,7 +98,7 @@ class CreepFit:
     @property
     def quantile(self) -> float:
         """Half a 95 % interval over its standard deviation."""
-        return float(student.ppf(0.975, max(self.degrees, 1.0)))
+        return float(stdtrit(max(self.degrees, 1.0), 0.975))
 
     def predicted(self, number: int) -> Float[np.ndarray, " n"]:
         """Motion at all knots of one of the motions, in its unit."""
