@@ -28,7 +28,7 @@ from benchmarks.bodies import BODIES
 from palpate.geometry import TriangleMesh
 from palpate.lab import half_ball
 from palpate.shapes import Points, Vector3
-from palpate.solids import Solid, make_solid, surface_values
+from palpate.solids import Punch, Solid, make_solid, surface_values
 from palpate.solids.tetrahedra import FACES
 
 SHEAR_MODULUS = 2e4
@@ -282,7 +282,7 @@ def make_truth(name: str, number: int, mesh: str) -> dict[str, np.ndarray]:
     """What one press of one body does to the vertices of the session's mesh."""
     body, seen = pressed_body(name), session_mesh(name).vertices
     edge, small = MESHES[mesh]
-    fine = [(body.point[number], 8e-3, small)]
+    fine = [(body.point[number], 8e-3, small), *_rim_regions(body, number, small / 3.0)]
     solid = make_solid(half(body.surface), edge=edge, fine=fine)
     text, shown = input_deck(solid, body, number)
     moved, forces = run(text, shown, len(solid.nodes), len(body.depth))
@@ -294,6 +294,14 @@ def make_truth(name: str, number: int, mesh: str) -> dict[str, np.ndarray]:
         "displacement": np.stack([side.T * (at @ one) for one in moved]),
         "force": np.stack(forces),
     }
+
+
+def _rim_regions(body: Pressed, number: int, edge: float) -> list[tuple[Vector3, float, float]]:
+    """Where elements are finer yet: along the rim of a flat face, where pressure is unbounded."""
+    if not body.is_flat:
+        return []
+    rim = Punch(PUNCH, body.point[number], body.inward[number]).rim(edge)
+    return [(point, 0.2 * PUNCH, edge) for point in rim]
 
 
 def main(folder: Path, wanted: Iterable[str]) -> None:

@@ -42,9 +42,9 @@ def test_a_plate_on_a_block_is_the_closed_form(stretch: float) -> None:
     # Quadratic elements hold the field exactly; Newton leaves 1e-7 of the force.
     np.testing.assert_allclose(found.displacement[:, 2], expected, atol=1e-6 * SIDE)
     assert np.abs(found.displacement[:, :2]).max() < 1e-6 * SIDE
-    # The springs give by pressure over 100 mu / R.
+    # The springs give by pressure over 1000 mu / R.
     pressure = force / SIDE**2
-    depth = (1.0 - stretch) * SIDE + pressure * plate.radius / (100.0 * SHEAR)
+    depth = (1.0 - stretch) * SIDE + pressure * plate.radius / (1000.0 * SHEAR)
     assert found.travel == pytest.approx(depth, rel=1e-5)
 
 
@@ -86,7 +86,7 @@ def test_a_punch_ends_at_its_rim() -> None:
     outside = found.displacement[top & (away > 9e-3), 2]
     assert -outside.min() < 0.35 * found.travel
     under = found.displacement[top & (away < 3e-3), 2]
-    # It gives by pressure over 100 mu / R, more towards the rim.
+    # It gives by pressure over 1000 mu / R, more towards the rim.
     assert -under.min() == pytest.approx(found.travel, rel=0.03)
 
 
@@ -99,10 +99,10 @@ def test_skin_that_is_drawn_in_under_a_rim_stays_below_the_face() -> None:
     skin = np.einsum("vq,fva->fqa", shape, (nodes + found.displacement)[top]).reshape(-1, 3)
     entered = -punch.distance(found.travel, skin)[0]
     under = entered[punch.radial_distance(skin) < 0.95 * punch.radius]
-    # Springs give by a hundredth of the radius where the pressure is mu; towards a rim it is some
-    # four times its mean.
+    # Springs give by a thousandth of the radius where the pressure is mu; in elements as large as
+    # the face it is less than six times its mean.
     mean = force / (np.pi * punch.radius**2 * SHEAR)
-    assert under.max() < 4.0 * mean * 0.01 * punch.radius
+    assert under.max() < 6.0 * mean * 1e-3 * punch.radius
 
 
 @pytest.mark.parametrize("tip", [Sphere(6e-3, TOP, DOWN), Punch(4e-3, TOP, DOWN)])
@@ -131,6 +131,7 @@ def test_slopes_are_those_of_the_presses(tip: Tip) -> None:
             for share in (step, -step)
         ]
         expected = (ends[0] - ends[1]) / (2 * step)
-        # The tangent leaves out how normals turn: 5 % under the ball, nothing under the flat face.
-        part = 0.1 if isinstance(tip, Sphere) else 0.01
+        # The tangent leaves out how normals turn under the ball, 5 %, and how skin is drawn in
+        # under the rim of the face, 3 %.
+        part = 0.1 if isinstance(tip, Sphere) else 0.05
         assert np.linalg.norm(column - expected) < part * np.linalg.norm(expected), by

@@ -37,8 +37,8 @@ from palpate.solids.finite_strain import (
 from palpate.solids.tips import Tip
 
 # Penalty stiffness in units of shear modulus over tip radius: a pressure equal to the shear modulus
-# causes a penetration of a hundredth of the radius.
-_SPRINGS = 100.0
+# causes a penetration of a thousandth of the radius.
+_SPRINGS = 1000.0
 # Contact is considered within this many tip radii of the point of first contact.
 _REACH = 1.6
 # Skin is drawn in under a rim until this fraction of the force acts on what moved across it; so

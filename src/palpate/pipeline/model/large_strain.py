@@ -45,6 +45,7 @@ from palpate.records import (
     FIXED,
     SLIDES,
     Constant,
+    Contact,
     FlatFace,
     Probing,
     Session,
@@ -54,7 +55,7 @@ from palpate.records import (
     Tool,
     stiffening_text,
 )
-from palpate.shapes import Points
+from palpate.shapes import Points, Vector3
 from palpate.solids import (
     Body,
     FinitePress,
@@ -101,8 +102,10 @@ _ROUGH = 0.35
 # Element size away from the tools over the mean edge of the mesh; element size under a tool and the
 # radius of that region, over the contact radius.
 _COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
-# The same under a ball, whose own shape determines where it touches.
+# The same under a ball, whose own shape determines where it touches; under a flat face, and along
+# its rim, where the pressure is without bound.
 _UNDER_BALL, _BALL_REACH = 0.6, 1.0
+_UNDER_FACE, _AT_RIM, _RIM_REACH = 0.7, 0.28, 0.25
 # Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
 _LARGEST_RATIO = 0.495
 # Tips of the tools that are served.
@@ -273,13 +276,11 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
     """
     require_finite_strain(session)
     tips = tuple(_tip(probing) for probing in session.probings)
-    fine = []
-    for probing, tip in zip(session.probings, tips, strict=True):
-        reach, size = (
-            (_BALL_REACH, _UNDER_BALL) if isinstance(tip, Sphere) else (_FINE_REACH, _FINE)
-        )
-        radius = float(probing.contact.radius or 0.0)
-        fine.append((probing.contact.point, reach * radius, coarser * size * radius))
+    fine = [
+        region
+        for probing, tip in zip(session.probings, tips, strict=True)
+        for region in _fine_regions(probing.contact, tip, coarser)
+    ]
     edge = coarser * _COARSE * mesh_quality(session.mesh).edge_mean
     if any(tips):
         # A tool meets the surface as it is curved.
@@ -298,6 +299,22 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
         observed.append(surface_values(solid, _places(probing)))
     held = held_nodes(solid, session.held_triangles)
     return _FiniteBody(solid, held, tuple(loads), tips, tuple(observed))
+
+
+def _fine_regions(
+    contact: Contact, tip: Tip | None, coarser: float
+) -> list[tuple[Vector3, float, float]]:
+    """Where elements are finer: point, reach and edge (`make_solid`)."""
+    radius, reach, size = float(contact.radius or 0.0), _FINE_REACH, _FINE
+    if isinstance(tip, Sphere):
+        reach, size = _BALL_REACH, _UNDER_BALL
+    elif isinstance(tip, Punch):
+        size = _UNDER_FACE
+    regions = [(contact.point, reach * radius, coarser * size * radius)]
+    if isinstance(tip, Punch):
+        edge = coarser * _AT_RIM * tip.radius
+        regions += [(point, _RIM_REACH * tip.radius, edge) for point in tip.rim(edge)]
+    return regions
 
 
 def strain_corrections(
