@@ -1,4 +1,4 @@
-"""Figure of a modulus that differs from place to place: a view into the body, and three sections."""
+"""Figure of a modulus that differs from place to place: a view into the body and sections."""
 
 from typing import Any, cast
 

@@ -239,7 +239,8 @@ class ModulusMap:
             for each in (volume * np.repeat(self.log_modulus, 4), volume)
         )
         at_node /= np.where(about > 0.0, about, 1.0)
-        # Means over the elements about a node flatten a small part: the level that keeps its volume.
+        # Means over the elements about a node flatten a small part: at a level that keeps its
+        # volume.
         inside = 4.0 * float(self._volume[self.log_modulus > np.log(ratio)].sum())
         order = np.argsort(-at_node)
         return self._surface(at_node - np.interp(inside, np.cumsum(about[order]), at_node[order]))

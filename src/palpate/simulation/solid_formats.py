@@ -114,7 +114,7 @@ rest = data.xpos.copy()
 # Held nodes are part of the world.
 number = {model.body(k).name: k for k in range(model.nbody)}
 body, point = (
-    [number.get(f"node{node}", 0) for node in push[name]] for name in ("loaded_nodes", "point_nodes")
+    [number.get(f"node{node}", 0) for node in push[key]] for key in ("loaded_nodes", "point_nodes")
 )
 for _ in range(STEPS):
     data.xfrc_applied[body, :3] = share * np.array(push["nodal_forces"])
