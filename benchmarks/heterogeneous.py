@@ -255,11 +255,11 @@ def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = N
                 DisplacementField(points, field, std, None, told, "truth"), None,
             )
         )  # fmt: skip
-    told = Session(
+    whole = Session(
         name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=ErrorPriors(),
         regions=regions_of(mesh, kind) if kind in REGIONS else (),
     )  # fmt: skip
-    return told if wrong is None else told_wrong(told, wrong)
+    return whole if wrong is None else told_wrong(whole, wrong)
 
 
 def told_wrong(exact: Session, seed: int) -> Session:

@@ -2,12 +2,13 @@
 
 from typing import Any, cast
 
+import matplotlib as mpl
 import numpy as np
 from jaxtyping import Int
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import LogNorm, to_rgb, to_rgba
+from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 
 from palpate.figures.displacement import SurfaceView, make_view
@@ -56,7 +57,7 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     elif field.parts:
         through = np.array(field.parts[0].centre)
     span = modulus_span(modulus)
-    colours = ScalarMappable(LogNorm(1.0 / span, span), MODULI)
+    colours = LogNorm(1.0 / span, span)
     size = high - low
     body, _ = modulus.boundary(np.ones(len(corner), dtype=bool))
     view = make_view(body, _TOWARD)
@@ -73,7 +74,9 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     if found:
         times = " and ".join(f"{each:.2g}" for each in found)
         axes.set_title(f"{times} times {base}", color=INK)
-    bar = figure.colorbar(colours, cax=figure.add_axes((0.912, 0.2, 0.012, 0.6)))
+    bar = figure.colorbar(
+        ScalarMappable(colours, MODULI), cax=figure.add_axes((0.912, 0.2, 0.012, 0.6))
+    )
     bar.set_label(f"modulus over {base}")
     ticks = _ticks(span)
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
@@ -88,7 +91,7 @@ def _draw_section(
     modulus: ModulusMap,
     through: Vector3,
     plane: tuple[int, int],
-    colours: ScalarMappable,
+    colours: LogNorm,
 ) -> None:
     """The modulus in a plane along two axes."""
     i, j = plane
@@ -105,7 +108,7 @@ def _draw_section(
     grey = np.where(inside[..., None], to_rgba(_NOT_KNOWN), 0.0)
     axes.imshow(grey, extent=extent, origin="lower")
     axes.imshow(
-        np.ma.masked_where(~shown, ratio), extent=extent, origin="lower", norm=colours.norm,
+        np.ma.masked_where(~shown, ratio), extent=extent, origin="lower", norm=colours,
         cmap=MODULI,
     )  # fmt: skip
     third = 3 - i - j
@@ -119,7 +122,7 @@ def _draw_inside(
     modulus: ModulusMap,
     body: TriangleMesh,
     view: SurfaceView,
-    colours: ScalarMappable,
+    colours: LogNorm,
     ratios: list[float],
 ) -> None:
     """The body as if of glass, with where the modulus passes some values."""
@@ -135,7 +138,7 @@ def _draw_inside(
         sides = np.concatenate([surface.triangles, surface.triangles[:, ::-1]])
         part = make_view(TriangleMesh(surface.vertices, sides), _TOWARD)
         # In the colour of the part.
-        paint = np.array(to_rgb(colours.to_rgba(ratio**2)))
+        paint = np.array(mpl.colormaps[MODULI](float(colours(ratio**2))))[:3]
         shade = paint * (0.55 + 0.45 * part.brightness)[:, None]
         polygons = cast(Any, _MM * part.polygons)
         axes.add_collection(

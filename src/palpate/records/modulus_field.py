@@ -233,12 +233,10 @@ class ModulusMap:
         -------
         TriangleMesh or None            facing lower values; None: the modulus passes it nowhere
         """
-        volume = np.repeat(self._volume, 4)
-        at_node, about = (
-            np.bincount(self.tetrahedra.ravel(), each, len(self.nodes))
-            for each in (volume * np.repeat(self.log_modulus, 4), volume)
-        )
-        at_node /= np.where(about > 0.0, about, 1.0)
+        corner, volume, count = self.tetrahedra.ravel(), np.repeat(self._volume, 4), len(self.nodes)
+        about = np.bincount(corner, volume, count)
+        total = np.bincount(corner, volume * np.repeat(self.log_modulus, 4), count)
+        at_node = total / np.where(about > 0.0, about, 1.0)
         # Means over the elements about a node flatten a small part: at a level that keeps its
         # volume.
         inside = 4.0 * float(self._volume[self.log_modulus > np.log(ratio)].sum())
