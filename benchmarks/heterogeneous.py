@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import BODIES, Shape
 from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, held_triangles
@@ -219,8 +220,9 @@ def true_motion(
     return np.load(file)
 
 
-def session(name: str, kind: str, folder: Path, seed: int) -> Session:
-    """Ten pushes as cameras from one side see them, six known exactly and everywhere."""
+def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = None) -> Session:
+    """Ten pushes as cameras from one side see them, six known exactly and everywhere; or, `wrong`
+    the seed of draws, all told wrong by as much as a session says they may be."""
     shape = BODIES[name]
     mesh = shape.make(shape.edge)
     at = pushes(mesh, shape, FITTED + PREDICTED, seed)
@@ -244,7 +246,8 @@ def session(name: str, kind: str, folder: Path, seed: int) -> Session:
         points = mesh.vertices[here]
         told = closest_points(mesh, points)
         std = np.tile(NOISE, (len(here), 1))
-        measured = size * force * (1.0 + fitted * FORCE * rng.normal())
+        off = FORCE * rng.normal() if fitted and wrong is None else 0.0
+        measured = size * force * (1.0 + off)
         probings.append(
             Probing(
                 f"n{k + 1:02d}", Contact(point, RADIUS, "smooth"), measured,
@@ -252,10 +255,40 @@ def session(name: str, kind: str, folder: Path, seed: int) -> Session:
                 DisplacementField(points, field, std, None, told, "truth"), None,
             )
         )  # fmt: skip
-    return Session(
+    whole = Session(
         name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=ErrorPriors(),
         regions=regions_of(mesh, kind) if kind in REGIONS else (),
     )  # fmt: skip
+    return whole if wrong is None else told_wrong(whole, wrong)
+
+
+def told_wrong(exact: Session, seed: int) -> Session:
+    """A session wrong by draws from its priors: gauge, places, radii, pose, lengths."""
+    priors, rng, mesh = exact.errors, np.random.default_rng(seed), exact.mesh
+    gain = 1.0 + priors.force_gain * rng.normal()
+    gauge = Rotation.from_rotvec(priors.force_direction * rng.normal(size=3))
+    turn = Rotation.from_rotvec(priors.pose_rotation * rng.normal(size=3))
+    shift = priors.pose_translation * rng.normal(size=3)
+    scale = 1.0 + priors.length_scale * rng.normal(size=3)
+    centre = mesh.vertices.mean(axis=0)
+    probings = []
+    for probing in exact.probings:
+        contact, field = probing.contact, probing.displacement
+        inward = -unit_normals(mesh)[closest_points(mesh, contact.point[None]).triangle[0]]
+        beside = priors.contact_point * rng.normal(size=3)
+        beside -= beside @ inward * inward
+        place = closest_points(mesh, (contact.point + beside)[None]).position[0]
+        radius = RADIUS * (1.0 + priors.contact_radius * float(np.clip(rng.normal(), -2.5, 2.5)))
+        points = (field.points - centre) @ turn.as_matrix().T + centre + shift
+        seen = closest_points(mesh, points)
+        moved = replace(
+            field, points=seen.position, surface=seen,
+            displacement=scale * (field.displacement @ turn.as_matrix().T),
+        )  # fmt: skip
+        force = gain * (gauge.as_matrix() @ probing.force) + probing.force_std * rng.normal(size=3)
+        wrong = replace(contact, point=place, radius=radius)
+        probings.append(replace(probing, contact=wrong, force=force, displacement=moved))
+    return replace(exact, probings=tuple(probings))
 
 
 def errors(session: Session, predictions: tuple[Prediction, ...]) -> np.ndarray:
@@ -281,9 +314,10 @@ def main() -> None:
     parser.add_argument("kind", nargs="*", help=", ".join((*KINDS, *LOOSE)))
     parser.add_argument("--body", default="block")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--wrong", type=int, help="seed of errors drawn from their priors")
     given = parser.parse_args()
     for kind in given.kind or KINDS:
-        measured = session(given.body, kind, given.folder, given.seed)
+        measured = session(given.body, kind, given.folder, given.seed, given.wrong)
         fitted, held = (
             replace(measured, probings=part)
             for part in (measured.probings[:FITTED], measured.probings[FITTED:])

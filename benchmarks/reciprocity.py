@@ -54,9 +54,9 @@ def main() -> None:
                 sound = session(body, errors, NOISE, seed)
                 index = seed % len(sound.probings)
                 right = sound.probings[index].name
-                found = reciprocity(with_gain(sound, index, GAIN))
+                found, before = reciprocity(with_gain(sound, index, GAIN)), reciprocity(sound)
                 named = found.odd == (right,) and not found.grows
-                counts += [not reciprocity(sound).holds, not found.holds, named]
+                counts += [not before.holds or bool(before.odd), not found.holds, named]
                 stds += [push.std for push in found.pushes if push.name == right]
             print(f"{text:20s} {name:10s} {_words(counts, draws)}; the others tell its force"
                   f" within {100 * float(np.mean(stds)):.1f} %", flush=True)  # fmt: skip
@@ -66,7 +66,8 @@ def main() -> None:
 
 def _words(counts: np.ndarray, draws: int) -> str:
     return (
-        f"sound ones contradicted {counts[0]} of {draws}; with a gain of {100 * GAIN:.0f} %"
+        f"sound ones contradicted or named {counts[0]} of {draws}; with a gain of"
+        f" {100 * GAIN:.0f} %"
         f" contradicted {counts[1]}, the push named {counts[2]}"
     )
 

@@ -29,6 +29,7 @@ from palpate.records import (
     FieldEstimate,
     ModulusMap,
     Status,
+    StiffPart,
     read_session,
 )
 from palpate.solids import make_solid
@@ -74,11 +75,13 @@ def test_a_field_of_moduli_is_drawn_in_sections(tmp_path, session, result):
         solid.nodes, solid.elements[:, :4], np.where(above, 0.5, -0.5),
         np.full(len(above), 0.1), centre[:, 0] > 0.01, np.zeros((0, len(above))),
     )  # fmt: skip
-    figure = modulus_figure(shown, FieldEstimate(0.4, 0.01, 50.0, 0.7))
-    front = figure.axes[1]
-    assert [axes.get_title() for axes in figure.axes[:3]] == [
-        "z = 20 mm", "y = 20 mm", "x = 20 mm"
+    part = StiffPart((0.02, 0.02, 0.03), 0.02, np.e, 2.0, 3.0)
+    figure = modulus_figure(shown, FieldEstimate(0.4, 0.01, 50.0, 0.7, (part,)))
+    # Half way from the rest, either half, to the part.
+    assert [axes.get_title() for axes in figure.axes[:4]] == [
+        "z = 30 mm", "y = 20 mm", "x = 20 mm", "1 times its mean"
     ]  # fmt: skip
+    front = figure.axes[1]
     ratio = front.images[1].get_array()
     rows, columns = ratio.shape
     # Above the middle exp(0.5), below its inverse.

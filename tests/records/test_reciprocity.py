@@ -50,6 +50,7 @@ def test_sigmas_are_of_the_difference():
     ("change", "phrase"),
     [
         ({}, "1 pair of pushes agree"),
+        ({"odd": ("a",)}, "p = 0.05). But one stands out. It is a: 10 % (+- 5) more force is"),
         ({"holds": False, "odd": ("a",)}, "It is a: 10 % (+- 5) more force is stated"),
         ({"holds": False, "odd": ("b",)}, "10 % (+- 5) less force is stated"),
         ({"holds": False, "odd": ("a", "b")}, "one of a, b explains it"),

@@ -157,11 +157,16 @@ def written_nodes(name, folder):
         pieces = dict(line.strip().split(" = ", 1) for line in text.splitlines() if " = [" in line)
         nodes = eval(pieces["point3f[] points"])
         return np.array(nodes), len(eval(pieces["int4[] tetVertexIndices"]))
-    file, tag, keys = {
-        "mujoco": ("model.xml", "flexcomp", ("point", "element")),
-        "sofa": ("model.scn", "MeshTopology", ("position", "tetrahedra")),
-    }[name]
-    one = next(ET.parse(folder / file).getroot().iter(tag))
+    if name == "mujoco":
+        root = ET.parse(folder / "model.xml").getroot()
+        (flex,) = root.iter("flex")
+        places = {each.attrib["name"]: each.attrib["pos"].split() for each in root.iter("body")}
+        own = np.array(flex.attrib["vertex"].split(), dtype=float).reshape(-1, 3)
+        bodies = flex.attrib["body"].split()
+        nodes = own + np.array([places.get(each, [0, 0, 0]) for each in bodies], dtype=float)
+        return nodes, len(flex.attrib["element"].split()) // 4
+    one = next(ET.parse(folder / "model.scn").getroot().iter("MeshTopology"))
+    keys = ("position", "tetrahedra")
     nodes, cells = (np.array(one.attrib[key].split(), dtype=float) for key in keys)
     return nodes.reshape(-1, 3), cells.size // 4
 

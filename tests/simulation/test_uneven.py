@@ -2,6 +2,8 @@
 elements of another assembly."""
 
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -150,7 +152,7 @@ def test_their_uncertainty_is_that_of_the_map(source, green):
     )
 
 
-@pytest.mark.parametrize("to", ["calculix", "febio", "vtu", "sofa", "openusd"])
+@pytest.mark.parametrize("to", ["calculix", "febio", "vtu", "sofa", "openusd", "mujoco"])
 def test_files_have_the_modulus_of_every_element(source, to, tmp_path):
     export_fit(tmp_path, source, to, edge=0.011)
     young = source.estimate.young_modulus.value
@@ -169,6 +171,9 @@ def test_files_have_the_modulus_of_every_element(source, to, tmp_path):
         counts = [len(each.findall("elem")) for each in root.findall("Mesh/Elements")]
         assert len(counts) == len(found) == len(root.findall("MeshDomains/SolidDomain"))
         above = None
+    elif to == "mujoco":
+        found = re.findall(r'elasticity young="(.*?)"', (tmp_path / "model.xml").read_text())
+        found, above = np.array(found, dtype=float), None
     else:
         text = (tmp_path / "model.inp").read_text()
         found = np.array(re.findall(r"\*ELASTIC\n(.*?),", text), dtype=float)
@@ -180,6 +185,19 @@ def test_files_have_the_modulus_of_every_element(source, to, tmp_path):
     if above is not None:
         # Middles near that of the cube may lie in an element of the map on the other side.
         assert ((found > 2.0 * young) == above).mean() > 0.85
+
+
+@pytest.mark.slow
+def test_mujoco_moves_the_point_as_the_model_does(source, tmp_path):
+    """One flex for each modulus, joined at the nodes they share."""
+    pytest.importorskip("mujoco")
+    export_fit(tmp_path, source, "mujoco", edge=0.01)
+    done = subprocess.run(
+        [sys.executable, "replay.py"], cwd=tmp_path, check=True, capture_output=True, text=True,
+        timeout=100,
+    )  # fmt: skip
+    # Linear tetrahedra are stiff, and one modulus would be 2 times off.
+    assert float(done.stdout.split()[-1]) < 0.06
 
 
 def test_a_simulator_of_one_modulus_says_so(source, tmp_path):

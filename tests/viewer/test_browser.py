@@ -1,12 +1,16 @@
 """The viewer in a real browser without a display."""
 
 import io
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from browser_help import until
 from PIL import Image
+
+from palpate.records import ModulusMap
+from palpate.solids import make_solid
 
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
 
@@ -97,6 +101,30 @@ def test_no_press_is_lost_while_the_object_is_drawn_anew(page, viewer, monkeypat
         tab.stage.draw_body(np.full_like(mesh.vertices, 1e-6 * number), None)
         page.mouse.click(240, 250)
         until(lambda number=number: len(pressed) == number, patience=5.0)
+
+
+def test_a_stiff_part_is_seen_through_the_object(page, viewer, monkeypatch):
+    stage = viewer.tabs[page.number].stage
+    solid = make_solid(stage.subject.session.mesh, edge=6e-3)
+    tetrahedra, middle = solid.elements[:, :4], solid.nodes.mean(axis=0)
+    inside = np.linalg.norm(solid.nodes[tetrahedra].mean(axis=1) - middle, axis=1) < 0.012
+    modulus = ModulusMap(
+        solid.nodes, tetrahedra, 2.0 * inside, np.full(len(inside), 0.1), inside | True,
+        np.zeros((0, len(inside))),
+    )  # fmt: skip
+    monkeypatch.setattr(stage, "subject", replace(stage.subject, modulus=modulus))
+
+    def red():
+        # Nothing else is: points are from blue over green to yellow.
+        colour = canvas(page)
+        return (colour[..., 0] - colour[..., 1] > 40.0).mean() > 0.01
+
+    until(lambda: drawn(page))
+    assert not red()
+    stage.draw_through()
+    until(red)
+    stage.close()
+    until(lambda: not red())
 
 
 def test_a_slider_asks_the_model(page, viewer):

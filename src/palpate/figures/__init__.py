@@ -44,7 +44,11 @@ from palpate.figures.flow import (
     make_flow_view as make_flow_view,
     write_flow_pictures as write_flow_pictures,
 )
-from palpate.figures.modulus import MODULI as MODULI, modulus_span as modulus_span
+from palpate.figures.modulus import (
+    MODULI as MODULI,
+    half_way as half_way,
+    modulus_span as modulus_span,
+)
 from palpate.figures.style import (
     BLUE as BLUE,
     GREY as GREY,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import null_space
-from scipy.special import chdtrc, ndtri
+from scipy.special import chdtrc, ndtr
 
 from palpate.estimation import FALSE_ALARM
 from palpate.geometry import area_vectors
@@ -39,8 +39,9 @@ from palpate.records import (
 from palpate.shapes import Vector3
 from palpate.threads import map_in_threads
 
-# The push that explains the pairs best is named alone if all other ones together are less likely.
-_DOUBT = 0.05
+# The push that explains the pairs best is named alone if all other ones together are less likely;
+# in so many sound sessions one is named though the law is not broken.
+_DOUBT, _SUSPICION = 0.2, 0.025
 # Relative standard deviation of the radius of a tool's contact before it is known.
 _ANY_RADIUS = 0.5
 # Of a work: no work is known better.
@@ -315,12 +316,15 @@ def _judged(
     pushes, growth = _excesses(session, works, pairs, inverse, white)
     chance = float(chdtrc(degrees, chi_square))
     far = [abs(each.sigmas) for each in (*pushes, growth) if each is not None]
-    limit = -float(ndtri(0.5 * FALSE_ALARM / max(len(far), 1)))
-    holds = chance > FALSE_ALARM and max(far, default=0.0) < limit
+    # By chance alone one of them is as far in this share of sound sessions.
+    far_by_chance = 2.0 * len(far) * float(ndtr(-max(far, default=0.0)))
+    holds = min(chance, far_by_chance if far else 1.0) > FALSE_ALARM
     odd: tuple[str, ...] = ()
     grows = False
-    if not holds and max(far, default=0.0) > limit:
+    if far and far_by_chance < _SUSPICION:
         odd, grows = _suspects(pushes, growth, chi_square, degrees)
+        if holds and (grows or len(odd) > 1):
+            odd, grows = (), False
     least, std, passive = _own_work(session, works, errors)
     return Reciprocity(
         found, pushes, chi_square, degrees, chance, growth, odd, grows, holds,

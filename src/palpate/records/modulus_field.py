@@ -9,13 +9,22 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
-from palpate.shapes import Points
+from palpate.geometry import TriangleMesh, is_outer
+from palpate.shapes import Indices, Points
 
 # Elements that may hold a point: the nearest ones; and how far outside one still counts, over its
 # size.
 _NEAREST, _OUTSIDE = 24, -0.02
 # Logarithm of a modulus over the mean one that no body has.
 _LARGEST = 50.0
+# Corners of a tetrahedron's faces; and of triangles that part its first corners, so many of them,
+# from the others: where edges between the two are cut.
+_FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+_CROSSED = (
+    (1, np.array([[[0, 1], [0, 2], [0, 3]]])),
+    (2, np.array([[[0, 2], [0, 3], [1, 3]], [[0, 2], [1, 3], [1, 2]]])),
+    (3, np.array([[[0, 3], [1, 3], [2, 3]]])),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,3 +194,85 @@ class ModulusMap:
         best = least.argmax(axis=1)
         rows = np.arange(len(points))
         return np.where(least[rows, best] > _OUTSIDE, near[rows, best], -1)
+
+    def boundary(self, kept: Bool[np.ndarray, " m"]) -> tuple[TriangleMesh, Indices]:
+        """Surface of some of the elements.
+
+        Parameters
+        ----------
+        kept : (m,) bool
+
+        Returns
+        -------
+        TriangleMesh                of all nodes
+        (f,) int                    element of every triangle
+        """
+        chosen = np.flatnonzero(kept)
+        faces = self.tetrahedra[chosen][:, _FACES].reshape(-1, 3)
+        outer = np.flatnonzero(is_outer(faces))
+        element = chosen[outer // len(_FACES)]
+        inside = self.nodes[self.tetrahedra[element]].mean(axis=1)
+        return _facing_away(self.nodes, faces[outer], inside), element
+
+    @property
+    def rest(self) -> float:
+        """Median of the known modulus, relative as in the map."""
+        known = np.flatnonzero(self.is_known)
+        order = known[np.argsort(self.log_modulus[known])]
+        share = np.cumsum(self._volume[order])
+        return float(np.exp(self.log_modulus[order][np.searchsorted(share, 0.5 * share[-1])]))
+
+    def isosurface(self, ratio: float) -> TriangleMesh | None:
+        """Where the modulus passes a value, as far as the data tell it.
+
+        Parameters
+        ----------
+        ratio : float                   the value, relative as in the map
+
+        Returns
+        -------
+        TriangleMesh or None            facing lower values; None: the modulus passes it nowhere
+        """
+        corner, volume, count = self.tetrahedra.ravel(), np.repeat(self._volume, 4), len(self.nodes)
+        about = np.bincount(corner, volume, count)
+        total = np.bincount(corner, volume * np.repeat(self.log_modulus, 4), count)
+        at_node = total / np.where(about > 0.0, about, 1.0)
+        # Means over the elements about a node flatten a small part: at a level that keeps its
+        # volume.
+        inside = 4.0 * float(self._volume[self.log_modulus > np.log(ratio)].sum())
+        order = np.argsort(-at_node)
+        return self._surface(at_node - np.interp(inside, np.cumsum(about[order]), at_node[order]))
+
+    @property
+    def _volume(self) -> Float[np.ndarray, " m"]:
+        """Six times the volume of every element [m^3]."""
+        corner = self.nodes[self.tetrahedra]
+        return np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1]))
+
+    def _surface(self, height: Float[np.ndarray, " n"]) -> TriangleMesh | None:
+        """Where a function of the nodes, linear within elements, crosses zero."""
+        corners = self.tetrahedra[self.is_known]
+        corners = np.take_along_axis(
+            corners, np.argsort(height[corners] <= 0.0, axis=1, kind="stable"), axis=1
+        )
+        count = (height[corners] > 0.0).sum(axis=1)
+        edges = np.concatenate(
+            [corners[count == above][:, which].reshape(-1, 3, 2) for above, which in _CROSSED]
+        )
+        if not len(edges):
+            return None
+        ends, vertex = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
+        high, low = height[ends].T
+        share = (high / (high - low))[:, None]
+        vertices = (1.0 - share) * self.nodes[ends[:, 0]] + share * self.nodes[ends[:, 1]]
+        return _facing_away(vertices, vertex.reshape(-1, 3), self.nodes[edges[:, 0, 0]])
+
+
+def _facing_away(
+    vertices: Points, triangles: Int[np.ndarray, "f 3"], inside: Float[np.ndarray, "f 3"]
+) -> TriangleMesh:
+    """A surface whose triangles face away from a point for each."""
+    corner = vertices[triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    inward = np.einsum("fi,fi->f", normal, corner[:, 0] - inside) < 0.0
+    return TriangleMesh(vertices, np.where(inward[:, None], triangles[:, ::-1], triangles))

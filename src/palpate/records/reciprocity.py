@@ -63,7 +63,8 @@ class Reciprocity:
     growth : ForceExcess or None    excess of the largest force if excess grows in proportion to the
                                     force, as where the material stiffens; None: forces are alike
     odd : tuple of str              pushes of which one has a wrong force; empty: all agree, or no
-                                    single force explains why they do not
+                                    single force explains why they do not; where the law holds,
+                                    one that is suspicious
     grows : bool                    whether motion that is not in proportion to the force may be why
     holds : bool                    False: the law is broken, by chance in less than 1 of 200 sound
                                     sessions
@@ -107,9 +108,10 @@ class Reciprocity:
         count = f"{len(self.pairs)} pair{'s' * (len(self.pairs) > 1)} of pushes"
         figures = f"chi-square {self.chi_square:.3g} for {self.degrees}"
         if self.holds:
+            suspicion = f" But one stands out. {self._cause()}" if self.odd else ""
             return (
                 f"Whatever the material, {count} agree by reciprocity ({figures} degrees of"
-                f" freedom, p = {self.chance:.2g})."
+                f" freedom, p = {self.chance:.2g}).{suspicion}"
             )
         head = f"Whatever the material, pushes contradict each other: {count}, {figures} degrees"
         return f"{head} of freedom, p = {self.chance:.1g}. {self._cause()}"

@@ -58,7 +58,7 @@ _DRAWINGS = {
     "predictions": "Displacements predicted by the other probings against measured ones",
     "reciprocity": "Work of every two pushes in each other's motion: equal, whatever the material",
     "creep": "Force and motion over time; the modulus over time, with its 95 % interval",
-    "modulus": "Modulus in three sections through the body",
+    "modulus": "Modulus inside the body: half way to that of a part, and in three sections",
     "errors": "What the data say about the assumed errors",
     "budget": "What each source adds to the standard deviations of the constants",
 }

@@ -2,7 +2,7 @@
 
 CalculiX, FEBio and VTU, the files of ParaView and meshio, take ten-node tetrahedra with the held
 nodes and the push as nodal forces; SOFA corotational linear tetrahedra with the push as a constant
-force; MuJoCo a flex of linear tetrahedra, with a program that repeats the push.
+force; MuJoCo a flex of linear tetrahedra for every modulus, with a program that repeats the push.
 
 Source
 ------
@@ -72,17 +72,30 @@ _SCENE = """<?xml version="1.0"?>
 _MODEL = """<mujoco model="{name}">
   <!-- SI units; made by Palpate, see README.txt -->
   <option timestep="0.01" gravity="0 0 0" integrator="discrete"/>
+  <default>
+    <joint type="slide"/>
+  </default>
   <worldbody>
-    <flexcomp name="body" type="direct" dim="3" mass="{mass}" radius="1e-4"
-              point="{point}"
-              element="{element}">
-      <elasticity young="{young}" poisson="{poisson}" damping="0.01"/>
-      <contact selfcollide="none"/>
-      <pin id="{pin}"/>
-    </flexcomp>
+{bodies}
   </worldbody>
+  <deformable>
+{flexes}
+  </deformable>
 </mujoco>
 """
+# A node that is not held; tetrahedra of one modulus, which share nodes with the others. No flex
+# touches another.
+_BODY = """    <body name="node{node}" pos="{place}">
+      <inertial pos="0 0 0" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/>
+      <joint axis="1 0 0"/><joint axis="0 1 0"/><joint axis="0 0 1"/>
+    </body>"""
+_FLEX = """    <flex name="body{number}" dim="3" radius="1e-4"
+          body="{bodies}"
+          vertex="{places}"
+          element="{elements}">
+      <elasticity young="{young}" poisson="{poisson}" damping="0.01"/>
+      <contact selfcollide="none" contype="1" conaffinity="0"/>
+    </flex>"""
 _REPLAY = '''"""Repeat the push of replay.json on model.xml; print where its point comes to rest."""
 
 import json
@@ -97,12 +110,16 @@ push = json.load(open("replay.json"))
 model = mujoco.MjModel.from_xml_path("model.xml")
 data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
-rest = data.flexvert_xpos.copy()
-body = model.flex_vertbodyid[push["loaded_nodes"]]
+rest = data.xpos.copy()
+# Held nodes are part of the world.
+number = {model.body(k).name: k for k in range(model.nbody)}
+body, point = (
+    [number.get(f"node{node}", 0) for node in push[key]] for key in ("loaded_nodes", "point_nodes")
+)
 for _ in range(STEPS):
     data.xfrc_applied[body, :3] = share * np.array(push["nodal_forces"])
     mujoco.mj_step(model, data)
-moved = (data.flexvert_xpos - rest)[push["point_nodes"]]
+moved = (data.xpos - rest)[point]
 found = np.array(push["point_shares"]) @ moved / share
 wanted = np.array(push["displacement"])
 print("displacement of the point in MuJoCo  [m]:", *found)
@@ -419,15 +436,30 @@ def write_mujoco(folder: Path, model: SolidModel) -> None:
     RecordError                     a file cannot be written
     """
     body = model.body
-    volume = enclosed_volume(body.session.mesh)
+    mass = enclosed_volume(body.session.mesh) * body.density / len(model.nodes)
+    bodies = [
+        _BODY.format(node=node, place=_number_text(model.nodes[node]), mass=f"{mass:.9g}")
+        for node in np.flatnonzero(~model.held)
+    ]
+    flexes = []
+    for number, (young, chosen) in enumerate(model.materials, start=1):
+        # Eight linear ones for each quadratic one.
+        used, element = np.unique(model.linear.reshape(-1, 8, 4)[chosen], return_inverse=True)
+        held = model.held[used]
+        flexes.append(
+            _FLEX.format(
+                number=number,
+                bodies=" ".join(np.where(held, "world", np.char.add("node", used.astype(str)))),
+                places=_number_text(np.where(held[:, None], model.nodes[used], 0.0)),
+                elements=_number_text(element),
+                young=f"{young:.9g}",
+                poisson=f"{body.material.poisson_ratio:.9g}",
+            )
+        )
     text = _MODEL.format(
         name=body.session.path.parent.name.replace('"', "").replace("<", "").replace("&", ""),
-        mass=_number_text(np.array([volume * body.density])),
-        point=_number_text(model.nodes),
-        element=_number_text(model.linear),
-        young=_number_text(np.array([body.material.young_modulus])),
-        poisson=_number_text(np.array([body.material.poisson_ratio])),
-        pin=_number_text(np.flatnonzero(model.held)),
+        bodies="\n".join(bodies),
+        flexes="\n".join(flexes),
     )
     write_text(folder / "model.xml", text)
     write_replay(folder, model, model.linear_load)
@@ -444,8 +476,10 @@ MUJOCO = Format(
     ' MuJoCo 3 replace integrator="discrete" by "implicitfast". MuJoCo may warn that the'
     " stiffness is ill-conditioned and the inertia close to singular: its solver stops early in"
     " single steps. The half ball of Palpate's examples comes to rest as far off with steps of a"
-    " third.",
+    " third. Where the modulus differs from place to place there is a flex for every 2 % of it;"
+    " flexes share nodes, and do not touch each other.",
     of_solid=write_mujoco,
+    by_element=True,
 )
 
 

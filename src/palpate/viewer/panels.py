@@ -54,7 +54,7 @@ _PRESS, _CONTACT, _FACE, _HOLD, _FREE = _CLICKS = (
     "presses the object", "sets the contact of the probing", "holds the flat face",
     "holds what is near", "frees what is near",
 )  # fmt: skip
-_CLOSED, _CUTS = "no", ("across x", "across y", "across z")
+_CLOSED, _CUTS, _THROUGH = "no", ("across x", "across y", "across z"), "as if of glass"
 # Initial radius of "near", as a fraction of the object's size.
 _NEAR = 0.06
 # Radius of the ball, depth of a click, and largest depth, as fractions of the object's size.
@@ -164,7 +164,7 @@ def _numbers(top: float, unit: str) -> tuple[str, str, str]:
 
 
 class InsidePanel:
-    """Cuts the object open, to show its modulus inside.
+    """Cuts the object open, or shows it as if of glass, with its modulus inside.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class InsidePanel:
         self._stage, self._nodes = stage, modulus.nodes
         estimate = stage.subject.estimate
         base = "mean" if estimate is not None and estimate.field is not None else "rest"
-        self.axis = gui.add_dropdown("cut open", (_CLOSED, *_CUTS))
+        self.axis = gui.add_dropdown("cut open", (_CLOSED, *_CUTS, _THROUGH))
         self.at = gui.add_slider("cut at, share of the side", 0.0, 1.0, 0.02, 0.5)
         span = modulus_span(modulus)
         ends = (f"1/{span:.3g}", "1", f"{span:.3g} times the {base}")
@@ -188,14 +188,16 @@ class InsidePanel:
             control.on_update(lambda _: self.draw())
 
     def draw(self) -> None:
-        """Redraw the object, cut or whole."""
+        """Redraw the object: whole, cut, or with the parts that differ inside."""
         with self._stage.lock:
             if self.axis.value == _CLOSED:
-                self._stage.draw_inside(None)
-                return
-            axis = _CUTS.index(self.axis.value)
-            low, high = self._nodes[:, axis].min(), self._nodes[:, axis].max()
-            self._stage.draw_inside(axis, float(low + self.at.value * (high - low)))
+                self._stage.close()
+            elif self.axis.value == _THROUGH:
+                self._stage.draw_through()
+            else:
+                axis = _CUTS.index(self.axis.value)
+                low, high = self._nodes[:, axis].min(), self._nodes[:, axis].max()
+                self._stage.draw_cut(axis, float(low + self.at.value * (high - low)))
 
 
 class MaterialPanel:

@@ -27,13 +27,13 @@ from palpate.figures import (
     PALE_BLUE,
     RESIDUALS,
     best_direction,
+    half_way,
     modulus_span,
 )
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
     closest_points,
-    is_outer,
     unit_normals,
 )
 from palpate.pipeline import FittedProbing
@@ -46,6 +46,7 @@ from palpate.viewer.subject import Subject
 # Initial view of a tab.
 OBJECT = "the first probing's side"
 _BODY, _SET = "#c9ccd2", "#e69f00"
+_GLASS = 0.25
 # Sizes as fractions of the object's: points, arrows, label distance.
 _POINT, _ARROW, _NEAR = 0.012, 0.2, 0.03
 # Largest number of arrows; more would hide the points.
@@ -59,8 +60,6 @@ Colours = UInt8[np.ndarray, "n 3"]
 # As viser sets its own texts.
 _STYLE = "padding:0 .8em .7em;font-size:.875rem;white-space:pre-line;overflow-wrap:anywhere"
 _STOPS = 12
-# Corners of a tetrahedron's faces.
-_FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +102,6 @@ class Stage:
         self._held = subject.session.held_triangles
         self._marked: Indices | None = None
         self._body: Any = None
-        self._inside: Any = None
         self._loose: dict[str, Any] = {}
         self._groups = {
             name: self.scene.add_frame(f"/{name}", show_axes=False)
@@ -182,27 +180,54 @@ class Stage:
             corner[np.setdiff1d(self._marked, self._held)] = rgb(_SET)
         return _facets(vertices[triangles], corner)
 
-    def draw_inside(self, axis: int | None, at: float = 0.0) -> None:
+    def draw_cut(self, axis: int, at: float) -> None:
         """Draw the modulus inside the object, what lies beyond a plane cut away.
 
         Parameters
         ----------
-        axis : int or None              0, 1, 2: the plane is at right angles to x, y, z; None: the
-                                        whole surface, as before
+        axis : int                      0, 1, 2: the plane is at right angles to x, y, z
         at : float [m]                  where the plane meets the axis
         """
+        self.close()
         modulus = self.subject.modulus
-        if self._inside is not None:
-            self._inside.remove()
-            self._inside = None
-        is_whole = modulus is None or axis is None
-        self._body.visible = is_whole
-        if modulus is None or axis is None:
+        if modulus is None:
             return
-        corners, element = cut_faces(modulus, axis, at)
+        middle = modulus.nodes[modulus.tetrahedra].mean(axis=1)
+        cut, element = modulus.boundary(middle[:, axis] <= at)
         colour = modulus_colours(modulus)[element].astype(float)
-        glb = _facets(1e3 * corners, np.repeat(colour[:, None], 3, axis=1))
-        self._inside = self.scene.add_glb("/inside", glb)
+        corners = 1e3 * cut.vertices[cut.triangles]
+        glb = _facets(corners, np.repeat(colour[:, None], 3, axis=1))
+        self._body.visible = False
+        self._loose["cut"] = self.scene.add_glb("/cut", glb)
+
+    def draw_through(self) -> None:
+        """Draw the object as if of glass, with where the modulus is half way from that of the rest
+        to its extremes."""
+        self.close()
+        modulus, estimate = self.subject.modulus, self.subject.estimate
+        if modulus is None:
+            return
+        span = np.log(modulus_span(modulus))
+        for k, ratio in enumerate(half_way(modulus, estimate.field if estimate else None)):
+            surface = modulus.isosurface(ratio)
+            if surface is not None:
+                # In the colour of the part.
+                colour = mpl.colormaps[MODULI](0.5 + np.log(ratio) / span)[:3]
+                self._loose[f"part {k}"] = self.scene.add_mesh_simple(
+                    f"/part {k}", 1e3 * surface.vertices, surface.triangles, color=colour,
+                    side="double",
+                )  # fmt: skip
+        self._body.visible = False
+        mesh = self.subject.session.mesh
+        self._loose["glass"] = self.scene.add_mesh_simple(
+            "/glass", 1e3 * mesh.vertices, mesh.triangles, color=rgb(_BODY), opacity=_GLASS,
+            flat_shading=True,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Draw the whole surface again."""
+        self._clear("cut", "glass", "part 0", "part 1")
+        self._body.visible = True
 
     def draw_points(self, field: ColouredField | None, magnification: float) -> None:
         """Draw the points of a probing, with displacement magnified by `magnification`."""
@@ -397,34 +422,6 @@ def _facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3
     shape = trimesh.Trimesh(corners.reshape(-1, 3), faces, process=False)
     shape.visual = trimesh.visual.ColorVisuals(shape, vertex_colors=light.astype(np.uint8))
     return cast(bytes, shape.export(file_type="glb", include_normals=True))
-
-
-def cut_faces(
-    modulus: ModulusMap, axis: int, at: float
-) -> tuple[Float[np.ndarray, "f 3 3"], Indices]:
-    """Faces that bound the elements on the near side of a plane.
-
-    Parameters
-    ----------
-    modulus : ModulusMap
-    axis : int                      0, 1, 2: the plane is at right angles to x, y, z
-    at : float [m]                  where it meets the axis; elements centred below are kept
-
-    Returns
-    -------
-    (f, 3, 3) float [m]             corners of every face, seen from outside anticlockwise
-    (f,) int                        its element
-    """
-    centre = modulus.nodes[modulus.tetrahedra].mean(axis=1)
-    kept = np.flatnonzero(centre[:, axis] <= at)
-    faces = modulus.tetrahedra[kept][:, _FACES].reshape(-1, 3)
-    outer = np.flatnonzero(is_outer(faces))
-    element = kept[outer // len(_FACES)]
-    corners = modulus.nodes[faces[outer]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("fi,fi->f", normal, corners[:, 0] - centre[element]) < 0.0
-    corners[inward] = corners[inward][:, ::-1]
-    return corners, element
 
 
 def modulus_colours(modulus: ModulusMap) -> Colours:
