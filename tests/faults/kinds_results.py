@@ -317,8 +317,6 @@ _REPORT_KINDS = [
               "estimate.json: is not valid JSON", "surrogates not allowed"),
     _reported("no probing in its surface", _array("probings", np.zeros(0, dtype=str)),
               "surface.npz: there is no probing", "fit the session again"),
-    _reported("a held triangle too many", _array("held", [99999]),
-              "surface.npz: held has numbers outside 0 to", "fit the session again"),
     _reported("a contact nowhere", _array("1/contact", [0.0, np.nan, 0.0]),
               "surface.npz: contact has 1 entries that are not finite"),
     _reported("a force without end", _array("1/force", [0.0, 0.0, -np.inf]),
