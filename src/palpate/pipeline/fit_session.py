@@ -60,8 +60,9 @@ from palpate.threads import serial_algebra
 # Fractions of the work that are done when the graded mesh's model, its factorisation and the
 # estimation start.
 _GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
-# Fraction of the work on the given mesh that its own model takes.
-_OWN = 0.4
+# Fraction of the work on the given mesh that its own model takes; and of all work that the linear
+# fit takes before finite strain.
+_OWN, _LINEAR = 0.4, 0.03
 # Further notes are details.
 _MOST_NOTES = 3
 # A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
@@ -136,6 +137,9 @@ def _fit_displacements(
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}
     chosen |= {"lengths": length_error(session, strains)}
+    whole = progress
+    if finite_strain:
+        progress = part_of(whole, 0.0, _LINEAR)
     progress("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
@@ -158,12 +162,13 @@ def _fit_displacements(
     tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     if finite_strain:
         result, field = fit(observations, settings=settings, progress=last), None
+        last = part_of(whole, _LINEAR, 1.0)
         result = fit_at_finite_strain(refined, observations, result, settings, last)
     else:
         result, field = fit_material(material, graded, observations, settings, last, cache, tested)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
-    progress("fit done", 1.0)
+    whole("fit done", 1.0)
     probes = _probe_estimates(model, result)
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain

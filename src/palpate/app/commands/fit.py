@@ -159,7 +159,10 @@ def fit(
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
-    with result_folder(target, kind="fit", force=force) as folder, progress_bar() as bar:
+    slow = {"--strain small": strain == "finite", "--method reduced": method == "nelder-mead"}
+    shorter = [*(word for word, is_slow in slow.items() if is_slow), "fewer probings (--probe)"]
+    bar_of = progress_bar(f"{', '.join(shorter)}, or a coarser mesh")
+    with result_folder(target, kind="fit", force=force) as folder, bar_of as bar:
         bar("reading", 0.0)
         given = _read(session, probe, hold_out or [])
         given = replace(given, smooth=surface == "smooth")
