@@ -15,7 +15,7 @@ import numpy as np
 
 from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.errors import InputError
-from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
+from palpate.estimation import FitMethod, FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.creep import with_relaxation
@@ -57,12 +57,13 @@ from palpate.records import (
 )
 from palpate.threads import serial_algebra
 
-# Fractions of the work that are done when the graded mesh's model, its factorisation and the
-# estimation start.
-_GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
-# Fraction of the work on the given mesh that its own model takes; and of all work that the linear
-# fit takes before finite strain.
-_OWN, _LINEAR = 0.4, 0.03
+# Fractions of the work that are done when the estimation starts, which takes seconds, or minutes of
+# finite strain or of factorising anew; and of the work before it, when the graded mesh's model and
+# its factorisation start.
+_FIT_STARTS, _LONG_FIT_STARTS = 0.9, 0.03
+_GRADED, _ASSEMBLED = 0.45, 0.72
+# Fraction of the work on the given mesh that its own model takes.
+_OWN = 0.4
 # Further notes are details.
 _MOST_NOTES = 3
 # A rotation [rad] above this, which causes a spurious strain of 1e-5, is mentioned.
@@ -137,38 +138,36 @@ def _fit_displacements(
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}
     chosen |= {"lengths": length_error(session, strains)}
-    whole = progress
-    if finite_strain:
-        progress = part_of(whole, 0.0, _LINEAR)
-    progress("the given mesh", 0.0)
+    is_long = finite_strain or settings.method == FitMethod.NELDER_MEAD
+    fit_starts = _LONG_FIT_STARTS if is_long else _FIT_STARTS
+    before, last = part_of(progress, 0.0, fit_starts), part_of(progress, fit_starts, 1.0)
+    before("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
-    report = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
+    report = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
     refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, report)
     compared = time.perf_counter()
-    progress("integrals over the surface", _GRADED)
+    before("integrals over the surface", _GRADED)
     graded = graded_session(refined)
-    integrals = part_of(progress, _GRADED, _ASSEMBLED)
+    integrals = part_of(before, _GRADED, _ASSEMBLED)
     model = make_object_model(graded, cache=cache, progress=integrals)
     assembled = time.perf_counter()
-    progress("factorisation", _ASSEMBLED)
+    before("factorisation", _ASSEMBLED)
     observations = converged_observations(
         graded, model, settings=settings, coarser=ungraded, with_surface=True
     )
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
-    last = part_of(progress, _FIT_STARTS, 1.0)
     tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     if finite_strain:
-        result, field = fit(observations, settings=settings, progress=last), None
-        last = part_of(whole, _LINEAR, 1.0)
+        result, field = fit(observations, settings=settings), None
         result = fit_at_finite_strain(refined, observations, result, settings, last)
     else:
         result, field = fit_material(material, graded, observations, settings, last, cache, tested)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
-    whole("fit done", 1.0)
+    progress("fit done", 1.0)
     probes = _probe_estimates(model, result)
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
