@@ -114,6 +114,11 @@ def fit_session(
             raise InputError("pokes without pictures take --strain small: press less far")
         result = fit_pokes(session, settings=settings, material=material, progress=progress)
         return with_relaxation(session, result)
+    if material is Material.REGIONS and not session.regions:
+        raise InputError(
+            f"{session.path}: has no [[region]] table, but --material regions asks for them: say"
+            " which parts have a modulus of their own"
+        )
     with_regions = session.regions and material in (Material.REGIONS, Material.AUTO)
     if finite_strain and (with_regions or material is Material.FIELD):
         raise InputError(
