@@ -328,6 +328,7 @@ def _separate_points(mesh: TriangleMesh, regions: Sequence[Region]) -> list[Poin
                     f"{100.0 * share:.3g} % of region {region.name!r} lie in region {other.name!r},"
                     " too; a point belongs to one of them: make one smaller"
                 )
+        _size_in(region, points, mesh)
     volume = sum(
         len(points) * _step(region, mesh) ** 3
         for region, points in zip(regions, found, strict=True)
@@ -385,6 +386,21 @@ def _step(region: Region, mesh: TriangleMesh) -> float:
     return min(longest / _LATTICE, region.shape.thickness)
 
 
+def _usual_edge(mesh: TriangleMesh) -> float:
+    """Edge of elements away from regions [m]."""
+    return float((enclosed_volume(mesh) / (VOLUME * ELEMENTS)) ** (1.0 / 3.0))
+
+
+def _size_in(region: Region, points: Points, mesh: TriangleMesh) -> float:
+    """Size of the elements of a region [m], of which there must not be too many."""
+    thickness, volume = region.shape.thickness, len(points) * _step(region, mesh) ** 3
+    wanted = (volume / (VOLUME * _IN_A_REGION)) ** (1.0 / 3.0)
+    small = min(thickness, max(0.5 * thickness, wanted))
+    if small < _usual_edge(mesh):
+        _check_elements(region, volume, small)
+    return small
+
+
 def _check_elements(region: Region, volume: float, size: float) -> None:
     """Refuse a region that takes too many elements of its own and around it, where they grow by
     0.3 m/m on both of its sides, or on one of a skin: within a factor of two."""
@@ -412,15 +428,10 @@ def _within(region: Region, points: Points) -> Bool[np.ndarray, " n"]:
 def _filled(session: Session) -> Solid:
     """The object in elements no larger than its regions are thick, half as large in small ones,
     that follow boxes and inserts."""
-    mesh, volume = session.mesh, enclosed_volume(session.mesh)
-    edge, fine = (volume / (VOLUME * ELEMENTS)) ** (1.0 / 3.0), []
+    mesh, edge, fine = session.mesh, _usual_edge(session.mesh), []
     for region, points in zip(session.regions, check_regions(session), strict=True):
-        step, thickness = _step(region, mesh), region.shape.thickness
-        part = len(points) * step**3 / VOLUME
-        small = min(thickness, max(0.5 * thickness, (part / _IN_A_REGION) ** (1.0 / 3.0)))
-        if small < edge:
-            _check_elements(region, part * VOLUME, small)
-            fine += [(point, step, small) for point in points]
+        if (small := _size_in(region, points, mesh)) < edge:
+            fine += [(point, _step(region, mesh), small) for point in points]
     shapes = [each.shape for each in session.regions]
     walls = [each.surface for each in shapes if isinstance(each, Insert)]
     walls += [
