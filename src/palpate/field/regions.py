@@ -26,7 +26,7 @@ from palpate.field.field_fit import Fitted, expanded_about_best, modes_in
 from palpate.field.field_map import map_of
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import CoefficientPrior, FieldExpansion, PushModel, push_model
-from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
+from palpate.geometry import TriangleMesh, enclosed_volume, inside, triangle_areas
 from palpate.progress import Progress, silent
 from palpate.records import (
     HALF_95,
@@ -46,7 +46,6 @@ from palpate.shapes import Points, Vector3
 from palpate.solids import (
     GradedBody,
     Solid,
-    inside,
     make_solid,
     with_moduli,
 )

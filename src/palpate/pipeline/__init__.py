@@ -67,7 +67,6 @@ from palpate.pipeline.planning import (
     PREDICTION as PREDICTION,
     MeasurementPlan as MeasurementPlan,
     NextProbings as NextProbings,
-    check_place_count as check_place_count,
     expected_precision as expected_precision,
     plan_measurement as plan_measurement,
     plan_next as plan_next,

@@ -143,9 +143,7 @@ def _fit_displacements(
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}
     chosen |= {"lengths": length_error(session, strains)}
-    is_long = finite_strain or settings.method == FitMethod.NELDER_MEAD
-    fit_starts = _LONG_FIT_STARTS if is_long else _FIT_STARTS
-    before, last = part_of(progress, 0.0, fit_starts), part_of(progress, fit_starts, 1.0)
+    before, last = _parts(progress, settings, finite_strain=finite_strain)
     before("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
@@ -166,8 +164,8 @@ def _fit_displacements(
     factorised = time.perf_counter()
     tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     if finite_strain:
-        result, field = fit(observations, settings=settings), None
-        result = fit_at_finite_strain(refined, observations, result, settings, last)
+        linear, field = fit(observations, settings=settings), None
+        result = fit_at_finite_strain(refined, observations, linear, settings, last)
     else:
         result, field = fit_material(material, graded, observations, settings, last, cache, tested)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
@@ -225,6 +223,15 @@ def prepare_body(
         graded = graded_session(refined)
         model = make_object_model(graded, cache=cache)
         _keep(model, settings, DENSE_RESIDUAL, with_loads=True)
+
+
+def _parts(
+    progress: Progress, settings: FitSettings, *, finite_strain: bool
+) -> tuple[Progress, Progress]:
+    """Progress of the work before the estimation, and of the estimation."""
+    is_long = finite_strain or settings.method == FitMethod.NELDER_MEAD
+    starts = _LONG_FIT_STARTS if is_long else _FIT_STARTS
+    return part_of(progress, 0.0, starts), part_of(progress, starts, 1.0)
 
 
 def _described(session: Session, refined: Session, graded: Session) -> dict[str, Any]:

@@ -251,7 +251,8 @@ def plan_next(
     Fedorov, Theory of Optimal Experiments (1972).
     """
     require_probings(session)
-    check_place_count(count)
+    if not 1 <= count <= MOST_PLACES:
+        raise InputError(f"count is {count}; must be 1 to {MOST_PLACES}, as many as are compared")
     first = session.probings[0]
     if first.displacement is None or (first.contact.radius is None and first.contact.tool is None):
         raise InputError(
@@ -313,23 +314,6 @@ def _measured_session(session: Session, estimate: Estimate) -> Session:
         for probing, fit in zip(session.probings, estimate.probes, strict=True)
     )
     return refined_session(replace(session, probings=given))
-
-
-def check_place_count(count: int) -> None:
-    """Refuse to choose no place, or more than are compared.
-
-    Parameters
-    ----------
-    count : int                     as in `plan_next`
-
-    Raises
-    ------
-    InputError
-    """
-    if not 1 <= count <= MOST_PLACES:
-        raise InputError(
-            f"count is {count}; must be 1 to {MOST_PLACES}, as many places as are compared"
-        )
 
 
 def _at_places(

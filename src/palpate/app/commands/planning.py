@@ -17,7 +17,6 @@ from palpate.pipeline import (
     PREDICTION,
     MeasurementPlan,
     NextProbings,
-    check_place_count,
     plan_measurement,
     plan_next,
     with_pictures_measured,
@@ -74,7 +73,6 @@ def plan(
     int
         0.
     """
-    check_place_count(count)
     target = out or default_folder(session, "next")
     with result_folder(target, kind="plan", force=force) as folder:
         given = read_session(session, allow=check_memory)

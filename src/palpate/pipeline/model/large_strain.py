@@ -414,7 +414,6 @@ def _converged(
     result, now = start, _constants(start, stiffens=stiffens)
     for iteration in range(_MOST_ROUNDS):
         before = now
-        # How many it takes is not known: about as long again.
         report = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
         starts = strain_corrections(body, before, starts=starts, progress=report)
         corrected = [
@@ -482,12 +481,8 @@ def corrected_observations(
     tip, fixed = observed.tip_displacement, _taken_off(correction, stiffens=stiffens)
     along = now.shear_modulus * observed.force / float(observed.force @ observed.force)
     by_modulus, by_ratio = (each.ravel() for each in correction.slope[:2])
-    response = _FiniteResponse(
-        observed.response,
-        now.poisson_ratio,
-        np.outer(-by_modulus, along),
-        np.outer(by_ratio, along),
-    )
+    by_force = np.outer(-by_modulus, along), np.outer(by_ratio, along)
+    response = _FiniteResponse(observed.response, now.poisson_ratio, *by_force)
     errors = [_error(observed.name, correction, rough)]
     if stiffens:
         parameter = NuisanceParameter(STIFFENS, STIFFENING_STD, is_material=True)
@@ -519,8 +514,7 @@ def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisanc
         NuisanceParameter(f"{of} (in steps {step})", std, of="finite strain")
         for of, step, std, _ in errors
     )
-    steps = [std * moved.ravel() for *_, std, moved in errors]
-    moved = np.stack(steps, axis=1)
+    moved = np.stack([std * step.ravel() for *_, std, step in errors], axis=1)
     return Nuisance(tuple(parameters), lambda at: fixed_displacement(moved[at.rows], at))
 
 
@@ -537,10 +531,8 @@ def _with_correction(probe: ProbeFit, taken_off: Points) -> ProbeFit:
 
 def _size_note(observations: Sequence[ProbeObservations], corrections: Sequence[Correction]) -> str:
     """How large the corrections are, in words."""
-    shares = [
-        _share(observed, correction.value)
-        for observed, correction in zip(observations, corrections, strict=True)
-    ]
+    pairs = zip(observations, corrections, strict=True)
+    shares = [_share(observed, correction.value) for observed, correction in pairs]
     worst = int(np.argmax(shares))
     overall = float(np.sqrt(np.mean(np.square(shares))))
     return (
