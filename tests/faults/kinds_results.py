@@ -15,6 +15,7 @@ from palpate.records.files.results import CONTENTS_FILE, file_sums, sums_text
 
 FIT = ("fit", "cube", "--out", "result")
 POKE = ("poke", "cube", "--force", "0", "0", "-1", "--at", "0.02", "0.02", "0.04", "--result")
+SCREEN = ("report", "result", "--out", "again.html")
 PAPER = ("report", "result", "--for", "paper")
 SIZES = ("--diameter", "50mm", "--height", "30mm")
 COMPRESSION = ("compression", "record.csv", *SIZES, "--out")
@@ -121,6 +122,20 @@ def _nothing(_: Path) -> None:
 
 def _estimate(name: str, damage: Callable[[Path], object], *says: str) -> Kind:
     return Kind(f"an estimate with {name}", damage, (*POKE, "result"), says, example="results")
+
+
+def _pictured(content: bytes) -> Callable[[Path], object]:
+    """Damage: a picture of a probing that is no picture."""
+
+    def damage(folder: Path) -> None:
+        (folder / "result" / "displacement").mkdir(exist_ok=True)
+        (folder / "result" / "displacement" / "n01.png").write_bytes(content)
+
+    return _sealed(damage)
+
+
+# The first 33 bytes of a picture that would take 10 GB.
+_VAST = bytes.fromhex("89504e470d0a1a0a0000000d494844520000ea600000ea6008020000000fb0e215")
 
 
 def _reported(name: str, damage: Callable[[Path], object], *says: str) -> Kind:
@@ -315,6 +330,10 @@ _REPORT_KINDS = [
               "[settings] versions: is ['0.1']; must be a table"),
     _reported("half a character", _sealed(_value("method", to="\ud800")),
               "estimate.json: is not valid JSON", "surrogates not allowed"),
+    Kind("a result with half a picture", _pictured(_VAST[:20]), SCREEN,
+         ("displacement/n01.png: is no whole picture", "fit the session again"), "results"),
+    Kind("a result with a vast picture", _pictured(_VAST), SCREEN,
+         ("displacement/n01.png: is no whole picture", "fit the session again"), "results"),
     _reported("no probing in its surface", _array("probings", np.zeros(0, dtype=str)),
               "surface.npz: there is no probing", "fit the session again"),
     _reported("a contact nowhere", _array("1/contact", [0.0, np.nan, 0.0]),
