@@ -224,7 +224,8 @@ def stored_arrays(
 
     Raises
     ------
-    PalpateError                    raised by the block, passed through unchanged
+    PalpateError                    raised by the block, passed through unchanged; but a plain
+                                    `InputError`, which names no file
     RecordError                     missing, not a regular file, too large, not an NPZ file,
                                     damaged; also in place of any other error of the block
     """
@@ -232,7 +233,12 @@ def stored_arrays(
     with read_errors(path, cure, what=what):
         with path.open("rb") as file:
             arrays = unpacked_arrays(file, path, max_bytes=max_bytes)
-        yield arrays
+        try:
+            yield arrays
+        except InputError as error:
+            if type(error) is not InputError:
+                raise
+            raise RecordError(f"{path}: {error}; {cure}") from error
 
 
 def unpacked_arrays(

@@ -7,13 +7,13 @@ them again. What goes between the processes is pickled: both have the same right
 
 import os
 import pickle
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, suppress
 from inspect import isgenerator
 from pathlib import Path
-from threading import Event, Timer
 from typing import IO, Any, cast
 
 import numpy as np
@@ -67,25 +67,16 @@ def results_in_child(
         env=os.environ | _FRUGAL,
     )  # fmt: skip
     orders, results = cast(IO[bytes], child.stdin), cast(IO[bytes], child.stdout)
-    late = Event()
-
-    def stop() -> None:
-        late.set()
-        child.kill()
-
     try:
         with suppress(BrokenPipeError), orders:
-            pickle.dump((work, arguments), orders)
+            pickle.dump((work, arguments, seconds), orders)
         while True:
-            timer = Timer(seconds, stop)
-            timer.start()
             try:
                 result, error, more = pickle.load(results)
             except (EOFError, pickle.UnpicklingError):
-                slow = f"it takes more than {seconds:g} s"
-                raise RuntimeError(slow if late.is_set() else f"a crash, or {_TOO_MUCH}") from None
-            finally:
-                timer.cancel()
+                late = child.wait() == -signal.SIGALRM
+                slow, broken = f"it takes more than {seconds:g} s", f"a crash, or {_TOO_MUCH}"
+                raise RuntimeError(slow if late else broken) from None
             if error is not None:
                 raise error
             if not more:
@@ -117,11 +108,18 @@ def _serve() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, limits[-1] if limits else -1))
     error: Exception | None = None
     try:
-        work, arguments = pickle.load(sys.stdin.buffer)
+        work, arguments, seconds = pickle.load(sys.stdin.buffer)
+        # The system ends this process in time, in the midst of a library too, and where the command
+        # that waited for it was killed.
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
         made = work(*arguments)
         for result in made if isgenerator(made) else [made]:
+            # Whoever reads may take his time.
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
             pickle.dump((result, None, True), results, protocol=5)
             results.flush()
+            signal.setitimer(signal.ITIMER_REAL, seconds)
     except PalpateError as raised:
         error = raised
     except MemoryError:

@@ -9,6 +9,7 @@ import pytest
 from palpate.app import terminal
 from palpate.app.process import Output, output_as
 from palpate.app.terminal import progress_bar, table_content
+from palpate.errors import InputError
 
 POKE = (
     "--at", "20mm", "2 cm", "0.04", "--force", "0", "0", "-500mN", "--young-modulus", "50 kPa",
@@ -108,26 +109,55 @@ def test_nothing_is_shown_where_stderr_is_no_terminal(capsys):
     assert (captured.out, captured.err) == ("", "")
 
 
+def _announced(capsys, monkeypatch, fractions, *arguments, every=4, **options):
+    """What is said of work whose fractions come every few seconds."""
+    clock = iter(range(1, 1 + every * len(fractions), every))
+    monkeypatch.setattr(terminal, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    with progress_bar(*arguments, **options) as report:
+        for fraction in fractions:
+            report("pictures", fraction)
+    return [
+        line.removeprefix("palpate: note: ").removesuffix("; Ctrl-C stops it")
+        for line in capsys.readouterr().err.splitlines()
+    ]
+
+
 @pytest.mark.parametrize(
     ("fractions", "says"),
     [
         # One more per cent every 4 s: 400 s in all.
-        ((0.0, 0.01, 0.02, 0.03, 0.04), ["some 6 minutes to go, by the pace of the first 12 s"]),
+        ((0.0, 0.01, 0.02, 0.03, 0.04), ["some 6 minutes to go, by the pace of the last 8 s"]),
         # What is there already when it begins took no time: a resumed run.
         ((0.9, 0.92, 0.94, 0.96), []),
         # Hardly begun: the pace is known after half a minute.
-        (tuple(2e-4 * k for k in range(12)), ["some 6 hours to go, by the pace of the first 32 s"]),
+        (tuple(2e-4 * k for k in range(18)), ["some 6 hours to go, by the pace of the last 32 s"]),
         # Seconds only.
         ((0.0, 0.2, 0.4, 0.6, 0.8), []),
+        # Half is done at once; then 4 per mille every 4 s, 500 s of it.
+        (
+            (0.0, 0.25, 0.5, *(0.5 + 0.004 * k for k in range(1, 16))),
+            ["some 8 minutes to go, by the pace of the last 12 s"],
+        ),
     ],
 )  # fmt: skip
-def test_what_takes_minutes_is_announced_once(capsys, monkeypatch, fractions, says):
-    clock = iter(range(0, 4 * len(fractions), 4))
-    monkeypatch.setattr(terminal, "time", SimpleNamespace(monotonic=lambda: next(clock)))
-    with progress_bar() as report:
-        for fraction in fractions:
-            report("pictures", fraction)
-    assert capsys.readouterr().err.splitlines() == [f"palpate: note: {text}" for text in says]
+def test_what_takes_minutes_is_announced(capsys, monkeypatch, fractions, says):
+    assert _announced(capsys, monkeypatch, fractions) == says
+
+
+def test_the_cure_of_long_work_is_said(capsys, monkeypatch):
+    fractions = (0.0, 0.01, 0.02, 0.03, 0.04)
+    (said,) = _announced(capsys, monkeypatch, fractions, "a larger --step", resumes=True)
+    assert said.endswith(
+        "; Ctrl-C stops it, and the same command goes on from there; shorter: a larger --step"
+    )
+
+
+def test_more_than_a_day_is_refused_where_it_would_be_lost(capsys, monkeypatch):
+    fractions = tuple(2e-6 * k for k in range(9))
+    with pytest.raises(InputError, match=r"there would be some \d\d days to go, .*; shorter: less"):
+        _announced(capsys, monkeypatch, fractions, "less", every=8)
+    (said,) = _announced(capsys, monkeypatch, fractions, "less", every=8, resumes=True)
+    assert "days to go" in said
 
 
 def test_stages_are_shown_on_a_terminal(capsys, monkeypatch):

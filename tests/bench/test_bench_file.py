@@ -76,6 +76,8 @@ def test_a_bench(folder, monkeypatch):
         ('driver = "opencv"', 'driver = "opencvv"', "did you mean 'opencv'"),
         ('gauge = "mark-10"', 'gauge = "mark10"', "did you mean 'mark-10'"),
         ('limit = "50 N"', "limit = 50", "must be a number with its unit"),
+        ('limit = "50 N"', 'limit = "-50 N"', "limit: is -50 N; must be above zero"),
+        ('force = "1 N"', 'force = "0 N"', "force: is 0 N; must be above zero"),
         ('driver = "straight"', 'driver = "ur"', "did|allowed: straight"),
         ('speed = "10 mm/s"\n', "", "the key 'speed' is missing"),
         ('depth = "5 mm"', 'depth = "-5 mm"', "depth is -0.005; must be positive"),

@@ -23,6 +23,7 @@ from recording.bench_footage import write_recording
 from surfaces import box
 
 from palpate.geometry import write_mesh
+from palpate.pipeline import write_fitted_surface
 from palpate.records import (
     read_session,
     record_inputs,
@@ -96,7 +97,9 @@ def results(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with result_folder(folder / "result", kind="fit") as made:
         record_inputs(made, session_files(folder / "cube"))
         session = read_session(folder / "cube")
-        write_estimate(made / "estimate.json", sample_result(session).estimate)
+        fitted = sample_result(session)
+        write_estimate(made / "estimate.json", fitted.estimate)
+        write_fitted_surface(made, session, fitted)
         (made / "table.csv").write_text("1\n")
     strain = np.linspace(0.0, 0.1, 40)
     rows = np.stack([30.0 * strain, 1e5 * strain * np.pi * 0.025**2], axis=1)

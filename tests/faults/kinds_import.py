@@ -63,6 +63,9 @@ def _pushes(power: float, normal: str = "", head: str = "x,y,z,force") -> Callab
     return written("p.csv", "\n".join([head, *rows]) + "\n")
 
 
+_STRONG = "x,y,z,force\n" + "".join(
+    f"{10 * k},{1e-3 * (k % 2)},{-d},{2e9 * d**1.5}\n" for k in range(4) for d in range(6)
+)
 _POOR = [row.replace("0.95", "0.07") for row in _ROWS]
 _KEPT = ["not one of its 7 points was measured"]
 
@@ -104,6 +107,8 @@ KINDS = [
            options="--length-unit m --tool flat"),
     _poked("a ball of a micrometre for p.csv", _pushes(1.5), "deeper than the ball's radius",
            "0.001 mm", "--tool-radius", options="--tool-radius 1um"),
+    _poked("pascals for newtons in p.csv", written("p.csv", _STRONG), "which no material has",
+           "p.csv: the pokes mean a Young's modulus of", "which column is the force"),
     _poked("normals that point inward in p.csv", _pushes(1.5, ",0,0,-1"), "p.csv: in 4 of 4 pokes",
            "normals must point out of the body"),
     _poked("normals of no length in p.csv", _pushes(1.5, ",0,0,0"), "p.csv: a normal is the zero"),

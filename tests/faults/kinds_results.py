@@ -7,12 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from faults.kind import Kind, replaced, written
 
 from palpate.records import CONSTANT_NAMES
+from palpate.records.files.results import CONTENTS_FILE, file_sums, sums_text
 
 FIT = ("fit", "cube", "--out", "result")
 POKE = ("poke", "cube", "--force", "0", "0", "-1", "--at", "0.02", "0.02", "0.04", "--result")
+SCREEN = ("report", "result", "--out", "again.html")
+PAPER = ("report", "result", "--for", "paper")
 SIZES = ("--diameter", "50mm", "--height", "30mm")
 COMPRESSION = ("compression", "record.csv", *SIZES, "--out")
 _HELD = []
@@ -36,6 +40,32 @@ def _value(*keys: str | int, to: Any) -> Callable[[Path], object]:
         path.write_text(json.dumps(content))
 
     return damage
+
+
+def _sealed(damage: Callable[[Path], object]) -> Callable[[Path], object]:
+    """Damage: the same, by somebody who corrects the checksums too."""
+
+    def sealed(folder: Path) -> None:
+        damage(folder)
+        result = folder / "result"
+        contents = result / CONTENTS_FILE
+        files = [each for each in result.rglob("*") if each.is_file() and each != contents]
+        head = contents.read_text().splitlines()[0]
+        contents.write_text(f"{head}\n{sums_text(file_sums(files, start=result))}")
+
+    return sealed
+
+
+def _array(name: str, to: Any) -> Callable[[Path], object]:
+    """Damage: another array in the fitted surface, the rest being as it was."""
+
+    def damage(folder: Path) -> None:
+        path = folder / "result" / "surface.npz"
+        with np.load(path) as kept:
+            content = dict(kept)
+        np.savez(path, **content | {name: np.array(to)})
+
+    return _sealed(damage)
 
 
 def _both(*damages: Callable[[Path], object]) -> Callable[[Path], object]:
@@ -92,6 +122,24 @@ def _nothing(_: Path) -> None:
 
 def _estimate(name: str, damage: Callable[[Path], object], *says: str) -> Kind:
     return Kind(f"an estimate with {name}", damage, (*POKE, "result"), says, example="results")
+
+
+def _pictured(content: bytes) -> Callable[[Path], object]:
+    """Damage: a picture of a probing that is no picture."""
+
+    def damage(folder: Path) -> None:
+        (folder / "result" / "displacement").mkdir(exist_ok=True)
+        (folder / "result" / "displacement" / "n01.png").write_bytes(content)
+
+    return _sealed(damage)
+
+
+# The first 33 bytes of a picture that would take 10 GB.
+_VAST = bytes.fromhex("89504e470d0a1a0a0000000d494844520000ea600000ea6008020000000fb0e215")
+
+
+def _reported(name: str, damage: Callable[[Path], object], *says: str) -> Kind:
+    return Kind(f"a result with {name}", damage, PAPER, says, example="results")
 
 
 def _refused(name: str, damage: Callable[[Path], object], command: tuple, *says: str) -> Kind:
@@ -268,4 +316,38 @@ _ESTIMATE_KINDS = [
     _estimate("bytes that are no text", written("result/estimate.json", b"\xff\xfe"), "UTF-8"),
 ]  # fmt: skip
 
-KINDS = [*_FIT_KINDS, *_COMPRESSION_KINDS, *_ESTIMATE_KINDS]
+# What `palpate report` reads besides.
+_REPORT_KINDS = [
+    _reported("settings of an earlier version", _sealed(_value("settings", to={})),
+              "estimate.json: [settings]: do not say the errors", "fit again"),
+    _reported("errors without a pose",
+              _sealed(_value("settings", to={"errors": {"force_gain": 0.1}, "noise": "normal"})),
+              "[settings] errors: the key 'pose_rotation' is missing"),
+    _reported("an assumed error in words",
+              _sealed(_value("settings", to={"errors": {"pose_rotation": "1 deg"}, "noise": "t"})),
+              "[settings] errors pose_rotation: is '1 deg'; must be a finite number"),
+    _reported("a list of versions", _sealed(_value("settings", to={"versions": ["0.1"]})),
+              "[settings] versions: is ['0.1']; must be a table"),
+    _reported("half a character", _sealed(_value("method", to="\ud800")),
+              "estimate.json: is not valid JSON", "surrogates not allowed"),
+    Kind("a result with half a picture", _pictured(_VAST[:20]), SCREEN,
+         ("displacement/n01.png: is no whole picture", "fit the session again"), "results"),
+    Kind("a result with a vast picture", _pictured(_VAST), SCREEN,
+         ("displacement/n01.png: is no whole picture", "fit the session again"), "results"),
+    _reported("no probing in its surface", _array("probings", np.zeros(0, dtype=str)),
+              "surface.npz: there is no probing", "fit the session again"),
+    _reported("a contact nowhere", _array("1/contact", [0.0, np.nan, 0.0]),
+              "surface.npz: contact has 1 entries that are not finite"),
+    _reported("a force without end", _array("1/force", [0.0, 0.0, -np.inf]),
+              "surface.npz: force has 1 entries that are not finite"),
+    _reported("forces in words", _array("1/force", "strong"), "surface.npz: is damaged"),
+    _reported("points in the plane", _array("1/points", np.zeros((3, 2))),
+              "surface.npz: is damaged"),
+    _reported("a surface of another mesh", _array("1/surface", np.zeros((3, 3))),
+              "surface.npz: surfaces of probings are those of another mesh"),
+    _reported("a likelihood of nothing",
+              _array("likelihood/poisson_ratio", np.full(40, np.nan)),
+              "surface.npz: poisson_ratio has 40 entries that are not finite"),
+]  # fmt: skip
+
+KINDS = [*_FIT_KINDS, *_COMPRESSION_KINDS, *_ESTIMATE_KINDS, *_REPORT_KINDS]

@@ -1,6 +1,8 @@
 """Whatever a library does to its child process, the caller gets a result or one error."""
 
 import os
+import signal
+import subprocess
 import sys
 import time
 from importlib import import_module
@@ -28,6 +30,9 @@ def crash(): ctypes.string_at(0)
 def end(): os._exit(0)
 def exit(): raise SystemExit("no more")
 def hang(): time.sleep(60)
+def spin(file):
+    open(file, "w").write(str(os.getpid()))
+    while True: pass
 def take(size): return len(bytearray(size))
 def refuse(): raise RecordError("part.stp: is no drawing")
 def fail(): return {}["word"]
@@ -91,3 +96,34 @@ def test_no_process_is_left_where_the_results_are_not_wanted(library):
     # Of this process's children, the library's would still write.
     with pytest.raises(ChildProcessError):
         os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks for the process in /proc")
+def test_the_work_ends_in_time_where_the_command_was_killed(library, tmp_path: Path):
+    told = tmp_path / "child"
+    code = (
+        "from palpate.foreign import result_in_child; import some_library;"
+        f" result_in_child(some_library.spin, {str(told)!r}, seconds=1.0)"
+    )
+    command = subprocess.Popen([sys.executable, "-c", code])
+    child = _soon(lambda: told.exists() and told.read_text())
+    command.send_signal(signal.SIGKILL)
+    command.wait()
+    assert _soon(lambda: not _runs(int(child)))
+
+
+def _soon(found):
+    """What a function gives as soon as it is something, within 20 s."""
+    for _ in range(200):
+        if result := found():
+            return result
+        time.sleep(0.1)
+    raise AssertionError
+
+
+def _runs(number: int) -> bool:
+    """Whether a process is there, and not only waits to be collected."""
+    try:
+        return "Z" not in Path(f"/proc/{number}/stat").read_text().rpartition(")")[2][:3]
+    except FileNotFoundError:
+        return False

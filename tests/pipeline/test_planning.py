@@ -143,7 +143,7 @@ def _session(depth: float = 1.0) -> Session:
 @pytest.fixture(scope="module")
 def found() -> NextProbings:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(places, "_CANDIDATES", 10)
+        patch.setattr(places, "MOST_PLACES", 10)
         return plan_next(_session(), count=3)
 
 
@@ -257,7 +257,7 @@ def _two_halves() -> Session:
 
 @pytest.mark.slow
 def test_of_a_body_of_two_materials_pushes_tell_what_others_will_do(monkeypatch):
-    monkeypatch.setattr(places, "_CANDIDATES", 6)
+    monkeypatch.setattr(places, "MOST_PLACES", 6)
     found = plan_next(_two_halves(), count=2)
     sd = [found.now[PREDICTION], *(each[PREDICTION] for each in found.after)]
     assert all(after < before for before, after in itertools.pairwise(sd))

@@ -125,6 +125,18 @@ def test_a_cone_is_sneddon_s(degrees: float) -> None:
     np.testing.assert_allclose(_share(found, s), np.arccosh(1.0 / s), rtol=2e-3)
 
 
+@pytest.mark.parametrize("degrees", [35.0, 60.0, 75.0])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
+def test_four_times_the_force_doubles_the_circle_of_a_cone(degrees: float, nu: float) -> None:
+    """Nothing but the circle has a length, however the surface is drawn outward."""
+    cone = Cone(0.05, np.radians(degrees))
+    one, four = (_found(cone, force, nu=nu).radius for force in (0.1, 0.4))
+    assert four == pytest.approx(2.0 * one, rel=1e-5)
+    # What the tool draws outward raises the surface towards it: fewer points are touched.
+    level = np.sqrt(0.2 * np.tan(cone.angle) / np.pi / (2.0 * SHEAR / (1.0 - nu)))
+    assert one < level
+
+
 def test_its_pressure_gives_the_depth() -> None:
     """Boussinesq: the middle of a level surface goes down by the integral of p / r over pi E*."""
     s = np.array([0.01, 0.3, 0.9, 1.0, 1.5])

@@ -206,7 +206,7 @@ def test_a_surface_of_impossible_numbers_is_refused(saved, tmp_path, name, value
         arrays = dict(kept)
     arrays[name].ravel()[0] = value
     np.savez_compressed(tmp_path / "surface.npz", **arrays)
-    with pytest.raises(RecordError, match=rf"surface\.npz: .*its array '{name}' has numbers"):
+    with pytest.raises(RecordError, match=rf"surface\.npz: {name} has .*; fit the session"):
         read_fitted_surface(tmp_path)
 
 

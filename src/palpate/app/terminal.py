@@ -1,9 +1,11 @@
 """What the terminal gives and takes: numbers with units; tables, sentences and notes, printed or
 kept for a JSON document; progress."""
 
+import math
 import re
 import sys
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -18,12 +20,15 @@ from rich.table import Table
 
 from palpate.app.process import wanted_output
 from palpate.app.tables import ShownTable
-from palpate.errors import print_message, visible
+from palpate.errors import InputError, print_message, visible
 from palpate.progress import Progress
 from palpate.records import FORCE_UNITS, LENGTH_UNITS, MODULUS_UNITS, NOT_DETERMINED, quantity
 
-# Work of which more remains is announced [s].
-_LONG_SECONDS = 90.0
+# Work of which more remains is announced; work of which more remains is refused, unless it goes on
+# where it was stopped [s].
+_LONG_SECONDS, _MOST_SECONDS = 90.0, 86400.0
+# Up to how many seconds a duration is said in which unit [s].
+_DURATIONS = ((5400.0, 60.0, "minutes"), (172800.0, 3600.0, "hours"), (math.inf, 86400.0, "days"))
 # What a cell may say besides a text: nothing, a number, a number and its deviation, an interval, a
 # vector.
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -149,15 +154,26 @@ def print_file_notes(notes: Iterable[tuple[str, str]], *, files: int) -> None:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Progress]:
+def progress_bar(shorter: str = "", *, resumes: bool = False) -> Iterator[Progress]:
     """A callback `(stage, fraction)` that moves a bar on stderr; the bar vanishes at the end.
 
     Where stderr is not a terminal no bar is shown; where every stage is to be shown, each has a
     line with the seconds so far, on a terminal or not. Once some seconds show that there are
-    minutes to go, that is said.
+    minutes to go, that is said, with what would make it shorter.
+
+    Parameters
+    ----------
+    shorter : str                   what the user can do about long work: "a larger --step"
+    resumes : bool                  the same command goes on where it was stopped: long work is not
+                                    refused
+
+    Raises
+    ------
+    InputError                      within the block: there is more than a day to go
     """
     if wanted_output().verbose:
-        with _announce_compilation(_announce_length(_line_progress())) as report:
+        lines = _announce_length(_line_progress(), shorter, resumes=resumes)
+        with _announce_compilation(lines) as report:
             yield report
         return
     console = Console(file=sys.stderr)
@@ -177,7 +193,8 @@ def progress_bar() -> Iterator[Progress]:
     def show(stage: str, fraction: float) -> None:
         bar.update(task, description=visible(stage), completed=fraction)
 
-    with bar, _announce_compilation(_announce_length(show)) as report:
+    announced = _announce_length(show, shorter, resumes=resumes)
+    with bar, _announce_compilation(announced) as report:
         yield report
 
 
@@ -270,29 +287,41 @@ def _announce_compilation(show: Progress) -> Iterator[Progress]:
         yield report
 
 
-def _announce_length(show: Progress) -> Progress:
-    """Progress that says once how long it will take, if that is minutes: by its pace so far."""
-    first: list[tuple[float, float]] = []
-    said = False
+def _announce_length(show: Progress, shorter: str, *, resumes: bool) -> Progress:
+    """Progress that says how long it will take, if that is minutes, and again where it turns out to
+    be twice as long: by the pace of the later half of the time so far."""
+    reports = deque[tuple[float, float]]()
+    begin = said = 0.0
+    stop = "Ctrl-C stops it" + (", and the same command goes on from there" if resumes else "")
+    cure = f"; shorter: {shorter}" if shorter else ""
 
     def report(stage: str, fraction: float) -> None:
-        nonlocal said
+        nonlocal begin, said
         show(stage, fraction)
         now = time.monotonic()
-        if not first:
-            first.append((now, fraction))
-        start, before = first[0]
+        begin = begin or now
+        reports.append((now, fraction))
+        while len(reports) > 1 and reports[1][0] <= 0.5 * (begin + now):
+            reports.popleft()
+        start, before = reports[0]
         seconds, done = now - start, fraction - before
         # What is hardly begun may not go on like this.
-        if said or done <= 0.0 or seconds < (5.0 if done > 0.02 else 30.0):
+        if done <= 0.0 or seconds < (5.0 if done > 0.01 else 30.0):
             return
         left = (1.0 - fraction) * seconds / done
-        if left > _LONG_SECONDS:
-            said = True
-            long = f"{left / 60:.0f} minutes" if left < 5400.0 else f"{left / 3600:.0f} hours"
-            print_message(f"note: some {long} to go, by the pace of the first {seconds:.0f} s")
+        pace = f"to go, by the pace of the last {seconds:.0f} s"
+        if left > _MOST_SECONDS and cure and not resumes:
+            raise InputError(f"there would be {_duration(left)} {pace}{cure}")
+        if left > _LONG_SECONDS and now - begin + left > 2.0 * said:
+            said = now - begin + left
+            print_message(f"note: {_duration(left)} {pace}; {stop}{cure}")
 
     return report
+
+
+def _duration(seconds: float) -> str:
+    unit, name = next((u, n) for most, u, n in _DURATIONS if seconds < most)
+    return f"some {seconds / unit:.0f} {name}"
 
 
 def _line_progress() -> Progress:

@@ -155,7 +155,7 @@ def read_bench(source: Path | str) -> Bench:
         contact=root.table("contact").values if "contact" in root.values else None,
         supply=partial(_copy, root, rig_file),
         direction=None if direction is None else direction / np.linalg.norm(direction),
-        push_force=push.optional("force", lambda key: push.quantity(key, FORCE_UNITS)),
+        push_force=push.optional("force", partial(_positive_force, push)),
         hold=_HOLD if hold is None else hold,
         force_std=force.optional("std", lambda key: force.quantity(key, FORCE_UNITS)) or 0.0,
     )
@@ -282,13 +282,20 @@ def _opencv(table: TomlTable) -> OpenCvCamera:
     return OpenCvCamera(table.text("name"), source, size)
 
 
+def _positive_force(table: TomlTable, key: str) -> float:
+    force = table.quantity(key, FORCE_UNITS)
+    if force <= 0.0:
+        table.fail(key, f"is {force:g} N; must be above zero")
+    return force
+
+
 def _serial(table: TomlTable) -> SerialGauge:
     table.check_keys(("driver", "port", "gauge", "unit", "limit", "baud", "direction", "std"))
     return SerialGauge(
         table.text("port"),
         table.choice("gauge", tuple(GAUGES)),
         unit=table.optional("unit", lambda key: table.choice(key, tuple(FORCE_UNITS))),
-        limit=table.optional("limit", lambda key: table.quantity(key, FORCE_UNITS)),
+        limit=table.optional("limit", partial(_positive_force, table)),
         baud=table.optional("baud", table.count),
     )
 
@@ -298,7 +305,7 @@ def _table(table: TomlTable) -> TableGauge:
     return TableGauge(
         table.existing_file("file"),
         unit=table.choice("unit", tuple(FORCE_UNITS)),
-        limit=table.optional("limit", lambda key: table.quantity(key, FORCE_UNITS)),
+        limit=table.optional("limit", partial(_positive_force, table)),
     )
 
 

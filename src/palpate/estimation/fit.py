@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ from palpate.estimation.predictions import (
     probe_fits,
     sizes_of_errors,
 )
-from palpate.progress import Progress, silent
+from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     SURPRISING,
     Constant,
@@ -206,15 +207,17 @@ def fit(
     start = time.perf_counter()
     progress("minimisation", 0.0)
     minimum, freed = with_outlying_forces_freed(
-        joint_minimum(probes, settings), settings.poisson_range
+        joint_minimum(probes, settings, part_of(progress, 0.0, 0.5)), settings.poisson_range
     )
     progress("intervals", 0.5)
     posterior = _posterior(minimum, settings)
     reported, identifiable = reported_intervals(posterior)
-    progress("single probings", 0.7)
     singles = [(reported, identifiable)]
     if len(probes) > 1:
-        singles = [_single(minimum, k, settings) for k in range(len(probes))]
+        singles = []
+        for k in range(len(probes)):
+            progress("single probings", 0.7 + 0.25 * k / len(probes))
+            singles.append(_single(minimum, k, settings))
     progress("validation", 0.95)
     fits = probe_fits(minimum, settings.poisson_range)
     contradicted_by = contradictions(minimum)
@@ -246,13 +249,16 @@ def fit(
     return FitResult(estimate, likelihood, fits, interval_set(posterior), minimum)
 
 
-def joint_minimum(probes: Sequence[ProbeObservations], settings: FitSettings) -> Evaluation:
+def joint_minimum(
+    probes: Sequence[ProbeObservations], settings: FitSettings, progress: Progress = silent
+) -> Evaluation:
     """The objective at its minimum over all probings together.
 
     Parameters
     ----------
     probes : sequence of ProbeObservations  at least one
     settings : FitSettings
+    progress : callable
 
     Returns
     -------
@@ -264,7 +270,7 @@ def joint_minimum(probes: Sequence[ProbeObservations], settings: FitSettings) ->
     """
     minimum = fitted(_checked_rows(probes), NOISE_MODELS[settings.noise], settings.poisson_range)
     if settings.method == FitMethod.NELDER_MEAD:
-        return _simplex_minimum(minimum, settings.poisson_range)
+        return _simplex_minimum(minimum, settings.poisson_range, progress)
     return minimum
 
 
@@ -294,11 +300,17 @@ def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ..
     return tuple(observed_rows_of(probe) for probe in probes)
 
 
-def _simplex_minimum(minimum: Evaluation, poisson_range: tuple[float, float]) -> Evaluation:
+def _simplex_minimum(
+    minimum: Evaluation, poisson_range: tuple[float, float], progress: Progress
+) -> Evaluation:
     """The minimum of the same objective over (nu, log G) by a simplex search, as Lang and Pai's,
     with everything else at its best for each."""
 
+    number = count()
+
     def at(constants: np.ndarray) -> Evaluation:
+        # How many it takes is not known: always some fifty more.
+        progress("simplex search", 1.0 - 0.98 ** next(number))
         return at_constants(minimum, float(constants[0]), float(np.exp(constants[1])))
 
     found = minimize(

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.interpolate import BarycentricInterpolator
 from scipy.special import chdtri, stdtrit
 
+from palpate.arrays import fix_fields
 from palpate.estimation.normal_equations import Evaluation, gram
 from palpate.estimation.observed_rows import ObservedRows
 from palpate.records import CONSTANT_NAMES, BudgetEntry, Constant
@@ -58,11 +59,19 @@ class LikelihoodMap:
     poisson_ratio : (k,) float [-]      ascending
     shear_modulus : (l,) float [Pa]     ascending, evenly spaced in the logarithm
     deviance : (k, l) float
+
+    Raises
+    ------
+    InputError                          arrays that do not belong together
     """
 
     poisson_ratio: Float[np.ndarray, " k"]
     shear_modulus: Float[np.ndarray, " l"]
     deviance: Float[np.ndarray, "k l"]
+
+    def __post_init__(self) -> None:
+        fix_fields(self, poisson_ratio=(None,), shear_modulus=(None,))
+        fix_fields(self, deviance=(len(self.poisson_ratio), len(self.shear_modulus)))
 
     @staticmethod
     def height(probability: float) -> float:

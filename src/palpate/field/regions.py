@@ -26,7 +26,7 @@ from palpate.field.field_fit import Fitted, expanded_about_best, modes_in
 from palpate.field.field_map import map_of
 from palpate.field.field_prior import FieldModes
 from palpate.field.field_responses import CoefficientPrior, FieldExpansion, PushModel, push_model
-from palpate.geometry import TriangleMesh, enclosed_volume, triangle_areas
+from palpate.geometry import TriangleMesh, enclosed_volume, inside, triangle_areas
 from palpate.progress import Progress, silent
 from palpate.records import (
     HALF_95,
@@ -46,7 +46,6 @@ from palpate.shapes import Points, Vector3
 from palpate.solids import (
     GradedBody,
     Solid,
-    inside,
     make_solid,
     with_moduli,
 )
@@ -58,9 +57,9 @@ _UNKNOWN = float(np.log(10.0))
 # Points along the longest side of a body at which its regions are looked at, and points of all
 # regions that there is time for: half a minute.
 _LATTICE, _MOST_POINTS = 32, 1_000_000
-# Elements that a fit has time for, and that a region has at least where half its thickness asks for
-# more.
-_MOST_ELEMENTS, _IN_A_REGION = 25_000, 5000
+# Elements that a fit has time for, a minute or so, and that a region has at least where half its
+# thickness asks for more.
+_MOST_ELEMENTS, _IN_A_REGION = 40_000, 5000
 # A region is not seen where its standard deviation is more than this of the prior's; and is
 # determined where the ends of its interval differ by less than this factor, as for all moduli.
 _UNSEEN, _MAX_FACTOR = 0.9, 2.0
@@ -328,6 +327,7 @@ def _separate_points(mesh: TriangleMesh, regions: Sequence[Region]) -> list[Poin
                     f"{100.0 * share:.3g} % of region {region.name!r} lie in region {other.name!r},"
                     " too; a point belongs to one of them: make one smaller"
                 )
+        _size_in(region, points, mesh)
     volume = sum(
         len(points) * _step(region, mesh) ** 3
         for region, points in zip(regions, found, strict=True)
@@ -367,7 +367,7 @@ def _check_thickness(mesh: TriangleMesh, regions: Sequence[Region]) -> None:
             area = enclosed_volume(mesh) ** (2.0 / 3.0)
             if isinstance(shape, Skin):
                 area = float(triangle_areas(shape.faces).sum())
-            _check_count(region, area / (VOLUME * shape.thickness**2))
+            _check_elements(region, area * shape.thickness, shape.thickness)
         low, high = _bounds(region, mesh)
         counts.append(float(np.prod(np.clip(high - low, 0.0, None) / _step(region, mesh))))
     if sum(counts) > _MOST_POINTS:
@@ -385,13 +385,32 @@ def _step(region: Region, mesh: TriangleMesh) -> float:
     return min(longest / _LATTICE, region.shape.thickness)
 
 
-def _check_count(region: Region, count: float) -> None:
-    """Refuse a region that takes too many elements."""
+def _usual_edge(mesh: TriangleMesh) -> float:
+    """Edge of elements away from regions [m]."""
+    return float((enclosed_volume(mesh) / (VOLUME * ELEMENTS)) ** (1.0 / 3.0))
+
+
+def _size_in(region: Region, points: Points, mesh: TriangleMesh) -> float:
+    """Size of the elements of a region [m], of which there must not be too many."""
+    thickness, volume = region.shape.thickness, len(points) * _step(region, mesh) ** 3
+    wanted = (volume / (VOLUME * _IN_A_REGION)) ** (1.0 / 3.0)
+    small = min(thickness, max(0.5 * thickness, wanted))
+    if small < _usual_edge(mesh):
+        _check_elements(region, volume, small)
+    return small
+
+
+def _check_elements(region: Region, volume: float, size: float) -> None:
+    """Refuse a region that takes too many elements of its own and around it, where they grow by
+    0.3 m/m on both of its sides, or on one of a skin: within a factor of two."""
+    thickness, sides = region.shape.thickness, 1 if isinstance(region.shape, Skin) else 2
+    around = sides / (2.0 * 0.3 * thickness)
+    count = volume / (VOLUME * size**2) * (1.0 / size + around)
     if count > _MOST_ELEMENTS:
         raise InputError(
-            f"region {region.name!r} is {1e3 * region.shape.thickness:.2g} mm thick, which takes"
-            f" {count:.0f} elements; a fit has time for {_MOST_ELEMENTS}: make it part of the rest,"
-            " or thicker"
+            f"region {region.name!r} is {1e3 * thickness:.2g} mm thick, which takes {count:.0f}"
+            f" elements there and around; a fit has time for {_MOST_ELEMENTS}: make it part of the"
+            " rest, or thicker"
         )
 
 
@@ -408,15 +427,10 @@ def _within(region: Region, points: Points) -> Bool[np.ndarray, " n"]:
 def _filled(session: Session) -> Solid:
     """The object in elements no larger than its regions are thick, half as large in small ones,
     that follow boxes and inserts."""
-    mesh, volume = session.mesh, enclosed_volume(session.mesh)
-    edge, fine = (volume / (VOLUME * ELEMENTS)) ** (1.0 / 3.0), []
+    mesh, edge, fine = session.mesh, _usual_edge(session.mesh), []
     for region, points in zip(session.regions, check_regions(session), strict=True):
-        step, thickness = _step(region, mesh), region.shape.thickness
-        part = len(points) * step**3 / VOLUME
-        small = min(thickness, max(0.5 * thickness, (part / _IN_A_REGION) ** (1.0 / 3.0)))
-        if small < edge:
-            _check_count(region, part / small**3)
-            fine += [(point, step, small) for point in points]
+        if (small := _size_in(region, points, mesh)) < edge:
+            fine += [(point, _step(region, mesh), small) for point in points]
     shapes = [each.shape for each in session.regions]
     walls = [each.surface for each in shapes if isinstance(each, Insert)]
     walls += [

@@ -11,6 +11,7 @@ from palpate.geometry.closest_point import (
     SurfacePoints as SurfacePoints,
     closest_points as closest_points,
     distinct_points as distinct_points,
+    inside as inside,
     ray_intersection as ray_intersection,
     triangle_distances as triangle_distances,
 )

@@ -5,11 +5,16 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from palpate.arrays import fixed_array, lengths
-from palpate.geometry.triangle_mesh import TriangleMesh, bounding_diagonal
+from palpate.geometry.triangle_mesh import (
+    TriangleMesh,
+    bounding_diagonal,
+    split_sides,
+    unit_normals,
+)
 from palpate.shapes import PointIndices, Points, PointScalars, TriangleScalars, Vector3
 
 _POINTS_PER_BLOCK = 4096
@@ -61,6 +66,46 @@ class SurfaceSearch:
             block = slice(begin, begin + _POINTS_PER_BLOCK)
             triangle[block], barycentric[block] = _closest_in_block(self, points[block])
         return _surface_points(self.mesh, triangle, barycentric, points)
+
+
+def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
+    """Which points lie inside a closed surface with outward normals.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh             closed, outward normals
+    points : (n, 3) float [m]
+
+    Returns
+    -------
+    (n,) bool
+
+    Source
+    ------
+    Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal (2005):
+    the sign of the offset from the closest surface point along the pseudonormal of the face, edge
+    or vertex that contains it.
+    """
+    closest = closest_points(mesh, points)
+    normals = unit_normals(mesh)
+    corner = mesh.vertices[mesh.triangles]
+    along = np.roll(corner, -1, axis=1) - corner
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    cosine = -np.einsum("mva,mva->mv", along, np.roll(along, 1, axis=1))
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    at_vertex = np.zeros_like(mesh.vertices)
+    np.add.at(at_vertex, mesh.triangles, angle[:, :, None] * normals[:, None])
+    # An edge's pseudonormal is the sum of its two faces' normals. The normal of one of these faces
+    # alone would give the wrong sign in ties across a sharp edge.
+    zero = closest.barycentric <= 1e-9
+    normal = normals[closest.triangle]
+    on_edge, whole = zero.sum(axis=1) == 1, np.zeros(len(mesh.triangles), dtype=np.int64)
+    side = (zero.argmax(axis=1) + 1) % 3
+    normal[on_edge] += normals[split_sides(mesh, whole).twin[closest.triangle, side][on_edge] // 3]
+    on_vertex = zero.sum(axis=1) == 2
+    nearest = mesh.triangles[closest.triangle, closest.barycentric.argmax(axis=1)]
+    normal[on_vertex] = at_vertex[nearest[on_vertex]]
+    return np.einsum("na,na->n", points - closest.position, normal) < 0.0
 
 
 def _surface_points(

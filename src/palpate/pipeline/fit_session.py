@@ -15,7 +15,7 @@ import numpy as np
 
 from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
 from palpate.errors import InputError
-from palpate.estimation import FitResult, FitSettings, ProbeFit, ProbeObservations, fit
+from palpate.estimation import FitMethod, FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.creep import with_relaxation
@@ -57,9 +57,11 @@ from palpate.records import (
 )
 from palpate.threads import serial_algebra
 
-# Fractions of the work that are done when the graded mesh's model, its factorisation and the
-# estimation start.
-_GRADED, _ASSEMBLED, _FIT_STARTS = 0.4, 0.65, 0.9
+# Fractions of the work that are done when the estimation starts, which takes seconds, or minutes of
+# finite strain or of factorising anew; and of the work before it, when the graded mesh's model and
+# its factorisation start.
+_FIT_STARTS, _LONG_FIT_STARTS = 0.9, 0.03
+_GRADED, _ASSEMBLED = 0.45, 0.72
 # Fraction of the work on the given mesh that its own model takes.
 _OWN = 0.4
 # Further notes are details.
@@ -112,6 +114,11 @@ def fit_session(
             raise InputError("pokes without pictures take --strain small: press less far")
         result = fit_pokes(session, settings=settings, material=material, progress=progress)
         return with_relaxation(session, result)
+    if material is Material.REGIONS and not session.regions:
+        raise InputError(
+            f"{session.path}: has no [[region]] table, but --material regions asks for them: say"
+            " which parts have a modulus of their own"
+        )
     with_regions = session.regions and material in (Material.REGIONS, Material.AUTO)
     if finite_strain and (with_regions or material is Material.FIELD):
         raise InputError(
@@ -136,29 +143,29 @@ def _fit_displacements(
     strains = calibration_strains(session)
     chosen = {"finite_strain": finite_strain, "material": material}
     chosen |= {"lengths": length_error(session, strains)}
-    progress("the given mesh", 0.0)
+    before, last = _parts(progress, settings, finite_strain=finite_strain)
+    before("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
-    report = part_of(progress, 0.0, _GRADED, prefix="the given mesh: ")
+    report = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
     refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, report)
     compared = time.perf_counter()
-    progress("integrals over the surface", _GRADED)
+    before("integrals over the surface", _GRADED)
     graded = graded_session(refined)
-    integrals = part_of(progress, _GRADED, _ASSEMBLED)
+    integrals = part_of(before, _GRADED, _ASSEMBLED)
     model = make_object_model(graded, cache=cache, progress=integrals)
     assembled = time.perf_counter()
-    progress("factorisation", _ASSEMBLED)
+    before("factorisation", _ASSEMBLED)
     observations = converged_observations(
         graded, model, settings=settings, coarser=ungraded, with_surface=True
     )
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
-    last = part_of(progress, _FIT_STARTS, 1.0)
     tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     if finite_strain:
-        result, field = fit(observations, settings=settings, progress=last), None
-        result = fit_at_finite_strain(refined, observations, result, settings, last)
+        linear, field = fit(observations, settings=settings), None
+        result = fit_at_finite_strain(refined, observations, linear, settings, last)
     else:
         result, field = fit_material(material, graded, observations, settings, last, cache, tested)
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
@@ -216,6 +223,15 @@ def prepare_body(
         graded = graded_session(refined)
         model = make_object_model(graded, cache=cache)
         _keep(model, settings, DENSE_RESIDUAL, with_loads=True)
+
+
+def _parts(
+    progress: Progress, settings: FitSettings, *, finite_strain: bool
+) -> tuple[Progress, Progress]:
+    """Progress of the work before the estimation, and of the estimation."""
+    is_long = finite_strain or settings.method == FitMethod.NELDER_MEAD
+    starts = _LONG_FIT_STARTS if is_long else _FIT_STARTS
+    return part_of(progress, 0.0, starts), part_of(progress, starts, 1.0)
 
 
 def _described(session: Session, refined: Session, graded: Session) -> dict[str, Any]:

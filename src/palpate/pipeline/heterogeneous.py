@@ -154,15 +154,9 @@ def fit_material(
 
     Raises
     ------
-    InputError                      regions are asked for, and there are none; a field or regions
-                                    that are not computed for such a session
+    InputError                      a field or regions that are not computed for such a session
     MeshError, NotConvergedError    as `fit_field`, `fit_regions`
     """
-    if material is Material.REGIONS and not session.regions:
-        raise InputError(
-            f"{session.path}: has no [[region]] table, but --material regions asks for them: say"
-            " which parts have a modulus of their own"
-        )
     if session.regions and material in (Material.REGIONS, Material.AUTO):
         return _fit_with_regions(session, observations, settings, progress)
     result = fit(observations, settings=settings, progress=progress)

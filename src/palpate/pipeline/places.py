@@ -11,7 +11,7 @@ from palpate.records import Session, camera_centre
 from palpate.shapes import Points, Vector3
 
 # Number of places that are compared.
-_CANDIDATES = 40
+MOST_PLACES = 40
 # Distance of a contact's centre from creases and rims of held parts, in contact radii.
 _CLEARANCE = 1.3
 # A tool approaches along the surface normal: radius of its shaft and height at which it begins, in
@@ -69,9 +69,9 @@ def reachable_places(session: Session, *, radius: float) -> tuple[Points, Points
     free = _far_from_edges(session, radius) & ~_from_the_support(session, normals)
     taken = np.array([probing.contact.point for probing in session.probings]).reshape(-1, 3)
     free &= cKDTree(taken).query(mesh.vertices)[0] > radius
-    vertices = _spread(mesh.vertices, np.flatnonzero(free), taken, 3 * _CANDIDATES)
+    vertices = _spread(mesh.vertices, np.flatnonzero(free), taken, 3 * MOST_PLACES)
     reachable = [k for k in vertices if _shaft_is_free(mesh, mesh.vertices[k], normals[k], radius)]
-    chosen = np.array(reachable[:_CANDIDATES], dtype=np.int64)
+    chosen = np.array(reachable[:MOST_PLACES], dtype=np.int64)
     return mesh.vertices[chosen], -normals[chosen]
 
 

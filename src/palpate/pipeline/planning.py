@@ -30,7 +30,7 @@ from palpate.pipeline.model.object_model import make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
 from palpate.pipeline.motion.displacement import vertex_field
 from palpate.pipeline.observations import graded_observations, session_observations
-from palpate.pipeline.places import reachable_places
+from palpate.pipeline.places import MOST_PLACES, reachable_places
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BudgetEntry,
@@ -229,7 +229,7 @@ def plan_next(
     Parameters
     ----------
     session : Session               with measured probings; the first under a round patch or a tool
-    count : int                     number of places to choose, at least 1
+    count : int                     number of places to choose, 1 to 40
     fitted : FitResult or None      the fit of this session; None: it is fitted first
     known : NextProbings or None    of the same object with fewer probings: what is left of its
                                     places is compared, without computing again how it moves there
@@ -242,7 +242,7 @@ def plan_next(
 
     Raises
     ------
-    InputError                      a count below 1; no contact radius or displacement in the first
+    InputError                      another count; no contact radius or displacement in the first
                                     probing; no place that a tool can reach
     SingularSystemError, NotConvergedError    as in `fit_session`
 
@@ -251,8 +251,8 @@ def plan_next(
     Fedorov, Theory of Optimal Experiments (1972).
     """
     require_probings(session)
-    if count < 1:
-        raise InputError(f"count is {count}; must be at least 1")
+    if not 1 <= count <= MOST_PLACES:
+        raise InputError(f"count is {count}; must be 1 to {MOST_PLACES}, as many as are compared")
     first = session.probings[0]
     if first.displacement is None or (first.contact.radius is None and first.contact.tool is None):
         raise InputError(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from palpate.arrays import fix_fields
 from palpate.disk import write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.estimation import FitResult, LikelihoodMap, Prediction
@@ -51,10 +52,9 @@ SURFACE_FILE = "surface.npz"
 SURFACE_FORMAT = "palpate-fitted-surface/1"
 # Earlier name of the format, which files of scanned meshes had as well.
 _EARLIER_FORMAT = "palpate-surface/1"
+_CURE, _WRONG = "fit the session again", "is damaged or of another version"
 # Enough for a hundred probings of fifty thousand vertices.
 _MOST_BYTES = 2**30
-# Arrays of a probing with one row for each point; their names follow `NUMBER/`.
-_POINTS = ("points", "displacement", "predicted", "left_out", "sigma", "weight")
 
 
 def write_held_out(folder: Path, predictions: Sequence[Prediction]) -> None:
@@ -132,14 +132,10 @@ def read_modulus(path: Path) -> ModulusMap | None:
     """
     if not path.is_file():
         return None
-    cure = "fit the session again"
-    with stored_arrays(path, cure, what="is damaged or of another version") as kept:
+    with stored_arrays(path, _CURE, what=_WRONG) as kept:
         if str(kept.pop("format")) != MODULUS_FORMAT:
             raise ValueError(f"format is not '{MODULUS_FORMAT}'")
-        try:
-            return ModulusMap(**kept)
-        except InputError as error:
-            raise RecordError(f"{path}: {error}; {cure}") from error
+        return ModulusMap(**kept)
 
 
 def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
@@ -363,6 +359,10 @@ class FittedProbing:
     sigma : (n, 3) float [m]        1 sigma of the measured displacement used in the estimate
     weight : (n, 3) float           robust weight, 0 to 1
     surface : (v, 3) float [m] or None      predicted displacement of every vertex
+
+    Raises
+    ------
+    InputError                      arrays that do not belong together
     """
 
     name: str
@@ -376,6 +376,15 @@ class FittedProbing:
     weight: Points
     surface: Float[np.ndarray, "v 3"] | None
 
+    def __post_init__(self) -> None:
+        fix_fields(self, contact=(3,), force=(3,), points=(None, 3))
+        one = (len(self.points), 3)
+        fix_fields(
+            self, nan_allowed=True, none_allowed=True, displacement=one, predicted=one,
+            left_out=one, sigma=one, weight=one,
+        )  # fmt: skip
+        fix_fields(self, none_allowed=True, surface=(None, 3))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedSurface:
@@ -387,8 +396,12 @@ class FittedSurface:
     vertices : (v, 3) float [m]
     triangles : (m, 3) int
     held : (k,) int                 triangles of the supports
-    probings : tuple of FittedProbing
+    probings : tuple of FittedProbing   one or more
     likelihood : LikelihoodMap
+
+    Raises
+    ------
+    InputError                      arrays that do not belong together, no probing
     """
 
     name: str
@@ -397,6 +410,21 @@ class FittedSurface:
     held: Indices
     probings: tuple[FittedProbing, ...]
     likelihood: LikelihoodMap
+
+    def __post_init__(self) -> None:
+        fix_fields(self, vertices=(None, 3))
+        fix_fields(self, integer=True, triangles=(None, 3), held=(None,))
+        for name, indices, count in (
+            ("triangles", self.triangles, len(self.vertices)),
+            ("held", self.held, len(self.triangles)),
+        ):
+            if indices.min(initial=0) < 0 or indices.max(initial=0) >= count:
+                raise InputError(f"{name} has numbers outside 0 to {count - 1}")
+        if not self.probings:
+            raise InputError("there is no probing; must be one or more")
+        shapes = (each.surface.shape for each in self.probings if each.surface is not None)
+        if any(shape != self.vertices.shape for shape in shapes):
+            raise InputError("surfaces of probings are those of another mesh")
 
 
 def write_fitted_surface(folder: Path, session: Session, result: FitResult) -> None:
@@ -466,10 +494,9 @@ def read_fitted_surface(folder: Path) -> FittedSurface:
     if not path.is_file():
         raise RecordError(
             f"{path}: is not there; was {folder} written by `palpate fit` of an earlier version?"
-            " fit the session again"
+            f" {_CURE}"
         )
-    what = "is damaged or of another version"
-    with stored_arrays(path, "fit the session again", what=what, max_bytes=_MOST_BYTES) as kept:
+    with stored_arrays(path, _CURE, what=_WRONG, max_bytes=_MOST_BYTES) as kept:
         return _surface(kept)
 
 
@@ -516,15 +543,6 @@ def _data_array(name: str, values: np.ndarray) -> str:
 def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:
     if str(kept["format"]) not in (SURFACE_FORMAT, _EARLIER_FORMAT):
         raise ValueError(f"format is '{kept['format']}', not '{SURFACE_FORMAT}'")
-    vertices, triangles, held = kept["vertices"], kept["triangles"], kept["held"]
-    for name, indices, count in (
-        ("triangles", triangles, len(vertices)),
-        ("held", held, len(triangles)),
-    ):
-        if indices.min(initial=0) < 0 or indices.max(initial=0) >= count:
-            raise ValueError(f"its array '{name}' has numbers outside 0 to {count - 1}")
-    if not np.isfinite(vertices).all():
-        raise ValueError("its array 'vertices' has numbers that are not finite")
     probings = [
         _probing(
             str(name),
@@ -533,17 +551,16 @@ def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:
         for number, name in enumerate(kept["probings"], start=1)
         if f"{number}/points" in kept
     ]
-    if any(each.surface is not None and each.surface.shape != vertices.shape for each in probings):
-        raise ValueError("surfaces of probings are those of another mesh")
     likelihood = LikelihoodMap(
         *(kept[f"likelihood/{key}"] for key in ("poisson_ratio", "shear_modulus", "deviance"))
     )
-    return FittedSurface(str(kept["name"]), vertices, triangles, held, tuple(probings), likelihood)
+    return FittedSurface(
+        str(kept["name"]), kept["vertices"], kept["triangles"], kept["held"], tuple(probings),
+        likelihood,
+    )  # fmt: skip
 
 
 def _probing(name: str, arrays: dict[str, np.ndarray]) -> FittedProbing:
-    if len({len(arrays[key]) for key in _POINTS if key in arrays}) != 1:
-        raise ValueError(f"arrays of probing '{name}' differ in length")
     return FittedProbing(
         name=name,
         left_out=arrays.get("left_out"),

@@ -69,6 +69,8 @@ _DEGREE = 40
 _CONVERGED, _MOST_ROUNDS = 1e-6, 40
 # Distance over the radius within which the pressure under a tip is taken as constant.
 _NEAREST = 1e-6
+# Distance over the radius within which the surface is raised as there: changes a circle by 1e-4.
+_TIP = 0.1
 Distances = Float[np.ndarray, "*n"]
 # Of the gap before the contact, at distances from the axis [m], about a circle of a radius [m].
 Slope = Callable[[Distances, float], Distances]
@@ -242,7 +244,9 @@ def _on_circle(
 
         def slope(r: Distances, circle: float, pressure: ToolTraction = traction) -> Distances:
             own = tool.slope(r)
-            pulled = pressure.mean(r / circle) if tool.friction != STICKS else 0.0
+            # At a tip what is pulled has no bound, and rounds would not settle.
+            near = np.maximum(r / circle, _TIP)
+            pulled = pressure.mean(near) if tool.friction != STICKS else 0.0
             return own * (1.0 + raised * pulled) + curvature * r
 
         previous, radius = radius, largest
@@ -262,7 +266,10 @@ def _on_circle(
         approach -= raised * radius * float(traction.potential[0])
         if abs(radius - previous) < _CONVERGED * radius:
             return ToolContact(radius, traction, approach)
-    raise NotConvergedError("the circle that a tool touches did not settle")
+    raise NotConvergedError(
+        "the circle that a tool touches did not settle: it is too steep to slide on so compressible"
+        ' a material; say friction = "sticks", or give the contact\'s radius and profile'
+    )
 
 
 def _raised(poisson_ratio: float) -> float:
@@ -354,7 +361,10 @@ def _on_grid(
         if abs(radius - previous) < _CONVERGED_ON_GRID * radius:
             break
     else:
-        raise NotConvergedError(f"the contact of a {tool.shape} was not found on any square")
+        raise NotConvergedError(
+            f"the contact of a {tool.shape} was not found on any square: parts of it are too fine"
+            " for its size; check its lengths, or give the contact's radius and profile"
+        )
     _check_near_centre(x[touched], y[touched])
     return ToolContact(radius, traction, approach)
 

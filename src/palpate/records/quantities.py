@@ -373,7 +373,8 @@ def error_texts(error: ErrorEstimate) -> tuple[str, str, str]:
     (str, str, str)                 relative errors in per cent, lengths in mm, angles in degrees,
                                     compliances in mm/MPa
     """
-    factor, unit = _ERROR_UNITS[error.unit]
+    # A later version may know more units.
+    factor, unit = _ERROR_UNITS.get(error.unit, (1.0, error.unit))
     value, std, prior = (factor * x for x in (error.value, error.std, error.prior_std))
     decimals = _decimals(std, value)
     # Two digits, never as a power of ten.

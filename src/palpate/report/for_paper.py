@@ -10,6 +10,7 @@ from palpate.pipeline import FittedSurface, read_fitted_surface
 from palpate.records import (
     CONSTANT_NAMES,
     Estimate,
+    TomlTable,
     budget_text,
     constant_row,
     read_estimate,
@@ -31,10 +32,15 @@ def write_for_paper(folder: Path, result: Path) -> None:
 
     Raises
     ------
-    RecordError                     a file of the result is missing or cannot be read
+    RecordError                     a file of the result is missing, cannot be read, or does not
+                                    say what the text needs
     """
-    estimate, surface = read_estimate(result / "estimate.json"), read_fitted_surface(result)
-    write_text(folder / "methods.txt", _methods(estimate, surface))
+    file = result / "estimate.json"
+    estimate, surface = read_estimate(file), read_fitted_surface(result)
+    settings = TomlTable(file, "[settings]", dict(estimate.settings))
+    if not {"errors", "noise"} <= estimate.settings.keys():
+        settings.fail("", "do not say the errors or the noise, as of an earlier version; fit again")
+    write_text(folder / "methods.txt", _methods(estimate, surface, settings))
     write_text(folder / "constants.tex", _latex(estimate))
     rows = []
     for name in CONSTANT_NAMES:
@@ -47,7 +53,7 @@ def write_for_paper(folder: Path, result: Path) -> None:
     write_text(folder / "probings.csv", _probings(estimate, surface))
 
 
-def _methods(estimate: Estimate, surface: FittedSurface) -> str:
+def _methods(estimate: Estimate, surface: FittedSurface, settings: TomlTable) -> str:
     """What was measured, with what model, how it was fitted, what came out, a paragraph each."""
     areas = triangle_areas(TriangleMesh(surface.vertices, surface.triangles))
     held = 100.0 * areas[surface.held].sum() / areas.sum()
@@ -77,26 +83,26 @@ def _methods(estimate: Estimate, surface: FittedSurface) -> str:
         f" taken as {kind}, isotropic and linearly elastic, {strain}, and modelled by boundary"
         f" elements on a closed surface of {len(surface.vertices)} vertices, {held:.2g} % of which"
         " was held.\n\n"
-        f"{_fitted_together(estimate)} {outliers} outliers were excluded. Intervals hold the noise,"
+        f"{_fitted_together(settings)} {outliers} outliers were excluded. Intervals hold the noise,"
         " these errors, the scatter between probings and the error of the mesh.\n\n"
         f"{verdict_text(estimate)}{''.join(sources)}\n"
     )
 
 
-def _fitted_together(estimate: Estimate) -> str:
+def _fitted_together(settings: TomlTable) -> str:
     """The errors that points and probings share, with their priors, and the noise."""
-    errors = estimate.settings["errors"]
-    turn = np.rad2deg(errors["pose_rotation"])
+    std = settings.table("errors", f"{settings.name} errors").number
+    turn = np.rad2deg(std("pose_rotation"))
     priors = (
-        f"gain of the force sensor {100.0 * errors['force_gain']:.2g} %",
-        f"contact points {1e3 * errors['contact_point']:.2g} mm",
-        f"pose {1e3 * errors['pose_translation']:.2g} mm, {turn:.2g} degrees",
-        f"lengths {100.0 * errors['length_scale']:.2g} %",
+        f"gain of the force sensor {100.0 * std('force_gain'):.2g} %",
+        f"contact points {1e3 * std('contact_point'):.2g} mm",
+        f"pose {1e3 * std('pose_translation'):.2g} mm, {turn:.2g} degrees",
+        f"lengths {100.0 * std('length_scale'):.2g} %",
     )
     return (
         "Shear modulus and Poisson's ratio were fitted together with the errors that points and"
         f" probings share, which had priors (1 sigma): {', '.join(priors)}. The size of the noise"
-        f" ({estimate.settings['noise']}) was estimated from the residuals;"
+        f" ({settings.text('noise')}) was estimated from the residuals;"
     )
 
 

@@ -17,7 +17,7 @@ from PIL import Image
 from palpate.disk import write_bytes
 from palpate.estimation import FitResult
 from palpate.figures import write_plots
-from palpate.files import read_bytes
+from palpate.files import read_bytes, read_errors
 from palpate.pipeline import (
     FittedSurface,
     pooled,
@@ -175,7 +175,11 @@ def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
     files = sorted(every, key=lambda file: (order.get(file.stem, math.inf), file.name))
     for number, file in enumerate(files):
         packed = io.BytesIO()
-        with Image.open(io.BytesIO(read_bytes(file))) as picture:
+        content = io.BytesIO(read_bytes(file))
+        with (
+            read_errors(file, "fit the session again", what="is no whole picture"),
+            Image.open(content) as picture,
+        ):
             picture.convert("RGB").save(packed, "WEBP", quality=_QUALITY, method=4)
         text = base64.b64encode(packed.getvalue()).decode()
         size += len(text)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 
 from palpate.errors import InputError, NotConvergedError
-from palpate.geometry import TriangleMesh, convex_planes
+from palpate.geometry import TriangleMesh, convex_planes, inside
 from palpate.shapes import Matrix3, Vector3, Vertices
 from palpate.simulation.contact_response import (
     FACES,
@@ -27,7 +27,6 @@ from palpate.simulation.contact_response import (
 )
 from palpate.simulation.green_functions import GreenFunctions
 from palpate.simulation.settle import add_resultants, settle, tool_gap
-from palpate.solids import inside
 
 # Tolerance relative to the largest nodal force, and largest number of rounds to reach it.
 _TOLERANCE, _MAX_ROUNDS = 1e-9, 120

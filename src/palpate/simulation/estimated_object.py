@@ -21,6 +21,7 @@ from palpate.geometry import (
 )
 from palpate.pipeline import outward_pushes, poke_session
 from palpate.probe import ContactPatch, find_contact_patch
+from palpate.progress import Progress, silent
 from palpate.records import RIGID, Estimate, ModulusMap, Probing, Session
 from palpate.shapes import Points, Vector3
 from palpate.solids import (
@@ -335,7 +336,9 @@ def check_edge(mesh: TriangleMesh, edge: float | None) -> None:
     check_solid_size(mesh, edge)
 
 
-def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> SolidModel:
+def make_solid_model(
+    body: EstimatedObject, *, edge: float | None = None, progress: Progress = silent
+) -> SolidModel:
     """Fill an object with tetrahedra, finer under its push.
 
     Parameters
@@ -343,6 +346,7 @@ def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> Sol
     body : EstimatedObject
     edge : float or None [m]        of the quadratic tetrahedra away from the contact; None: nine
                                     along the cube root of the volume
+    progress : callable
 
     Returns
     -------
@@ -359,7 +363,8 @@ def make_solid_model(body: EstimatedObject, *, edge: float | None = None) -> Sol
     if push is not None and push.radius is not None:
         fine = [(push.point, _FINE_REACH * push.radius, push.radius / _ALONG_CONTACT)]
     usual = float(np.cbrt(enclosed_volume(session.mesh))) / _ALONG_BODY
-    solid = make_solid(session.mesh, edge=usual if edge is None else edge, fine=fine)
+    edge = usual if edge is None else edge
+    solid = make_solid(session.mesh, edge=edge, fine=fine, progress=progress)
     empty = np.zeros_like(solid.nodes)
     model = SolidModel(
         body, solid, linear_tetrahedra(solid), held_nodes(solid, session.held_triangles), empty,

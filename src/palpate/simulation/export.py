@@ -14,7 +14,7 @@ from palpate.pipeline import (
     read_modulus,
     with_motions,
 )
-from palpate.progress import Progress, silent
+from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     CONSTANT_NAMES,
     INPUTS_FILE,
@@ -46,6 +46,9 @@ from palpate.simulation.estimated_object import (
 from palpate.simulation.laws import prony
 from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
 from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPENUSD
+
+# Fractions of the work that are done when the push is known, and when the body is filled.
+_PUSHED, _FILLED = 0.02, 0.95
 
 EXPORT_FORMAT = "palpate-export/1"
 # To add a simulator: a file with its `Format`, and one line here.
@@ -245,7 +248,7 @@ def export_fit(
     form = FORMATS[to]
     check_edge(source.session.mesh, edge)
     material, changed = written_material(form, estimated_material(source.estimate))
-    progress("the push in the boundary element model", 0.1)
+    progress("the push in the boundary element model", 0.0)
     body = make_estimated_object(
         source.session, source.estimate, material, modulus=source.modulus, probe=probe, cache=cache
     )
@@ -262,13 +265,13 @@ def export_fit(
     body = replace(body, notes=(*source.notes, *notes, *body.notes))
     model = None
     if form.of_surface is not None:
-        progress(f"files of {form.title}", 0.5)
+        progress(f"files of {form.title}", _PUSHED)
         if left_out := form.of_surface(folder, body):
             body = replace(body, notes=(*body.notes, left_out))
     elif form.of_solid is not None:
-        progress("tetrahedra", 0.4)
-        model = make_solid_model(body, edge=edge)
-        progress(f"files of {form.title}", 0.8)
+        report = part_of(progress, _PUSHED, _FILLED)
+        model = make_solid_model(body, edge=edge, progress=report)
+        progress(f"files of {form.title}", _FILLED)
         form.of_solid(folder, model)
     write_text(folder / "palpate.json", _facts(form, body, model))
     write_text(folder / "README.txt", _readme(form, body, model))

@@ -50,7 +50,6 @@ from palpate.solids.sizes import (
 from palpate.solids.tetrahedra import (
     Solid as Solid,
     boundary_surface as boundary_surface,
-    inside as inside,
     make_solid as make_solid,
     quadratic_solid as quadratic_solid,
 )

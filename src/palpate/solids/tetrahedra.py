@@ -26,10 +26,12 @@ from palpate.geometry import (
     checked_mesh,
     closest_points,
     half_edges,
+    inside,
     is_outer,
     split_sides,
     unit_normals,
 )
+from palpate.progress import Progress, part_of, silent
 from palpate.shapes import Points, PointScalars
 from palpate.solids.sizes import check_solid_size
 
@@ -42,6 +44,9 @@ FACES = np.array([[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [0, 3, 2, 7, 9, 6], [1
 # the body: they fill the gap between the two triangulations of a quadrilateral.
 _MIN_SHAPE = 0.1
 _SMOOTHING_ROUNDS = 6
+# Shares of the work, about: where all points are placed, and where tetrahedra fill the body; chunks
+# in which interior points are tested.
+_PLACED, _FILLED, _CHUNKS = 0.07, 0.95, 10
 # Shape functions of a six-node triangle at its centre.
 _CENTRE = np.array([-1.0, -1.0, -1.0, 4.0, 4.0, 4.0]) / 9.0
 # Nodes of the four triangles into which the midside nodes divide a six-node triangle.
@@ -112,6 +117,7 @@ def make_solid(
     fine: Sequence[tuple[Float[np.ndarray, "3"], float, float]] = (),
     marked: Float[np.ndarray, "k 3"] = _NONE,
     walls: Sequence[TriangleMesh] = (),
+    progress: Progress = silent,
 ) -> Solid:
     """Fill a closed surface with quadratic tetrahedra.
 
@@ -128,6 +134,7 @@ def make_solid(
                                       sharp edge than about an element's edge
     walls : sequence of TriangleMesh  closed surfaces that elements follow where these are well
                                       inside the body: they cut nearly none
+    progress : callable
 
     Returns
     -------
@@ -160,12 +167,14 @@ def make_solid(
     shell = _surface_points(mesh, spacing, closest_points(mesh, marked).position)
     wall = np.concatenate([_NONE, *(_surface_points(each, spacing, _NONE) for each in walls)])
     wall = _thinned(_well_inside(mesh, wall, spacing), spacing)
-    inner = _volume_points(mesh, spacing, np.concatenate([shell, wall]), walls)
+    report = part_of(progress, 0.0, _PLACED)
+    inner = _volume_points(mesh, spacing, np.concatenate([shell, wall]), walls, report)
     if len(shell) < 4 or not len(inner):
         raise MeshError(
             f"an edge of {1e3 * edge:.3g} mm leaves no point inside the body; use a smaller edge"
         )
-    points, tetrahedra = _tetrahedra(mesh, shell, wall, inner, spacing)
+    report = part_of(progress, _PLACED, _FILLED)
+    points, tetrahedra = _tetrahedra(mesh, shell, wall, inner, spacing, report)
     return quadratic_solid(points, tetrahedra, mesh=mesh, largest=_MAX_DEVIATION * edge)
 
 
@@ -288,11 +297,13 @@ def _tetrahedra(
     wall: Float[np.ndarray, "w 3"],
     inner: Float[np.ndarray, "k 3"],
     spacing: _Spacing,
+    progress: Progress,
 ) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "m 4"]]:
     """Delaunay tetrahedra that fill the body, with smoothed interior points."""
     count, fixed = len(shell), len(shell) + len(wall)
     points = np.concatenate([shell, wall, inner])
     for step in range(_SMOOTHING_ROUNDS + 1):
+        progress("tetrahedra", step / (_SMOOTHING_ROUNDS + 1))
         cells = Delaunay(points).simplices.astype(np.int64)
         cells = _inner_cells(mesh, points, cells, count)
         if step == _SMOOTHING_ROUNDS:
@@ -338,11 +349,16 @@ def _inner_cells(
     keep[surface_only[not_flat][~inside(mesh, centre)]] = False
     cells = cells[keep]
     while True:
-        outer = is_outer(cells[:, FACES[:, :3]].reshape(-1, 3)).reshape(-1, 4).sum(axis=1)
-        peel = (cells < count).all(axis=1) & (outer >= 1) & (_shape(points[cells]) < _MIN_SHAPE)
-        if not peel.any():
+        flat = np.flatnonzero((cells < count).all(axis=1))
+        flat = flat[_shape(points[cells[flat]]) < _MIN_SHAPE]
+        faces = cells[:, FACES[:, :3]].reshape(-1, 3)
+        # Of faces between surface points alone: the others are no faces of flat cells.
+        rows = np.flatnonzero((faces < count).all(axis=1))
+        outer = np.unique(rows[is_outer(faces[rows])] // 4)
+        peel = np.intersect1d(flat, outer)
+        if not len(peel):
             return cells
-        cells = cells[~peel]
+        cells = np.delete(cells, peel, axis=0)
 
 
 def _make_spacing(edge: float, fine: Sequence[tuple[np.ndarray, float, float]]) -> _Spacing:
@@ -410,7 +426,11 @@ def _surface_points(
 
 
 def _volume_points(
-    mesh: TriangleMesh, spacing: _Spacing, shell: Points, walls: Sequence[TriangleMesh]
+    mesh: TriangleMesh,
+    spacing: _Spacing,
+    shell: Points,
+    walls: Sequence[TriangleMesh],
+    progress: Progress,
 ) -> Float[np.ndarray, "k 3"]:
     """Points inside a closed surface, at a distance from the points on it and on walls.
 
@@ -420,6 +440,7 @@ def _volume_points(
     spacing : (n, 3) -> (n,) [m]        of `_make_spacing`
     shell : (n, 3) float [m]            the points on the surface and on walls
     walls : sequence of TriangleMesh
+    progress : callable
 
     Returns
     -------
@@ -442,7 +463,11 @@ def _volume_points(
     points = _thinned(points[distance > _OFF_SURFACE * spacing(points)], spacing)
     for wall in walls:
         points = _off(wall, points, spacing)
-    return _well_inside(mesh, points, spacing)
+    within = []
+    for k, chunk in enumerate(np.array_split(points, _CHUNKS)):
+        progress("points inside the body", k / _CHUNKS)
+        within.append(_well_inside(mesh, chunk, spacing))
+    return np.concatenate(within)
 
 
 def _well_inside(
@@ -457,46 +482,6 @@ def _off(
     """Points at a distance from a surface."""
     gap = closest_points(mesh, points).distance
     return points[gap > _OFF_SURFACE * spacing(points)]
-
-
-def inside(mesh: TriangleMesh, points: Points) -> Bool[np.ndarray, " n"]:
-    """Which points lie inside a closed surface with outward normals.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh             closed, outward normals
-    points : (n, 3) float [m]
-
-    Returns
-    -------
-    (n,) bool
-
-    Source
-    ------
-    Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal (2005):
-    the sign of the offset from the closest surface point along the pseudonormal of the face, edge
-    or vertex that contains it.
-    """
-    closest = closest_points(mesh, points)
-    normals = unit_normals(mesh)
-    corner = mesh.vertices[mesh.triangles]
-    along = np.roll(corner, -1, axis=1) - corner
-    along /= np.linalg.norm(along, axis=2, keepdims=True)
-    cosine = -np.einsum("mva,mva->mv", along, np.roll(along, 1, axis=1))
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    at_vertex = np.zeros_like(mesh.vertices)
-    np.add.at(at_vertex, mesh.triangles, angle[:, :, None] * normals[:, None])
-    # An edge's pseudonormal is the sum of its two faces' normals. The normal of one of these faces
-    # alone would give the wrong sign in ties across a sharp edge.
-    zero = closest.barycentric <= 1e-9
-    normal = normals[closest.triangle]
-    on_edge = zero.sum(axis=1) == 1
-    side = (zero.argmax(axis=1) + 1) % 3
-    normal[on_edge] += normals[_sides(mesh).twin[closest.triangle, side][on_edge] // 3]
-    on_vertex = zero.sum(axis=1) == 2
-    nearest = mesh.triangles[closest.triangle, closest.barycentric.argmax(axis=1)]
-    normal[on_vertex] = at_vertex[nearest[on_vertex]]
-    return np.einsum("na,na->n", points - closest.position, normal) < 0.0
 
 
 def _crease_candidates(mesh: TriangleMesh, spacing: _Spacing) -> Points:

@@ -283,15 +283,3 @@ def test_a_disk_that_fills_up_leaves_nothing(palpate, measured, session, tmp_pat
     assert code == 2
     assert "cube-flow: cannot be written (No space left on device); nothing was changed" in err
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
-
-
-def test_a_rate_is_shown_when_it_can_be_known(monkeypatch):
-    clock = iter([10.0, 10.5, 14.0, 14.0])
-    monkeypatch.setattr(flow_command.time, "perf_counter", lambda: next(clock))
-    shown = []
-    report = flow_command._with_rate(lambda stage, share: shown.append((stage, share)), 20)
-    report("n01", 0.1)
-    report("n[b]", 0.5)
-    report("n03", 0.0)
-    # Half of twenty in four seconds.
-    assert shown == [("n01", 0.1), ("n[b] (2.5 motions/s)", 0.5), ("n03", 0.0)]

@@ -132,7 +132,7 @@ def calibrate(
     baseline_length = None if baseline is None else metres_from_text(baseline, name="--baseline")
     destination = out or default_folder(pictures, "rig")
     with result_folder(destination, kind="calibrate", force=force) as folder:
-        with progress_bar() as progress:
+        with progress_bar("fewer pictures: some 20 of each camera do") as progress:
             calibration = _calibrate(pictures, targets, folder, progress)
         lengths = "" if baseline_length is None else baseline_text(calibration, baseline_length)
         frame = None if table is None else board_frame(calibration, targets, table)
@@ -256,7 +256,7 @@ def calibrate_object(
             for pattern in (instants if refine else instants[:1])
             for camera in given.cameras
         ]
-        with progress_bar() as progress:
+        with progress_bar("fewer pictures, or leave --refine out") as progress:
             view = view_object(
                 given, surface, instants, known=known, refine=refine, progress=progress
             )

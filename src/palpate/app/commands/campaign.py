@@ -91,7 +91,7 @@ def run(
     items = read_items(sessions)
     folder = out or Path(f"{sessions.resolve().stem}-campaign")
     options = FitOptions(poisson_range, surface, strain, pose)
-    with progress_bar() as progress:
+    with progress_bar("more --workers, or a --scheduler", resumes=True) as progress:
         rows = run_campaign(
             items, folder, options=options, scheduler=scheduler, workers=workers,
             insecure=insecure, progress=progress,

@@ -159,7 +159,8 @@ def fit(
     settings = FitSettings(method=method, poisson_range=poisson_range)
     # The target is tried first: no one should wait for a result that cannot be kept.
     target = out or default_folder(session, "result")
-    with result_folder(target, kind="fit", force=force) as folder, progress_bar() as bar:
+    bar_of = progress_bar(_shorter(strain, method))
+    with result_folder(target, kind="fit", force=force) as folder, bar_of as bar:
         bar("reading", 0.0)
         given = _read(session, probe, hold_out or [])
         given = replace(given, smooth=surface == "smooth")
@@ -201,6 +202,13 @@ def fit(
         print_message(estimate.status.advice)
         return NOT_OK
     return 0
+
+
+def _shorter(strain: str, method: str) -> str:
+    """What makes a fit shorter."""
+    slow = {"--strain small": strain == "finite", "--method reduced": method == "nelder-mead"}
+    words = [word for word, is_slow in slow.items() if is_slow]
+    return ", ".join([*words, "fewer probings (--probe)", "or a coarser mesh"])
 
 
 def _read(session: Path, probe: list[str] | None, names: list[str]) -> Session:

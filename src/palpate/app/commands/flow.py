@@ -30,7 +30,6 @@ from palpate.pipeline import (
     write_flow_document,
     write_motion,
 )
-from palpate.progress import Progress
 from palpate.records import (
     Rig,
     Session,
@@ -48,8 +47,7 @@ if TYPE_CHECKING:
 else:
     # The names that are registered; a type checker cannot read them.
     MethodName = Literal[tuple(FLOW_METHODS)]
-# Before this a rate says more about the start than about the work [s].
-_MIN_RATE_SECONDS = 1.0
+_SHORTER = "a larger --step, a smaller --subset, fewer probings (--probe)"
 
 
 def flow(
@@ -112,10 +110,9 @@ def flow(
         record_inputs(folder, session_files(session))
         print_notes(given.notes)
         start, names = time.perf_counter(), motion_names(given)
-        with progress_bar() as progress:
-            report = _with_rate(progress, len(names))
+        with progress_bar(_SHORTER, resumes=True) as progress:
             motions = measured_motions(
-                given, method=chosen, pose=pose, progress=report, parts=parts_folder(folder)
+                given, method=chosen, pose=pose, progress=progress, parts=parts_folder(folder)
             )
             stems = file_stems(names, kind="motion")
             written = _write(folder, given, motions, stems, pictures=not no_pictures)
@@ -231,16 +228,3 @@ def _print_failures(figures: Sequence[MotionFigures]) -> int:
     for name, failure in failures.items():
         print_message(f"{name}: {failure}")
     return len(failures)
-
-
-def _with_rate(progress: Progress, count: int) -> Progress:
-    """The callback with the motions a second so far behind what is being done."""
-    start = time.perf_counter()
-
-    def report(stage: str, fraction: float) -> None:
-        seconds = time.perf_counter() - start
-        known = seconds > _MIN_RATE_SECONDS and fraction > 0.0
-        rate = f" ({fraction * count / seconds:.2g} motions/s)" if known else ""
-        progress(stage + rate, fraction)
-
-    return report

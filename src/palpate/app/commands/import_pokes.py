@@ -11,6 +11,7 @@ from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.recording import Pokes, height_field, read_pokes, write_pokes
 from palpate.records import (
     LENGTH_UNITS,
+    MODULUS_RANGE,
     TOOLS,
     modulus_unit,
     quantity,
@@ -108,12 +109,18 @@ def import_pokes(
         pokes = read_pokes(samples, tip)
     except InputError as error:
         raise InputError(f"{table}: {error}") from error
+    modulus = pokes.young_modulus(tip)
+    if not MODULUS_RANGE[0] <= modulus <= MODULUS_RANGE[1]:
+        raise InputError(
+            f"{table}: the pokes mean a Young's modulus of {modulus:.2g} Pa, which no material has;"
+            " check --force-unit, --length-unit, --tool-radius, and which column is the force"
+        )
     mesh = _surface(pokes, thickness, margin, surface, surface_unit)
     target = out or Path(f"{table.stem}-session")
     with result_folder(target, kind="import-pokes", force=force) as folder:
         write_pokes(folder, pokes, mesh, tip, table.stem)
         record_inputs(folder, [table, *([] if surface is None else [surface])])
-    print_notes(_notes(pokes, samples.without_number, pokes.young_modulus(tip)))
+    print_notes(_notes(pokes, samples.without_number, modulus))
     print_text(
         f"{len(pokes.number)} pokes, {pokes.samples} samples, in {target}; next: palpate fit"
         f" {target} --material field"

@@ -48,6 +48,7 @@ _DOTS_PER_SQUARE = 80
 ALL = "all"
 # Sessions stay in the result, so that a figure can be followed to its pictures.
 _SESSIONS = "sessions"
+_SHORTER = "more --workers, smaller pictures, fewer probings or steps, a larger `element`"
 _NEEDED = ("distributed", "cryptography")
 
 
@@ -109,7 +110,7 @@ def lab(
         record_inputs(folder, session_files(file))
         variant = choose_variant()
         with (
-            progress_bar() as progress,
+            progress_bar(_SHORTER, resumes=True) as progress,
             distribution(scheduler, workers, insecure=insecure) as distribute,
             errors_named,
         ):
@@ -221,7 +222,7 @@ def reproduce(
     with result_folder(target, kind="reproduce", force=force) as folder:
         variant = choose_variant()
         with (
-            progress_bar() as progress,
+            progress_bar("--quick, or more --workers", resumes=True) as progress,
             distribution(scheduler, workers, insecure=insecure, by_default=True) as distribute,
         ):
             parts = parts_folder(folder)

@@ -60,7 +60,7 @@ def plan(
     next
         Suggest where to push next. This is what the command does, with or without the flag.
     count
-        Number of places to suggest.
+        Number of places to suggest, 40 at most.
     out
         Folder for the picture. Default: the session's folder name followed by -next, in the current
         folder.
@@ -78,7 +78,7 @@ def plan(
         given = read_session(session, allow=check_memory)
         record_inputs(folder, session_files(session))
         print_notes(given.notes)
-        with progress_bar() as progress:
+        with progress_bar("a coarser mesh") as progress:
             measured = with_pictures_measured(given, progress=progress)
             planned = plan_next(measured, count=count, progress=progress)
             save_figure(next_probings_figure(given.name, planned), folder / "next.png")
@@ -132,7 +132,7 @@ def plan_pictures(
         record_inputs(folder, session_files(session))
         print_notes(given.notes)
         variant = choose_variant()
-        with progress_bar() as progress:
+        with progress_bar("smaller pictures, or fewer probings") as progress:
             planned = plan_measurement(
                 given,
                 young_modulus=young_modulus,

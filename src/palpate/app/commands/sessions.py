@@ -166,7 +166,7 @@ def record(
     given = read_recording(recording)
     destination = out or default_folder(given.path.parent, "session")
     with result_folder(destination, kind="record", force=force) as folder:
-        with progress_bar() as progress:
+        with progress_bar("shorter videos, or fewer pictures a second") as progress:
             presses = find_presses(given, progress=part_of(progress, 0.0, 0.6))
             placed = write_recorded(folder, given, presses, progress=part_of(progress, 0.6, 1.0))
         save_drawing(recording_figure(presses, given.name), folder / "recording.png")

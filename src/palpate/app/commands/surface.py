@@ -96,7 +96,7 @@ def mesh(
         _check_size(file, given, length_unit)
         points = None if near is None else read_points(near, metres_per_unit=unit)
         try:
-            with progress_bar() as progress:
+            with progress_bar("fewer --vertices") as progress:
                 made = prepare_surface(
                     given, vertices=vertices, near=points, support=plane, progress=progress
                 )
@@ -148,7 +148,7 @@ def scan(
     """
     destination = out or default_folder(scan if scan.is_dir() else scan.parent, "mesh")
     with result_folder(destination, kind="scan", force=force) as folder:
-        with progress_bar() as progress:
+        with progress_bar("fewer views, or fewer --vertices") as progress:
             read = read_scan(scan, progress=part_of(progress, 0.0, 0.6))
             record_inputs(folder, read.files if near is None else [*read.files, near])
             points = None

@@ -138,7 +138,7 @@ def poke(
     contact = tool_contact(given, np.array(at), radius)
     points = None if interior is None else np.array(interior)
     given = replace(given, smooth=surface == "smooth")
-    with progress_bar() as progress:
+    with progress_bar("a coarser mesh, or --cache for another time") as progress:
         state = poke_session(
             given, np.array(force), contact, shear_modulus=shear, poisson_ratio=ratio,
             modulus=modulus, interior=points, cache=cache, progress=progress,
@@ -215,7 +215,7 @@ def view(
         write_screenshot(subject_read, screenshot, probe=probe)
         print_text(f"Picture in {screenshot}", wrapped=False)
     if turntable is not None:
-        with progress_bar() as progress:
+        with progress_bar("a coarser mesh") as progress:
             write_turntable(subject_read, turntable, probe=probe, progress=progress)
         print_text(f"Film in {turntable}", wrapped=False)
     if screenshot is None and turntable is None:
@@ -273,7 +273,7 @@ def export(
     with result_folder(target, kind=f"export --to {to}", force=force) as folder:
         source = read_fit(result, session)
         record_inputs(folder, source.files)
-        with progress_bar() as progress:
+        with progress_bar("a larger --edge") as progress:
             body = export_fit(
                 folder, source, to, probe=probe, edge=edge, cache=cache, progress=progress
             )

@@ -97,8 +97,8 @@ _UNDER_A_FACE = (
 _OTHER_LAWS = 0.3
 # Edge ratio of the coarser elements: the error, of second order, is about the change from these.
 _COARSER = 1.4
-# Fraction of the work that the coarser elements take.
-_ROUGH = 0.35
+# Fractions of the work that are done with the coarser elements, and with those by another law.
+_ROUGH, _OTHER = 0.2, 0.3
 # Element size away from the tools over the mean edge of the mesh; element size under a tool and the
 # radius of that region, over the contact radius.
 _COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
@@ -211,9 +211,12 @@ def fit_at_finite_strain(
     used = _Used(observations, settings)
     body, report = make_finite_body(session, coarser=_COARSER), part_of(progress, 0.0, _ROUGH)
     rough, coarse = _converged(body, used, linear, report, stiffens=True)
-    other = strain_corrections(body, coarse[0].constants, law=SplitNeoHookean, starts=coarse)
+    report = part_of(progress, _ROUGH, _OTHER)
+    other = strain_corrections(
+        body, coarse[0].constants, law=SplitNeoHookean, starts=coarse, progress=report
+    )
     used = replace(used, coarser=tuple(zip(coarse, other, strict=True)))
-    body, report = make_finite_body(session), part_of(progress, _ROUGH, 1.0)
+    body, report = make_finite_body(session), part_of(progress, _OTHER, 1.0)
     result, found = rough, estimated_stiffening(rough)
     starts: tuple[Correction, ...] = ()
     shown = found.value > _HOPELESS * found.std
@@ -411,7 +414,7 @@ def _converged(
     result, now = start, _constants(start, stiffens=stiffens)
     for iteration in range(_MOST_ROUNDS):
         before = now
-        report = part_of(progress, iteration / _MOST_ROUNDS, (iteration + 1) / _MOST_ROUNDS)
+        report = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
         starts = strain_corrections(body, before, starts=starts, progress=report)
         corrected = [
             corrected_observations(observed, correction, rough, stiffens=stiffens)
@@ -478,12 +481,8 @@ def corrected_observations(
     tip, fixed = observed.tip_displacement, _taken_off(correction, stiffens=stiffens)
     along = now.shear_modulus * observed.force / float(observed.force @ observed.force)
     by_modulus, by_ratio = (each.ravel() for each in correction.slope[:2])
-    response = _FiniteResponse(
-        observed.response,
-        now.poisson_ratio,
-        np.outer(-by_modulus, along),
-        np.outer(by_ratio, along),
-    )
+    by_force = np.outer(-by_modulus, along), np.outer(by_ratio, along)
+    response = _FiniteResponse(observed.response, now.poisson_ratio, *by_force)
     errors = [_error(observed.name, correction, rough)]
     if stiffens:
         parameter = NuisanceParameter(STIFFENS, STIFFENING_STD, is_material=True)
@@ -515,8 +514,7 @@ def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisanc
         NuisanceParameter(f"{of} (in steps {step})", std, of="finite strain")
         for of, step, std, _ in errors
     )
-    steps = [std * moved.ravel() for *_, std, moved in errors]
-    moved = np.stack(steps, axis=1)
+    moved = np.stack([std * step.ravel() for *_, std, step in errors], axis=1)
     return Nuisance(tuple(parameters), lambda at: fixed_displacement(moved[at.rows], at))
 
 
@@ -533,10 +531,8 @@ def _with_correction(probe: ProbeFit, taken_off: Points) -> ProbeFit:
 
 def _size_note(observations: Sequence[ProbeObservations], corrections: Sequence[Correction]) -> str:
     """How large the corrections are, in words."""
-    shares = [
-        _share(observed, correction.value)
-        for observed, correction in zip(observations, corrections, strict=True)
-    ]
+    pairs = zip(observations, corrections, strict=True)
+    shares = [_share(observed, correction.value) for observed, correction in pairs]
     worst = int(np.argmax(shares))
     overall = float(np.sqrt(np.mean(np.square(shares))))
     return (

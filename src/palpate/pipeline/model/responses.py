@@ -43,6 +43,9 @@ from palpate.pipeline.model.supports import (
 _SLOPE_STEP = 1e-4
 # Degrees of the series tried, and the coefficient over the largest below which they end: well below
 # the error of a reduced model.
+# Solutions that are kept: derivatives in Poisson's ratio ask for three, again and again where it is
+# held.
+_KEPT = 8
 _DEGREES = (16, 32, 64, 128)
 _SERIES_ERROR = 1e-10
 _TINY = float(np.finfo(float).tiny)
@@ -143,9 +146,9 @@ def full_responses(
 
     Returns
     -------
-    list of ProbeResponse             these share a cache of the latest solution
+    list of ProbeResponse             these share a cache of the latest solutions
     """
-    latest = lru_cache(maxsize=1)(solution)
+    latest = lru_cache(maxsize=_KEPT)(solution)
 
     def response_of(probe: ProbeRows) -> ProbeResponse:
         def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:

@@ -72,6 +72,8 @@ def read_estimate(path: Path | str) -> Estimate:
     root = read_json(Path(path))
     root.check_format(_ESTIMATE_FORMAT)
     estimate = _read_record(root, Estimate)
+    settings = TomlTable(root.file, "[settings]", dict(estimate.settings))
+    settings.optional("versions", settings.table)
     with root.error_context():
         # The best fit of a model that does not fit has no interval.
         if estimate.status is not Status.MODEL_CONTRADICTED:

@@ -408,6 +408,8 @@ def read_json(path: Path) -> TomlTable:
 
     with read_errors(path, "write it again", what="is not valid JSON"):
         content = json.loads(text, object_pairs_hook=unique_keys)
+        # Half of a pair of surrogates is no character and could not be written.
+        json.dumps(content, ensure_ascii=False).encode()
     if not isinstance(content, dict):
         raise RecordError(f"{path}: is {quoted(content)}; must be an object in braces")
     return TomlTable(path, "", content)
