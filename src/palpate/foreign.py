@@ -151,6 +151,22 @@ def triangles_of_step(source: Path, target: Path, deviation: float, angle: float
     return done == 0 and target.exists()
 
 
+def read_by_meshio(path: Path, kind: str | None) -> Any:
+    """A mesh file as meshio reads it, whose tables are as long as a damaged file says.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str or None              meshio's name of the format; None: by the suffix
+
+    Returns
+    -------
+    meshio.Mesh
+    """
+    meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
+    return meshio.read(path, file_format=kind)
+
+
 def decoded_video(path: Path) -> Iterator[Any]:
     """The frames of a video, by FFmpeg, up to the first that cannot be decoded.
 
