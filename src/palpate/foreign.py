@@ -151,20 +151,21 @@ def triangles_of_step(source: Path, target: Path, deviation: float, angle: float
     return done == 0 and target.exists()
 
 
-def read_by_meshio(path: Path, kind: str | None) -> Any:
+def read_by_meshio(path: Path, kind: str) -> Any:
     """A mesh file as meshio reads it, whose tables are as long as a damaged file says.
 
     Parameters
     ----------
     path : Path
-    kind : str or None              meshio's name of the format; None: by the suffix
+    kind : str                      meshio's name of the format
 
     Returns
     -------
     meshio.Mesh
     """
     meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
-    return meshio.read(path, file_format=kind)
+    # `meshio.read` would end the process without saying what is wrong.
+    return getattr(meshio, kind).read(path)
 
 
 def decoded_video(path: Path) -> Iterator[Any]:

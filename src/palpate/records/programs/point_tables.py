@@ -267,7 +267,7 @@ def _vtk_content(path: Path) -> Any:
     checked_file(path, max_bytes=_MOST_VTK_BYTES)
     what = f"cannot be read as {path.suffix[1:].upper()}"
     with read_errors(path, "open it in ParaView and save it again", what=what):
-        return result_in_child(read_by_meshio, path, None)
+        return result_in_child(read_by_meshio, path, path.suffix[1:].lower())
 
 
 def _vtk_displacement(path: Path, data: Mapping[str, np.ndarray]) -> Points:
