@@ -202,12 +202,12 @@ def _hold_lock(final: Path) -> Iterator[None]:
     path, handle = _hidden_path(final, "lock"), None
     try:
         with write_errors(final), _deferred_signals():
-            handle = take_lock(path, final)
+            handle = _take_lock(path, final)
         yield
     finally:
         if handle is not None:
             with _deferred_signals():
-                release_lock(path, handle)
+                _release_lock(path, handle)
 
 
 def _clean_up(finals: Sequence[Path]) -> None:
@@ -408,7 +408,7 @@ def _deferred_signals() -> Iterator[None]:
             signal.raise_signal(received[0])
 
 
-def take_lock(path: Path, final: Path) -> int:
+def _take_lock(path: Path, final: Path) -> int:
     """Create or open a lock file, lock it, and write this process and host into it.
 
     Parameters
@@ -431,48 +431,22 @@ def take_lock(path: Path, final: Path) -> int:
         os.ftruncate(handle, 0)
         os.write(handle, f"{_HOLDER_PREFIX}{os.getpid()} on {socket.gethostname()}".encode())
     except OSError:
-        release_lock(path, handle)
+        _release_lock(path, handle)
         raise
     return handle
 
 
-def release_lock(path: Path, handle: int) -> None:
+def _release_lock(path: Path, handle: int) -> None:
     """Remove and close a lock file.
 
     Parameters
     ----------
     path : Path                     the lock file
-    handle : int                    descriptor, from `take_lock`
+    handle : int                    descriptor, from `_take_lock`
     """
     with suppress(OSError):
         path.unlink()
     os.close(handle)
-
-
-def is_abandoned(path: Path) -> bool:
-    """Whether a lock file is there whose process has ended without removing it.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool                            False also where the system or the file system knows no locks
-    """
-    if fcntl is None:
-        return False
-    try:
-        handle = os.open(path, os.O_RDWR | _NO_FOLLOW)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    finally:
-        os.close(handle)
-    return True
 
 
 def _open_and_lock(path: Path, final: Path) -> int:

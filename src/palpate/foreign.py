@@ -149,6 +149,23 @@ def triangles_of_step(source: Path, target: Path, deviation: float, angle: float
     return done == 0 and target.exists()
 
 
+def read_by_meshio(path: Path, kind: str) -> Any:
+    """A mesh file as meshio reads it, whose tables are as long as a damaged file says.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str                      meshio's name of the format
+
+    Returns
+    -------
+    meshio.Mesh
+    """
+    meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
+    # `meshio.read` would end the process without saying what is wrong.
+    return getattr(meshio, kind).read(path)
+
+
 def decoded_video(path: Path) -> Iterator[Any]:
     """The frames of a video, by FFmpeg, up to the first that cannot be decoded.
 

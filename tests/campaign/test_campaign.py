@@ -43,9 +43,9 @@ def submitted(monkeypatch):
     """Works that were handed to workers, by kind and session."""
     works, submit = [], Engine.submit
 
-    def seen(self, function, work):
+    def seen(self, function, work, *others):
         works.append((work.kind, work.session.session))
-        submit(self, function, work)
+        return submit(self, function, work, *others)
 
     monkeypatch.setattr(Engine, "submit", seen)
     return works
@@ -150,8 +150,8 @@ def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, submitte
     items, folder = read_items(cubes), tmp_path / "campaign"
     kept = []
 
-    def stopped(self, work, package, save=Store.save_result):
-        save(self, work, package)
+    def stopped(self, work, files, save=Store.save_result):
+        save(self, work, files)
         kept.append(work.session.session)
         # After the result is there and before its row is: the worst moment.
         raise KeyboardInterrupt
@@ -271,16 +271,16 @@ def begun(monkeypatch):
     """Works that a campaign hands to workers."""
     works, submit = [], _Run._submit
 
-    def seen(self, work):
+    def seen(self, work, before):
         works.append(work)
-        submit(self, work)
+        return submit(self, work, before)
 
     monkeypatch.setattr(_Run, "_submit", seen)
     return works
 
 
 def _pictures(work):
-    names = {name.rpartition("/")[2] for name in work.session.package.files}
+    names = {name.rpartition("/")[2] for name in work.session.files}
     return {name.rpartition("_c")[0] for name in names if name.endswith(".png")}
 
 
@@ -291,8 +291,8 @@ def test_a_work_has_the_pictures_of_its_probings_alone(seen):
     assert _pictures(shared) == {"rest", "n01_1", "n01_2", "n02"}
     assert list(own.keys) == ["n03"]
     assert _pictures(own) == {"other", "n03"}
-    others = {name for name in packed.package.files if not name.endswith(".png")}
-    assert others <= set(own.session.package.files)
+    others = {name for name in packed.files if not name.endswith(".png")}
+    assert others <= set(own.session.files)
     assert len({shared.digest, own.digest, Work("fit", packed, GIVEN).digest}) == 3
 
 
@@ -330,7 +330,7 @@ def test_one_session_s_pictures_are_measured_by_several_workers(
     assert (row.state, measured) == ("done", [["n01"], ["n02"], ["n03"]])
     whole = do_work(Work("fit", pack_session(seen), GIVEN), folder=tmp_path / "alone")
     result = Store(tmp_path / "campaign").result_at(row.address)
-    for name, content in whole.package.files.items():
+    for name, content in whole.files.items():
         assert (result / name).read_bytes() == content, name
 
 
@@ -344,13 +344,12 @@ def test_motions_apart_give_the_bytes_of_one_fit(seen, scheduler, tmp_path, begu
     (row,) = run_campaign(read_items(seen.parent), campaign, options=GIVEN, scheduler=scheduler)
     assert (row.state, row.message != "") == ("done", True)
     assert [(work.kind, list(work.keys)) for work in begun] == [
-        ("motion", ["n01", "n02"]), ("motion", ["n03"]), ("fit", []),
+        ("motion", ["n01", "n02"]), ("motion", ["n03"]), ("fit", ["n01", "n02", "n03"]),
     ]  # fmt: skip
-    assert len(begun[-1].motions) == 3
+    assert len(begun[-1].keys) == 3
     whole = do_work(Work("fit", pack_session(seen), GIVEN), folder=tmp_path / "alone")
-    assert whole.failure == ""
     result = Store(campaign).result_at(row.address)
-    for name, content in whole.package.files.items():
+    for name, content in whole.files.items():
         assert (result / name).read_bytes() == content, name
 
 
@@ -361,7 +360,7 @@ def test_what_is_measured_stays_so(folder, scheduler, tmp_path, begun):
     def run():
         begun.clear()
         (row,) = run_campaign(items, campaign, options=GIVEN, scheduler=scheduler)
-        return row, [(work.kind, list(work.keys)) for work in begun]
+        return row, [(work.kind, list(work.keys)) for work in begun if work.kind == "motion"]
 
     # A picture that is no picture: the others are measured once for all.
     picture = folder / "n03_c0.png"
@@ -370,18 +369,20 @@ def test_what_is_measured_stays_so(folder, scheduler, tmp_path, begun):
     row, works = run()
     assert row.state == "failed"
     assert str(picture) in row.message
-    assert [kind for kind, _ in works] == ["motion", "motion"]
+    assert len(works) == 2
     picture.write_bytes(good)
     row, works = run()
     assert row.state == "done"
-    assert works == [("motion", ["n03"]), ("fit", [])]
+    assert works == [("motion", ["n03"])]
     # Another force asks for another fit alone.
     file = folder / "session.toml"
     file.write_text(file.read_text().replace("-1.2", "-1.3"))
-    row, works = run()
-    assert works == [("fit", [])]
+    again, works = run()
+    assert works == []
+    assert again.address != row.address
     # So does nothing that has not changed.
-    assert run() == (row, [])
+    assert run() == (again, [])
+    assert begun == []
 
 
 def test_a_session_without_its_rig_is_a_row(folder, scheduler, tmp_path, begun):
@@ -443,7 +444,7 @@ def test_fits_of_one_body_wait_for_what_they_share(cubes, local, tmp_path, begun
     for name, row in (("c0", rows[1]), ("c1", rows[2])):
         alone = do_work(Work("fit", pack_session(cubes / name), FitOptions()), folder=tmp_path)
         result = Store(tmp_path / "campaign").result_at(row.address)
-        for file, content in alone.package.files.items():
+        for file, content in alone.files.items():
             assert (result / file).read_bytes() == content, (name, file)
 
 
@@ -455,18 +456,19 @@ def test_few_sessions_are_read_while_a_body_is_computed(cubes, local, tmp_path, 
         file.write_text(file.read_text().replace("-1.2", f"-1.{number + 2}"))
     held = []
 
-    def stored(self, work, outcome, store=_Run._store_outcome):
+    def stored(self, work, found, store=_Run._store_outcome):
         if work.kind == "body":
-            held.append(sum(map(len, self._fits_after.values())))
-        store(self, work, outcome)
+            held.append(len(self._items_of))
+        store(self, work, found)
 
     monkeypatch.setattr(_Run, "_store_outcome", stored)
-    monkeypatch.setattr(campaign, "_HELD_PER_THREAD", 1)
+    monkeypatch.setattr(campaign, "_FITS_PER_THREAD", 1)
     rows = run_campaign(read_items(cubes), tmp_path / "campaign")
     assert [row.state for row in rows] == ["failed"] + 4 * ["done"]
     # Two workers.
     assert held == [2]
     assert [kind for kind, _ in _kinds(begun)] == ["body"] + 4 * ["fit"]
+    assert not (tmp_path / "campaign" / "bodies").exists()
 
 
 def test_a_body_that_fails_leaves_each_fit_its_own_message(

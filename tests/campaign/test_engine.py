@@ -6,6 +6,7 @@ import gc
 import os
 import re
 import signal
+import stat
 import sys
 import tempfile
 import time
@@ -19,7 +20,6 @@ import pytest
 from palpate import __version__
 from palpate.campaign import engine as engine_file, started_engine
 from palpate.campaign.engine import Engine, WorkerError, worker_share
-from palpate.disk import take_lock
 from palpate.errors import InputError, MeshError
 
 
@@ -82,19 +82,18 @@ def test_without_dask_it_is_said_what_to_install(monkeypatch):
 
 
 class _Client:
-    """A client whose every piece of work ends with the next of some errors."""
+    """A client whose every piece of work ends with an error."""
 
     status = "running"
 
-    def __init__(self, errors):
-        self.errors, self.submitted = list(errors), 0
+    def __init__(self, error):
+        self.error = error
 
     def nthreads(self):
         return {"worker": 1}
 
     def submit(self, *_, **__):
-        self.submitted += 1
-        return _Ended(self.errors.pop(0))
+        return _Ended(self.error)
 
     def as_current(self):
         return contextlib.nullcontext()
@@ -122,17 +121,15 @@ class _Library:
         return SimpleNamespace(done=set(futures))
 
 
-def _engine(*errors):
-    return Engine(_Client(errors), "tcp://there", _Library)
+def _engine(error):
+    return Engine(_Client(error), "tcp://there", _Library)
 
 
 def _found(error):
     """What a piece of work gives that ends with an error."""
     workers = _engine(error)
-    workers.submit(abs, -1)
-    ((item, found),) = workers.wait_for_ended()
-    assert item == -1
-    return found
+    (future,) = workers.wait_for_ended([workers.submit(abs, -1)])
+    return workers.result(future)
 
 
 def test_a_worker_that_lost_the_package_ends_the_run():
@@ -141,15 +138,27 @@ def test_a_worker_that_lost_the_package_ends_the_run():
 
 
 def test_work_that_kills_its_workers_is_given_up():
-    dead = distributed.KilledWorker("k", None, 3)
-    workers = _engine(dead, dead, dead)
-    workers.submit(abs, -1)
-    assert [workers.wait_for_ended() for _ in range(2)] == [[], []]
-    ((_, found),) = workers.wait_for_ended()
+    found = _found(distributed.KilledWorker("k", None, 3))
     assert isinstance(found, WorkerError)
     assert "every worker that took it died" in str(found)
-    assert workers.client.submitted == 3
-    assert not workers.is_busy
+
+
+@pytest.mark.slow
+def test_work_beside_one_that_kills_its_workers_is_done(monkeypatch):
+    monkeypatch.setitem(engine_file._SETTINGS, "distributed.scheduler.allowed-failures", 2)
+    with started_engine(None, 2) as workers:
+        deadly, after, good = (
+            workers.submit(_killed, None), workers.submit(abs, -2), workers.submit(_slept, 0.1)
+        )  # fmt: skip
+        beside = workers.submit(max, [good, after])
+        for future in (deadly, beside):
+            workers.wait_for_ended([future])
+        assert isinstance(workers.result(deadly), WorkerError)
+        assert workers.result(beside) == 2
+
+
+def _killed(_):
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_an_error_of_the_program_is_said_to_be_one():
@@ -168,13 +177,6 @@ def test_an_error_of_the_user_comes_as_it_is():
     assert _found(error) is error
     with pytest.raises(MeshError, match="it is open"):
         list(_engine(error).map(abs, [-1]))
-
-
-def test_a_worker_that_died_once_is_no_excuse_for_another_error():
-    workers = _engine(distributed.KilledWorker("k", None, 3), MeshError("it is open"))
-    with pytest.raises(MeshError):
-        list(workers.map(abs, [-1]))
-    assert workers.client.submitted == 2
 
 
 @pytest.mark.slow
@@ -208,10 +210,10 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
         threads = list(workers.map(_threads, range(4)))
         limits = [w["memory_limit"] for w in workers.client.scheduler_info()["workers"].values()]
         blocked = workers.client.run(_blocked_signals)
-        folders = list(workers.map(_folder, range(4)))
-        # What is computed of a body serves the other worker, too, and goes with the cluster.
-        assert len(set(folders)) == 1
-        assert all(f"{tempfile.gettempdir()}/palpate-workers-" in each for each in folders)
+        folders = {Path(folder) for folder in workers.map(_folder, range(8))}
+        assert all(f"{tempfile.gettempdir()}/palpate-workers-" in str(each) for each in folders)
+        assert all(stat.S_IMODE(folder.parents[2].stat().st_mode) == 0o700 for folder in folders)
+    assert not any(folder.parents[2].exists() for folder in folders)
     assert threads == [("1", "1", 1)] * 4
     # Ctrl-C reaches all processes; it is this one that stops the others.
     assert list(blocked.values()) == [{signal.SIGINT}] * 2
@@ -266,55 +268,10 @@ class _Gone:
         raise OSError("connection closed")
 
 
-def test_a_scheduler_that_goes_away_is_said(packed_cube):
+def test_a_scheduler_that_goes_away_is_said():
     workers = Engine(_Gone(), "tcp://there", distributed)
     said = "the scheduler at tcp://there does not answer any more; all results that had come are"
     with pytest.raises(InputError, match=said):
         assert workers.threads
     with pytest.raises(InputError, match=said):
         workers.submit(abs, -1)
-    assert not workers.is_busy
-
-
-def test_folders_of_workers_whose_command_was_killed_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    killed, alive, new, others = (
-        tmp_path / name for name in ("palpate-workers-a", "palpate-workers-b", "palpate-workers-c",
-                                     "other-workers-a")
-    )  # fmt: skip
-    for folder in (killed, alive, new, others):
-        (folder / "bodies").mkdir(parents=True)
-        (folder / "bodies" / "part").write_bytes(b"x")
-    handle = take_lock(alive / ".lock", alive)
-    for folder in (killed, others):
-        os.close(take_lock(folder / ".lock", folder))
-    with engine_file._workers_folder() as own:
-        assert Path(own).parent == tmp_path
-        assert not killed.exists()
-        # Neither one in use, nor one that is just being made, nor another program's.
-        assert all((folder / "bodies" / "part").exists() for folder in (alive, new, others))
-        # Another command leaves this one's alone.
-        with engine_file._workers_folder() as another:
-            assert Path(own).is_dir()
-            assert Path(another).is_dir()
-    assert not Path(own).exists()
-    os.close(handle)
-    with engine_file._workers_folder():
-        assert not alive.exists()
-
-
-def test_what_a_worker_still_writes_at_the_end_is_removed_by_the_next_command(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-
-    def too_soon(path, **_):
-        """A worker writes as fast as this removes."""
-
-    with monkeypatch.context() as patched:
-        patched.setattr(engine_file.shutil, "rmtree", too_soon)
-        with engine_file._workers_folder() as first:
-            (Path(first) / "bodies").mkdir()
-    assert Path(first).is_dir()
-    with engine_file._workers_folder():
-        assert not Path(first).exists()

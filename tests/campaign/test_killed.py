@@ -1,6 +1,6 @@
 """A campaign whose process dies, at any step of its writing: it goes on, and nothing is lost."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -9,29 +9,33 @@ from fault_injection import all_states
 
 from palpate.campaign import Row, campaign as campaign_file, read_items, run_campaign
 from palpate.campaign.work import Outcome, Work, do_work
+from palpate.errors import PalpateError
 
 
 class _Serial:
     """Works one after the other in this process, each done only once for all runs."""
 
-    has_room, threads = True, 1
+    threads = 1
 
     def __init__(self, folder: Path, known: dict[str, Outcome]) -> None:
         self.folder, self.known = folder, known
         self.submitted: list[Work] = []
 
-    @property
-    def is_busy(self) -> bool:
-        return bool(self.submitted)
-
-    def submit(self, _: object, work: Work) -> None:
+    def submit(self, _: object, work: Work, *__: object) -> int:
         self.submitted.append(work)
+        return len(self.submitted) - 1
 
-    def wait_for_ended(self) -> list[tuple[Work, Outcome]]:
-        work = self.submitted.pop(0)
+    def wait_for_ended(self, futures: Iterable[int]) -> list[int]:
+        return [min(futures)]
+
+    def result(self, future: int) -> Outcome | PalpateError:
+        work = self.submitted[future]
         if work.digest not in self.known:
-            self.known[work.digest] = do_work(work, folder=self.folder)
-        return [(work, self.known[work.digest])]
+            try:
+                self.known[work.digest] = do_work(work, folder=self.folder)
+            except PalpateError as error:
+                return error
+        return self.known[work.digest]
 
 
 def _results(folder: Path) -> dict[str, bytes]:

@@ -30,7 +30,7 @@ with atheris.instrument_imports(include=list(_INSTRUMENTED), enable_loader_overr
 
 # Files of bytes rather than numbers, and what takes a child each time: not ten thousand of those.
 _LARGEST = 20_000
-_IN_CHILDREN = (".avi", ".e57", ".e", ".mat")
+_IN_CHILDREN = (".avi", ".e57", ".e", ".mat", ".msh", ".vtk", ".vtu")
 
 
 def _run(samples: list[tuple[Path, Reader]], found: Path) -> None:

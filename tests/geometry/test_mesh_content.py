@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import meshio
-import numpy as np
 import pytest
 from surfaces import box
 
@@ -76,30 +75,6 @@ def test_rows_of_a_text_ply(tmp_path: Path, row: str, says: str) -> None:
         read_mesh(tmp_path / "a.ply")
 
 
-@pytest.mark.parametrize("name", ["gmsh22", "gmsh"])
-@pytest.mark.parametrize(
-    ("corner", "says"),
-    [
-        ("2.5", "'2.5' is no whole number"),
-        ("0", "a cell has node 0; counted from 1"),
-        ("-1", "a cell has node -1; counted from 1"),
-        ("nan", "'nan' is no whole number"),
-    ],
-)
-def test_nodes_of_a_text_msh(tmp_path: Path, name: str, corner: str, says: str) -> None:
-    mesh, path = box(), tmp_path / "a.msh"
-    meshio.write(
-        path, meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)]), name, binary=False
-    )
-    assert len(read_mesh(path).triangles) == len(mesh.triangles)
-    lines = path.read_text().splitlines()
-    last = lines.index("$EndElements") - 1
-    lines[last] = f"{lines[last].rpartition(' ')[0]} {corner}"
-    path.write_text("\n".join(lines))
-    with pytest.raises(MeshError, match=f"line {last + 1}: {re.escape(says)}"):
-        read_mesh(path)
-
-
 def _vtp(corners: str, offsets: str = "3 6 9 12", kind: str = "Float64") -> str:
     def array(name: str, kind: str, values: str) -> str:
         return f'<DataArray Name="{name}" type="{kind}" format="ascii">{values}</DataArray>'
@@ -145,27 +120,24 @@ def test_corners_of_a_vtu(tmp_path: Path) -> None:
         read_mesh(path)
 
 
-@pytest.mark.parametrize("suffix", ["vtp", "vtu"])
 @pytest.mark.parametrize(
     ("compressor", "pack"),
     [("vtkZLibDataCompressor", zlib.compress), ("vtkLZMADataCompressor", lzma.compress)],
 )
 def test_a_few_bytes_that_unpack_to_many(
-    suffix: str, compressor: str, pack: Callable[[bytes], bytes], tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    compressor: str, pack: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(files, "_ANY_RATIO_BYTES", 2**16)
     block = pack(bytes(2**22))
     head = struct.pack("<4I", 1, 2**22, 0, len(block))
     data = base64.b64encode(head).decode() + base64.b64encode(block).decode()
-    grid = {"vtp": "PolyData", "vtu": "UnstructuredGrid"}[suffix]
     points = f'<DataArray Name="Points" type="Float64" format="binary">{data}</DataArray>'
-    (tmp_path / f"a.{suffix}").write_text(
-        f'<VTKFile type="{grid}" byte_order="LittleEndian" compressor="{compressor}"><{grid}>'
-        f"<Piece><Points>{points}</Points></Piece></{grid}></VTKFile>"
+    (tmp_path / "a.vtp").write_text(
+        f'<VTKFile type="PolyData" byte_order="LittleEndian" compressor="{compressor}"><PolyData>'
+        f"<Piece><Points>{points}</Points></Piece></PolyData></VTKFile>"
     )
     with pytest.raises(MeshError, match="cut off, or too large"):
-        read_mesh(tmp_path / f"a.{suffix}")
+        read_mesh(tmp_path / "a.vtp")
 
 
 def _written(path: Path, version: str, *, binary: bool) -> bytes:
@@ -197,26 +169,7 @@ def test_a_number_that_would_fill_the_memory(tmp_path: Path, version: str, binar
         place = content.rindex(last, nodes, content.index(b"$EndNodes"))
     (tmp_path / "a.msh").write_bytes(content[:place] + high + content[place + len(last) :])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(MeshError, match=r"a\.msh: .*node has the number 2000000000, at most"):
+    with pytest.raises(MeshError, match=r"a\.msh: .*more than 4 GB of memory"):
         read_mesh(tmp_path / "a.msh")
     # Kilobytes: the table would have taken sixteen gigabytes.
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
-
-
-@pytest.mark.parametrize(("version", "binary"), _FORMATS[2:])
-def test_more_nodes_declared_than_held(tmp_path: Path, version: str, binary: bool) -> None:
-    content = _written(tmp_path / "a.msh", version, binary=binary)
-    count = len(box(size=(0.02, 0.03, 0.04), cells=2).vertices)
-    start = content.index(b"\n", content.index(b"$Nodes")) + 1
-    if binary:
-        numbers = np.frombuffer(content[start : start + 16], "u8").copy()
-        assert numbers[1] == count
-        numbers[1] += 1000
-        changed = numbers.tobytes() + content[start + 16 :]
-    else:
-        first, said, rest = content[start:].split(maxsplit=2)
-        assert int(said) == count
-        changed = b"%s %d %s" % (first, count + 1000, rest)
-    (tmp_path / "a.msh").write_bytes(content[:start] + changed)
-    with pytest.raises(MeshError, match=rf"declares|says that it has {count + 1000} nodes"):
-        read_mesh(tmp_path / "a.msh")

@@ -17,8 +17,6 @@ from palpate.bem.compressed.system import (
     memory_needed as memory_needed,
 )
 from palpate.bem.elastic_map import (
-    ElasticMap as ElasticMap,
-    ElasticState as ElasticState,
     make_elastic_map as make_elastic_map,
 )
 from palpate.bem.integrals.surface import (

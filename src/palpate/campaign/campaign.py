@@ -6,10 +6,11 @@ start from the pictures at rest takes as long as several instants: pieces of few
 than they bring.
 """
 
+import shutil
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ from palpate.campaign.work import (
     PackedSession,
     Work,
     do_work,
-    pack_files,
     pack_session,
     real_session_file,
     without_files,
@@ -33,11 +33,14 @@ from palpate.pipeline import kept_motion_keys, picture_files, unread_probings
 from palpate.progress import Progress, silent
 from palpate.records import file_sum, read_session, read_toml
 
-# Fits per worker thread that may wait for motions and bodies: their sessions take memory.
-_HELD_PER_THREAD = 8
+# Fits per worker thread that are submitted at a time, those that wait for motions and bodies
+# included: their sessions take memory.
+_FITS_PER_THREAD = 6
 # Instants in a piece, if the probings with the same pictures at rest have as many: the start, which
 # takes as long as five, is then a sixth of it.
 _LEAST_INSTANTS = 25
+# Folder of what is computed of bodies, in that of the campaign until the command ends.
+_BODIES = "bodies"
 
 
 def run_campaign(
@@ -88,81 +91,62 @@ def run_campaign(
         stack.callback(store.clear)
         store.begin(items)
         engine = started_engine(scheduler, workers, insecure=insecure)
-        run = _Run(store, options, lambda: stack.enter_context(engine))
         # On workers that share no folder, what is computed of a body would have to travel, which
         # takes longer than to compute it: each of them keeps what its own fits compute.
-        run.work_through(items, progress, bodies_first=scheduler is None)
+        cache = None if scheduler else (folder / _BODIES).absolute()
+        stack.callback(shutil.rmtree, folder / _BODIES, ignore_errors=True)
+        run = _Run(store, options, cache, lambda: stack.enter_context(engine))
+        run.work_through(items, progress)
         rows = store.rows()
         staged.write_text(table_text(rows), encoding="utf-8")
     return rows
 
 
-@dataclass(slots=True, eq=False)
-class _WaitingFit:
-    """A fit that waits for motions to be measured, and for what it shares with others of its body.
-
-    Attributes
-    ----------
-    work : Work                     the fit
-    keys : dict of str to str       of all motions that it needs, by probing
-    missing : set of str            digests of the works before it that have not ended
-    """
-
-    work: Work
-    keys: dict[str, str]
-    missing: set[str]
-
-
 class _Run:
     """One run of a campaign: the work in progress, and the sessions that it belongs to."""
 
-    def __init__(self, store: Store, options: FitOptions, start_engine: Any) -> None:
-        self.store, self.options = store, options
+    def __init__(
+        self,
+        store: Store,
+        options: FitOptions,
+        cache: Path | None,
+        start_engine: Callable[[], Engine],
+    ) -> None:
+        self.store, self.options, self.cache = store, options, cache
         self._start_engine = start_engine
         self._engine: Engine | None = None
+        self._works: dict[Any, Work] = {}
         self._items_of: dict[str, list[CampaignItem]] = {}
-        self._ready: deque[Work] = deque()
-        self._fits_after: dict[str, list[_WaitingFit]] = {}
-        self._ended_bodies: set[str] = set()
+        # Futures of motions and bodies, by digest; None: the body is there.
+        self._before: dict[str, Any] = {}
         self._known_rows = {row.session: row for row in store.rows()}
 
-    def work_through(
-        self, items: Sequence[CampaignItem], progress: Progress, *, bodies_first: bool
-    ) -> None:
-        """Process all sessions, until each has its row in the table.
-
-        `bodies_first`: what fits of one body share is a piece of work that they wait for.
-        """
+    def work_through(self, items: Sequence[CampaignItem], progress: Progress) -> None:
+        """Process all sessions, until each has its row in the table."""
         meshes = shared_meshes(items)
         waiting = deque(items)
-        while waiting or self._ready or (self._engine is not None and self._engine.is_busy):
-            while (self._ready or waiting) and (self._engine is None or self._engine.has_room):
-                if self._ready:
-                    self._submit(self._ready.popleft())
-                elif self._holds_enough:
-                    break
-                else:
-                    item = waiting.popleft()
-                    self._start(item, meshes.get(item.name, ""), bodies_first=bodies_first)
+        while waiting or self._works:
+            while waiting and self._has_room:
+                item = waiting.popleft()
+                self._start(item, meshes.get(item.name, ""))
             in_progress = sum(map(len, self._items_of.values()))
             ended = len(items) - len(waiting) - in_progress
             progress(f"{ended} of {len(items)} sessions", ended / len(items))
-            if self._engine is not None and self._engine.is_busy:
-                for work, found in self._engine.wait_for_ended():
-                    self._store_outcome(work, _outcome(found))
+            if self._engine is not None and self._works:
+                for future in self._engine.wait_for_ended(self._works):
+                    self._store_outcome(self._works.pop(future), self._engine.result(future))
         progress(f"{len(items)} of {len(items)} sessions", 1.0)
 
     @property
-    def _holds_enough(self) -> bool:
-        """Whether so many fits wait for other work that no more sessions should be read yet."""
-        held = sum(map(len, self._fits_after.values()))
+    def _has_room(self) -> bool:
+        """Whether another session should be read."""
         # The scheduler is asked for its threads only where their number may matter.
-        if self._engine is None or held < _HELD_PER_THREAD:
-            return False
-        return held >= _HELD_PER_THREAD * self._engine.threads
+        if self._engine is None or len(self._items_of) < _FITS_PER_THREAD:
+            return True
+        return len(self._items_of) < _FITS_PER_THREAD * self._engine.threads
 
-    def _start(self, item: CampaignItem, mesh: str, *, bodies_first: bool) -> None:
-        """Prepare the work on a session, unless its result exists or it cannot be read.
+    def _start(self, item: CampaignItem, mesh: str) -> None:
+        """Submit the work on a session, unless its result exists or it cannot be read.
 
         `mesh`: checksum of the one that it shares with other sessions, or empty.
         """
@@ -170,7 +154,7 @@ class _Run:
             session = pack_session(item.path)
             is_unmeasured = _needs_motion(item.path)
         except PalpateError as error:
-            self._fail(item, error)
+            self.store.set_row(self.store.row_of(item, None, error))
             return
         fit = Work("fit", session, self.options, shared_body=bool(mesh))
         if self.store.is_done(fit):
@@ -182,92 +166,78 @@ class _Run:
             try:
                 motions = motion_works(item.path, session, self.options) if is_unmeasured else ()
             except PalpateError as error:
-                self._fail(item, error)
+                self.store.set_row(self.store.row_of(item, None, error))
                 return
-            body = body_work(session, self.options, mesh) if bodies_first and mesh else None
-            self._prepare(fit, motions, body)
+            self._submit_fit(fit, motions, mesh)
         self._items_of.setdefault(fit.digest, []).append(item)
 
-    def _fail(self, item: CampaignItem, error: PalpateError) -> None:
-        """Write the row of a session that cannot be read."""
-        failed = Outcome(pack_files({}), str(error), 0.0)
-        self.store.set_row(self.store.row_of(item, None, failed))
-
-    def _prepare(self, fit: Work, motions: Sequence[Work], body: Work | None) -> None:
-        """Prepare a fit, and its body and motions that are not known yet."""
+    def _submit_fit(self, fit: Work, motions: Sequence[Work], mesh: str) -> None:
+        """Submit a fit, after its body and those of its motions that are not known yet."""
         keys = {name: key for work in motions for name, key in work.keys.items()}
-        waiting = _WaitingFit(fit, keys, set())
-        if body is not None and body.digest not in self._ended_bodies:
-            self._hold(waiting, body)
+        found = {key: self.store.motion(key) for key in keys.values()}
+        known = {key: motion for key, motion in found.items() if motion is not None}
+        before = []
+        if self.cache is not None and mesh:
+            before.append(body_work(fit.session, self.options, mesh))
         for work in motions:
-            unknown = {n: key for n, key in work.keys.items() if self.store.motion(key) is None}
+            unknown = {name: key for name, key in work.keys.items() if key not in known}
             if unknown:
-                self._hold(waiting, replace(work, keys=unknown))
-        self._continue(waiting)
+                before.append(replace(work, keys=unknown))
+        for work in before:
+            if work.digest not in self._before:
+                self._before[work.digest] = self._submit(work, [])
+        self._submit(
+            replace(fit, keys=keys, motions=known), [self._before[work.digest] for work in before]
+        )
 
-    def _hold(self, fit: _WaitingFit, work: Work) -> None:
-        """Have a fit wait for a piece of work, which other fits may wait for already."""
-        if work.digest not in self._fits_after:
-            self._ready.append(work)
-        self._fits_after.setdefault(work.digest, []).append(fit)
-        fit.missing.add(work.digest)
-
-    def _continue(self, fit: _WaitingFit) -> None:
-        """Let a fit begin that waits for nothing more."""
-        if not fit.missing:
-            motions = {name: self.store.motion(key) for name, key in fit.keys.items()}
-            known = {name: motion for name, motion in motions.items() if motion is not None}
-            self._ready.append(replace(fit.work, motions=known))
-
-    def _submit(self, work: Work) -> None:
+    def _submit(self, work: Work, before: Sequence[Any]) -> Any:
+        """Submit a piece of work that begins when others have ended; gives its future."""
         if self._engine is None:
             self._engine = self._start_engine()
-        self._engine.submit(work_on_worker, work)
+        future = self._engine.submit(work_on_worker, work, self.cache, before)
+        self._works[future] = work
+        return future
 
-    def _store_outcome(self, work: Work, outcome: Outcome) -> None:
-        """Store the outcome of a piece of work; the last one before a fit is followed by it.
-
-        Of a body, the workers keep what was computed. Where that failed, so will the fits that need
-        it, each with a message of its own.
-        """
-        if work.kind == "body":
-            self._ended_bodies.add(work.digest)
-        elif not outcome.failure:
-            self.store.save_result(work, outcome.package)
+    def _store_outcome(self, work: Work, found: Outcome | PalpateError) -> None:
+        """Store what a piece of work gave; where a motion failed, so did the fits after it."""
         if work.kind == "fit":
-            self._end(work, outcome)
-            return
-        for fit in self._fits_after.pop(work.digest):
-            if outcome.failure and work.kind == "motion":
-                self._end(fit.work, outcome)
-            else:
-                fit.missing.remove(work.digest)
-                self._continue(fit)
-
-    def _end(self, fit: Work, outcome: Outcome) -> None:
-        """Write the rows of a fit's sessions, unless another of its motions had failed before."""
-        for item in self._items_of.pop(fit.digest, ()):
-            self.store.set_row(self.store.row_of(item, fit, outcome))
+            if isinstance(found, Outcome):
+                self.store.save_result(work, found.files)
+            for item in self._items_of.pop(work.digest):
+                self.store.set_row(self.store.row_of(item, work, found))
+        elif work.kind == "motion":
+            del self._before[work.digest]
+            if isinstance(found, Outcome):
+                for key, motion in found.files.items():
+                    self.store.save_motion(key, motion)
+        else:
+            self._before[work.digest] = None
 
 
-def work_on_worker(work: Work) -> Outcome:
+def work_on_worker(work: Work, cache: Path | None, before: Sequence[Outcome | None]) -> Outcome:
     """Do a piece of work on a worker, in its own folder and within its share of the memory.
 
     Parameters
     ----------
     work : Work
+    cache : Path or None            as in `do_work`
+    before : sequence               outcomes of motions that a fit needs; others are ignored
 
     Returns
     -------
-    Outcome                         as in `do_work`
+    Outcome                         as in `do_work`; of a body that failed none, as the fits that
+                                    need it fail with a message of their own
     """
     folder, memory = worker_share()
-    return do_work(work, folder=folder, memory=memory)
-
-
-def _outcome(found: Outcome | PalpateError) -> Outcome:
-    """What a worker gave, as an outcome."""
-    return found if isinstance(found, Outcome) else Outcome(pack_files({}), str(found), 0.0)
+    motions = dict(work.motions)
+    for outcome in before:
+        motions |= outcome.files if outcome else {}
+    try:
+        return do_work(replace(work, motions=motions), folder=folder, cache=cache, memory=memory)
+    except PalpateError:
+        if work.kind != "body":
+            raise
+        return Outcome({}, 0.0)
 
 
 def motion_works(path: Path, packed: PackedSession, options: FitOptions) -> tuple[Work, ...]:

@@ -5,38 +5,30 @@ feeds and monitors them; the work of one that dies is given to another one.
 """
 
 import os
-import shutil
 import signal
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import islice
 from multiprocessing import resource_tracker
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 from palpate import __version__
-from palpate.disk import is_abandoned, release_lock, take_lock
 from palpate.errors import InputError, PalpateError, quoted
 from palpate.optional_imports import late_import
 from palpate.threads import one_thread
 
 S = TypeVar("S")
 T = TypeVar("T")
-# Pieces of work queued per worker thread, so that none is idle.
-_QUEUED_PER_THREAD = 2
-# Name of the temporary folder of a local cluster, in which Dask has one for all workers, and in
-# that one for each; all of it is removed with the cluster.
-_LOCAL_FOLDER_PREFIX = "palpate-workers-"
-# Number of times that Dask may give up on a piece of work, after several workers died, before it
-# counts as failed.
-_MAX_DEATHS = 3
+# Items of a map that are taken per worker thread, before the first of them is given.
+_TAKEN_PER_THREAD = 4
 # Timeouts for a scheduler to answer, and for the first worker to appear [s].
 _CONNECT_TIMEOUT, _FIRST_WORKER_TIMEOUT = 10, 60
-# In the folder of local workers, which holds gigabytes: the lock of the command they are of.
-_LOCK_NAME = ".lock"
 # Workers per core: they wait for pictures, not for each other; more of them only share the memory.
 _MAX_PER_CORE = 16
 # Fraction of the memory that is divided among the workers; smallest share of a worker [bytes] where
@@ -48,6 +40,8 @@ _LEAST_SHARE = 2 * 2**30
 _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")}
 _SETTINGS = {
     "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
+    # Work that was only beside what killed a worker must not fail with it.
+    "distributed.scheduler.allowed-failures": 9,
     # Pictures are sent with the work, so large messages are expected.
     "distributed.admin.large-graph-warning-threshold": "4 GiB",
     "distributed.comm.timeouts.connect": f"{_CONNECT_TIMEOUT}s",
@@ -73,16 +67,7 @@ class WorkerError(PalpateError):
     machines failed, or the program has a defect."""
 
 
-@dataclass(slots=True, eq=False)
-class _Task:
-    """A function and its argument; `deaths`: how often Dask gave up on it."""
-
-    function: Callable[[Any], Any]
-    item: Any
-    deaths: int = 0
-
-
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Engine:
     """Connection to the workers.
 
@@ -95,17 +80,6 @@ class Engine:
     client: Any
     address: str
     _library: Any
-    _submitted: dict[Any, _Task] = field(default_factory=dict)
-
-    @property
-    def has_room(self) -> bool:
-        """Whether more work may be submitted; work that waits takes memory."""
-        return len(self._submitted) < self._limit
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether there is work that has not ended."""
-        return bool(self._submitted)
 
     @property
     def threads(self) -> int:
@@ -120,101 +94,61 @@ class Engine:
         except OSError as error:
             raise self._lost_scheduler() from error
 
-    @property
-    def _limit(self) -> int:
-        """Number of items that may wait, before or after they are done."""
-        return _QUEUED_PER_THREAD * max(1, self.threads)
-
-    def submit(self, function: Callable[[S], T], item: S) -> None:
-        """Submit a piece of work.
+    def submit(self, function: Callable[..., Any], *items: Any) -> Any:
+        """Submit a piece of work, which begins when the futures in its arguments have ended.
 
         Parameters
         ----------
         function : callable         of a module of Palpate; runs on a worker, with one thread
-        item : any                  its argument, which is sent to the worker
+        *items                      its arguments, which are sent to the worker: futures, lists of
+                                    futures, anything else
+
+        Returns
+        -------
+        distributed.Future
 
         Raises
         ------
         InputError                  the scheduler is gone
         """
-        self._submit(_Task(function, item))
+        if self.client.status not in ("running", "connecting"):
+            raise self._lost_scheduler()
+        # Not pure: identical work of another client must get a key of its own.
+        return self.client.submit(_work_on_worker, function, *items, pure=False)
 
-    def wait_for_ended(self) -> list[tuple[Any, Any]]:
-        """Wait until at least one piece of work has ended.
+    def wait_for_ended(self, futures: Iterable[Any]) -> Collection[Any]:
+        """Wait until at least one of some futures has ended; gives all that have.
+
+        Parameters
+        ----------
+        futures : iterable of Future
+
+        Raises
+        ------
+        InputError                  the scheduler is gone
+        """
+        try:
+            with self.client.as_current():
+                return self._library.wait(list(futures), return_when="FIRST_COMPLETED").done
+        except (OSError, self._library.CancelledError) as error:
+            raise self._lost_scheduler() from error
+
+    def result(self, future: Any) -> Any:
+        """What a piece of work gave that has ended.
+
+        Parameters
+        ----------
+        future : Future
 
         Returns
         -------
-        list of (item, result)      all that have ended, in any order; the result is what the
-                                    function returned, the PalpateError that it raised, or a
-                                    `WorkerError`
+        any                         what the function returned, or a PalpateError that it raised; of
+                                    another error, a `WorkerError`
 
         Raises
         ------
         InputError                  the scheduler is gone, or a worker lacks Palpate
         """
-        try:
-            with self.client.as_current():
-                found = self._library.wait(list(self._submitted), return_when="FIRST_COMPLETED")
-        except (OSError, self._library.CancelledError) as error:
-            raise self._lost_scheduler() from error
-        ended = []
-        for future in found.done:
-            task = self._submitted.pop(future)
-            if future.status == "error" and self._gave_up(future, task):
-                self._submit(task)
-            else:
-                ended.append((task.item, self._result(future, task)))
-        return ended
-
-    def map(self, function: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
-        """Results of a function for independent items, in their order: `map`, on the workers.
-
-        Parameters
-        ----------
-        function : callable         as in `submit`
-        items : iterable            a few are taken at a time, so that they do not fill the memory
-
-        Yields
-        ------
-        any                         results in the order of the items
-
-        Raises
-        ------
-        PalpateError                the first that the function raised, in the order of the items
-        WorkerError                 as in `wait_for_ended`
-        """
-        waiting, results = enumerate(items), dict[int, Any]()
-        number, all_taken = 0, False
-        while not all_taken or self.is_busy or results:
-            while not all_taken and self.has_room and len(results) < self._limit:
-                task = next(waiting, None)
-                all_taken = task is None
-                if task is not None:
-                    self.submit(_numbered, (function, *task))
-            if self.is_busy:
-                results |= {item[1]: result for item, result in self.wait_for_ended()}
-            while number in results:
-                result = results.pop(number)
-                if isinstance(result, Exception):
-                    raise result
-                yield result
-                number += 1
-
-    def _submit(self, task: _Task) -> None:
-        if self.client.status not in ("running", "connecting"):
-            raise self._lost_scheduler()
-        # Not pure: identical work of another client must get a key of its own.
-        future = self.client.submit(_work_on_worker, task.function, task.item, pure=False)
-        self._submitted[future] = task
-
-    def _gave_up(self, future: Any, task: _Task) -> bool:
-        """Whether Dask gave up on a task because its workers died, and it is worth another try."""
-        killed = isinstance(future.exception(), self._library.KilledWorker)
-        task.deaths += killed
-        return killed and task.deaths < _MAX_DEATHS
-
-    def _result(self, future: Any, task: _Task) -> Any:
-        """What a task gave: a result, or an error."""
         if future.status == "finished":
             return future.result()
         if future.status != "error":
@@ -233,6 +167,35 @@ class Engine:
         source = "a worker's machine" if isinstance(error, OSError) else "the program"
         return WorkerError(f"an error of {source}, not of yours ({text})")
 
+    def map(self, function: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+        """Results of a function for independent items, in their order: `map`, on the workers.
+
+        Parameters
+        ----------
+        function : callable         as in `submit`
+        items : iterable            a few are taken at a time, so that they do not fill the memory
+
+        Yields
+        ------
+        any                         results in the order of the items
+
+        Raises
+        ------
+        PalpateError                the first that the function raised, in the order of the items
+        WorkerError, InputError     as in `result`
+        """
+        left, waiting = iter(items), deque[Any]()
+        limit = _TAKEN_PER_THREAD * max(1, self.threads)
+        while True:
+            waiting.extend(self.submit(function, x) for x in islice(left, limit - len(waiting)))
+            if not waiting:
+                return
+            self.wait_for_ended([waiting[0]])
+            result = self.result(waiting.popleft())
+            if isinstance(result, PalpateError):
+                raise result
+            yield result
+
     def _lost_scheduler(self) -> InputError:
         return InputError(
             f"the scheduler at {self.address} does not answer any more; all results that had come"
@@ -240,17 +203,11 @@ class Engine:
         )
 
 
-def _numbered(task: tuple[Callable[[S], T], int, S]) -> T:
-    """Apply a function of `Engine.map` to its item; the number is for the engine."""
-    function, _, item = task
-    return function(item)
-
-
-def _work_on_worker(function: Callable[[S], T], item: S) -> T:
+def _work_on_worker(function: Callable[..., T], *items: Any) -> T:
     """Do a piece of work with one thread: one worker per core is more efficient than many threads
     in one."""
     with one_thread():
-        return function(item)
+        return function(*items)
 
 
 def worker_share() -> tuple[Path, float | None]:
@@ -258,17 +215,14 @@ def worker_share() -> tuple[Path, float | None]:
 
     Returns
     -------
-    folder : Path                   its own, or that of all workers of a local cluster; need not
-                                    exist
+    folder : Path                   its own, which need not exist
     memory : float or None [byte]   None: unlimited
     """
     distributed = late_import("distributed", extra="batch", purpose="a campaign's worker")
     worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit
     share = None if not limit else limit / worker.state.nthreads
-    own = Path(worker.local_directory)
-    is_local = own.parents[1].name.startswith(_LOCAL_FOLDER_PREFIX)
-    return (own.parent if is_local else own) / "palpate", share
+    return Path(worker.local_directory) / "palpate", share
 
 
 def _install_advice() -> str:
@@ -346,8 +300,7 @@ def started_engine(
         # Versions are compared below, with a message of our own.
         stack.enter_context(warnings.catch_warnings(action="ignore"))
         if scheduler is None:
-            folder = stack.enter_context(_workers_folder())
-            client = stack.enter_context(_local_client(library, workers, folder))
+            client = stack.enter_context(_local_client(library, workers))
         else:
             client = stack.enter_context(_connected_client(library, scheduler))
         address = scheduler or str(client.scheduler.address)
@@ -368,35 +321,6 @@ def _own_environment() -> Iterator[None]:
         os.environ.update(before)
 
 
-@contextmanager
-def _workers_folder() -> Iterator[str]:
-    """A temporary folder for the workers; those of commands that were killed are removed."""
-    for other in Path(tempfile.gettempdir()).glob(f"{_LOCAL_FOLDER_PREFIX}*"):
-        if is_abandoned(other / _LOCK_NAME):
-            shutil.rmtree(other, ignore_errors=True)
-    folder = Path(tempfile.mkdtemp(prefix=_LOCAL_FOLDER_PREFIX))
-    lock = folder / _LOCK_NAME
-    handle = take_lock(lock, folder)
-    try:
-        yield str(folder)
-    finally:
-        _remove_all_but(lock)
-        # A worker that is being stopped may still write. The lock is left, then: the next command
-        # takes the folder for what it is.
-        if os.listdir(folder) == [_LOCK_NAME]:
-            release_lock(lock, handle)
-            folder.rmdir()
-        else:
-            os.close(handle)
-
-
-def _remove_all_but(file: Path) -> None:
-    """Remove what lies beside a file, as far as possible."""
-    for path in file.parent.iterdir():
-        if path != file:
-            shutil.rmtree(path, ignore_errors=True)
-
-
 def cores() -> int:
     """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
@@ -405,12 +329,16 @@ def cores() -> int:
 
 
 @contextmanager
-def _local_client(library: ModuleType, workers: int | None, folder: str) -> Iterator[Any]:
+def _local_client(library: ModuleType, workers: int | None) -> Iterator[Any]:
     """A client of a local cluster of processes, each with one thread and an equal memory share."""
     usable = int(_USABLE_SHARE * library.system.MEMORY_LIMIT)
     count = workers or max(1, min(cores(), usable // _LEAST_SHARE))
     late_import("cryptography", extra="batch", purpose="a certificate of the workers")
     with ExitStack() as stack:
+        # A folder of this user alone: by default Dask takes one that another user may have made.
+        folder = stack.enter_context(
+            tempfile.TemporaryDirectory(prefix="palpate-workers-", ignore_cleanup_errors=True)
+        )
         with _interrupts_held_back():
             cluster = stack.enter_context(library.LocalCluster(
                 n_workers=count, threads_per_worker=1, processes=True, memory_limit=usable // count,

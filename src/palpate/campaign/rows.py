@@ -49,7 +49,7 @@ class Row:
     shear_modulus_low, shear_modulus_high, ... : float or None      ends of the 95 % interval
     poisson_ratio : float or None
     message : str                   why it failed, or the notes of the estimate
-    seconds : float or None [s]     duration of the work
+    seconds : float or None [s]     duration of the fit
     address : str                   digest of files, options and version, which names the result
     finished : str                  time of completion, UTC, ISO format
     """

@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime
@@ -13,15 +13,12 @@ from palpate.campaign.rows import COLUMNS, WAITING, Row, constants_of
 from palpate.campaign.work import (
     ESTIMATE_FILE,
     Outcome,
-    Package,
     Work,
-    check_package,
     real_session_file,
 )
 from palpate.disk import created_folder, write_bytes
-from palpate.errors import InputError, RecordError, quoted
+from palpate.errors import InputError, PalpateError, RecordError, quoted
 from palpate.files import read_bytes
-from palpate.pipeline import MOTION_FILE
 from palpate.records import (
     INPUTS_FILE,
     folder_changes,
@@ -199,42 +196,53 @@ class Store:
         path = self._motion_file(key)
         return read_bytes(path) if path.is_file() else None
 
-    def save_result(self, work: Work, package: Package) -> None:
-        """Store the result of a piece of work.
+    def save_motion(self, key: str, motion: bytes) -> None:
+        """Store the motion of a probing.
+
+        Parameters
+        ----------
+        key : str                   as in `Work.keys`
+        motion : bytes
+
+        Raises
+        ------
+        RecordError                 it cannot be written
+        """
+        write_bytes(self._motion_file(key), motion)
+
+    def save_result(self, work: Work, files: Mapping[str, bytes]) -> None:
+        """Store the result of a fit.
 
         Parameters
         ----------
         work : Work
-        package : Package
+        files : mapping             as in `Outcome`
 
         Raises
         ------
-        RecordError                 damaged in transit, or it cannot be written
+        RecordError                 it cannot be written
         """
-        check_package(package)
-        if work.kind == "motion":
-            for key in work.keys.values():
-                write_bytes(self._motion_file(key), package.files[f"{key}/{MOTION_FILE}"])
-            return
         with result_folder(self.result(work), kind="fit", force=True) as folder:
-            for name, content in package.files.items():
+            for name, content in files.items():
                 (folder / name).parent.mkdir(exist_ok=True)
                 (folder / name).write_bytes(content)
             # Checksums of the inputs when they were packed, even if they have changed since.
             relative_sums = {
                 Path(os.path.relpath(Path(work.session.root) / name, folder)).as_posix(): value
-                for name, value in work.session.package.sums.items()
+                for name, value in work.session.sums.items()
             }
             write_text(folder / INPUTS_FILE, sums_text(relative_sums))
 
-    def row_of(self, item: CampaignItem, work: Work | None, outcome: Outcome | None) -> Row:
+    def row_of(
+        self, item: CampaignItem, work: Work | None, found: Outcome | PalpateError | None
+    ) -> Row:
         """The row of a session whose fit has ended.
 
         Parameters
         ----------
         item : CampaignItem
         work : Work or None         None: the session could not be read
-        outcome : Outcome or None   None: an earlier run completed it
+        found : Outcome, error or None      None: an earlier run completed it
 
         Returns
         -------
@@ -244,19 +252,17 @@ class Store:
         ------
         RecordError                 the estimate of the fit cannot be read
         """
-        finished = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        head = Row(item.name, item.group, finished=finished)
-        if outcome is not None:
-            head = replace(head, seconds=outcome.seconds)
-        if work is not None:
-            head = replace(head, address=work.digest)
-        if work is None or (outcome is not None and outcome.failure):
-            return replace(head, state="failed", message=outcome.failure if outcome else "")
-        folder = self.result(work)
-        estimate = read_estimate(folder / ESTIMATE_FILE)
+        row = Row(
+            item.name, item.group, address=work.digest if work else "",
+            seconds=found.seconds if isinstance(found, Outcome) else None,
+            finished=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        )  # fmt: skip
+        if work is None or isinstance(found, PalpateError):
+            return replace(row, state="failed", message=str(found))
+        estimate = read_estimate(self.result(work) / ESTIMATE_FILE)
         constants: dict[str, Any] = constants_of(estimate)
         notes = " ".join(estimate.notes)
-        return replace(head, state="done", status=estimate.status.value, message=notes, **constants)
+        return replace(row, state="done", status=estimate.status.value, message=notes, **constants)
 
     def _motion_file(self, key: str) -> Path:
         return self.folder / _MOTIONS / f"{key[:_DIGEST_DIGITS]}.npz"

@@ -1,8 +1,8 @@
 """One piece of a campaign's work: the motion in some of a session's pictures, what the fits of one
 body share, or a session's fit.
 
-A session's files are sent to a worker as one package and verified there. The result depends only on
-the input: not on the machine, the working folder or the time.
+A session's files are sent to a worker with the work. The result depends only on the input: not on
+the machine, the working folder or the time.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 from palpate.bem import check_memory
-from palpate.errors import PalpateError, RecordError
+from palpate.errors import PalpateError
 from palpate.estimation import FitSettings
 from palpate.files import read_bytes
 from palpate.parts import content_digest
@@ -73,31 +73,19 @@ class FitOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Package:
-    """Files with their checksums.
-
-    Attributes
-    ----------
-    files : mapping of str to bytes     content by path, with `/`, relative to one folder
-    sums : mapping of str to str        SHA-256 of each, 64 hexadecimal digits
-    """
-
-    files: Mapping[str, bytes]
-    sums: Mapping[str, str]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class PackedSession:
     """A session's files, with their original location.
 
     Attributes
     ----------
-    package : Package
-    session : str                   path of the session file in the package
-    root : str                      original folder that the package's paths are relative to
+    files : mapping of str to bytes     content by path, with `/`, relative to one folder
+    sums : mapping of str to str        SHA-256 of each, 64 hexadecimal digits
+    session : str                   path of the session file among them
+    root : str                      original folder that the paths are relative to
     """
 
-    package: Package
+    files: Mapping[str, bytes]
+    sums: Mapping[str, str]
     session: str
     root: str
 
@@ -111,10 +99,10 @@ class Work:
     kind : "motion", "body" or "fit"
     session : PackedSession         of a motion: without the pictures of other probings
     options : FitOptions
-    keys : mapping of str to str    of a motion: the probings that are measured, with the digests
-                                    of what their motions depend on; of a body: the checksum of its
-                                    "mesh"
-    motions : mapping of str to bytes   of a fit: what the works "motion" gave, by probing
+    keys : mapping of str to str    the probings whose motion is measured, or used by a fit, with
+                                    the digests of what their motions depend on; of a body: the
+                                    checksum of its "mesh"
+    motions : mapping of str to bytes   of a fit: motions by these digests
     shared_body : bool              of a fit: other sessions have the same mesh, so what is computed
                                     of it is cached: factors, reduced models
     """
@@ -131,7 +119,7 @@ class Work:
         """Digest of everything that determines the outcome: files, options, version; 64 digits."""
         if self.kind != "fit":
             return content_digest((self.kind, dict(self.keys), self.options))
-        sums = dict(self.session.package.sums)
+        sums = dict(self.session.sums)
         return content_digest((self.kind, self.session.session, sums, self.options))
 
 
@@ -141,17 +129,17 @@ class Outcome:
 
     Attributes
     ----------
-    package : Package               files of the result; empty if it failed
-    failure : str                   message of the failure; empty on success
+    files : mapping of str to bytes     of a fit: its result, by path; of a motion: by its digest
     seconds : float [s]             duration of the work
     """
 
-    package: Package
-    failure: str
+    files: Mapping[str, bytes]
     seconds: float
 
 
-def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome:
+def do_work(
+    work: Work, *, folder: Path, cache: Path | None = None, memory: float | None = None
+) -> Outcome:
     """Do a piece of work, with one thread.
 
     BLAS uses as many threads as its process allows; another number changes the last digits.
@@ -159,25 +147,31 @@ def do_work(work: Work, *, folder: Path, memory: float | None = None) -> Outcome
     Parameters
     ----------
     work : Work
-    folder : Path                   working folder, which also holds the cache of bodies for later
-                                    work; several workers may share it
+    folder : Path                   working folder; several workers may share it
+    cache : Path or None            folder of what is computed of bodies; None: `bodies` in the
+                                    working folder
     memory : float or None [byte]   memory limit; None: all of the machine's
 
     Returns
     -------
-    Outcome                         invalid input is reported as a failure, not raised
+    Outcome
+
+    Raises
+    ------
+    PalpateError                    invalid input, in original places; memory ran out
     """
     start = time.perf_counter()
-    package, failure = pack_files({}), ""
     with _work_folder(folder) as own_folder, one_thread():
         try:
-            unpack(work.session.package, own_folder / "given")
-            package = _make_result(work, own_folder, folder / "bodies", memory)
+            unpack(work.session.files, own_folder / "given")
+            files = _make_result(work, own_folder, cache or folder / "bodies", memory)
         except PalpateError as error:
-            failure = _with_original_paths(str(error), work, own_folder)
-        except MemoryError:
-            failure = "memory ran out; use a coarser mesh, or workers with more memory"
-    return Outcome(package, failure, time.perf_counter() - start)
+            text = _with_original_paths(str(error), work, own_folder)
+            raise PalpateError(text) from error
+        except MemoryError as error:
+            text = "memory ran out; use a coarser mesh, or workers with more memory"
+            raise PalpateError(text) from error
+    return Outcome(files, time.perf_counter() - start)
 
 
 @contextmanager
@@ -192,8 +186,10 @@ def _work_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(own_folder, ignore_errors=True)
 
 
-def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None) -> Package:
-    """Do the work; gives the files of the result."""
+def _make_result(
+    work: Work, own_folder: Path, cache: Path, memory: float | None
+) -> Mapping[str, bytes]:
+    """Do the work; gives the files of the outcome."""
     allow = partial(check_memory, available=memory)
     given = read_session(own_folder / "given" / work.session.session, allow=allow)
     given = replace(given, smooth=work.options.surface == "smooth")
@@ -201,43 +197,40 @@ def _make_result(work: Work, own_folder: Path, cache: Path, memory: float | None
     result = own_folder / "result"
     result.mkdir()
     if work.kind == "motion":
-        _measure(work, given, result, own_folder)
-    elif work.kind == "body":
-        prepare_body(
-            given,
-            settings=work.options.fit_settings,
-            cache=cache,
-        )
+        return _measured(work, given, own_folder)
+    if work.kind == "body":
+        prepare_body(given, settings=work.options.fit_settings, cache=cache)
     else:
         measured = _with_motion(work, given, own_folder)
         _fit(work, measured, result, own_folder, cache if work.shared_body else None)
-    return pack_files(
-        {
-            file.relative_to(result).as_posix(): read_bytes(file)
-            for file in result.rglob("*")
-            if file.is_file()
-        }
-    )
+    return {
+        file.relative_to(result).as_posix(): read_bytes(file)
+        for file in sorted(result.rglob("*"))
+        if file.is_file()
+    }
 
 
-def _measure(work: Work, given: Session, result: Path, own_folder: Path) -> None:
-    """Measure the motion of some probings, and write each into the folder that its key names."""
+def _measured(work: Work, given: Session, own_folder: Path) -> Mapping[str, bytes]:
+    """Measure the motion of some probings; gives each by its digest."""
     chosen = [probing for probing in given.probings if probing.name in work.keys]
     alone = replace(given, probings=tuple(chosen))
+    files = {}
     for name, motion in measure_pictures(alone, pose=work.options.pose).items():
-        folder = result / work.keys[name]
+        folder = own_folder / "result" / work.keys[name]
         folder.mkdir()
         original = {name: _with_original_notes(motion, work, own_folder)}
         keep_motion(folder, _only(given, name), original, pose=work.options.pose)
+        files[work.keys[name]] = read_bytes(folder / MOTION_FILE)
+    return files
 
 
 def _with_motion(work: Work, given: Session, own_folder: Path) -> Session:
     """The session with the displacements measured in its pictures."""
     pose, known = work.options.pose, dict[str, ProbingMotion]()
-    for k, (name, motion) in enumerate(work.motions.items()):
+    for k, (name, key) in enumerate(work.keys.items()):
         folder = own_folder / f"motion {k}"
         with result_folder(folder, kind="fit") as motion_folder:
-            (motion_folder / MOTION_FILE).write_bytes(motion)
+            (motion_folder / MOTION_FILE).write_bytes(work.motions[key])
         known |= kept_motion(_only(given, name), folder, pose=pose)
     return with_motions(given, measure_pictures(given, known=known, pose=pose))
 
@@ -283,24 +276,8 @@ def _with_original_paths(text: str, work: Work, own_folder: Path) -> str:
     return text.replace(unpacked, original)
 
 
-def pack_files(files: Mapping[str, bytes]) -> Package:
-    """Make a package of files, with their checksums.
-
-    Parameters
-    ----------
-    files : mapping of str to bytes     content by path
-
-    Returns
-    -------
-    Package                         sorted by path
-    """
-    ordered = dict(sorted(files.items()))
-    sums = {name: hashlib.sha256(content).hexdigest() for name, content in ordered.items()}
-    return Package(ordered, sums)
-
-
 def pack_session(path: Path) -> PackedSession:
-    """Read all files of a session into a package.
+    """Read all files of a session.
 
     Parameters
     ----------
@@ -316,10 +293,11 @@ def pack_session(path: Path) -> PackedSession:
     RecordError                     no session, or one of its files cannot be read
     """
     session = real_session_file(path)
-    files = [Path(os.path.realpath(file)) for file in session_files(session)]
+    files = sorted(Path(os.path.realpath(file)) for file in session_files(session))
     root = Path(os.path.commonpath([session.parent.parent, *(file.parent for file in files)]))
     content = {file.relative_to(root).as_posix(): read_bytes(file) for file in files}
-    return PackedSession(pack_files(content), session.relative_to(root).as_posix(), str(root))
+    sums = {name: hashlib.sha256(text).hexdigest() for name, text in content.items()}
+    return PackedSession(content, sums, session.relative_to(root).as_posix(), str(root))
 
 
 def real_session_file(path: Path) -> Path:
@@ -349,48 +327,24 @@ def without_files(packed: PackedSession, files: Iterable[Path]) -> PackedSession
     PackedSession
     """
     dropped = {Path(os.path.relpath(os.path.realpath(file), packed.root)) for file in files}
-    names = [name for name in packed.package.files if Path(name) not in dropped]
-    package = Package(
-        {name: packed.package.files[name] for name in names},
-        {name: packed.package.sums[name] for name in names},
-    )
-    return replace(packed, package=package)
+    kept = {name: text for name, text in packed.files.items() if Path(name) not in dropped}
+    return replace(packed, files=kept, sums={name: packed.sums[name] for name in kept})
 
 
-def unpack(package: Package, folder: Path) -> None:
-    """Write the files of a package.
+def unpack(files: Mapping[str, bytes], folder: Path) -> None:
+    """Write the files of a session.
 
     Parameters
     ----------
-    package : Package
+    files : mapping of str to bytes     content by path
     folder : Path                   an existing folder, to which the paths are relative
 
     Raises
     ------
-    RecordError                     a file that was damaged in transit, whose path leads out of the
-                                    folder, or that cannot be written
+    RecordError                     a path that leads out of the folder; a file cannot be written
     """
-    check_package(package)
-    for name, content in package.files.items():
+    for name, content in files.items():
         target = path_below(folder, name)
         with disk_errors(folder):
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(content)
-
-
-def check_package(package: Package) -> None:
-    """Refuse a package whose files do not match their checksums.
-
-    Parameters
-    ----------
-    package : Package
-
-    Raises
-    ------
-    RecordError                     a file was damaged in transit
-    """
-    if pack_files(package.files).sums != package.sums:
-        raise RecordError(
-            "files were damaged on their way between two machines: their sums are not those with"
-            " which they left; run again"
-        )

@@ -26,7 +26,6 @@ from palpate.field.field_fit import (
 )
 from palpate.field.field_map import (
     FieldPosterior as FieldPosterior,
-    MapResponse as MapResponse,
     make_map_response as make_map_response,
 )
 from palpate.field.field_responses import UnevenBody as UnevenBody

@@ -15,7 +15,6 @@ from palpate.geometry.closest_point import (
     ray_intersection as ray_intersection,
     triangle_distances as triangle_distances,
 )
-from palpate.geometry.mesh_content import check_packed_arrays as check_packed_arrays
 from palpate.geometry.mesh_files import (
     MESH_SUFFIXES as MESH_SUFFIXES,
     STEP_SUFFIXES as STEP_SUFFIXES,

@@ -1,9 +1,4 @@
-"""What mesh files hold, checked where the readers of other packages trust it; VTK's polygon files.
-
-These readers round 1.5, take index 0 for the last vertex where indices start at 1, ignore missing
-entries of a row, unpack compressed arrays of any size, and make a table with an entry for every
-node number up to the highest: where a file is damaged, that fills the memory.
-"""
+"""VTK's polygon files, and rows of text PLY files, of which trimesh ignores missing entries."""
 
 import base64
 import lzma
@@ -14,7 +9,7 @@ from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Int
 
 from palpate.files import max_unpacked_size
 from palpate.shapes import Triangles, Vertices
@@ -25,10 +20,6 @@ _UNPACKERS: dict[str, Callable[[], Any]] = {
     "vtkLZMADataCompressor": lzma.LZMADecompressor,
 }
 _CORNERS = (b"vertex_indices", b"vertex_index")
-# Far above the number of nodes of any mesh that is read; the table then takes 160 MB.
-_HIGHEST_NODE = 20_000_000
-# Takes so many values of a type from the file, from where the last call ended.
-_Take = Callable[[str, int], np.ndarray]
 
 
 def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
@@ -76,25 +67,6 @@ def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
         connectivity.append(corners + first_point)
         first_point += len(xyz)
     return np.concatenate(points), _fans(np.concatenate(connectivity), np.concatenate(offsets))
-
-
-def check_packed_arrays(content: bytes) -> None:
-    """Refuse a VTK XML file whose compressed arrays are damaged or expand to more than is allowed.
-
-    Parameters
-    ----------
-    content : bytes                 the whole file, of any kind of grid; an uncompressed one passes
-
-    Raises
-    ------
-    ValueError, LookupError, SyntaxError, zlib.error, lzma.LZMAError    it is refused
-    """
-    root, appended = _parsed_vtp(content)
-    if root.get("compressor") is None:
-        return
-    for node in root.iter("DataArray"):
-        if node.get("format") in ("binary", "appended") and node.get("type") != "String":
-            _vtp_array(node, root, appended)
 
 
 def _fans(ring: np.ndarray, sizes: np.ndarray) -> Triangles:
@@ -238,40 +210,6 @@ def check_text_ply(content: bytes) -> None:
                 raise ValueError(f"line {number}: '{text}' is no row of {name.decode()}")
 
 
-def check_text_msh(content: bytes) -> None:
-    """Refuse a text MSH file with cells whose node numbers are not integers from 1.
-
-    Parameters
-    ----------
-    content : bytes                 the whole file, version 2 or 4; a binary one passes
-
-    Raises
-    ------
-    ValueError                      the message names the line
-
-    Source
-    ------
-    Gmsh reference manual, "MSH file format".
-    """
-    version, binary, *_ = content.partition(b"$MeshFormat")[2].split(maxsplit=3)
-    if binary != b"0":
-        return
-    before, _, rest = content.partition(b"$Elements")
-    rows = _text_rows(rest.partition(b"$EndElements")[0], first=before.count(b"\n") + 1)
-    next(rows)
-    blocks = version.startswith(b"4")
-    left = 0
-    for number, words in rows:
-        if blocks and not left:
-            left = _whole(number, words[3:4])
-            continue
-        left -= 1
-        known = 1 if blocks else 3 + _whole(number, words[2:3])
-        for word in words[known:]:
-            if _whole(number, [word]) < 1:
-                raise ValueError(f"line {number}: a cell has node {word.decode()}; counted from 1")
-
-
 def _text_rows(content: bytes, *, first: int) -> Iterator[tuple[int, list[bytes]]]:
     """Number and words of every line that is not blank; the number of the first one is given."""
     for number, line in enumerate(content.split(b"\n"), start=first):
@@ -293,79 +231,3 @@ def _whole(number: int, words: list[bytes]) -> int:
     if not text.removeprefix("-").isdecimal():
         raise ValueError(f"line {number}: '{text[:40]}' is no whole number")
     return int(text)
-
-
-def check_msh_nodes(content: bytes) -> None:
-    """Refuse an MSH file with implausible numbers of nodes, or fewer nodes than it declares.
-
-    Parameters
-    ----------
-    content : bytes                 the whole file, version 2 or 4, text or binary
-
-    Raises
-    ------
-    ValueError                      the message names the number
-
-    Source
-    ------
-    Gmsh reference manual, "MSH file format".
-    """
-    version, mode, *_ = content.partition(b"$MeshFormat")[2].split(maxsplit=2)
-    section = content.partition(b"$Nodes")[2].partition(b"\n")[2]
-    text = mode == b"0"
-    take = _msh_reader(section, text=text)
-    if version.startswith(b"2"):
-        # In a binary file the count is text, and meshio takes only 1, 2, 3 ... for numbers.
-        blocks = _numbers_of_version_2(take) if text else iter(())
-    else:
-        blocks = _numbers_of_version_4(take, listed=not version.startswith(b"4.0"))
-    for numbers in blocks:
-        if (highest := numbers.max(initial=0)) > _HIGHEST_NODE:
-            raise ValueError(
-                f"a node has the number {highest:.0f}, at most {_HIGHEST_NODE} is read:"
-                " number them anew"
-            )
-
-
-def _msh_reader(section: bytes, *, text: bool) -> _Take:
-    """Takes one value after another from the numbers of a text, or from bytes."""
-    values = np.frombuffer(section, np.uint8)
-    if text:
-        values = np.array(section.partition(b"$EndNodes")[0].split(), dtype=np.float64)
-    place = 0
-
-    def take(kind: str, count: int) -> np.ndarray:
-        nonlocal place
-        start, place = place, place + count * (1 if text else np.dtype(kind).itemsize)
-        if not start <= place <= len(values):
-            raise ValueError("it has fewer nodes than it declares")
-        return values[start:place] if text else values[start:place].view(kind)
-
-    return take
-
-
-def _numbers_of_version_2(take: _Take) -> Iterator[Shaped[np.ndarray, " n"]]:
-    """Rows of number, x, y, z."""
-    count = int(take("i4", 1)[0])
-    yield take("f8", 4 * count)[::4]
-
-
-def _numbers_of_version_4(take: _Take, *, listed: bool) -> Iterator[Shaped[np.ndarray, " n"]]:
-    """Blocks of nodes; their numbers come first, or (4.0) with their coordinates."""
-    blocks, said = map(int, take("u8", 2))
-    found = 0
-    if listed:
-        take("u8", 2)
-    for _ in range(blocks):
-        take("i4", 3)
-        count = int(take("u8", 1)[0])
-        found += count
-        if listed:
-            yield take("u8", count)
-            take("f8", 3 * count)
-        else:
-            for _ in range(count):
-                yield take("i4", 1)
-                take("f8", 3)
-    if found != said:
-        raise ValueError(f"it says that it has {said} nodes, and holds {found}")

@@ -15,15 +15,8 @@ from scipy.spatial import cKDTree
 from palpate.disk import atomic_replacement, write_bytes, write_errors
 from palpate.errors import InputError, MeshError
 from palpate.files import read_bytes, read_errors
-from palpate.foreign import result_in_child, triangles_of_step
-from palpate.geometry.mesh_content import (
-    check_msh_nodes,
-    check_packed_arrays,
-    check_text_msh,
-    check_text_ply,
-    parse_vtp,
-    whole_numbers,
-)
+from palpate.foreign import read_by_meshio, result_in_child, triangles_of_step
+from palpate.geometry.mesh_content import check_text_ply, parse_vtp, whole_numbers
 from palpate.geometry.triangle_mesh import TriangleMesh, connected_components, is_outer
 from palpate.optional_imports import late_import
 from palpate.shapes import Triangles, Vertices
@@ -130,13 +123,14 @@ def read_mesh(
             raise ValueError(
                 f"a face names vertex {triangles.max()}, counted from 0, of {len(vertices)}"
             )
-        used = vertices[np.unique(triangles)]
+        used = np.zeros(len(vertices), dtype=bool)
+        used[triangles] = True
     if len(triangles) == 0:
         raise MeshError(f"{path}: holds no triangles; give a closed triangle surface")
     _check_count(path, len(triangles), most)
-    if not np.isfinite(used).all():
+    if not np.isfinite(vertices[used]).all():
         raise MeshError(f"{path}: has vertices that are not finite; write the file again")
-    _check_span(path, used * metres_per_unit)
+    _check_span(path, vertices[used] * metres_per_unit)
     try:
         return welded(TriangleMesh(vertices=vertices * metres_per_unit, triangles=triangles))
     except InputError as error:
@@ -231,11 +225,6 @@ def _check_whole(content: bytes, suffix: str) -> None:
         if b"format ascii" in head and counts:
             _check_said(sum(map(int, counts)), sum(bool(row.strip()) for row in rows.splitlines()))
             check_text_ply(content)
-    elif suffix == ".msh":
-        check_text_msh(content)
-        check_msh_nodes(content)
-    elif suffix == ".vtu":
-        check_packed_arrays(content)
     elif suffix == ".off":
         words = [line for row in content.splitlines() if (line := row.partition(b"#")[0].split())]
         # Some programs write the counts on the line of the word OFF.
@@ -292,10 +281,8 @@ def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
         )
         vertices, triangles = loaded.vertices, loaded.faces
     else:
-        meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
-        vertices, triangles = _surface_of_cells(
-            meshio.read(path, file_format=_MESHIO_SUFFIXES[suffix])
-        )
+        found = result_in_child(read_by_meshio, path, _MESHIO_SUFFIXES[suffix])
+        vertices, triangles = _surface_of_cells(found)
     return (
         np.array(vertices, dtype=np.float64).reshape(-1, 3),
         whole_numbers(np.asarray(triangles)).reshape(-1, 3),

@@ -9,7 +9,6 @@ Read first : `creep.py`, then `creep_fit.py`.
 
 from palpate.relaxation.creep import (
     CreepCompliance as CreepCompliance,
-    RelaxationModulus as RelaxationModulus,
     memory as memory,
 )
 from palpate.relaxation.creep_fit import (

@@ -1,7 +1,6 @@
 """OpenCorr's tables."""
 
 import struct
-import sys
 
 import meshio
 import numpy as np
@@ -15,7 +14,7 @@ from program_files import (
 )
 from scipy.spatial.transform import Rotation
 
-from palpate.errors import InputError, RecordError
+from palpate.errors import RecordError
 from palpate.records import in_object_frame, measured_rows
 from palpate.records.programs.registry import read_measured
 
@@ -181,13 +180,6 @@ def test_vtu_that_is_no_surface_or_none_at_all(tmp_path):
         read_measured("vtu", path, length_unit="mm")
     with pytest.raises(RecordError, match=r"is no \.vtu file"):
         read_measured("vtu", tmp_path / "a.vtp", length_unit="mm")
-
-
-def test_vtu_needs_its_package(tmp_path, monkeypatch):
-    path = _write_vtu(tmp_path / "a.vtu", {"u": MOVE})
-    monkeypatch.setitem(sys.modules, "meshio", None)
-    with pytest.raises(InputError, match=r"pip install 'palpate'"):
-        read_measured("vtu", path, length_unit="mm")
 
 
 def test_vtu_needs_a_unit(tmp_path):

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import RecordError
-from palpate.files import read_bytes, read_errors
-from palpate.geometry import check_packed_arrays
-from palpate.optional_imports import late_import
+from palpate.files import checked_file, read_bytes, read_errors
+from palpate.foreign import read_by_meshio, result_in_child
 from palpate.records.program import MIN_CORRELATION, Program, ProgramPoints, chosen_frame
 from palpate.records.text.csv_table import Column, TextTable, read_text_table
 from palpate.records.text.toml_table import nearest_word
@@ -238,7 +237,6 @@ def _read_vtu_points(path: Path, frame: int | None) -> ProgramPoints:
     Raises
     ------
     RecordError                     no such data, a 2-D vector, volume cells, unreadable
-    InputError                      meshio is missing
 
     Source
     ------
@@ -266,13 +264,10 @@ def _vtk_content(path: Path) -> Any:
         raise RecordError(
             f"{path}: is no .vtu file; save it as an unstructured grid of VTK (.vtu or .vtk)"
         )
-    content = read_bytes(path, max_bytes=_MOST_VTK_BYTES)
-    meshio = late_import("meshio", extra=None, purpose=f"reading {path.name}")
+    checked_file(path, max_bytes=_MOST_VTK_BYTES)
     what = f"cannot be read as {path.suffix[1:].upper()}"
     with read_errors(path, "open it in ParaView and save it again", what=what):
-        if path.suffix.lower() == ".vtu":
-            check_packed_arrays(content)
-        return meshio.read(path)
+        return result_in_child(read_by_meshio, path, path.suffix[1:].lower())
 
 
 def _vtk_displacement(path: Path, data: Mapping[str, np.ndarray]) -> Points:
