@@ -175,9 +175,10 @@ class _ContactPotential:
     def step(self, at: Unknowns, forces: Steps) -> Steps | None:
         """Newton's steps by block elimination; the tip's travel is eliminated last."""
         penetration, normal = self.penetration(at)
-        weight = np.where(penetration > 0.0, self.stiffness, 0.0)
+        touching = (penetration > 0.0) & (self.within > 0.0)
+        weight, normal = self.stiffness[touching], normal[touching]
         advance = normal @ self.tip.direction
-        across = _along_normals(self.at_points, normal)
+        across = _along_normals(self.at_points[touching], normal)
         matrix = (
             tangent(self.law, self.basis, at[:-1].reshape(-1, 3))
             + across.T @ diags_array(weight) @ across

@@ -16,7 +16,7 @@ from palpate.pipeline.model.large_strain import (
     make_finite_body,
     strain_corrections,
 )
-from palpate.pipeline.model.stiffening import is_stiffening, with_error_of_elements
+from palpate.pipeline.model.stiffening import is_stiffening
 from palpate.records import (
     BIASED,
     EXACT,
@@ -200,11 +200,7 @@ def test_a_pressure_without_bound_is_refused(tool: Tool | None) -> None:
         fit_session(replace(session, probings=(probing,)), finite_strain=True)
 
 
-def test_stiffening_is_shown_by_more_than_noise_and_elements() -> None:
-    found = Constant(0.4, 0.1, (0.2, 0.6))
-    assert is_stiffening(found)
-    # Four deviations of noise, but what finer elements change is as large as a third of it.
-    told = with_error_of_elements(found, -0.12)
-    assert not is_stiffening(told)
-    assert told.std == pytest.approx(np.hypot(0.1, 0.12))
-    assert told.ci95 == pytest.approx((0.4 - 1.96 * told.std, 0.4 + 1.96 * told.std))
+def test_stiffening_is_shown_by_more_than_noise() -> None:
+    """A false alarm in 400: 3.02 standard deviations."""
+    assert is_stiffening(Constant(0.4, 0.13, (0.15, 0.65)))
+    assert not is_stiffening(Constant(0.4, 0.15, (0.11, 0.69)))

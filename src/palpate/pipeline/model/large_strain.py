@@ -38,7 +38,6 @@ from palpate.pipeline.model.stiffening import (
     STIFFENS,
     estimated_stiffening,
     is_stiffening,
-    with_error_of_elements,
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
@@ -82,30 +81,25 @@ from palpate.solids import (
 
 _MOST_ROUNDS = 8
 _SHEAR_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
-# Share of its standard deviation by which a constant may still change, as one does that the data do
-# not determine: no interval shows it.
+# Share of its standard deviation by which a constant may still change: no interval shows it.
 _WANDERS = 0.1
 # Standard deviations of stiffening below which finer elements do not look for it.
 _HOPELESS = 1.0
-# Against CalculiX: 18 % off without noise, far more with it, and outside its interval.
-_UNDER_A_FACE = (
-    " Do not rely on how much: skin is drawn in under the rim of a flat face, which the model"
-    " leaves out; press with a ball."
-)
-# At finite strain, soft materials of the same constants differ from each other by a good part of
-# their difference from a linear one.
+# Soft materials of the same constants differ by about this much of their change from a linear one.
 _OTHER_LAWS = 0.3
-# Edge ratio of the coarser elements: the error, of second order, is about the change from these.
+# Edge ratio of the coarser elements, and the error of second order over the change from these.
 _COARSER = 1.4
+_BEYOND = 1.0 / (_COARSER**2 - 1.0)
 # Fractions of the work that are done with the coarser elements, and with those by another law.
 _ROUGH, _OTHER = 0.2, 0.3
-# Element size away from the tools over the mean edge of the mesh; element size under a tool and the
-# radius of that region, over the contact radius.
-_COARSE, _FINE, _FINE_REACH = 1.5, 0.4, 1.3
-# The same under a ball, whose own shape determines where it touches; under a flat face, and along
-# its rim, where the pressure is without bound.
-_UNDER_BALL, _BALL_REACH = 0.6, 1.0
-_UNDER_FACE, _AT_RIM, _RIM_REACH = 0.7, 0.28, 0.25
+# Element size away from the tools over the mean edge of the mesh. Over the contact radius: radius
+# of the region under a tool, whose own shape tells where it touches, or under a pressure, and
+# element size there; the same along the rim of a flat face, where pressure is without bound.
+_COARSE = 1.5
+_UNDER: dict[type, tuple[float, float]] = {
+    Sphere: (1.0, 0.6), Punch: (1.3, 1.0), type(None): (1.3, 0.4)
+}  # fmt: skip
+_AT_RIM = (0.12, 0.16)
 # Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
 _LARGEST_RATIO = 0.495
 # Tips of the tools that are served.
@@ -222,15 +216,12 @@ def fit_at_finite_strain(
     shown = found.value > _HOPELESS * found.std
     if shown:
         result, starts = _converged(body, used, rough, report, stiffens=True)
-        coarser, found = found, estimated_stiffening(result)
-        found = with_error_of_elements(found, found.value - coarser.value)
+        found = estimated_stiffening(result)
         shown = is_stiffening(found)
     if not shown:
         result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
     estimate = result.estimate
     told, size = stiffening_text(found, shown=shown), _size_note(observations, starts)
-    if shown and any(isinstance(tip, Punch) for tip in body.tips):
-        told += _UNDER_A_FACE
     notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
     if estimate.status is Status.MODEL_CONTRADICTED:
         notes, found = (*estimate.notes, size), Constant(found.value, np.nan, (np.nan, np.nan))
@@ -308,15 +299,11 @@ def _fine_regions(
     contact: Contact, tip: Tip | None, coarser: float
 ) -> list[tuple[Vector3, float, float]]:
     """Where elements are finer: point, reach and edge (`make_solid`)."""
-    radius, reach, size = float(contact.radius or 0.0), _FINE_REACH, _FINE
-    if isinstance(tip, Sphere):
-        reach, size = _BALL_REACH, _UNDER_BALL
-    elif isinstance(tip, Punch):
-        size = _UNDER_FACE
+    radius, (reach, size) = float(contact.radius or 0.0), _UNDER[type(tip)]
     regions = [(contact.point, reach * radius, coarser * size * radius)]
     if isinstance(tip, Punch):
-        edge = coarser * _AT_RIM * tip.radius
-        regions += [(point, _RIM_REACH * tip.radius, edge) for point in tip.rim(edge)]
+        reach, edge = _AT_RIM[0] * tip.radius, coarser * _AT_RIM[1] * tip.radius
+        regions += [(point, reach, edge) for point in tip.rim(edge)]
     return regions
 
 
@@ -416,6 +403,8 @@ def _converged(
         before = now
         report = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
         starts = strain_corrections(body, before, starts=starts, progress=report)
+        if used.coarser:
+            starts = tuple(map(_extrapolated, starts, used.coarser))
         corrected = [
             corrected_observations(observed, correction, rough, stiffens=stiffens)
             for observed, correction, rough in zip(
@@ -434,6 +423,12 @@ def _converged(
         f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
         " object is pressed too far for this; press less, or leave --strain finite out"
     )
+
+
+def _extrapolated(correction: Correction, rough: _Coarser) -> Correction:
+    """A correction of infinitely fine elements, whose error is of second order (Richardson)."""
+    step = correction.value - rough[0].at(correction.constants)
+    return replace(correction, value=correction.value + _BEYOND * step)
 
 
 def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
@@ -508,7 +503,12 @@ def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisanc
         laws, elements = other.value - coarse.value, correction.value - coarse.at(now)
         errors += [
             ("finite strain", "from one neo-Hookean law to another", 1.0, laws),
-            (f"finite strain of {name}", "from coarser to finer elements", 1.0, elements),
+            (
+                f"finite strain of {name}",
+                "from coarser to extrapolated elements",
+                _BEYOND / (1.0 + _BEYOND),
+                elements,
+            ),
         ]
     parameters = (
         NuisanceParameter(f"{of} (in steps {step})", std, of="finite strain")

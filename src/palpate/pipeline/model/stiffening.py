@@ -1,6 +1,5 @@
 """The stiffening of a material at finite strain: its estimate, and whether it is shown."""
 
-import numpy as np
 from scipy.special import ndtri
 
 from palpate.estimation import FALSE_ALARM, FitResult
@@ -22,24 +21,8 @@ def estimated_stiffening(result: FitResult) -> Constant:
     value, std = (
         STIFFENING_STD * float(each[place]) for each in (minimum.theta, minimum.normal.std)
     )
-    return _interval(value, std)
-
-
-def _interval(value: float, std: float) -> Constant:
     low, high = value - HALF_95 * std, value + HALF_95 * std
     return Constant(value, std, (min(max(low, 0.0), value), max(high, 0.0)))
-
-
-def with_error_of_elements(stiffening: Constant, change: float) -> Constant:
-    """An estimate with the error of its finite elements.
-
-    Parameters
-    ----------
-    stiffening : Constant [-]
-    change : float [-]              of its value from coarser to finer elements: about its error, of
-                                    second order
-    """
-    return _interval(stiffening.value, float(np.hypot(stiffening.std, change)))
 
 
 def is_stiffening(stiffening: Constant) -> bool:
@@ -47,6 +30,6 @@ def is_stiffening(stiffening: Constant) -> bool:
 
     Parameters
     ----------
-    stiffening : Constant [-]       with the error of its elements
+    stiffening : Constant [-]
     """
     return stiffening.value > _SHOWN * stiffening.std
