@@ -11,12 +11,8 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
-from palpate.pipeline.model.large_strain import (
-    MaterialConstants,
-    make_finite_body,
-    strain_corrections,
-)
-from palpate.pipeline.model.stiffening import is_stiffening
+from palpate.pipeline.model.large_strain import make_finite_body, strain_corrections
+from palpate.pipeline.model.stiffening import MaterialConstants, is_stiffening
 from palpate.records import (
     BIASED,
     EXACT,

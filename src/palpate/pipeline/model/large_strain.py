@@ -36,6 +36,7 @@ from palpate.pipeline.model.grading import halved_session
 from palpate.pipeline.model.stiffening import (
     STIFFENING_STD,
     STIFFENS,
+    MaterialConstants,
     estimated_stiffening,
     is_stiffening,
 )
@@ -80,7 +81,8 @@ from palpate.solids import (
 )
 
 _MOST_ROUNDS = 8
-_SHEAR_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
+_TOLERANCES = {"shear_modulus": 1e-3, "poisson_ratio": 2e-3, "young_modulus": 1e-3}
+_STIFFENING_TOLERANCE = 2e-2
 # Share of its standard deviation by which a constant may still change: no interval shows it.
 _WANDERS = 0.1
 # Standard deviations of stiffening below which finer elements do not look for it.
@@ -104,15 +106,6 @@ _AT_RIM = (0.12, 0.16)
 _LARGEST_RATIO = 0.495
 # Tips of the tools that are served.
 _TIPS: dict[type[Tool], type[Tip]] = {Ball: Sphere, FlatFace: Punch}
-
-
-@dataclass(frozen=True, slots=True)
-class MaterialConstants:
-    """Shear modulus [Pa], Poisson's ratio and stiffening of a material."""
-
-    shear_modulus: float
-    poisson_ratio: float
-    stiffening: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -432,14 +425,15 @@ def _extrapolated(correction: Correction, rough: _Coarser) -> Correction:
 
 
 def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
-    shear, ratio = result.estimate.shear_modulus.std, result.estimate.poisson_ratio.std
-    stiffening, size = estimated_stiffening(result).std, 1.0 + now.stiffening
-    return (
-        abs(now.shear_modulus - before.shear_modulus)
-        < max(_SHEAR_TOLERANCE * before.shear_modulus, _WANDERS * shear)
-        and abs(now.poisson_ratio - before.poisson_ratio) < max(_RATIO_TOLERANCE, _WANDERS * ratio)
-        and abs(now.stiffening - before.stiffening)
-        < max(_STIFFENING_TOLERANCE * size, _WANDERS * stiffening)
+    """Whether the constants stand still that the data determine; a beam's nu wanders for ever."""
+    estimate, stiffening = result.estimate, estimated_stiffening(result)
+    stds = {name: getattr(estimate, name).std for name in _TOLERANCES}
+    known = [name for name in stds if estimate.identifiable[name]] or [*stds]
+    size = max(_STIFFENING_TOLERANCE * (1.0 + now.stiffening), _WANDERS * stiffening.std)
+    return abs(now.stiffening - before.stiffening) < size and all(
+        abs(getattr(now, name) - getattr(before, name))
+        < max(_TOLERANCES[name] * getattr(now, name), _WANDERS * stds[name])
+        for name in known
     )
 
 

@@ -1,4 +1,6 @@
-"""The stiffening of a material at finite strain: its estimate, and whether it is shown."""
+"""The constants of a material at finite strain: its stiffening, and whether it is shown."""
+
+from dataclasses import dataclass
 
 from scipy.special import ndtri
 
@@ -9,6 +11,20 @@ from palpate.records import HALF_95, Constant
 STIFFENING_STD, STIFFENS = 10.0, "stiffening of the material"
 # Standard deviations from which it counts as shown.
 _SHOWN = -float(ndtri(0.5 * FALSE_ALARM))
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialConstants:
+    """Shear modulus [Pa], Poisson's ratio and stiffening of a material."""
+
+    shear_modulus: float
+    poisson_ratio: float
+    stiffening: float = 0.0
+
+    @property
+    def young_modulus(self) -> float:
+        """E = 2 G (1 + nu) [Pa]."""
+        return 2.0 * self.shear_modulus * (1.0 + self.poisson_ratio)
 
 
 def estimated_stiffening(result: FitResult) -> Constant:
