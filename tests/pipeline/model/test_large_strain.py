@@ -172,7 +172,7 @@ def test_an_object_pressed_far_gives_its_constants() -> None:
     law = found["finite strain (in steps from one neo-Hookean law to another)"]
     assert abs(law.value) < 2.5
     assert law.prior_std == 1.0
-    mesh = found["finite strain of n (in steps from coarser to finer elements)"]
+    mesh = found["finite strain of n (in steps from coarser to extrapolated elements)"]
     assert abs(mesh.value) < 2.0
     assert "the linear model alone is" in finite.notes[-2]
     # The law of these data does not stiffen.
