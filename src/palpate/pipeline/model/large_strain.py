@@ -81,8 +81,7 @@ from palpate.solids import (
 )
 
 _MOST_ROUNDS = 8
-_TOLERANCES = {"shear_modulus": 1e-3, "poisson_ratio": 2e-3, "young_modulus": 1e-3}
-_STIFFENING_TOLERANCE = 2e-2
+_MODULUS_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
 # Share of its standard deviation by which a constant may still change: no interval shows it.
 _WANDERS = 0.1
 # Standard deviations of stiffening below which finer elements do not look for it.
@@ -427,12 +426,16 @@ def _extrapolated(correction: Correction, rough: _Coarser) -> Correction:
 def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
     """Whether the constants stand still that the data determine; a beam's nu wanders for ever."""
     estimate, stiffening = result.estimate, estimated_stiffening(result)
-    stds = {name: getattr(estimate, name).std for name in _TOLERANCES}
-    known = [name for name in stds if estimate.identifiable[name]] or [*stds]
+    least = {
+        "shear_modulus": _MODULUS_TOLERANCE * now.shear_modulus,
+        "poisson_ratio": _RATIO_TOLERANCE,
+        "young_modulus": _MODULUS_TOLERANCE * now.young_modulus,
+    }
+    known = [name for name in least if estimate.identifiable[name]] or [*least]
     size = max(_STIFFENING_TOLERANCE * (1.0 + now.stiffening), _WANDERS * stiffening.std)
     return abs(now.stiffening - before.stiffening) < size and all(
         abs(getattr(now, name) - getattr(before, name))
-        < max(_TOLERANCES[name] * getattr(now, name), _WANDERS * stds[name])
+        < max(least[name], _WANDERS * getattr(estimate, name).std)
         for name in known
     )
 
