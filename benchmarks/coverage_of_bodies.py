@@ -35,6 +35,7 @@ from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import Material, fit_session
 from palpate.records import EXACT, Contact, DisplacementField, Estimate, Probing, Session, Status
 from palpate.records.error_priors import ErrorPriors
+from palpate.shapes import Vector3
 
 NOISE = 0.01
 EVERY = BODIES | DRAWN_BODIES
@@ -156,17 +157,26 @@ def _solved(
     return np.load(file)
 
 
+def drawn_errors(
+    priors: ErrorPriors, rng: np.random.Generator
+) -> tuple[float, Rotation, Rotation, Vector3, Vector3]:
+    """Errors that all pushes share: gain and axes of the gauge, turn and shift [m] of the object,
+    and factors on lengths."""
+    gain = 1.0 + priors.force_gain * rng.normal()
+    axes = Rotation.from_rotvec(priors.force_direction * rng.normal(size=3))
+    turn = Rotation.from_rotvec(priors.pose_rotation * rng.normal(size=3))
+    shift = priors.pose_translation * rng.normal(size=3)
+    scale = 1.0 + priors.length_scale * rng.normal(size=3)
+    return gain, axes, turn, shift, scale
+
+
 def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Session:
     """What a laboratory tells, wrong by draws from its priors."""
     # Other draws on every body.
     rng, mesh = np.random.default_rng([seed, list(EVERY).index(body.name)]), body.mesh
     held = np.flatnonzero(held_triangles(mesh, body.shape))
     seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
-    gain = 1.0 + errors.force_gain * rng.normal()
-    axes = Rotation.from_rotvec(errors.force_direction * rng.normal(size=3))
-    turn = Rotation.from_rotvec(errors.pose_rotation * rng.normal(size=3))
-    shift = errors.pose_translation * rng.normal(size=3)
-    scale = 1.0 + errors.length_scale * rng.normal(size=3)
+    gain, axes, turn, shift, scale = drawn_errors(errors, rng)
     centre = mesh.vertices.mean(axis=0)
     points = turn.apply(mesh.vertices[seen] - centre) + centre + shift
     told = closest_points(mesh, points)

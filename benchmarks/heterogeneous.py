@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import BODIES, Shape
 from benchmarks.body_truth import RADIUS, SHEAR_MODULUS, held_triangles
+from benchmarks.coverage_of_bodies import drawn_errors
 from palpate import records
 from palpate.estimation import Prediction
 from palpate.geometry import TriangleMesh, closest_points, unit_normals
@@ -265,11 +265,7 @@ def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = N
 def told_wrong(exact: Session, seed: int) -> Session:
     """A session wrong by draws from its priors: gauge, places, radii, pose, lengths."""
     priors, rng, mesh = exact.errors, np.random.default_rng(seed), exact.mesh
-    gain = 1.0 + priors.force_gain * rng.normal()
-    gauge = Rotation.from_rotvec(priors.force_direction * rng.normal(size=3))
-    turn = Rotation.from_rotvec(priors.pose_rotation * rng.normal(size=3))
-    shift = priors.pose_translation * rng.normal(size=3)
-    scale = 1.0 + priors.length_scale * rng.normal(size=3)
+    gain, gauge, turn, shift, scale = drawn_errors(priors, rng)
     centre = mesh.vertices.mean(axis=0)
     probings = []
     for probing in exact.probings:
