@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 # What is ours and written in Python; what a stale kernel could come from: the rooms that have kernels,
 # and those below that these may take a constant from.
 PYTHON_FILES := src tests benchmarks examples docs
-KERNEL_ROOMS := geometry records probe bem vision lab simulation solids
+KERNEL_ROOMS := geometry records probe contact bem vision lab simulation solids
 KERNEL_SOURCES := $(shell find $(KERNEL_ROOMS:%=src/palpate/%) -name '*.py')
 
 .PHONY: demo test slow fuzz fuzz-coverage benchmark lint format contract types tests map reference docs dist release lock \

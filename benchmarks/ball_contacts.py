@@ -35,6 +35,7 @@ from palpate.lab import half_ball
 from palpate.pipeline import fit_session
 from palpate.records import (
     EXACT,
+    FRICTIONS,
     SLIDES,
     STICKS,
     Contact,
@@ -45,7 +46,7 @@ from palpate.records import (
 )
 from palpate.records.error_priors import ErrorPriors
 from palpate.solids.contact import Press, press, press_to_force
-from palpate.solids.tips import Sphere as Tip
+from palpate.solids.tips import Tip
 
 # The half ball has some 600 vertices, too.
 SHAPES = {"half_ball": Shape(lambda edge: half_ball(radius=0.04, edge=edge), 5.1e-3), **BODIES}
@@ -56,11 +57,12 @@ BALL = RADIUS / 0.6
 _STEPS = 24
 # The force's standard deviation where everything is exact [N].
 _FORCE = 1e-3
+_WORDS = {friction: name for name, friction in FRICTIONS.items()}
 # Prior errors, and noise over the root mean square displacement.
 _KNOWN = {"all else exact": (EXACT, 0.0), "defaults": (ErrorPriors(), NOISE)}
 
 
-def presses(name: str, mesh: TriangleMesh) -> dict[str, list[Press]]:
+def presses(name: str, mesh: TriangleMesh) -> dict[float, list[Press]]:
     """The presses of a body by friction, one a contact, with displacements of the vertices."""
     shape = SHAPES[name]
     edge, rim = MESHES[-1]
@@ -68,13 +70,16 @@ def presses(name: str, mesh: TriangleMesh) -> dict[str, list[Press]]:
     modulus = 2.0 * SHEAR_MODULUS / (1.0 - shape.poisson_ratio)
     # Hertz' force for the circle on a plane.
     force = 4.0 / 3.0 * modulus * RADIUS**3 / BALL
-    found: dict[str, list[Press]] = {SLIDES: [], STICKS: []}
+    found: dict[float, list[Press]] = {SLIDES: [], STICKS: []}
     for place in contacts(mesh, shape):
-        ball = Tip(BALL, place.point - 2.0 * BALL * place.inward, place.inward)
+        ball, glued = (
+            Tip(tool, place.point - 2.0 * BALL * place.inward, place.inward)
+            for tool in (Sphere(BALL), Sphere(BALL, friction=STICKS))
+        )
         on_plane = press_to_force(truth.body, ball, force)
         sliding = press_to_force(truth.body, ball, force * (RADIUS / on_plane.radius) ** 3)
         depths = sliding.depth * np.arange(1, _STEPS + 1) / _STEPS
-        sticking = press(truth.body, ball, depths, sticking=True)[-1]
+        sticking = press(truth.body, glued, depths)[-1]
         for friction, one in ((SLIDES, sliding), (STICKS, sticking)):
             moved = truth.at(one.displacement, mesh.vertices)
             found[friction].append(replace(one, displacement=moved))
@@ -82,7 +87,7 @@ def presses(name: str, mesh: TriangleMesh) -> dict[str, list[Press]]:
 
 
 def session(
-    name: str, mesh: TriangleMesh, pressed: Iterable[Press], friction: str, noise: float
+    name: str, mesh: TriangleMesh, pressed: Iterable[Press], friction: float, noise: float
 ) -> Session:
     """What a laboratory measures of some presses; no camera sees what the ball covers."""
     shape, rng = SHAPES[name], np.random.default_rng(0)
@@ -115,7 +120,7 @@ def main() -> None:
         found = presses(name, mesh)
         for friction, told in product((SLIDES, STICKS), repeat=2):
             touched = ", ".join(f"{one.radius / BALL:.2f}" for one in found[friction])
-            print(f"{name:10s} {friction}, told {told}: circles of {touched} radii")
+            print(f"{name:10s} {_WORDS[friction]}, told {_WORDS[told]}: circles of {touched} radii")
             for known, (errors, noise) in _KNOWN.items():
                 measured = session(name, mesh, found[friction], told, noise)
                 estimate = fit_session(replace(measured, errors=errors)).estimate

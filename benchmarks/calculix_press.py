@@ -27,8 +27,9 @@ from jaxtyping import Float, Int
 from benchmarks.bodies import BODIES
 from palpate.geometry import TriangleMesh
 from palpate.lab import half_ball
+from palpate.records import FlatFace
 from palpate.shapes import Points, Vector3
-from palpate.solids import Punch, Solid, make_solid, surface_values
+from palpate.solids import Solid, Tip, make_solid, surface_values
 from palpate.solids.tetrahedra import FACES
 
 SHEAR_MODULUS = 2e4
@@ -300,7 +301,7 @@ def _rim_regions(body: Pressed, number: int, edge: float) -> list[tuple[Vector3,
     """Where elements are finer yet: along the rim of a flat face, where pressure is unbounded."""
     if not body.is_flat:
         return []
-    rim = Punch(PUNCH, body.point[number], body.inward[number]).rim(edge)
+    rim = Tip(FlatFace(PUNCH), body.point[number], body.inward[number]).rim(edge)
     return [(point, 0.2 * PUNCH, edge) for point in rim]
 
 

@@ -5,7 +5,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +14,10 @@ from jaxtyping import Float
 from benchmarks.ball_session import write_ball_session
 from benchmarks.figure import SIMULATION, Figure
 from benchmarks.options import Options
-from palpate.records import read_session
+from palpate.contact import ContactState, PlacedTool
+from palpate.records import Sphere, read_session
 from palpate.simulation import (
-    ContactState,
     GreenFunctions,
-    PlacedTool,
-    Sphere,
     exact_material,
     make_green_functions,
     nearest_nodes,
@@ -88,18 +86,17 @@ def _tool(green: GreenFunctions, top: Float[np.ndarray, "3"]) -> tuple[Sphere, f
     size = float(np.ptp(green.mesh.vertices[:, 2]))
     tool = Sphere(size)
     for depth in size * np.linspace(0.005, 0.2, 60):
-        state = start_contact(green, [_placed(tool, top, -1e-6, 0.0)])
-        state = touch(green, [_placed(tool, top, depth, 0.0)], state)
+        state = start_contact(green, [_placed(tool, top, -1e-6)])
+        state = touch(green, [_placed(tool, top, depth)], state)
         if len(state.touching) >= _TOUCHING:
             return tool, float(depth)
     return tool, float(depth)
 
 
 def _placed(
-    tool: Sphere, top: Float[np.ndarray, "3"], depth: float, friction: float, aside: float = 0.0
+    tool: Sphere, top: Float[np.ndarray, "3"], depth: float, aside: float = 0.0
 ) -> PlacedTool:
-    place = top + np.array([aside, 0.0, tool.radius - depth])
-    return PlacedTool(tool, place, friction=friction)
+    return PlacedTool(tool, top + np.array([aside, 0.0, tool.radius - depth]))
 
 
 def _walked(
@@ -107,13 +104,14 @@ def _walked(
 ) -> _Press:
     """A press to thirty nodes, then a hand that trembles and wanders there."""
     tool, depth = _tool(green, top)
+    tool = replace(tool, friction=friction)
     share = np.minimum(np.arange(ticks) / (0.3 * ticks), 1.0)
     wander = np.sin(np.linspace(0.0, 6 * np.pi, ticks)) * (share == 1.0)
-    states = [start_contact(green, [_placed(tool, top, -1e-6, friction)])]
+    states = [start_contact(green, [_placed(tool, top, -1e-6)])]
     seconds, busy = np.zeros((2, ticks))
     for k in range(ticks):
         tremble = 1.0 + 0.02 * np.sin(0.37 * k)
-        now = [_placed(tool, top, depth * share[k] * tremble, friction, 0.3 * depth * wander[k])]
+        now = [_placed(tool, top, depth * share[k] * tremble, 0.3 * depth * wander[k])]
         begin, idle = time.perf_counter(), time.process_time()
         state = touch(green, now, states[-1])
         seconds[k], busy[k] = time.perf_counter() - begin, time.process_time() - idle
@@ -159,9 +157,9 @@ def _surface_figure(green: GreenFunctions, state: ContactState, priority: str) -
 
 def _energy_figure(green: GreenFunctions, top: Float[np.ndarray, "3"], ticks: int) -> Figure:
     tool, depth = _tool(green, top)
-    states = [start_contact(green, [_placed(tool, top, -1e-6, 0.0)])]
+    states = [start_contact(green, [_placed(tool, top, -1e-6)])]
     for share in np.linspace(0.0, 1.0, ticks):
-        now = [_placed(tool, top, depth * share, 0.0, 0.5 * depth * share**2)]
+        now = [_placed(tool, top, depth * share, 0.5 * depth * share**2)]
         states.append(touch(green, now, states[-1]))
     place = np.array([state.tools[0].position for state in states])
     push = -np.array([state.tool_force[0] for state in states])

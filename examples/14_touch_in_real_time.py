@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.records import read_session
+from palpate.contact import PlacedTool
+from palpate.records import Sphere, read_session
 from palpate.simulation import (
     Material,
-    PlacedTool,
-    Sphere,
     force_covariance,
     make_green_functions,
     nearest_nodes,
@@ -31,14 +30,14 @@ def main() -> float:
     material = Material(23.1e3, 0.30, np.array([[300.0**2, 0.0], [0.0, 0.004**2]]))
     top = session.probings[0].contact.point
     green = make_green_functions(session, material, nodes=nearest_nodes(session, top[None], 60))
-    ball = Sphere(RADIUS)
+    ball = Sphere(RADIUS, friction=FRICTION)
     up = np.array([0.0, 0.0, 1.0])
     down = [top + (RADIUS - d) * up for d in np.linspace(0, 2e-3, 100)]
     aside = [down[-1] + [a, 0, 0] for a in np.linspace(0, 3e-3, 100)]
     state = start_contact(green, [PlacedTool(ball, top + (RADIUS + 1e-6) * up)])
     begin = 0.0
     for k, place in enumerate(down + aside):
-        state = touch(green, [PlacedTool(ball, place, friction=FRICTION)], state)
+        state = touch(green, [PlacedTool(ball, place)], state)
         if k == 0:
             begin = time.perf_counter()  # the first call compiles
         if k in (99, 124, 199):

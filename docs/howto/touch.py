@@ -11,15 +11,14 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from palpate.contact import PlacedTool
 from palpate.figures.displacement import make_view, projected
 from palpate.figures.style import BLUE, GREY, INK, ORANGE, open_frame, save_figure, styled
 from palpate.geometry import TriangleMesh
-from palpate.records import Session, read_session
+from palpate.records import Session, Sphere, read_session
 from palpate.simulation import (
     GreenFunctions,
     Material,
-    PlacedTool,
-    Sphere,
     force_covariance,
     make_green_functions,
     nearest_nodes,
@@ -39,13 +38,13 @@ VIEW = np.array([0.3, -1.0, 0.45])
 
 def walk(green: GreenFunctions, top: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Way of the ball [mm], force on it with its deviation [N], displacement at the end."""
-    ball, up = Sphere(RADIUS), np.array([0.0, 0.0, 1.0])
+    ball, up = Sphere(RADIUS, friction=FRICTION), np.array([0.0, 0.0, 1.0])
     down = [top + (RADIUS - d) * up for d in np.linspace(0, PRESS, 100)]
     aside = [down[-1] + np.array([a, 0, 0]) for a in np.linspace(0, DRAG, 200)]
     state = start_contact(green, [PlacedTool(ball, top + (RADIUS + 1e-6) * up)])
     rows = []
     for place in down + aside:
-        state = touch(green, [PlacedTool(ball, place, friction=FRICTION)], state)
+        state = touch(green, [PlacedTool(ball, place)], state)
         sigma = np.sqrt(np.diag(force_covariance(green, state)[0]))
         rows.append([*state.tool_force[0], *sigma])
     step = np.linalg.norm(np.diff(down + aside, axis=0), axis=1)

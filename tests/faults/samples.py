@@ -279,7 +279,7 @@ _TEXTS: dict[str, Reader] = {
     "press.csv": read_compression,
     "ball.toml": read_lab_config,
     "stage.toml": read_lab_config,
-    "pokes.csv": lambda path: read_pokes(read_poke_table(path), Sphere(8e-3, friction="slides")),
+    "pokes.csv": lambda path: read_pokes(read_poke_table(path), Sphere(8e-3)),
 }
 
 

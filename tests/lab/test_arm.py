@@ -8,11 +8,13 @@ import pytest
 from palpate.errors import InputError
 from palpate.geometry import checked_mesh, enclosed_volume
 from palpate.lab import Arm, Head, Material, built_in, read_lab_config
-from palpate.lab.arm import aim, fine_place, probe_body, rod_at, solid_under
+from palpate.lab.arm import _outline, aim, fine_place, probe_body, rod_at, solid_under
 from palpate.lab.config import Probe, Specimen
 from palpate.lab.facility import probe_tables
 from palpate.lab.head import make_head
 from palpate.lab.specimens import block, half_ball, toy
+from palpate.records import Sphere
+from palpate.solids import Tip
 from palpate.solids.contact import touch
 from palpate.solids.finite_elements import held_nodes, make_body
 from palpate.solids.tetrahedra import make_solid
@@ -98,9 +100,9 @@ def test_an_arm_through_an_ear_of_the_toy_is_refused():
 
 def test_steps_go_evenly_to_the_depth_or_to_the_force(body):
     tip = aim(_probe(), Arm(radius=6e-3), BALL, rng=_rng())
-    deep = probe_body(body, _probe(steps=2), tip, sticking=False, finite=False)
+    deep = probe_body(body, _probe(steps=2), tip, finite=False)
     np.testing.assert_allclose([state.depth for state in deep], [1e-3, 2e-3], rtol=1e-12)
-    pushed = probe_body(body, _probe(depth=None, force=0.2, steps=2), tip, sticking=False,
+    pushed = probe_body(body, _probe(depth=None, force=0.2, steps=2), tip,
                     finite=False)  # fmt: skip
     forces = [state.force @ tip.direction for state in pushed]
     np.testing.assert_allclose(forces, [0.1, 0.2], rtol=1e-6)
@@ -110,9 +112,7 @@ def test_steps_go_evenly_to_the_depth_or_to_the_force(body):
 def test_a_soft_body_of_finite_strain_gives_way_farther(body):
     tip = aim(_probe(), Arm(radius=6e-3), BALL, rng=_rng())
     probe = _probe(depth=None, force=0.3)
-    linear, far = (
-        probe_body(body, probe, tip, sticking=False, finite=finite)[0] for finite in (False, True)
-    )
+    linear, far = (probe_body(body, probe, tip, finite=finite)[0] for finite in (False, True))
     np.testing.assert_array_equal(far.load, linear.load)
     # Several percent where a tenth of the radius is pressed in, and the tip goes along.
     assert 1.01 < far.depth / linear.depth < 1.3
@@ -124,16 +124,16 @@ def test_a_soft_body_of_finite_strain_gives_way_farther(body):
 
 
 def test_a_sticking_tip_to_a_force_is_refused(body):
-    tip = aim(_probe(), Arm(), BALL, rng=_rng())
+    tip = aim(_probe(), Arm(sticking=True), BALL, rng=_rng())
     with pytest.raises(InputError, match="goes to a force with a sticking tip; give a depth"):
-        probe_body(body, _probe(depth=None, force=0.2), tip, sticking=True, finite=False)
+        probe_body(body, _probe(depth=None, force=0.2), tip, finite=False)
 
 
 @pytest.mark.parametrize(("kind", "tool"), [("sphere", "sphere"), ("punch", "flat")])
 def test_the_session_holds_where_the_arm_was_sent_and_what_is_on_it(body, kind, tool):
     arm = Arm(tip=kind, radius=6e-3, placement=1e-3)
     tip = aim(_probe(), arm, BALL, rng=_rng(2))
-    states = probe_body(body, _probe(), tip, sticking=False, finite=False)
+    states = probe_body(body, _probe(), tip, finite=False)
     config = replace(read_lab_config(built_in()["demo"]), arm=arm)
     session, truth = probe_tables(config, _probe(), tip, states, rng=_rng())
     contact = session["contact"]
@@ -206,7 +206,7 @@ def test_elements_are_small_where_the_support_ends():
 def test_the_rod_stands_on_the_tip_and_ends_before_the_cameras(body, kind):
     rig = make_head(Head(distance=0.4), BALL)
     tip = aim(_probe(), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
-    state = probe_body(body, _probe(), tip, sticking=False, finite=False)[0]
+    state = probe_body(body, _probe(), tip, finite=False)[0]
     rod = rod_at(tip, state.tip_position, rig.cameras)
     checked_mesh(rod)
     along = (rod.vertices - state.tip_position) @ tip.direction
@@ -223,3 +223,13 @@ def test_the_rod_stands_on_the_tip_and_ends_before_the_cameras(body, kind):
         cap = np.pi * 2e-3**2 * (3 * 5e-3 - 2e-3) / 3
         full = 4 / 3 * np.pi * 5e-3**3 - cap + np.pi * 4e-3**2 * (-along.min() - 3e-3)
     assert enclosed_volume(rod) == pytest.approx(full, rel=0.02)
+
+
+@pytest.mark.parametrize(("radius", "shaft"), [(0.003, 0.003), (0.012, 0.004)])
+def test_the_end_of_a_balls_rod_is_the_ball(radius, shaft):
+    end = _outline(Tip(Sphere(radius), TOP, np.array([0.0, 0.0, -1.0])))
+    np.testing.assert_allclose(np.linalg.norm(end, axis=1), radius, rtol=1e-12)
+    np.testing.assert_allclose(end[0], [0.0, -radius], atol=1e-15)
+    assert end[-1] == pytest.approx([shaft, np.sqrt(radius**2 - shaft**2)], abs=1e-12)
+    # Out and up: from the pole to the shaft, and nowhere back.
+    assert (np.diff(end[:, 1]) > 0.0).all()

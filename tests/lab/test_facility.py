@@ -21,8 +21,8 @@ from palpate.lab import (
 )
 from palpate.lab.config import Stage
 from palpate.lab.facility import probe_tables, step_tables, write_session
-from palpate.records import read_rig, read_session
-from palpate.solids import TIPS, Press
+from palpate.records import Sphere, read_rig, read_session
+from palpate.solids import Press, Tip
 from palpate.solids.finite_elements import make_body
 from palpate.vision import project, read_pictures
 
@@ -334,7 +334,7 @@ def _pressed(config):
     """One probing to two depths, every number with all its digits."""
     (probe,) = config.probes
     rng = np.random.default_rng(0)
-    tip = TIPS["sphere"](6e-3, np.array([0.0, 0.0, 0.046]), np.array([0.1, -0.2, -0.9]))
+    tip = Tip(Sphere(6e-3), np.array([0.0, 0.0, 0.046]), np.array([0.1, -0.2, -0.9]))
     load = np.zeros((1, 3))
     states = [
         Press(depth, tip.point, rng.normal(size=3), 1.0 / 300.0, load, load)

@@ -21,7 +21,6 @@ from palpate.lab.studio import (
     photograph,
     shot_noise,
 )
-from palpate.solids.tips import Sphere
 
 QUIET = Pictures(samples=8, noise=0.0)
 PLAIN = Pictures(response=0.0, noise=0.0)
@@ -68,8 +67,7 @@ def test_exposure_brings_the_bright_parts_near_white_and_not_beyond(bare):
 
 def test_a_rod_is_dark_hides_and_casts_a_soft_shadow(studio, config, bare):
     place = np.array([0.0, 0.0, 0.046])
-    end = Sphere(6e-3, place, np.array([0.0, 0.0, -1.0])).outline()
-    upright = rod(end, radius=6e-3, length=0.2)
+    upright = rod(np.array([[0.0, -6e-3], [4e-3, 4e-3]]), radius=6e-3, length=0.2)
     arm = TriangleMesh(place + upright.vertices, upright.triangles)
     bare, probed = bare[0], _picture(studio, config, arm)[0]
     darker = bare - probed

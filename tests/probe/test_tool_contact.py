@@ -14,6 +14,7 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.probe import LocalSurface, ToolContact, local_surface, tool_contact
 from palpate.records import (
+    SLIDES,
     SPREAD,
     STICKS,
     TOOLS,
@@ -321,7 +322,7 @@ def test_what_cannot_be() -> None:
     ("kind", "given", "text"),
     [
         (Sphere, {"radius": 0.0}, "positive"),
-        (Sphere, {"radius": 3e-3, "friction": "glue"}, "glue"),
+        (Sphere, {"radius": 3e-3, "friction": -1.0}, "friction is -1.0"),
         (Cone, {"radius": 3e-3, "angle": 0.2}, "11.5 degrees"),
         (Ring, {"radius": 3e-3, "inner_radius": 3e-3}, "below tool_radius, 3 mm"),
     ],
@@ -343,7 +344,7 @@ def _contact(
     *,
     turn: Rotation | None = None,
     curvature: float = 0.0,
-    friction: str = "slides",
+    friction: float = SLIDES,
 ) -> ToolContact:
     turned = np.eye(3) if turn is None else turn.as_matrix()
     tool = mesh_tool(mesh, turned, friction=friction)
@@ -369,7 +370,7 @@ def _moments(found: ToolContact) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("curvature", [0.0, 60.0, -30.0])
-@pytest.mark.parametrize("friction", ["slides", STICKS])
+@pytest.mark.parametrize("friction", [SLIDES, STICKS])
 def test_a_ball_touches_the_circle_of_a_sphere(curvature: float, friction: str) -> None:
     """Its 8,000 vertices lie on a sphere; at this depth the sphere is a paraboloid to 1 %."""
     found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, curvature=curvature, friction=friction)
@@ -434,7 +435,7 @@ def test_pressure_turns_with_the_tool() -> None:
     np.testing.assert_allclose(turned / np.median(turned), inner / np.median(inner), rtol=0.05)
 
 
-@pytest.mark.parametrize("friction", ["slides", STICKS])
+@pytest.mark.parametrize("friction", [SLIDES, STICKS])
 def test_the_outward_traction_of_a_ball_is_that_of_a_sphere(friction: str) -> None:
     found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, friction=friction)
     sphere = _found(Sphere(6e-3, friction=friction), 0.05)

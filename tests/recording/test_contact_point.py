@@ -7,7 +7,8 @@ from surfaces import box
 from palpate.errors import RecordError
 from palpate.geometry import TriangleMesh
 from palpate.recording.contact_point import ContactModel, find_contact, make_contact_model
-from palpate.solids import TIPS, held_nodes, make_body, make_solid, press_to_force, surface_values
+from palpate.records import Sphere
+from palpate.solids import Tip, held_nodes, make_body, make_solid, press_to_force, surface_values
 
 _CONTACT = np.array([0.004, -0.003, 0.0])
 _SIZE = np.array([0.05, 0.05, 0.025])
@@ -35,7 +36,7 @@ def _pressing(contact: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.n
     mesh = _block(5)
     solid = make_solid(mesh, edge=0.011, fine=((contact, 0.003, 0.0018),))
     body = make_body(solid, held_nodes(solid, _held(mesh)), shear_modulus=2e4, poisson_ratio=0.4)
-    tip = TIPS["sphere"](0.008, contact + np.array([0.0, 0.0, 0.008]), np.array([0.0, 0.0, -1.0]))
+    tip = Tip(Sphere(0.008), contact + np.array([0.0, 0.0, 0.008]), np.array([0.0, 0.0, -1.0]))
     state = press_to_force(body, tip, 0.5)
     return surface_values(solid, points) @ state.displacement, state.force, state.radius
 

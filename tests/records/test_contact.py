@@ -7,7 +7,7 @@ from surfaces import hull_mesh
 
 from palpate.errors import InputError, RecordError
 from palpate.geometry import write_mesh
-from palpate.records import Cone, Contact, ConvexMesh, Sphere, read_session
+from palpate.records import SLIDES, Cone, Contact, ConvexMesh, Sphere, read_session
 from palpate.records.contact import PRESSURES, contact_profiles, grid_traction
 
 
@@ -45,6 +45,11 @@ def test_an_unknown_profile_is_refused():
         Contact(np.zeros(3), 0.1, "conical")
 
 
+def test_a_coefficient_of_friction_is_refused_under_a_measured_force():
+    with pytest.raises(InputError, match=r"friction is 0.3; .* slides \(0\) or sticks"):
+        Contact.under(Sphere(5e-3, friction=0.3), np.zeros(3))
+
+
 def test_a_new_tool_shape_is_one_line(edited, monkeypatch):
     """A tent is registered: sessions may name it from then on."""
     monkeypatch.setitem(PRESSURES, "tent", lambda s: np.clip(1.0 - s, 0.0, None))
@@ -57,7 +62,7 @@ def test_a_tool_is_named_instead_of_a_radius(edited):
     contact = 'radius = 0.006, profile = "smooth"'
     session = read_session(edited(contact, 'tool = "sphere", tool_radius = "8 mm"'))
     contact = session.probings[0].contact
-    assert contact.tool == Sphere(8e-3, friction="slides")
+    assert contact.tool == Sphere(8e-3)
     # The search starts small: a cube of 4 cm is 6.9 cm across.
     assert contact.radius == pytest.approx(0.05 * 0.04 * np.sqrt(3.0))
 
@@ -85,12 +90,12 @@ def test_a_tool_of_any_convex_shape_is_a_mesh_in_a_file(edited):
     contact = read_session(folder).probings[0].contact
     assert contact.tool is not None
     assert isinstance(contact.tool, ConvexMesh)
-    assert contact.tool.friction == "slides"
+    assert contact.tool.friction == SLIDES
     assert contact.tool.radius == pytest.approx(0.002)
     # A quarter turn about z: the long side lies along y, the lower face stays.
     for normal, offset in [([0, 1, 0], 0.004), ([1, 0, 0], 0.002), ([0, 0, -1], 0.0)]:
-        there = np.abs(contact.tool.planes[:, :3] - normal).max(axis=1) < 1e-6
-        assert contact.tool.planes[there, 3] == pytest.approx([offset], abs=1e-9)
+        there = np.abs(contact.tool.faces[:, :3] - normal).max(axis=1) < 1e-6
+        assert contact.tool.faces[there, 3] == pytest.approx([offset], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Rigid tools on an object: against a full solve, and against the laws of contact and energy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cube_green import SHEAR, TOP, top_functions
@@ -7,16 +9,24 @@ from surfaces import box
 
 from palpate.bem import factorise, load_right_hand
 from palpate.bem.system.matrix import system_matrix
+from palpate.contact import PlacedTool, move_tools, untouched
+from palpate.contact.response import BY_FORCE, STICKS
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.pipeline import held_object
-from palpate.simulation import Material, PlacedTool, Sphere, force_covariance, start_contact, touch
-from palpate.simulation.contact import convex_tool, flat_punch
-from palpate.simulation.contact_response import BY_FORCE, STICKS
+from palpate.records import FlatFace, Ring, Sphere, mesh_tool
+from palpate.simulation import (
+    Material,
+    force_covariance,
+    start_contact,
+    touch,
+)
 from palpate.simulation.green_functions import hat_load
 
 RADIUS = 0.03
 BALL = Sphere(RADIUS)
+NODE = np.zeros((1, 3))
+RING = PlacedTool(Ring(0.01, 0.005), np.zeros(3))
 ABOVE = np.array([TOP[0], TOP[1], TOP[2] + RADIUS + 1e-6])
 # Of Coulomb, where nodes may do both: stick, and slide.
 FRICTION = 0.15
@@ -31,10 +41,10 @@ def oblique(share):
 
 def walked(green, places, *, tool=BALL, friction=0.0, turn=None):
     """The states along a path of one tool, the one at rest first."""
-    turn = np.eye(3) if turn is None else turn
-    states = [start_contact(green, [PlacedTool(tool, places[0], turn, friction)])]
+    turn, tool = np.eye(3) if turn is None else turn, replace(tool, friction=friction)
+    states = [start_contact(green, [PlacedTool(tool, places[0], turn)])]
     for place in places:
-        states.append(touch(green, [PlacedTool(tool, place, turn, friction)], states[-1]))
+        states.append(touch(green, [PlacedTool(tool, place, turn)], states[-1]))
     return states
 
 
@@ -152,7 +162,7 @@ def test_friction_only_takes_energy(green):
 
 
 def test_a_punch_that_is_dragged_far_pulls_with_its_coefficient_times_the_press(green):
-    punch, friction = flat_punch(0.008, 0.02), 0.2
+    punch, friction = FlatFace(0.008), 0.2
     down = [np.array(TOP) - [0, 0, d] for d in np.linspace(-1e-5, 4e-4, 10)]
     aside = [down[-1] + [a, 0, 0] for a in np.linspace(0, 1e-3, 30)]
     state = walked(green, down + aside, tool=punch, friction=friction)[-1]
@@ -180,8 +190,8 @@ def test_the_steps_of_the_force_shrink_with_the_steps_of_the_path(green, frictio
 def test_the_faces_of_a_box_press_as_the_end_of_a_punch_that_holds_the_same_nodes(green):
     square = box(size=(0.016, 0.016, 0.01), origin=(-0.008, -0.008, 0.0))
     places = [np.array(TOP) - [0, 0, d] for d in np.linspace(-1e-5, 5e-4, 8)]
-    by_box = walked(green, places, tool=convex_tool(square))[-1]
-    by_punch = walked(green, places, tool=flat_punch(0.0115, 0.01))[-1]
+    by_box = walked(green, places, tool=mesh_tool(square, np.eye(3)))[-1]
+    by_punch = walked(green, places, tool=FlatFace(0.0115))[-1]
     np.testing.assert_array_equal(by_box.touching, by_punch.touching)
     # The same faces, of one normal: rounding.
     np.testing.assert_allclose(by_box.force, by_punch.force, atol=1e-10)
@@ -190,7 +200,7 @@ def test_the_faces_of_a_box_press_as_the_end_of_a_punch_that_holds_the_same_node
 def test_a_node_keeps_to_the_face_by_which_it_came_in(green):
     """Nodes near the rim of a punch are pressed down, not pushed aside, however deep it goes."""
     # Nodes lie 6.67 mm apart: a rim just outside them.
-    punch = flat_punch(0.0067 / np.cos(np.pi / 48), 0.02)
+    punch = FlatFace(0.0067)
     state = walked(green, [np.array(TOP) - [0, 0, d] for d in (-1e-4, 1e-3, 3e-3)], tool=punch)[-1]
     assert len(state.touching) == 5
     np.testing.assert_allclose(state.normal[state.touching], [[0, 0, -1]] * 5, atol=1e-12)
@@ -198,14 +208,14 @@ def test_a_node_keeps_to_the_face_by_which_it_came_in(green):
 
 
 def test_two_tools_press_as_one_body_whatever_their_order(green):
-    small = Sphere(0.008)
+    small = Sphere(0.008, friction=0.3)
 
     def pressed(order):
         places = [np.array([0.02 + x, 0.02, 0.048]) for x in (-0.01, 0.012)]
-        tools = [PlacedTool(small, places[k] + [0, 0, 1e-6], friction=0.3) for k in order]
+        tools = [PlacedTool(small, places[k] + [0, 0, 1e-6]) for k in order]
         state = start_contact(green, tools)
         for depth in np.linspace(0, 1e-3, 5):
-            now = [PlacedTool(small, places[k] - [0, 0, depth], friction=0.3) for k in order]
+            now = [PlacedTool(small, places[k] - [0, 0, depth]) for k in order]
             state = touch(green, now, state)
         return state
 
@@ -217,12 +227,15 @@ def test_two_tools_press_as_one_body_whatever_their_order(green):
 def test_the_response_is_that_of_the_touching_nodes_however_the_contact_grew(green):
     """Two tools, one without friction, pressed in and half out: against the compliance itself."""
     places = [np.array([0.02 + x, 0.02, 0.048]) for x in (-0.01, 0.012)]
-    tools = [PlacedTool(Sphere(0.008), place + np.array([0, 0, 1e-6])) for place in places]
+    tools = [
+        PlacedTool(Sphere(0.008, friction=friction), place + np.array([0, 0, 1e-6]))
+        for place, friction in zip(places, (0.0, 0.3), strict=True)
+    ]
     state, counts = start_contact(green, tools), set()
     for depth in [*np.linspace(0, 2e-3, 9), *np.linspace(2e-3, 5e-4, 7)]:
         now = [
-            PlacedTool(one.tool, place - [0, 0, depth], friction=friction)
-            for one, place, friction in zip(tools, places, (0.0, 0.3), strict=True)
+            PlacedTool(one.tool, place - [0, 0, depth])
+            for one, place in zip(tools, places, strict=True)
         ]
         state = touch(green, now, state)
         nodes = np.flatnonzero(state.given)
@@ -246,7 +259,7 @@ def test_a_tool_is_turned_with_the_frame_that_it_is_seen_in(green):
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]]
     )
-    twisted = touch(green, [PlacedTool(BALL, oblique(1.0), turn, np.inf)], deep)
+    twisted = touch(green, [PlacedTool(deep.tools[0].tool, oblique(1.0), turn)], deep)
     assert twisted.torque[0, 2] < deep.torque[0, 2] - 1e-6
 
 
@@ -305,11 +318,13 @@ def test_tools_stay_the_same(green):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Sphere(0.0), "must be positive"),
-        (lambda: flat_punch(0.01, -1.0), "length of the punch"),
+        (lambda: Sphere(0.0), "must be a positive length"),
+        (
+            lambda: move_tools(np.zeros((1, 3)), np.eye(3), [RING], untouched(1, [RING])),
+            "a ring is not",
+        ),
         (lambda: PlacedTool(BALL, ABOVE, 2 * np.eye(3)), "must be a rotation"),
-        (lambda: PlacedTool(BALL, ABOVE, friction=-0.1), "friction is -0.1"),
-        (lambda: convex_tool(TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))), "no volume"),
+        (lambda: Sphere(0.01, friction=-0.1), "friction is -0.1"),
     ],
 )
 def test_bad_tools_are_refused(make, words):
@@ -322,7 +337,7 @@ def test_a_hollow_tool_is_refused():
     vertices = whole.vertices.copy()
     vertices[np.linalg.norm(vertices - [0.5, 0.5, 1.0], axis=1).argmin()] -= [0, 0, 0.4]
     with pytest.raises(InputError, match=r"convex hull.*must be convex"):
-        convex_tool(TriangleMesh(vertices, whole.triangles))
+        mesh_tool(TriangleMesh(vertices, whole.triangles), np.eye(3))
 
 
 def test_the_factorised_system_is_regular(session):

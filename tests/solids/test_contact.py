@@ -1,5 +1,6 @@
 """Rigid tips on an elastic body against Hertz, Boussinesq, laws and every refusal."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from surfaces import box
 
 from palpate.errors import InputError
+from palpate.records import STICKS, FlatFace, Sphere
 from palpate.solids.contact import facet_samples, press, press_to_force, touch
 from palpate.solids.finite_elements import (
     hooke_moduli,
@@ -16,14 +18,15 @@ from palpate.solids.finite_elements import (
     surface_values,
 )
 from palpate.solids.tetrahedra import make_solid
-from palpate.solids.tips import Punch, Sphere
+from palpate.solids.tips import Tip
 
 SHEAR, POISSON = 7e4, 0.3
 CONTACT_MODULUS = 2 * SHEAR / (1 - POISSON)
 SIZE = 0.2
 TOP = np.array([SIZE / 2, SIZE / 2, SIZE])
 DOWN = np.array([0.0, 0.0, -1.0])
-BALL = Sphere(0.01, TOP, DOWN)
+BALL = Tip(Sphere(0.01), TOP, DOWN)
+GLUED = Tip(Sphere(0.01, friction=STICKS), TOP, DOWN)
 FINE = 1e-3
 
 
@@ -56,7 +59,7 @@ def test_a_ball_presses_as_hertz_says(block):
 
 def test_a_flat_punch_presses_as_boussinesq_says():
     radius, depth = 0.002, 1e-4
-    punch = Punch(radius, TOP, DOWN)
+    punch = Tip(FlatFace(radius), TOP, DOWN)
     apart = 0.5 * radius
     rim = punch.rim(apart)
     fine = [(TOP, 0.0, apart), *((point, 0.0, apart) for point in rim)]
@@ -102,8 +105,8 @@ def test_nothing_enters_the_tip_and_nothing_is_pulled(block):
 
 def test_reaction_equals_force(block):
     stiffness = stiffness_matrix(quadratic_basis(block.solid), hooke_moduli(SHEAR, POISSON))
-    for sticking in (False, True):
-        (state,) = press(block, BALL, np.array([3e-4]), sticking=sticking)
+    for tip in (BALL, GLUED):
+        (state,) = press(block, tip, np.array([3e-4]))
         inner = (stiffness @ state.displacement.ravel()).reshape(-1, 3)
         # Rounding; forces are 0.2 N.
         np.testing.assert_allclose(inner[block.held].sum(axis=0), -state.force, atol=1e-9)
@@ -119,33 +122,53 @@ def test_a_press_to_a_force_is_the_press_to_its_depth(block):
 
 def test_what_sticks_moves_with_the_tip(block):
     depths = np.linspace(5e-5, 4e-4, 8)
-    slid, stuck = (press(block, BALL, depths, sticking=flag) for flag in (False, True))
+    slid, stuck = (press(block, tip, depths) for tip in (BALL, GLUED))
     before, after = stuck[-2:]
     pushed = (before.load != 0.0).any(axis=1) & (after.load != 0.0).any(axis=1)
     assert pushed.sum() > 10
     moved = (after.displacement - before.displacement)[pushed]
-    np.testing.assert_allclose(
-        moved, np.tile((depths[-1] - depths[-2]) * DOWN, (len(moved), 1)), atol=1e-9
-    )
+    otherwise = np.abs(moved - (depths[-1] - depths[-2]) * DOWN).max(axis=1) > 1e-9
+    # At the rim one may be torn loose within a step, and slides until the next.
+    assert otherwise.sum() <= 1
     # Spence (1968): a sticking ball needs at most a few per cent more (2 % at nu 0.3).
     ratio = stuck[-1].force[2] / slid[-1].force[2]
     assert 1.0 < ratio < 1.04
 
 
+def test_a_flat_face_that_sticks_presses_as_far_in_one_step_as_in_many():
+    radius, depth = 0.002, 1e-4
+    glued = Tip(FlatFace(radius, friction=STICKS), TOP, DOWN)
+    rim = glued.rim(0.5 * radius)
+    fine = [(TOP, 0.0, 0.5 * radius), *((point, 0.0, 0.5 * radius) for point in rim)]
+    solid = make_solid(box((SIZE, SIZE, SIZE)), edge=0.05, fine=fine, marked=rim)
+    held = solid.nodes[:, 2] == 0.0
+    body = make_body(solid, held, shear_modulus=SHEAR, poisson_ratio=POISSON)
+    (once,) = press(body, glued, np.array([depth]))
+    often = press(body, glued, np.linspace(depth / 5, depth, 5))[-1]
+    # All of it sticks from the first: rounding.
+    np.testing.assert_allclose(often.load, once.load, atol=1e-9 * np.abs(once.load).max())
+    # The mesh's own lack of symmetry; a node torn loose on the way leaves 2 %.
+    assert np.abs(once.force[:2]).max() < 2e-3 * abs(once.force[2])
+    # Spence (1968), equation for the flat face: the stiffness over that without friction.
+    slid = press(body, replace(glued, tool=FlatFace(radius)), np.array([depth]))[0]
+    spence = (1 - POISSON) * np.log(3 - 4 * POISSON) / (1 - 2 * POISSON)
+    assert once.force[2] / slid.force[2] == pytest.approx(spence, abs=0.006)
+
+
 def test_touch_knows_where_the_surface_is(block):
     assert touch(block.solid, BALL) == pytest.approx(-BALL.radius, abs=2e-6)
-    far = Sphere(0.01, TOP - 0.05 * DOWN, DOWN)
+    far = Tip(Sphere(0.01), TOP - 0.05 * DOWN, DOWN)
     assert touch(block.solid, far) == pytest.approx(0.04, abs=2e-6)
-    punch = Punch(0.002, TOP - 0.05 * DOWN, 3.0 * DOWN)
+    punch = Tip(FlatFace(0.002), TOP - 0.05 * DOWN, 3.0 * DOWN)
     assert touch(block.solid, punch) == pytest.approx(0.05, abs=1e-12)
 
 
 def test_a_tilted_way_gives_a_sideways_force(block):
     tilt = np.array([np.sin(0.1), 0.0, -np.cos(0.1)])
-    (state,) = press(block, Sphere(0.01, TOP, tilt), np.array([3e-4]))
+    (state,) = press(block, Tip(Sphere(0.01), TOP, tilt), np.array([3e-4]))
     # Without friction the force is the plane's normal, but for the dent's own slope.
     assert abs(state.force[0]) < 0.02 * abs(state.force[2])
-    stuck = press(block, Sphere(0.01, TOP, tilt), np.linspace(5e-5, 3e-4, 6), sticking=True)[-1]
+    stuck = press(block, replace(GLUED, direction=tilt), np.linspace(5e-5, 3e-4, 6))[-1]
     # A flat bonded punch has 2 (1 - nu) / (2 - nu) of its normal stiffness sideways (0.82).
     assert 0.04 < stuck.force[0] / abs(stuck.force[2]) < 0.09
 
@@ -153,9 +176,8 @@ def test_a_tilted_way_gives_a_sideways_force(block):
 def test_what_sticks_is_let_go_where_it_would_be_pulled(block):
     # Dragged along, the tip leaves what lies behind it.
     steep = np.array([np.sin(1.4), 0.0, -np.cos(1.4)])
-    states = press(
-        block, Sphere(0.01, TOP - 0.01 * DOWN, steep), np.linspace(1e-4, 1.5e-3, 15), sticking=True
-    )
+    tip = replace(GLUED, point=TOP - 0.01 * DOWN, direction=steep)
+    states = press(block, tip, np.linspace(1e-4, 1.5e-3, 15))
     for state in states:
         offset = block.solid.nodes + state.displacement - state.tip_position
         push = (state.load * offset).sum(axis=1)
@@ -178,18 +200,18 @@ def test_bad_forces_are_refused(block, force):
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.nan])
 def test_bad_radii_are_refused(radius):
-    with pytest.raises(InputError, match="tip's radius"):
-        Sphere(radius, TOP, DOWN)
+    with pytest.raises(InputError, match="tool_radius is"):
+        Sphere(radius)
 
 
 def test_a_tip_without_direction_is_refused():
     with pytest.raises(InputError, match="zero vector"):
-        Sphere(0.01, TOP, np.zeros(3))
+        Tip(Sphere(0.01), TOP, np.zeros(3))
 
 
 def test_a_tip_that_passes_the_body_is_refused(block):
     with pytest.raises(InputError, match="passes the body"):
-        press(block, Sphere(0.01, np.array([1.0, 0.0, SIZE]), DOWN), np.array([1e-4]))
+        press(block, Tip(Sphere(0.01), np.array([1.0, 0.0, SIZE]), DOWN), np.array([1e-4]))
 
 
 def test_a_tip_between_the_nodes_is_refused(block):
@@ -199,7 +221,7 @@ def test_a_tip_between_the_nodes_is_refused(block):
     widest = size.argmax()
     corner = block.solid.nodes[block.solid.facets[widest, :3]].mean(axis=0)
     with pytest.raises(InputError, match="no node"):
-        press(block, Sphere(0.01, corner, DOWN), np.array([1e-4]))
+        press(block, Tip(Sphere(0.01), corner, DOWN), np.array([1e-4]))
 
 
 def test_a_sphere_deeper_than_its_radius_is_refused(block):

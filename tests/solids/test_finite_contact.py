@@ -6,12 +6,13 @@ from surfaces import box
 
 from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import quadratic_shapes
+from palpate.records import FlatFace, Sphere
 from palpate.solids.contact import facet_samples
 from palpate.solids.finite_contact import press_finite, press_slopes
 from palpate.solids.finite_elements import Body, make_body, quadratic_basis
 from palpate.solids.finite_strain import NeoHookean, internal_forces, yeoh
 from palpate.solids.tetrahedra import make_solid
-from palpate.solids.tips import Punch, Sphere, Tip
+from palpate.solids.tips import Tip
 
 SHEAR, SIDE = 2e4, 0.02
 TOP = np.array([SIDE / 2, SIDE / 2, SIDE])
@@ -35,7 +36,7 @@ def test_a_plate_on_a_block_is_the_closed_form(stretch: float) -> None:
     """Without Poisson's ratio no width changes: P = mu (stretch - 1 / stretch). From 0.86 on the
     block would lean to a side."""
     body = _block(0.0)
-    plate = Punch(2 * SIDE, TOP, DOWN)
+    plate = Tip(FlatFace(2 * SIDE), TOP, DOWN)
     force = SIDE**2 * SHEAR * (1.0 / stretch - stretch)
     found = press_finite(body, plate, force)
     expected = (stretch - 1.0) * body.solid.nodes[:, 2]
@@ -49,7 +50,7 @@ def test_a_plate_on_a_block_is_the_closed_form(stretch: float) -> None:
 
 
 def test_a_ball_is_in_balance_and_enters_by_little() -> None:
-    body, ball = _block(0.3), Sphere(6e-3, TOP, DOWN)
+    body, ball = _block(0.3), Tip(Sphere(6e-3), TOP, DOWN)
     force = 1.5
     found = press_finite(body, ball, force)
     inner = internal_forces(NeoHookean(*body.lame), quadratic_basis(body.solid), found.displacement)
@@ -68,7 +69,7 @@ def test_a_ball_is_in_balance_and_enters_by_little() -> None:
 
 
 def test_what_cannot_be() -> None:
-    body, ball = _block(0.3), Sphere(6e-3, TOP, DOWN)
+    body, ball = _block(0.3), Tip(Sphere(6e-3), TOP, DOWN)
     with pytest.raises(InputError, match="the force is -1"):
         press_finite(body, ball, -1.0)
     with pytest.raises(NotConvergedError, match="of the force under the tool"):
@@ -76,7 +77,7 @@ def test_what_cannot_be() -> None:
 
 
 def test_a_punch_ends_at_its_rim() -> None:
-    body, punch = _block(0.3), Punch(4e-3, TOP, DOWN)
+    body, punch = _block(0.3), Tip(FlatFace(4e-3), TOP, DOWN)
     found = press_finite(body, punch, 1.0)
     nodes = body.solid.nodes
     top = nodes[:, 2] == SIDE
@@ -91,7 +92,7 @@ def test_a_punch_ends_at_its_rim() -> None:
 
 
 def test_skin_that_is_drawn_in_under_a_rim_stays_below_the_face() -> None:
-    body, punch, force = _block(0.3), Punch(4e-3, TOP, DOWN), 1.5
+    body, punch, force = _block(0.3), Tip(FlatFace(4e-3), TOP, DOWN), 1.5
     found = press_finite(body, punch, force)
     nodes, facets = body.solid.nodes, body.solid.facets
     top = facets[(nodes[facets][:, :, 2] == SIDE).all(axis=1)]
@@ -105,7 +106,7 @@ def test_skin_that_is_drawn_in_under_a_rim_stays_below_the_face() -> None:
     assert under.max() < 6.0 * mean * 1e-3 * punch.radius
 
 
-@pytest.mark.parametrize("tip", [Sphere(6e-3, TOP, DOWN), Punch(4e-3, TOP, DOWN)])
+@pytest.mark.parametrize("tip", [Tip(Sphere(6e-3), TOP, DOWN), Tip(FlatFace(4e-3), TOP, DOWN)])
 def test_slopes_are_those_of_the_presses(tip: Tip) -> None:
     """By the logarithm of the force, Lame's lambda and the stiffening."""
     body, force, law = _block(0.3), 0.8, yeoh(2.0)
@@ -133,5 +134,5 @@ def test_slopes_are_those_of_the_presses(tip: Tip) -> None:
         expected = (ends[0] - ends[1]) / (2 * step)
         # The tangent leaves out how normals turn under the ball, 5 %, and how skin is drawn in
         # under the rim of the face, 3 %.
-        part = 0.1 if isinstance(tip, Sphere) else 0.05
+        part = 0.1 if isinstance(tip.tool, Sphere) else 0.05
         assert np.linalg.norm(column - expected) < part * np.linalg.norm(expected), by

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from surfaces import box
 
+from palpate.contact import PlacedTool
 from palpate.errors import InputError, PalpateError
-from palpate.records import read_session
-from palpate.simulation import Material, PlacedTool, Sphere, start_contact, touch
+from palpate.records import Sphere, read_session
+from palpate.simulation import (
+    Material,
+    start_contact,
+    touch,
+)
 from palpate.viewer.clicking import (
     Draft,
     flat_face,

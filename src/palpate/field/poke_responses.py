@@ -29,7 +29,7 @@ from palpate.field.field_prior import make_field_modes
 from palpate.field.field_responses import CoefficientPrior, FieldExpansion, FieldModel
 from palpate.geometry import CREASE_ANGLE, triangle_distances, unit_normals
 from palpate.probe import dent
-from palpate.records import Session, Tool
+from palpate.records import RoundTool, Session
 from palpate.shapes import Points
 from palpate.solids import (
     GradedBody,
@@ -185,14 +185,15 @@ def growths(session: Session) -> Float[np.ndarray, " k"]:
     return np.array([tool.growth for tool in tools(session)])
 
 
-def tools(session: Session) -> list[Tool]:
+def tools(session: Session) -> list[RoundTool]:
     """The tool of each poke.
 
     Parameters
     ----------
     session : Session               `without_pictures`
     """
-    return [each.contact.tool for each in session.probings if each.contact.tool is not None]
+    found = [each.contact.tool for each in session.probings]
+    return [tool for tool in found if isinstance(tool, RoundTool)]
 
 
 def make_poke_model(

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from palpate.errors import InputError
 from palpate.geometry import (
@@ -20,7 +21,6 @@ from palpate.lab.specimens import rod
 from palpate.records import Camera, camera_centre
 from palpate.shapes import Points, Vector3
 from palpate.solids import (
-    TIPS,
     Body,
     Press,
     Solid,
@@ -43,6 +43,8 @@ _RIM = 0.125
 # traction is singular there: elements of half that radius make a ball on a small glued patch so
 # stiff that its Poisson's ratio appears 0.005 too small. The error is proportional to the edge.
 _SUPPORT_RIM = 0.1
+# Largest radius of the shaft behind a ball, so that the rod occludes little [m].
+_SHAFT = 4e-3
 # Length of the rod, as a fraction of the distance to the nearest camera.
 _ROD_LENGTH = 0.5
 
@@ -66,13 +68,13 @@ def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator)
     InputError                      a point that is not on the body; a direction that leads out of
                                     it; an arm that would pass through the body
     """
-    place = closest_points(mesh, probe.point[None])
-    on = place.position[0]
-    normal = _smooth_normal(mesh, place)
-    if place.distance[0] > _MAX_DISTANCE * arm.radius:
+    nearest = closest_points(mesh, probe.point[None])
+    on = nearest.position[0]
+    normal = _smooth_normal(mesh, nearest)
+    if nearest.distance[0] > _MAX_DISTANCE * arm.radius:
         inside = "inside" if (on - probe.point) @ normal > 0.0 else "away from"
         raise InputError(
-            f"probe '{probe.name}': its point is {1e3 * place.distance[0]:.3g} mm {inside} the"
+            f"probe '{probe.name}': its point is {1e3 * nearest.distance[0]:.3g} mm {inside} the"
             " body; give a point on the surface"
         )
     direction = -normal if probe.direction is None else probe.direction
@@ -85,9 +87,9 @@ def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator)
     across = np.stack(_perpendicular(direction))
     turn = np.deg2rad(arm.misalignment) * rng.standard_normal(2) @ across
     beside = arm.placement * rng.standard_normal(2) @ np.stack(_perpendicular(normal))
-    tip = TIPS[arm.tip](arm.radius, on + beside, cv2.Rodrigues(turn)[0] @ direction)
     # An obliquely approaching sphere touches there if its centre passes above along the normal.
-    tip = replace(tip, point=tip.point + tip.surface_offset(np.zeros(1)) * normal)
+    place = on + beside + arm.tool.lead(np.zeros(1)) * normal
+    tip = Tip(arm.tool, place, cv2.Rodrigues(turn)[0] @ direction)
     _check_path(probe.name, tip, mesh)
     return tip
 
@@ -109,7 +111,9 @@ def fine_place(tip: Tip, probe: Probe, material: Material) -> tuple[Vector3, flo
     radius, edge : float [m]        its radius, and the edge of the elements within
     """
     modulus = material.young_modulus / (1.0 - material.poisson_ratio**2)
-    radius = tip.half_space_radius(probe.depth, probe.force, modulus)
+    depth = probe.depth or tip.tool.dent(float(probe.force or 0.0) / modulus)
+    # Johnson, Contact Mechanics (1985), equation 4.22: that of a ball.
+    radius = tip.radius if tip.tool.is_flat else min(float(np.sqrt(tip.radius * depth)), tip.radius)
     return probe.point, radius, 2.0 * radius / _ELEMENTS_ACROSS
 
 
@@ -175,9 +179,7 @@ def specimen_body(config: LabConfig, solid: Solid) -> Body:
     )  # fmt: skip
 
 
-def probe_body(
-    body: Body, probe: Probe, tip: Tip, *, sticking: bool, finite: bool
-) -> tuple[Press, ...]:
+def probe_body(body: Body, probe: Probe, tip: Tip, *, finite: bool) -> tuple[Press, ...]:
     """Press a tip to the depth or force of a probe, in its load steps.
 
     Parameters
@@ -185,7 +187,6 @@ def probe_body(
     body : Body
     probe : Probe
     tip : Tip
-    sticking : bool                 no slip; only for a probe with a depth
     finite : bool                   displacements at finite strain, under the nodal forces of the
                                     linear contact as dead loads
 
@@ -201,8 +202,8 @@ def probe_body(
     """
     share = np.arange(1, probe.steps + 1) / probe.steps
     if probe.depth is not None:
-        states = press(body, tip, share * probe.depth, sticking=sticking)
-    elif sticking:
+        states = press(body, tip, share * probe.depth)
+    elif tip.tool.friction:
         raise InputError(
             f"probe '{probe.name}' goes to a force with a sticking tip; give a depth instead"
         )
@@ -242,9 +243,21 @@ def rod_at(tip: Tip, place: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
     """
     away = [np.linalg.norm(camera_centre(camera) - place) for camera in cameras]
     length = _ROD_LENGTH * float(min(away))
-    upright = rod(tip.outline(), radius=tip.radius, length=length)
+    upright = rod(_outline(tip), radius=tip.radius, length=length)
     axes = np.stack([*_perpendicular(-tip.direction), -tip.direction])
     return TriangleMesh(place + upright.vertices @ axes, upright.triangles)
+
+
+def _outline(tip: Tip) -> Float[np.ndarray, "k 2"]:
+    """Contour of the rod's end, from its axis to the shaft: radius, and height above the tip's
+    origin [m]."""
+    if tip.tool.is_flat:
+        return np.array([[0.0, 0.0], [tip.radius, 0.0]])
+    shaft = min(tip.radius, _SHAFT)
+    angle = np.linspace(-0.5 * np.pi, np.arccos(shaft / tip.radius), 13)
+    end = tip.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    end[0, 0] = 0.0
+    return end
 
 
 def _smooth_normal(mesh: TriangleMesh, place: SurfacePoints) -> Vector3:

@@ -11,9 +11,15 @@ import numpy as np
 
 from palpate.errors import InputError, quoted
 from palpate.geometry import TriangleMesh
-from palpate.records import MODULUS_RANGE, check_file_names
+from palpate.records import (
+    MODULUS_RANGE,
+    SLIDES,
+    STICKS,
+    FlatFace,
+    Sphere,
+    check_file_names,
+)
 from palpate.shapes import Indices, Vector3
-from palpate.solids import TipName
 
 # Largest size of a picture: that of the largest image sensors; truth maps take 100 bytes a pixel.
 _MOST_PIXELS = 1e8
@@ -144,11 +150,17 @@ class Arm(_Limited):
     sticking : bool                 no slip between tip and surface; else frictionless
     """
 
-    tip: TipName = "sphere"
+    tip: Literal["sphere", "punch"] = "sphere"
     radius: Length = 4.5e-3
     misalignment: TurnError = 0.0
     placement: LengthError = 0.0
     sticking: bool = False
+
+    @property
+    def tool(self) -> Sphere | FlatFace:
+        """Its tip."""
+        kind = Sphere if self.tip == "sphere" else FlatFace
+        return kind(self.radius, friction=STICKS if self.sticking else SLIDES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

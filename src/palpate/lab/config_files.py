@@ -28,7 +28,7 @@ from palpate.records import (
     read_toml,
 )
 from palpate.shapes import Indices
-from palpate.solids import TIPS, body_memory, node_count
+from palpate.solids import Tip, body_memory, node_count
 
 LAB_FORMAT = "palpate-lab/1"
 # Keys that are not fields of `LabConfig`, or are converted before they become fields.
@@ -197,7 +197,7 @@ def _check_sizes(file: Path, config: LabConfig) -> None:
             dot_count(mesh, look.size)
     modulus = config.material.young_modulus / (1.0 - config.material.poisson_ratio**2)
     for probe in config.probes:
-        tip = TIPS[arm.tip](arm.radius, probe.point, _DOWN)
+        tip = Tip(arm.tool, probe.point, _DOWN)
         with part(f"[[probe]] '{probe.name}'").error_context():
             tip.check_depth(probe.depth or 0.0)
             tip.check_force(probe.force or 0.0, modulus)

@@ -29,8 +29,6 @@ from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     SESSION_FORMAT,
-    SLIDES,
-    STICKS,
     Rig,
     check_file_names,
     path_below,
@@ -310,7 +308,7 @@ def _photographed(bench: _Bench, k: int, body: Body, interpolation: csr_array) -
     probe, tip, before = config.probes[k], bench.tips[k], mesh.vertices
     finite = config.material.law == "neo-hookean"
     try:
-        states = probe_body(body, probe, tip, sticking=config.arm.sticking, finite=finite)
+        states = probe_body(body, probe, tip, finite=finite)
     except InputError as error:
         raise InputError(f"probe '{probe.name}': {error}") from error
     files: _Files = {}
@@ -443,9 +441,9 @@ def probe_tables(
         "name": probe.name,
         "contact": {
             "point": probe.point.tolist(),
-            "tool": tip.tool,
+            "tool": tip.tool.shape,
             "tool_radius": tip.radius,
-            "friction": STICKS if config.arm.sticking else SLIDES,
+            "friction": tip.tool.friction_name,
         },
         "force": force.read(last.force, rng=rng).tolist(),
         "force_std": force.std(last.force),

@@ -20,7 +20,6 @@ from palpate.lab.scene import Variant
 from palpate.lab.studio import make_studio, photograph
 from palpate.records import Probing, Rig, Session, read_rig
 from palpate.shapes import Vertices
-from palpate.solids import TipName
 
 # Speckle diameter that is matched best [px].
 _SPECKLE_PX = 4.0
@@ -108,15 +107,15 @@ def _rod(
 def _arm(probing: Probing, material: Material) -> Arm:
     """The tool of a contact, or the one that its patch suggests."""
     contact, touched = probing.contact, float(probing.contact.radius or 0.0)
-    shape: TipName = "punch" if contact.profile in _PUNCHES else "sphere"
+    is_flat = contact.profile in _PUNCHES
     if contact.tool is not None:
-        return Arm(tip=shape, radius=contact.tool.radius)
-    if shape == "punch":
-        return Arm(tip=shape, radius=touched)
+        return Arm(tip="punch" if is_flat else "sphere", radius=contact.tool.radius)
+    if is_flat:
+        return Arm(tip="punch", radius=touched)
     # Johnson, Contact Mechanics (1985), equation 4.22.
     modulus = material.young_modulus / (1.0 - material.poisson_ratio**2)
     ball = 4.0 * modulus * touched**3 / (3.0 * float(np.linalg.norm(probing.force)))
-    return Arm(tip=shape, radius=float(np.clip(ball, touched, _LARGEST_BALL * touched)))
+    return Arm(radius=float(np.clip(ball, touched, _LARGEST_BALL * touched)))
 
 
 def _as_config(session: Session, rig: Rig, material: Material, pictures: Pictures) -> LabConfig:

@@ -20,8 +20,8 @@ from palpate.paper.sessions import (
     PaperSession,
 )
 from palpate.pipeline import fit_session, with_measured_displacement
-from palpate.records import Constant, Estimate, ProbeEstimate, Session
-from palpate.solids import Punch, held_nodes, make_body, make_solid, press
+from palpate.records import Constant, Estimate, FlatFace, ProbeEstimate, Session
+from palpate.solids import Tip, held_nodes, make_body, make_solid, press
 
 # Cylinder cut from foam [m], and the strain of the compression test.
 _RADIUS, _HEIGHT, _STRAIN = 0.015, 0.03, 0.01
@@ -83,7 +83,7 @@ def compressed_modulus(material: Material) -> float:
         shear_modulus=material.shear_modulus,
         poisson_ratio=material.poisson_ratio,
     )
-    plate = Punch(2.0 * _RADIUS, np.array([0.0, 0.0, _HEIGHT]), np.array([0.0, 0.0, -1.0]))
+    plate = Tip(FlatFace(2.0 * _RADIUS), np.array([0.0, 0.0, _HEIGHT]), np.array([0.0, 0.0, -1.0]))
     (state,) = press(body, plate, np.array([_STRAIN * _HEIGHT]))
     return float(-state.force[2]) / (np.pi * _RADIUS**2 * _STRAIN)
 

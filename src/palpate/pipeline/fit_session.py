@@ -45,8 +45,7 @@ from palpate.pipeline.reciprocity import reciprocity
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BIASED,
-    SLIDES,
-    STICKS,
+    FRICTIONS,
     ProbeEstimate,
     Reciprocity,
     Session,
@@ -422,7 +421,7 @@ def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[st
             each for each in probe.errors if each.name.startswith((RADIUS_ERROR, OUTWARD_ERROR))
         ]
         if any(error.is_surprising for error in contact_errors):
-            doubted.setdefault(tool.friction, []).append(probing.name)
+            doubted.setdefault(tool.friction_name, []).append(probing.name)
     notes = [f"Radius that the tool touches: {', '.join(radii)}."] if radii else []
     if places:
         notes.append(
@@ -430,7 +429,7 @@ def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[st
             f" it touched first: {', '.join(places)}."
         )
     for friction, names in doubted.items():
-        other = SLIDES if friction == STICKS else STICKS
+        other = next(name for name in FRICTIONS if name != friction)
         notes.append(
             f"What the tool touches in {', '.join(names)} is far from what follows from its shape"
             f' and friction = "{friction}": if the tool is right, try friction = "{other}".'

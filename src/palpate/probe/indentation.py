@@ -6,10 +6,8 @@ face, 1/3 under a sphere, whose circle of contact grows with the force.
 
 from dataclasses import replace
 
-import numpy as np
-
 from palpate.probe.tool_contact import reduced_modulus
-from palpate.records import Tool
+from palpate.records import RoundTool, Tool
 
 # A hollow surface counts as at most this share of a sphere's curvature: else it would fit the tool.
 _HOLLOW = 0.9
@@ -37,12 +35,12 @@ def on_flat(tool: Tool, curvature: float) -> Tool:
     return replace(tool, radius=tool.radius / max(1.0 + tool.radius * curvature, 1.0 - _HOLLOW))
 
 
-def dent(tool: Tool, force: float, *, shear_modulus: float, poisson_ratio: float) -> float:
-    """Depth to which a sphere or a flat round face dents a half space.
+def dent(tool: RoundTool, force: float, *, shear_modulus: float, poisson_ratio: float) -> float:
+    """Depth to which a round tool dents a half space (`RoundTool.dent`).
 
     Parameters
     ----------
-    tool : Tool                     a ball or a flat round face
+    tool : RoundTool
     force : float [N]               along the inward normal, > 0
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu <= 0.5
@@ -50,13 +48,6 @@ def dent(tool: Tool, force: float, *, shear_modulus: float, poisson_ratio: float
     Returns
     -------
     float [m]
-
-    Source
-    ------
-    Johnson, Contact Mechanics (1985), equations 4.23 (sphere, taken as a paraboloid: up to about
-    half its radius) and 3.36 (flat face).
     """
     modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
-    if tool.is_flat:
-        return force / (2.0 * tool.radius * modulus)
-    return float(np.cbrt((0.75 * force / modulus) ** 2 / tool.radius))
+    return tool.dent(force / modulus)

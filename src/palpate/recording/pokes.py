@@ -405,7 +405,7 @@ def write_pokes(folder: Path, pokes: Pokes, mesh: TriangleMesh, tool: Tool, name
         },
         "errors": {"tool_compliance": _TOOL_COMPLIANCE},
     }  # fmt: skip
-    shape = {"tool": tool.shape, "tool_radius": tool.radius, "friction": tool.friction}
+    shape = {"tool": tool.shape, "tool_radius": tool.radius, "friction": tool.friction_name}
     content["probe"] = [
         {
             "name": f"p{number:03d}",

@@ -207,6 +207,7 @@ from palpate.records.text.toml_table import (
     read_toml as read_toml,
 )
 from palpate.records.tools import (
+    FRICTIONS as FRICTIONS,
     SLIDES as SLIDES,
     STICKS as STICKS,
     TOOLS as TOOLS,

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
-from palpate.records.tools import Tool
+from palpate.records.tools import FRICTIONS, Tool
 from palpate.shapes import Indices, Points, PointScalars, Vector3
 
 # Initial contact radius of a search: this fraction of the tool's radius, but at most this fraction
@@ -171,7 +171,8 @@ class Contact:
 
     Raises
     ------
-    InputError                      an unknown profile; radius missing, not positive, or given for
+    InputError                      a tool whose friction is neither none nor without bound; an
+                                    unknown profile; radius missing, not positive, or given for
                                     `_VERTEX` or triangles; no triangles
     """
 
@@ -186,6 +187,12 @@ class Contact:
     def __post_init__(self) -> None:
         fix_fields(self, point=(3,))
         fix_fields(self, none_allowed=True, first_point=(3,))
+        if self.tool is not None and self.tool.friction not in FRICTIONS.values():
+            raise InputError(
+                f"friction is {self.tool.friction:g}; under a measured force a tool slides (0) or"
+                " sticks (infinite): how far a coefficient in between lets it slide depends on a"
+                " path that is not known"
+            )
         if self.triangles is not None:
             fix_fields(self, integer=True, triangles=(None,))
             object.__setattr__(self, "triangles", np.unique(self.triangles))

@@ -1,11 +1,12 @@
 """Rigid tools, each shape a class here and an entry in `TOOLS`.
 
-A tool of any shape is the height of its face over its tangent plane: of a round one the slope
-suffices, as a function of the distance from the axis. `probe.tool_contact` finds what it touches.
+A tool has a frame: its axis is z, and it presses towards -z. The origin is the centre of a sphere,
+the middle of a flat face, the apex of a cone. `probe.tool_contact` finds the pressure of a tool on
+a half space, `contact` what it does to any object whose compliance is known.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -17,14 +18,17 @@ from palpate.geometry import TriangleMesh, convex_planes
 from palpate.shapes import Matrix3, Vector3
 
 SPHERE, FLAT, CONE, CYLINDER, RING, MESH = "sphere", "flat", "cone", "cylinder", "ring", "mesh"
-# Friction between tool and surface.
-SLIDES, STICKS = FRICTIONS = ("slides", "sticks")
+# Coefficients of friction between tool and surface, and their words in a session.
+SLIDES, STICKS = 0.0, np.inf
+FRICTIONS: Mapping[str, float] = {"slides": SLIDES, "sticks": STICKS}
 # Least half opening angle of a cone [rad].
 _SHARPEST = 0.5
 # Faces whose normals are within this of perpendicular to the half space's are upright.
 _UPRIGHT = 1e-6
 # Faces of a tool whose heights are computed at once.
 _AT_ONCE = 256
+# Length of the rod behind a face, in radii, of a tool that may be approached from any side.
+_ROD = 4.0
 Grid = Float[np.ndarray, "n n"]
 
 
@@ -35,7 +39,9 @@ class Tool(ABC):
     Parameters
     ----------
     radius : float [m]              as far as the tool reaches from its axis, > 0
-    friction : str                  the surface `SLIDES` freely under the tool, or `STICKS` to it
+    friction : float [-]            Coulomb's coefficient: the surface `SLIDES` freely under the
+                                    tool, or `STICKS` to it; one in between only where a tool is
+                                    moved tick by tick (`contact`)
 
     Attributes
     ----------
@@ -46,21 +52,46 @@ class Tool(ABC):
 
     Raises
     ------
-    InputError                      unknown friction; a radius that is not positive
+    InputError                      a negative friction; a radius that is not positive
     """
 
     radius: float
-    friction: str = field(default=SLIDES, kw_only=True)
+    friction: float = field(default=SLIDES, kw_only=True)
     shape: ClassVar[str]
     is_flat: ClassVar[bool] = False
     growth: ClassVar[float | None] = None
 
     def __post_init__(self) -> None:
-        if self.friction not in FRICTIONS:
-            known = ", ".join(FRICTIONS)
-            raise InputError(f"friction is '{self.friction}'; must be one of {known}")
+        if not (isinstance(self.friction, float | int) and self.friction >= 0.0):
+            raise InputError(
+                f"friction is {self.friction!r}; must be 0 (slides), a coefficient, or infinite"
+                " (sticks)"
+            )
         if not (np.isfinite(self.radius) and self.radius > 0.0):
             raise InputError(f"tool_radius is {self.radius}; must be a positive length")
+
+    @property
+    def friction_name(self) -> str:
+        """Its friction as a session says it."""
+        return next(name for name, size in FRICTIONS.items() if size == self.friction)
+
+    @property
+    def faces(self) -> Float[np.ndarray, "p 4"]:
+        """What bounds it in its frame: outward unit normals, and the offset along each [m].
+
+        Planes; of a `RoundTool` lines in the half plane of radius and z, whose normals are
+        (radial, 0, axial). A sphere has none.
+
+        Raises
+        ------
+        InputError                  a tool that is not convex
+        """
+        raise InputError(f"a {self.shape} is not convex; only convex tools can be moved about")
+
+    @property
+    def reach(self) -> float:
+        """Radius of a ball about its origin that contains it [m]."""
+        return float(np.hypot(self.radius, _ROD * self.radius))
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,16 +107,54 @@ class RoundTool(Tool):
         distance : array [m]        from the axis, below the radius
         """
 
+    @abstractmethod
+    def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """How far the face is ahead of the origin, towards -z [m]; -inf beyond the radius.
+
+        Parameters
+        ----------
+        distance : array [m]        from the axis
+        """
+
+    @abstractmethod
+    def dent(self, load: float) -> float:
+        """Depth to which it dents a half space [m].
+
+        Parameters
+        ----------
+        load : float [m^2]          force over the reduced modulus, > 0
+
+        Source
+        ------
+        Johnson, Contact Mechanics (1985), equations 4.23 (sphere, taken as a paraboloid: up to
+        about half its radius) and 3.36 (flat face); Sneddon, Int. J. Eng. Sci. 3 (1965) 47 (cone).
+        """
+
 
 class Sphere(RoundTool):
     """A ball of a radius [m]."""
 
     __slots__ = ()
     shape, growth = SPHERE, 1.0 / 3.0
+    faces = np.zeros((0, 4))
+
+    @property
+    def reach(self) -> float:
+        """Its radius [m]."""
+        return self.radius
 
     def slope(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The exact one, not that of a paraboloid."""
         return np.asarray(distance / np.sqrt(self.radius**2 - distance**2))
+
+    def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """A circle."""
+        rise = np.sqrt(np.clip(self.radius**2 - distance**2, 0.0, None))
+        return np.where(distance < self.radius, rise, -np.inf)
+
+    def dent(self, load: float) -> float:
+        """Hertz' depth."""
+        return float(np.cbrt((0.75 * load) ** 2 / self.radius))
 
 
 class FlatFace(RoundTool):
@@ -98,6 +167,19 @@ class FlatFace(RoundTool):
         """None."""
         return np.zeros_like(distance)
 
+    def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """None, up to the rim."""
+        return np.where(distance <= self.radius * (1.0 + 1e-9), 0.0, -np.inf)
+
+    def dent(self, load: float) -> float:
+        """That of a punch."""
+        return load / (2.0 * self.radius)
+
+    @property
+    def faces(self) -> Float[np.ndarray, "p 4"]:
+        """A rod."""
+        return _rod(self.radius, [0.0, 0.0, -1.0, 0.0])
+
 
 @dataclass(frozen=True, slots=True)
 class Cone(RoundTool):
@@ -108,7 +190,7 @@ class Cone(RoundTool):
     radius : float [m]              of its base
     angle : float [rad]             between its axis and its side, from 0.5 (29 degrees) to below
                                     pi / 2
-    friction : str                  as of every `Tool`
+    friction : float                as of every `Tool`
 
     Raises
     ------
@@ -130,6 +212,19 @@ class Cone(RoundTool):
     def slope(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """That of its side."""
         return np.full_like(distance, 1.0 / np.tan(self.angle))
+
+    def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Its side, which falls behind its apex."""
+        return np.where(distance <= self.radius, -distance / np.tan(self.angle), -np.inf)
+
+    def dent(self, load: float) -> float:
+        """Sneddon's depth."""
+        return float(np.sqrt(0.5 * np.pi * load / np.tan(self.angle)))
+
+    @property
+    def faces(self) -> Float[np.ndarray, "p 4"]:
+        """A pointed rod."""
+        return _rod(self.radius, [np.cos(self.angle), 0.0, -np.sin(self.angle), 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +267,7 @@ class Ring(ShapedTool):
     ----------
     radius : float [m]              outer
     inner_radius : float [m]        above 0 and below the outer one
-    friction : str                  as of every `Tool`
+    friction : float                as of every `Tool`
 
     Raises
     ------
@@ -205,26 +300,28 @@ class ConvexMesh(ShapedTool):
     Parameters
     ----------
     radius : float [m]              half the smallest side of its bounding box
-    planes : (p, 4) float           outward unit normals in the object's frame, and their offsets
-                                    from the tool's centre point [m]
-    friction : str                  as of every `Tool`
+    faces : (p, 4) float            planes: outward unit normals in the object's frame, and their
+                                    offsets from the tool's centre point [m]
+    reach : float [m]               radius of a ball about the centre point that contains it
+    friction : float                as of every `Tool`
     """
 
-    planes: Float[np.ndarray, "p 4"] = field(compare=False)
+    faces: Float[np.ndarray, "p 4"] = field(compare=False)
+    reach: float = field(compare=False)
     shape: ClassVar[str] = MESH
 
     def face(self, axes: Float[np.ndarray, "2 3"], normal: Vector3, x: Grid, y: Grid) -> Face:
         """The lower side of its hull."""
-        a, b, c = (self.planes[:, :3] @ np.vstack([axes, normal]).T).T
-        faces, covers, upright = c < -_UPRIGHT, c > _UPRIGHT, abs(c) <= _UPRIGHT
+        a, b, c = (self.faces[:, :3] @ np.vstack([axes, normal]).T).T
+        lower_side, covers, upright = c < -_UPRIGHT, c > _UPRIGHT, abs(c) <= _UPRIGHT
         places = np.stack([np.ones(x.size), x.ravel(), y.ravel()])
 
         def terms(chosen: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "k 3"]:
             """Height of planes as a function of 1, x and y; of upright ones, distance to them."""
             scale = np.where(upright, 1.0, c)[chosen, None]
-            return np.stack([self.planes[:, 3], -a, -b], axis=1)[chosen] / scale
+            return np.stack([self.faces[:, 3], -a, -b], axis=1)[chosen] / scale
 
-        lower = terms(faces)
+        lower = terms(lower_side)
         height, lowest = _highest(lower, places)
         top = -_highest(-terms(covers), places)[0]
         inside = (height <= top) & (terms(upright) @ places >= 0.0).all(axis=0)
@@ -239,7 +336,7 @@ TOOLS: Mapping[str, type[Tool]] = {
 }  # fmt: skip
 
 
-def mesh_tool(mesh: TriangleMesh, rotation: Matrix3, *, friction: str = SLIDES) -> ConvexMesh:
+def mesh_tool(mesh: TriangleMesh, rotation: Matrix3, *, friction: float = SLIDES) -> ConvexMesh:
     """A rigid tool of the shape of a convex mesh.
 
     Parameters
@@ -247,11 +344,11 @@ def mesh_tool(mesh: TriangleMesh, rotation: Matrix3, *, friction: str = SLIDES) 
     mesh : TriangleMesh             closed, convex; the origin of its frame is the tool's centre
                                     point, which a contact places on the surface
     rotation : (3, 3) float [-]     from the mesh's frame to the object's
-    friction : str                  the surface `SLIDES` freely under the tool, or `STICKS` to it
+    friction : float                as of every `Tool`
 
     Returns
     -------
-    ConvexMesh
+    ConvexMesh                      coplanar triangles are one face
 
     Raises
     ------
@@ -260,7 +357,13 @@ def mesh_tool(mesh: TriangleMesh, rotation: Matrix3, *, friction: str = SLIDES) 
     planes = convex_planes(mesh)
     turned = np.column_stack([planes[:, :3] @ rotation.T, planes[:, 3]])
     radius = 0.5 * float(np.ptp(mesh.vertices, axis=0).min())
-    return ConvexMesh(radius, turned, friction=friction)
+    reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
+    return ConvexMesh(radius, turned, reach, friction=friction)
+
+
+def _rod(radius: float, end: Sequence[float]) -> Float[np.ndarray, "3 4"]:
+    """The faces of a rod: its end, its side and its far end."""
+    return np.array([end, [1.0, 0.0, 0.0, radius], [0.0, 0.0, 1.0, _ROD * radius]])
 
 
 def _highest(

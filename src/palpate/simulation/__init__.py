@@ -3,18 +3,11 @@
 Purpose    : forces and displacements of an object under tools, at haptic rates.
 Takes      : a `Session`, an `Estimate`; tools with their poses.
 Gives      : `GreenFunctions` and their files, `ContactState`; folders for simulators.
-Depends on : `pipeline`, `field`, `solids`, `bem`, `probe`, `records`, `geometry`.
-Read first : `green_functions.py`, `contact.py`, then the kernels: `settle.py`, `friction.py`,
-             `contact_response.py`; `export.py`, then `estimated_object.py`.
+Depends on : `pipeline`, `field`, `solids`, `bem`, `probe`, `contact`, `records`, `geometry`.
+Read first : `green_functions.py`, `contact.py`; `export.py`, then `estimated_object.py`.
 """
 
 from palpate.simulation.contact import (
-    ContactState as ContactState,
-    ConvexTool as ConvexTool,
-    PlacedTool as PlacedTool,
-    Sphere as Sphere,
-    convex_tool as convex_tool,
-    flat_punch as flat_punch,
     force_covariance as force_covariance,
     start_contact as start_contact,
     surface_displacement as surface_displacement,

@@ -3,7 +3,7 @@
 Purpose    : solve the contact of a rigid tip with a supported body, to a depth or to a force.
 Takes      : a closed surface, held triangles, elastic constants, a tip with a depth or a force.
 Gives      : nodal forces and displacements, and their values at points of the surface.
-Depends on : `geometry`, `records`; scikit-fem for the elements.
+Depends on : `contact`, `geometry`, `records`; scikit-fem for the elements.
 Read first : `finite_elements.py`, `contact.py`, then `tips.py`, `tetrahedra.py`.
 """
 
@@ -54,9 +54,5 @@ from palpate.solids.tetrahedra import (
     quadratic_solid as quadratic_solid,
 )
 from palpate.solids.tips import (
-    TIPS as TIPS,
-    Punch as Punch,
-    Sphere as Sphere,
     Tip as Tip,
-    TipName as TipName,
 )

@@ -1,26 +1,24 @@
 """A rigid tip pressed into a linear elastic body: unilateral contact on the factorised stiffness.
 
-Nodes under the tip cannot penetrate it, and it cannot pull them. With the compliance matrix of
-those nodes this is a small non-negative least-squares problem; the tip's shape is exact.
+`contact` finds the forces from the compliance of the nodes that the tip may reach.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import brentq, nnls
+from scipy.optimize import brentq
 
 from palpate.arrays import fixed_array
-from palpate.errors import InputError, NotConvergedError
+from palpate.contact import ContactState, move_tools, untouched
+from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, quadratic_shapes, triangle_areas
-from palpate.shapes import Points, Vector3
+from palpate.shapes import Vector3
 from palpate.solids.finite_elements import Body, solve_load
 from palpate.solids.tetrahedra import Solid
 from palpate.solids.tips import Tip
 
-# A ball that touches a circle of 0.6 of its radius takes 80 on a block, 190 on an egg.
-_MAX_ROUNDS = 600
-# Relative change of the forces below which normals and active nodes have converged.
+# Relative accuracy of the depth at a force.
 _TOLERANCE = 1e-10
 # The search for the depth of a force begins at this many times the depth in a half space.
 _FIRST_DEPTH = 1.2
@@ -29,7 +27,7 @@ _CANDIDATE_DEPTH = 1.3
 # Each side of an outer face is divided into this many parts to find the first contact.
 _SUBDIVISIONS = 4
 # Nodes that may touch, their positions at rest [m], and their compliance [m/N].
-_Candidates = tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 k 3"]]
+_Candidates = tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "c c"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,18 +79,14 @@ def touch(solid: Solid, tip: Tip) -> float:
     return float(travel.min())
 
 
-def press(
-    body: Body, tip: Tip, depths: Float[np.ndarray, " s"], *, sticking: bool = False
-) -> tuple[Press, ...]:
+def press(body: Body, tip: Tip, depths: Float[np.ndarray, " s"]) -> tuple[Press, ...]:
     """Press a tip to given depths, one after the other.
 
     Parameters
     ----------
     body : Body
-    tip : Tip
+    tip : Tip                       under friction contact depends on the path: take small steps
     depths : (s,) float [m]         increasing, > 0, from first contact
-    sticking : bool                 nodes in contact stick to the tip; else contact is frictionless.
-                                    Sticking contact depends on the path: take small steps
 
     Returns
     -------
@@ -111,15 +105,11 @@ def press(
         )
     tip.check_depth(depths[-1])
     start = touch(body.solid, tip)
-    candidates = _candidates(body, tip, start + _CANDIDATE_DEPTH * depths[-1])
-    anchor = np.full((len(candidates[0]), 3), np.nan)
-    states = []
+    nodes, rest, compliance = _candidates(body, tip, start + _CANDIDATE_DEPTH * depths[-1])
+    state, states = untouched(len(rest), [tip.moved(start)]), []
     for depth in depths:
-        if sticking:
-            forces, anchor = _sticking_forces(candidates, tip, start + depth, anchor)
-        else:
-            forces = _frictionless_forces(candidates, tip, start + depth)
-        states.append(_state(body, tip, candidates, forces, start, float(depth)))
+        state = move_tools(rest, compliance, [tip.moved(start + depth)], state)
+        states.append(_press(body, nodes, state, float(depth)))
     return tuple(states)
 
 
@@ -139,24 +129,25 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
     Raises
     ------
     InputError                      a force that is not positive, or that presses a sphere in by
-                                    its radius; a tip that misses the body
+                                    its radius; a tip that has friction, or misses the body
     NotConvergedError               the set of contact nodes does not converge
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
+    if tip.tool.friction:
+        raise InputError("a tip that sticks is pressed to a depth, not to a force; give a depth")
     modulus = 2.0 * body.shear_modulus / (1.0 - body.poisson_ratio)
     tip.check_force(force, modulus)
     start = touch(body.solid, tip)
-    reach = min(_FIRST_DEPTH * tip.half_space_depth(force, modulus), tip.max_depth)
-    candidates = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
+    reach = min(_FIRST_DEPTH * tip.tool.dent(force / modulus), tip.max_depth)
+    nodes, rest, compliance = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
+
+    def at(depth: float) -> ContactState:
+        before = untouched(len(rest), [tip.moved(start)])
+        return move_tools(rest, compliance, [tip.moved(start + depth)], before)
 
     def excess(depth: float) -> float:
-        if depth == 0.0:
-            return -force
-        return (
-            float(_frictionless_forces(candidates, tip, start + depth).sum(axis=0) @ tip.direction)
-            - force
-        )
+        return -force - (float(at(depth).tool_force[0] @ tip.direction) if depth > 0.0 else 0.0)
 
     low = 0.0
     while (shortfall := excess(reach)) < 0.0:
@@ -164,11 +155,9 @@ def press_to_force(body: Body, tip: Tip, force: float) -> Press:
         # The force grows as the depth to the power 1 (punch) to 1.5 (sphere): go slightly beyond.
         growth = 1.1 * force / max(shortfall + force, 1e-3 * force)
         low, reach = reach, min(reach * min(growth, 4.0), tip.max_depth)
-        candidates = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
+        nodes, rest, compliance = _candidates(body, tip, start + _CANDIDATE_DEPTH * reach)
     depth = float(brentq(excess, low, reach, xtol=_TOLERANCE * reach, rtol=_TOLERANCE))
-    return _state(
-        body, tip, candidates, _frictionless_forces(candidates, tip, start + depth), start, depth
-    )
+    return _press(body, nodes, at(depth), depth)
 
 
 def facet_samples() -> Float[np.ndarray, "q 3"]:
@@ -220,81 +209,18 @@ def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
     rows = (3 * free[nodes][:, None] + np.arange(3)).ravel()
     right[rows, np.arange(len(rows))] = 1.0
     half = body.factor.half_solve(right)
-    compliance = (half.T @ half).reshape(len(nodes), 3, len(nodes), 3)
-    return nodes, solid.nodes[nodes], compliance
+    return nodes, solid.nodes[nodes], half.T @ half
 
 
-def _frictionless_forces(candidates: _Candidates, tip: Tip, travel: float) -> Points:
-    """Frictionless contact forces on the candidate nodes, (k, 3) [N].
-
-    Source
-    ------
-    Signorini's problem in dual form: minimise l C l / 2 - l p over l >= 0, with p the penetration
-    of the undeformed nodes and C their compliance; a Cholesky factor of C makes it a non-negative
-    least-squares problem. Fixed-point iteration updates the tip's normals to the displaced nodes.
-    """
-    _, rest, compliance = candidates
-    displacement = np.zeros_like(rest)
-    forces = np.zeros_like(rest)
-    for _ in range(_MAX_ROUNDS):
-        distance, normal = tip.distance(travel, rest + displacement)
-        penetration = np.einsum("ka,ka->k", normal, displacement) - distance
-        square = np.einsum("ka,kalb,lb->kl", normal, compliance, normal)
-        root = np.linalg.cholesky(square)
-        normal_force, _ = nnls(root.T, np.linalg.solve(root, penetration))
-        previous, forces = forces, normal_force[:, None] * normal
-        displacement = np.einsum("kalb,lb->ka", compliance, forces)
-        if np.abs(forces - previous).max() <= _TOLERANCE * np.abs(forces).max():
-            return forces
-    raise NotConvergedError(
-        f"the contact does not settle in {_MAX_ROUNDS} rounds; press less deep or in smaller steps"
-    )
-
-
-def _sticking_forces(
-    candidates: _Candidates, tip: Tip, travel: float, anchor: Float[np.ndarray, "k 3"]
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Forces on the candidate nodes, (k, 3) [N], when nodes in contact stick to the tip.
-
-    `anchor` is each node's position on the tip (NaN: no contact), relative to the tip's position.
-    """
-    _, rest, compliance = candidates
-    anchor = anchor.copy()
-    tip_position = tip.point + travel * tip.direction
-    count = len(rest)
-    for _ in range(_MAX_ROUNDS):
-        forces = np.zeros((count, 3))
-        sticking = np.flatnonzero(np.isfinite(anchor[:, 0]))
-        if len(sticking):
-            prescribed = tip_position + anchor[sticking] - rest[sticking]
-            block = compliance[sticking][:, :, sticking].reshape(3 * len(sticking), -1)
-            forces[sticking] = np.linalg.solve(block, prescribed.ravel()).reshape(-1, 3)
-        positions = rest + np.einsum("kalb,lb->ka", compliance, forces)
-        distance, normal = tip.distance(travel, positions)
-        separating = np.einsum("ka,ka->k", normal, forces) < 0.0
-        entering = (distance < -1e-9 * tip.radius) & np.isnan(anchor[:, 0])
-        if not (separating | entering).any():
-            return forces, anchor
-        anchor[separating] = np.nan
-        entering &= ~separating
-        anchor[entering] = (positions - distance[:, None] * normal - tip_position)[entering]
-    raise NotConvergedError(
-        f"the sticking contact does not settle in {_MAX_ROUNDS} rounds; press in smaller steps"
-    )
-
-
-def _state(
-    body: Body, tip: Tip, candidates: _Candidates, forces: Points, start: float, depth: float
-) -> Press:
+def _press(body: Body, nodes: Int[np.ndarray, " k"], state: ContactState, depth: float) -> Press:
     """Equilibrium of the whole body under the forces on the candidate nodes."""
-    nodes, _, _ = candidates
     load = np.zeros_like(body.solid.nodes)
-    load[nodes] = forces
+    load[nodes] = state.force
     touched = np.zeros(len(load), dtype=bool)
-    touched[nodes] = (forces != 0.0).any(axis=1)
+    touched[nodes] = (state.force != 0.0).any(axis=1)
     return Press(
         depth=depth,
-        tip_position=tip.point + (start + depth) * tip.direction,
+        tip_position=state.tools[0].position,
         force=load.sum(axis=0),
         radius=float(np.sqrt(_node_areas(body.solid)[touched].sum() / np.pi)),
         load=load,

@@ -5,7 +5,8 @@ Purpose    : look at a session or a result, query the model at other constants, 
 Takes      : a session, or a result folder of `palpate fit`.
 Gives      : `Viewer`, a web page on a port of this computer; a picture, a turntable video; what
              other pages are made of.
-Depends on : `figures`, `simulation`, `pipeline`, `vision`, `estimation`, `records`, `geometry`.
+Depends on : `figures`, `contact`, `simulation`, `pipeline`, `vision`, `estimation`, `records`,
+             `geometry`.
 Read first : `server.py`, then `panels.py`, `stage.py` and `subject.py`.
 """
 

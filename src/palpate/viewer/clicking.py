@@ -15,16 +15,14 @@ import tomlkit
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from palpate.contact import ContactState, PlacedTool
 from palpate.disk import atomic_replacement
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, unit_normals
-from palpate.records import Session, read_session, read_text
+from palpate.records import Session, Sphere, read_session, read_text
 from palpate.shapes import Indices, Vector3, Vertices
 from palpate.simulation import (
-    ContactState,
     GreenFunctions,
-    PlacedTool,
-    Sphere,
     force_covariance,
     start_contact,
     surface_displacement,
@@ -300,10 +298,10 @@ def press(green: GreenFunctions, before: Pressed, depth: float) -> Pressed:
     NotConvergedError               the contact iteration does not converge
     """
     ball = before.state.tools[0].tool
-    steps = max(1, int(np.ceil(abs(depth - before.depth) / (_MAX_STEP * ball.bounding_radius))))
+    steps = max(1, int(np.ceil(abs(depth - before.depth) / (_MAX_STEP * ball.reach))))
     state = before.state
     for at in np.linspace(before.depth, depth, steps + 1)[1:]:
-        position = before.point + (ball.bounding_radius - at) * before.normal
+        position = before.point + (ball.reach - at) * before.normal
         state = touch(green, [PlacedTool(ball, position)], state)
     force = -state.tool_force[0]
     length = float(np.linalg.norm(force))

@@ -566,7 +566,7 @@ class TouchPanel:
         self._stage.draw_body(pressed.displacement, colours)
         force, end, warning = force_text(pressed).partition("\n")
         self._stage.draw_ball(
-            pressed.centre, pressed.state.tools[0].tool.bounding_radius, pressed.force, force
+            pressed.centre, pressed.state.tools[0].tool.reach, pressed.force, force
         )
         self.text.content = text_html(end + warning, bold=force)
         self.scale.content = scale_html(_numbers(top, "mm"), "viridis")

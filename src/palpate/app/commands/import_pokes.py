@@ -10,6 +10,7 @@ from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
 from palpate.recording import Pokes, height_field, read_pokes, write_pokes
 from palpate.records import (
+    FRICTIONS,
     LENGTH_UNITS,
     MODULUS_RANGE,
     TOOLS,
@@ -93,7 +94,7 @@ def import_pokes(
         Overwrite even if the target is not an unchanged result of this command; the old content is
         kept as NAME.old.
     """
-    tip = TOOLS[tool](_length(tool_radius, "--tool-radius"), friction=friction)
+    tip = TOOLS[tool](_length(tool_radius, "--tool-radius"), friction=FRICTIONS[friction])
     if (thickness is None) == (surface is None):
         raise InputError("give the body as --thickness, below the poked surface, or as --surface")
     samples = read_poke_table(

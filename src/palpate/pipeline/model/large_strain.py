@@ -50,9 +50,8 @@ from palpate.records import (
     Probing,
     Session,
     ShapedTool,
-    Sphere as Ball,
+    Sphere,
     Status,
-    Tool,
     stiffening_text,
 )
 from palpate.shapes import Points, Vector3
@@ -61,9 +60,7 @@ from palpate.solids import (
     FinitePress,
     LawOf,
     NeoHookean,
-    Punch,
     Solid,
-    Sphere,
     SplitNeoHookean,
     Tip,
     dilation_slope,
@@ -97,14 +94,10 @@ _ROUGH, _OTHER = 0.2, 0.3
 # of the region under a tool, whose own shape tells where it touches, or under a pressure, and
 # element size there; the same along the rim of a flat face, where pressure is without bound.
 _COARSE = 1.5
-_UNDER: dict[type, tuple[float, float]] = {
-    Sphere: (1.0, 0.6), Punch: (1.3, 1.0), type(None): (1.3, 0.4)
-}  # fmt: skip
+_UNDER, _UNDER_PRESSURE = {Sphere: (1.0, 0.6), FlatFace: (1.3, 1.0)}, (1.3, 0.4)
 _AT_RIM = (0.12, 0.16)
 # Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
 _LARGEST_RATIO = 0.495
-# Tips of the tools that are served.
-_TIPS: dict[type[Tool], type[Tip]] = {Ball: Sphere, FlatFace: Punch}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,9 +284,10 @@ def _fine_regions(
     contact: Contact, tip: Tip | None, coarser: float
 ) -> list[tuple[Vector3, float, float]]:
     """Where elements are finer: point, reach and edge (`make_solid`)."""
-    radius, (reach, size) = float(contact.radius or 0.0), _UNDER[type(tip)]
+    radius = float(contact.radius or 0.0)
+    reach, size = _UNDER_PRESSURE if tip is None else _UNDER[type(tip.tool)]
     regions = [(contact.point, reach * radius, coarser * size * radius)]
-    if isinstance(tip, Punch):
+    if tip is not None and tip.tool.is_flat:
         reach, edge = _AT_RIM[0] * tip.radius, coarser * _AT_RIM[1] * tip.radius
         regions += [(point, reach, edge) for point in tip.rim(edge)]
     return regions
@@ -551,9 +545,9 @@ def _tip(probing: Probing) -> Tip | None:
     """A ball or a flat face that slides and moves along the force, through the point that it
     touched first; None: a fixed patch."""
     tool = probing.contact.tool
-    if tool is None or type(tool) not in _TIPS or tool.friction != SLIDES:
+    if not isinstance(tool, Sphere | FlatFace) or tool.friction != SLIDES:
         return None
-    return _TIPS[type(tool)](tool.radius, probing.contact.start, probing.force)
+    return Tip(tool, probing.contact.start, probing.force)
 
 
 def _places(probing: Probing) -> Points:

@@ -18,7 +18,7 @@ from palpate.records.probing import Load
 from palpate.records.quantities import ANGLE_UNITS, LENGTH_UNITS
 from palpate.records.support import HeldObject, RigidMotion, listed_triangles
 from palpate.records.text.toml_table import TomlTable
-from palpate.records.tools import FRICTIONS, SLIDES, TOOLS, ConvexMesh, Tool, mesh_tool
+from palpate.records.tools import FRICTIONS, TOOLS, ConvexMesh, Tool, mesh_tool
 from palpate.shapes import Indices, Vector3
 
 
@@ -142,7 +142,8 @@ def _contact(contact: TomlTable, body: HeldObject) -> Contact:
 
 
 def _tool(contact: TomlTable, metres: float, force: Vector3) -> Tool:
-    friction = contact.optional("friction", lambda key: contact.choice(key, FRICTIONS)) or SLIDES
+    said = contact.optional("friction", lambda key: contact.choice(key, tuple(FRICTIONS)))
+    friction = FRICTIONS[said or "slides"]
     shape = contact.choice("tool", tuple(TOOLS))
     kind = TOOLS[shape]
     if kind is ConvexMesh:
@@ -168,7 +169,7 @@ def _tool(contact: TomlTable, metres: float, force: Vector3) -> Tool:
         return kind(**given, friction=friction)
 
 
-def _mesh_tool(contact: TomlTable, metres: float, friction: str, force: Vector3) -> Tool:
+def _mesh_tool(contact: TomlTable, metres: float, friction: float, force: Vector3) -> Tool:
     contact.check_keys(("point", "point_std", "tool", "tool_mesh", "tool_rotation", "friction"))
     rotation = contact.optional("tool_rotation", contact.vector)
     mesh = read_mesh(contact.existing_file("tool_mesh"), metres_per_unit=metres)

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from palpate.simulation import PlacedTool, Sphere
-from palpate.simulation.contact import tool_arrays
-from palpate.simulation.contact_response import (
+from palpate.contact import PlacedTool
+from palpate.contact.moved_tools import tool_arrays
+from palpate.contact.response import (
     REBUILT_AFTER,
     Nodal,
     assign,
     solve,
     updated_response,
 )
+from palpate.records import Sphere
 
 # Nodes that touch all the time, and those that come in and leave around them.
 CORE, RIM = 12, 8
@@ -32,7 +33,7 @@ def uneven_compliance(green, nearness):
 
 def tool(friction):
     """One tool, of which only the friction counts here."""
-    one = [PlacedTool(Sphere(1.0), np.zeros(3), friction=friction)]
+    one = [PlacedTool(Sphere(1.0, friction=friction), np.zeros(3))]
     return tool_arrays(one, one)
 
 

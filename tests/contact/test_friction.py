@@ -1,12 +1,14 @@
-"""One node against a tool: Signorini's and Coulomb's laws, and faces that look any way."""
+"""One node against a tool: Signorini's and Coulomb's laws, and the distance of tools."""
 
 import numpy as np
 import pytest
 
-from palpate.simulation.contact import ConvexTool, PlacedTool, tool_arrays
-from palpate.simulation.contact_response import OPEN, SLIDES, STICKS
-from palpate.simulation.friction import node_force
-from palpate.simulation.settle import tool_gap
+from palpate.contact import PlacedTool, gaps
+from palpate.contact.friction import node_force
+from palpate.contact.moved_tools import tool_arrays
+from palpate.contact.response import OPEN, SLIDES, STICKS
+from palpate.contact.settle import tool_gap
+from palpate.records import Cone, ConvexMesh, FlatFace, Tool
 
 
 def _compliance(rng: np.random.Generator) -> np.ndarray:
@@ -50,7 +52,9 @@ def test_a_tool_that_is_turned_is_as_far_from_a_point_that_is_turned() -> None:
     turned = np.column_stack([planes[:, :3] @ turn.T, planes[:, 3]])
     both = [
         tool_arrays([placed], [placed])
-        for placed in (PlacedTool(ConvexTool(each, 0.05), np.zeros(3)) for each in (planes, turned))
+        for placed in (
+            PlacedTool(ConvexMesh(0.01, each, 0.05), np.zeros(3)) for each in (planes, turned)
+        )
     ]
     for point in rng.normal(scale=0.02, size=(50, 3)):
         normals = np.empty((2, 3))
@@ -60,3 +64,32 @@ def test_a_tool_that_is_turned_is_as_far_from_a_point_that_is_turned() -> None:
         found, at = tool_gap(both[1], 0, -1, turn @ point, normals[1])
         assert (found, at) == (pytest.approx(straight, abs=1e-15), face)
         np.testing.assert_allclose(normals[1], turn @ normals[0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("tool", "outline"),
+    [
+        (FlatFace(0.01), np.array([[0.0, 0.0], [0.01, 0.0], [0.01, 0.04], [0.0, 0.04]])),
+        (
+            Cone(0.01, np.pi / 6),
+            np.array([[0.0, 0.0], [0.01, 0.01 * np.sqrt(3.0)], [0.01, 0.04], [0.0, 0.04]]),
+        ),
+    ],
+)
+def test_a_round_tool_is_what_its_outline_sweeps(tool: Tool, outline: np.ndarray) -> None:
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    place = rng.normal(size=3)
+    points = rng.uniform([-0.015, -0.015, -0.01], [0.015, 0.015, 0.05], size=(400, 3))
+    gap, normal = gaps(PlacedTool(tool, place, turn), place + points @ turn.T)
+    section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
+    along = np.diff(outline, axis=0)
+    across = np.column_stack([along[:, 1], -along[:, 0]])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    sides = ((section[:, None] - outline[:-1]) * across).sum(axis=2)
+    # Rounding of the place.
+    np.testing.assert_allclose(gap, sides.max(axis=1), atol=1e-14)
+    # Along its normal the nearest face goes away as fast as the point goes.
+    farther = gaps(PlacedTool(tool, place, turn), place + points @ turn.T + 1e-9 * normal)[0]
+    np.testing.assert_allclose(farther - gap, 1e-9, rtol=1e-3)

@@ -6,10 +6,11 @@ The search measures how far nodes are from a tool, how they came in, and when th
 import numba
 import numpy as np
 
-from palpate.simulation.contact_response import (
-    FACES,
+from palpate.contact.friction import at_rest, solve_together, sweep
+from palpate.contact.response import (
     NO_SLIP,
     OPEN,
+    ROUND,
     ROUNDING,
     SLIDES,
     SPHERE,
@@ -21,7 +22,6 @@ from palpate.simulation.contact_response import (
     set_frame,
     updated_response,
 )
-from palpate.simulation.friction import at_rest, solve_together, sweep
 
 # Sweeps before a solution, where nodes came in or the last solution did not settle.
 _SWEEPS = 8
@@ -84,14 +84,21 @@ def solve_round(tools, rest, nodes, compliance, response, nodal, sweeps):
     ):
         store_solution(nodes, nodal, force, status, slide)
         return True, 0.0, 0.0
-    free = residual - nodal.displacement[nodes]
-    if sweeps:
-        block = gather(compliance, nodes, nodes)
-        sweep(block, frames, friction, residual, force, status, sweeps)
-    given = nodal.given[nodes]
-    settled = solve_together(
-        response, given, frames, friction, free, residual, force, status, slide
+    free, given = residual - nodal.displacement[nodes], nodal.given[nodes]
+    # What sticks at any force is torn loose by the solution alone: sweeps would let go of nodes
+    # that only their neighbours' forces, not found yet, seem to pull.
+    settled = (
+        k > 0
+        and friction.max() >= NO_SLIP
+        and solve_together(response, given, frames, friction, free, residual, force, status, slide)
     )
+    if not settled:
+        if sweeps:
+            block = gather(compliance, nodes, nodes)
+            sweep(block, frames, friction, residual, force, status, sweeps)
+        settled = solve_together(
+            response, given, frames, friction, free, residual, force, status, slide
+        )
     change, largest_force = store_solution(nodes, nodal, force, status, slide)
     return settled, change, largest_force
 
@@ -102,7 +109,7 @@ def negligible_force(tools, compliance):
     size, softest = 0.0, 0.0
     for t in range(tools.kind.size):
         for a in range(3):
-            size = max(size, abs(tools.position[t, a]) + tools.bounding_radius[t])
+            size = max(size, abs(tools.position[t, a]) + tools.reach[t])
     for i in range(len(compliance)):
         softest = max(softest, compliance[i, i])
     return 8.0 * np.finfo(np.float64).eps * size / softest
@@ -179,13 +186,41 @@ def tool_gap(tools, t, face, y, normal):
     best, at = -np.inf, -1
     first, last = (face, face + 1) if face >= 0 else (tools.start[t], tools.start[t + 1])
     for k in range(first, last):
-        p = tools.planes[k]
-        height = p[0] * y[0] + p[1] * y[1] + p[2] * y[2] - p[3]
+        height = over_face(tools, t, k, y)
         if height > best:
             best, at = height, k
     for a in range(3):
-        normal[a] = tools.planes[at, a]
+        normal[a] = tools.faces[at, a]
+    if tools.kind[t] == ROUND:
+        from_axis, across = np.hypot(y[0], y[1]), normal[0]
+        # On the axis itself any direction is outward.
+        normal[0] = across * (y[0] / from_axis if from_axis > 0.0 else 1.0)
+        normal[1] = across * (y[1] / from_axis if from_axis > 0.0 else 0.0)
     return best, at
+
+
+@numba.njit(cache=True, error_model="numpy")
+def over_face(tools, t, k, y):
+    """Signed distance of a point of the tool's frame from one of its faces."""
+    p = tools.faces[k]
+    if tools.kind[t] == ROUND:
+        return p[0] * np.hypot(y[0], y[1]) + p[2] * y[2] - p[3]
+    return p[0] * y[0] + p[1] * y[1] + p[2] * y[2] - p[3]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def tool_gaps(tools, points):
+    """Signed distances of points from the first tool, and its normals there."""
+    gap, normal = np.empty(len(points)), np.empty((len(points), 3))
+    y, local = np.empty(3), np.empty(3)
+    for i in range(len(points)):
+        to_tool(tools.rotation[0], tools.position[0], points[i], y)
+        gap[i], _ = tool_gap(tools, 0, -1, y, local)
+        for a in range(3):
+            normal[i, a] = 0.0
+            for b in range(3):
+                normal[i, a] += tools.rotation[0, a, b] * local[b]
+    return gap, normal
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -197,9 +232,7 @@ def entry(tools, t, y0, y1):
         return 0, (g0 / (g0 - g1) if g0 > 0.0 else 1.0)
     share, at, highest, shallowest = -1.0, -1, -np.inf, -1
     for k in range(tools.start[t], tools.start[t + 1]):
-        p = tools.planes[k]
-        g0 = p[0] * y0[0] + p[1] * y0[1] + p[2] * y0[2] - p[3]
-        g1 = p[0] * y1[0] + p[1] * y1[1] + p[2] * y1[2] - p[3]
+        g0, g1 = over_face(tools, t, k, y0), over_face(tools, t, k, y1)
         if g0 > 0.0 and g0 / (g0 - g1) > share:
             share, at = g0 / (g0 - g1), k
         if g1 > highest:
@@ -223,7 +256,7 @@ def out_of_reach(tools, t, x, margin):
     for a in range(3):
         far += (x[a] - tools.position[t, a]) ** 2
     # What is on the rim is looked at: rounding does not decide.
-    return far > (1.0 + 1e3 * ROUNDING) * (tools.bounding_radius[t] + margin) ** 2
+    return far > (1.0 + 1e3 * ROUNDING) * (tools.reach[t] + margin) ** 2
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -274,7 +307,7 @@ def near_nodes(tools, rest, nodal):
             step = 0.0
             for a in range(3):
                 step += (tools.position[t, a] - tools.previous_position[t, a]) ** 2
-            margin = 2.0 * np.sqrt(step) + _NEAR * tools.bounding_radius[t]
+            margin = 2.0 * np.sqrt(step) + _NEAR * tools.reach[t]
             if not keep and not out_of_reach(tools, t, x, margin):
                 to_tool(tools.rotation[t], tools.position[t], x, y)
                 keep = tool_gap(tools, t, -1, y, normal)[0] < margin
@@ -292,11 +325,11 @@ def begin_tick(tools, rest, nodal):
         t = nodal.tool_of[i]
         if t >= 0 and tools.friction[t] >= NO_SLIP:
             nodal.status[i] = STICKS
-        if t >= 0 and tools.kind[t] == FACES:
+        if t >= 0 and tools.kind[t] != SPHERE:
             for a in range(3):
                 x[a] = rest[i, a] + nodal.displacement[i, a]
             to_tool(tools.previous_rotation[t], tools.previous_position[t], x, y)
-            if tool_gap(tools, t, -1, y, normal)[0] > 1e3 * ROUNDING * tools.bounding_radius[t]:
+            if tool_gap(tools, t, -1, y, normal)[0] > 1e3 * ROUNDING * tools.reach[t]:
                 nodal.tool_of[i], nodal.face[i], nodal.status[i] = -1, -1, OPEN
                 for a in range(3):
                     nodal.force[i, a] = 0.0

@@ -32,8 +32,8 @@ REBUILT_AFTER = 500
 OPEN, SLIDES, STICKS = 0, 1, 2
 # What is given of a node in the response.
 ABSENT, BY_FORCE, BY_DISPLACEMENT = 0, 1, 2
-# Kinds of tools.
-SPHERE, FACES = 0, 1
+# Kinds of tools: a ball, one that is round about its axis, and one of planes.
+SPHERE, ROUND, FACES = 0, 1, 2
 # Of the largest force: what is less than nothing by so little is nothing.
 ROUNDING = 1e-12
 # Coefficients of friction from which on nothing slides.
@@ -335,14 +335,14 @@ class Nodal(NamedTuple):
 
 
 class ToolArrays(NamedTuple):
-    """Tools as the kernels see them; `planes` are those of all tools, one after the other.
+    """Tools as the kernels see them; `faces` are those of all tools, one after the other.
 
     Attributes
     ----------
     kind, start : (t,), (t + 1,) int
-    radius, bounding_radius : (t,) float [m]    of the sphere; of a ball about the position that
-                                        holds the tool
-    planes : (p, 4) float               outward normal, and the offset along it [m]
+    radius, reach : (t,) float [m]      of the sphere; of a ball about the position that holds the
+                                        tool
+    faces : (p, 4) float                as of `Tool`
     friction : (t,) float               coefficient; 0 slides freely, infinite sticks
     position, rotation : (t, 3), (t, 3, 3)   pose; a point y of the tool is at position + rotation y
     previous_position, previous_rotation    the pose at the tick before
@@ -351,8 +351,8 @@ class ToolArrays(NamedTuple):
     kind: np.ndarray
     start: np.ndarray
     radius: np.ndarray
-    bounding_radius: np.ndarray
-    planes: np.ndarray
+    reach: np.ndarray
+    faces: np.ndarray
     friction: np.ndarray
     position: np.ndarray
     rotation: np.ndarray

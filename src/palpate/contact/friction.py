@@ -11,7 +11,7 @@ contact dynamics method, ibid. 177 (1999) 235: sweeps, node by node, where that 
 import numba
 import numpy as np
 
-from palpate.simulation.contact_response import (
+from palpate.contact.response import (
     BY_DISPLACEMENT,
     BY_FORCE,
     NO_SLIP,
@@ -302,9 +302,6 @@ def solve_together(response, given, frames, friction, free, residual, force, sta
             assign(after, residual)
             assign(own, status)
             return True
-        if friction.max() >= NO_SLIP:
-            # A node torn loose stays loose, so that sweeps decide which one it is.
-            return False
     return False
 
 

@@ -1,0 +1,3 @@
+"""Fixtures of the room."""
+
+from cube_green import green as green, session as session
