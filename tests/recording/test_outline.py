@@ -135,7 +135,7 @@ def test_a_link_to_a_folder_makes_no_more_files(
     assert "1 mesh, 2 pictures" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("template", ["lab", "dic", "tension", "robot", "gauge"])
+@pytest.mark.parametrize("template", ["lab", "dic", "tension", "robot", "gauge", "webcams"])
 def test_every_template_is_toml_for_a_mesh_alone(template: str, tmp_path: Path) -> None:
     write_mesh(tmp_path / "mesh.ply", box(size=(0.04, 0.04, 0.04), cells=2))
     name = 'it is "so"'

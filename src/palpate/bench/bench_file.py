@@ -29,6 +29,7 @@ from palpate.lab import (
     miscalibrated,
     read_lab_config,
 )
+from palpate.recording import BENCH_FORMAT
 from palpate.records import (
     FORCE_UNITS,
     LENGTH_UNITS,
@@ -41,7 +42,6 @@ from palpate.records import (
 )
 from palpate.shapes import Vector3
 
-BENCH_FORMAT = "palpate-bench/1"
 VIRTUAL = "virtual"
 # Tables that the session takes over as they are.
 _HEAD = ("object", "support", "gravity")

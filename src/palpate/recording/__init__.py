@@ -19,6 +19,7 @@ from palpate.recording.force_log import (
     make_force_log as make_force_log,
 )
 from palpate.recording.outline import (
+    BENCH_FORMAT as BENCH_FORMAT,
     TEMPLATES as TEMPLATES,
     FolderSurvey as FolderSurvey,
     Outline as Outline,
@@ -28,6 +29,7 @@ from palpate.recording.outline import (
     flat_sides as flat_sides,
     likely_template as likely_template,
     likely_unit as likely_unit,
+    next_command as next_command,
     opposite_side as opposite_side,
     outline_text as outline_text,
     read_surface as read_surface,

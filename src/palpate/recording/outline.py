@@ -1,7 +1,7 @@
 """Survey of a folder that is to become a session, and the template that it leads to.
 
-The survey lists meshes, rigs, pictures, videos and tables; the template is a session.toml or
-recording.toml with comments on what to fill in.
+The survey lists meshes, rigs, pictures, videos and tables; the template is a session.toml,
+recording.toml or bench.toml with comments on what to fill in.
 """
 
 import os
@@ -21,7 +21,9 @@ from palpate.records import FILE_LENGTH_UNITS, SESSION_FORMAT, Rig, read_rig, re
 from palpate.shapes import Vector3
 from palpate.vision import VIDEO_SUFFIXES
 
-Template = Literal["lab", "dic", "tension", "robot", "gauge"]
+# Of the file that `palpate measure` reads.
+BENCH_FORMAT = "palpate-bench/1"
+Template = Literal["lab", "dic", "tension", "robot", "gauge", "webcams"]
 # Purpose of each template, and the file that it makes.
 TEMPLATES: dict[str, tuple[str, str]] = {
     "lab": ("sorted pictures of calibrated cameras", "session.toml"),
@@ -29,14 +31,20 @@ TEMPLATES: dict[str, tuple[str, str]] = {
     "tension": ("displacements of a specimen between grips that pull it", "session.toml"),
     "robot": ("videos, a force log and a log of the tool's pose", "recording.toml"),
     "gauge": ("videos and the log of a force gauge; the contact is found", "recording.toml"),
+    "webcams": ("two webcams and a kitchen scale, measured live", "bench.toml"),
 }
+# What reads each of these files, and their formats.
+_NEXT = {
+    "session.toml": ("check", SESSION_FORMAT), "recording.toml": ("record", RECORDING_FORMAT),
+    "bench.toml": ("measure", BENCH_FORMAT),
+}  # fmt: skip
 # Marks what is still to be filled in; `palpate init` counts these marks.
 _FILL_MARK = "# <- fill in"
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _RIG_SUFFIXES = (".toml", ".yml", ".yaml", ".xml", ".json", ".mat", ".caldat")
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
 # TOML files of Palpate that are not rigs.
-_OWN_FILES = ("session.toml", "recording.toml", "truth.toml")
+_OWN_FILES = (*_NEXT, "truth.toml")
 # Largest number of files in the folder and its direct subfolders.
 _MAX_FILES = 20_000
 # Triangles of a flat side lie within this fraction of the object's size of its extreme plane.
@@ -140,7 +148,7 @@ def likely_template(survey: FolderSurvey) -> Template:
 
 
 def outline_text(survey: FolderSurvey, outline: Outline) -> str:
-    """Text of the session.toml or recording.toml.
+    """Text of the session.toml, recording.toml or bench.toml.
 
     Parameters
     ----------
@@ -159,16 +167,18 @@ def outline_text(survey: FolderSurvey, outline: Outline) -> str:
         raise InputError(
             f"the folder has no mesh {quoted(outline.mesh)}; it has: {_listed(survey.meshes)}"
         )
-    recorded = TEMPLATES[outline.template][1] == "recording.toml"
-    head = _head(outline, RECORDING_FORMAT if recorded else SESSION_FORMAT)
     held = _support("[support]", outline.side)
     if outline.template == "tension":
         held = (
             _support("[[support]]", outline.side) + "\n" + _support("[[support]]", outline.pulled)
         )
         held += _line('motion = "free"', "this grip moves, and nobody need know how")
-    parts = [head, _object(outline), held]
-    if recorded:
+    file = TEMPLATES[outline.template][1]
+    parts = [_head(outline), _object(outline), held]
+    if file == "bench.toml":
+        parts += [_rig(survey) if survey.rigs else _board(), *_webcams(survey), _scale()]
+        parts.append(_contact(survey, outline))
+    elif file == "recording.toml":
         parts += [_rig(survey), _force(survey), _cameras(survey)]
         parts.append(_contact(survey, outline))
     elif outline.template == "lab":
@@ -184,12 +194,17 @@ def _line(text: str, comment: str, *, fill: bool = False) -> str:
     return f"{text:<29} {mark}{comment}".rstrip(": ") + "\n"
 
 
-def _head(outline: Outline, form: str) -> str:
+def next_command(template: Template) -> str:
+    """The command that reads what a template makes."""
+    return f"palpate {_NEXT[TEMPLATES[template][1]][0]}"
+
+
+def _head(outline: Outline) -> str:
     what, file = TEMPLATES[outline.template]
-    next_command = "palpate record" if file == "recording.toml" else "palpate check"
+    form = _NEXT[file][1]
     return (
         f"# {what[0].upper()}{what[1:]}.\n"
-        f"# Look through it, fill in what is marked, then {next_command}\n"
+        f"# Look through it, fill in what is marked, then {next_command(outline.template)}\n"
         f'format = "{form}"\nname = {_quoted(outline.name)}\n'
     )
 
@@ -261,8 +276,44 @@ def _cameras(survey: FolderSurvey) -> str:
     return "\n".join(parts)
 
 
+def _board() -> str:
+    return (
+        _line("[board]", "held before the cameras, which are calibrated first")
+        + _line('target = "charuco"', "palpate calibrate board prints it")
+        + "columns = 7\nrows = 5\n"
+        + _line('square = "16 mm"', "as printed", fill=True)
+        + _line('marker = "12 mm"', "as printed", fill=True)
+    )
+
+
+def _webcams(survey: FolderSurvey) -> list[str]:
+    names = [camera.name for camera in survey.rig.cameras] if survey.rig else ["c0", "c1"]
+    return [
+        f'[[camera]]\nname = {_quoted(name)}\ndriver = "opencv"\n'
+        + _line(f"source = {number}", "its number; or http://... or rtsp://...")
+        + _line("size = [640, 480]", "as calibrated")
+        for number, name in enumerate(names)
+    ]
+
+
+def _scale() -> str:
+    return (
+        "[force]\n"
+        + _line('driver = "typed"', "you type what the scale shows")
+        + _line('unit = "gf"', "grams")
+        + _line("direction = [0, 0, -1]", "the scale is under the object, in the mesh's frame")
+    )
+
+
 def _contact(survey: FolderSurvey, outline: Outline) -> str:
     text = "[contact]\n"
+    if outline.template == "webcams":
+        radius = outline.tool_radius or outline.radius
+        return (
+            text
+            + _line('tool = "sphere"', 'or "flat"; where it pressed is found')
+            + _line(f"tool_radius = {radius:g}", outline.unit, fill=outline.tool_radius is None)
+        )
     if outline.tool_radius is None:
         text += _line(
             f"radius = {outline.radius:g}",

@@ -30,6 +30,7 @@ from palpate.recording import (
     hysteresis,
     likely_template,
     likely_unit,
+    next_command,
     opposite_side,
     outline_text,
     read_recording,
@@ -64,7 +65,7 @@ def init(
     radius: float | None = None,
     tool_radius: float | None = None,
 ) -> int:
-    """Write a commented session.toml or recording.toml from the files in a folder.
+    """Write a commented session.toml, recording.toml or bench.toml from the files in a folder.
 
     On a terminal, it asks for whatever was not given; elsewhere, it takes the likeliest choice.
     Existing files are never replaced.
@@ -76,7 +77,8 @@ def init(
     template
         lab: sorted pictures of calibrated cameras. dic: displacements of another program. tension:
         the same, of a specimen between two grips. robot: videos, force log and log of poses. gauge:
-        videos and force log. Default: what the files look like.
+        videos and force log. webcams: two webcams and a kitchen scale, to measure live. Default:
+        what the files look like.
     name
         Of the session. Default: the folder's.
     mesh
@@ -109,6 +111,7 @@ def init(
     kind = template or _choose(
         "what is it", likely_template(survey), list(TEMPLATES), interactive=interactive
     )
+    kind = cast(Template, kind)
     target = folder / TEMPLATES[kind][1]
     if target.exists():
         raise InputError(f"{target}: is there already; nothing was changed: move it away first")
@@ -127,7 +130,7 @@ def init(
         held = _choose("side that is held", likely, flat, interactive=interactive)  # type: ignore[assignment]
     side = chosen_side(sides, held)
     outline = Outline(
-        cast(Template, kind), _checked_name(name) or folder.resolve().name, file, length,
+        kind, _checked_name(name) or folder.resolve().name, file, length,
         side, _checked_radius("radius", radius) or default_radius(surface), radius is not None,
         _checked_radius("tool-radius", tool_radius), opposite_side(sides, side),
     )  # fmt: skip
@@ -240,12 +243,11 @@ def _found_text(survey: FolderSurvey) -> str:
     )
 
 
-def _next_step(kind: str, target: Path) -> str:
+def _next_step(kind: Template, target: Path) -> str:
     marks = target.read_text(encoding="utf-8").count("<- fill in")
     places = "place" if marks == 1 else f"{marks} places"
     done = f"fill in the {places} marked, then" if marks else "next"
-    command = "record" if TEMPLATES[kind][1] == "recording.toml" else "check"
-    return f"{done}: palpate {command} {target.parent}"
+    return f"{done}: {next_command(kind)} {target.parent}"
 
 
 def _inputs(given: Recording) -> list[Path]:
