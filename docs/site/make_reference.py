@@ -348,10 +348,24 @@ def programs_page() -> str:
     return "\n".join(parts)
 
 
+# Subjects of the gallery, and the pages whose pictures belong to them.
+SUBJECTS = {
+    "See it work": ("index", "tutorial"),
+    "Prepare": ("calibrate", "scan", "mesh", "init", "lab", "next", "bench"),
+    "Measure": ("measure", "record", "import", "flow", "pokes", "compression", "tension"),
+    "Believe": ("report", "results", "comparison", "paper"),
+    "Uneven, creeping, stiffening": ("heterogeneous", "creep", "stiffening"),
+    "Use": ("view", "poke", "simulate", "export", "campaign"),
+    "Understand": ("theory",),
+}
+
+
 def gallery_page() -> str:
-    """docs/gallery.md: every picture for users, with its words and the page that explains it."""
+    """docs/gallery.md: every picture for users as a card, by subject, with the page that explains
+    it."""
     parts = [HEAD, "# Gallery\n", "Every picture of these pages, and where it is explained.\n"]
     shown: set[Path] = set()
+    cards: dict[str, list[str]] = {subject: [] for subject in SUBJECTS}
     for page in sorted(DOCS.rglob("*.md")):
         if page.name == "gallery.md" or page.parent.name == "developer":
             continue
@@ -363,7 +377,15 @@ def gallery_page() -> str:
             if file.suffix in (".png", ".svg", ".gif") and file not in shown:
                 shown.add(file)
                 place, source = file.relative_to(DOCS), page.relative_to(DOCS)
-                parts.append(f"![{words}]({place})\n\n{words}: [{title}]({source}).\n")
+                named = {page.stem, page.parent.name}
+                (subject,) = [each for each, pages in SUBJECTS.items() if named & set(pages)]
+                cards[subject].append(
+                    f'<div class="card">\n\n![{words}]({place})\n\n{words}: [{title}]({source}).\n'
+                    "\n</div>\n"
+                )
+    for subject, found in cards.items():
+        body = "\n".join(found)
+        parts.append(f'## {subject}\n\n<div class="cards">\n\n{body}\n</div>\n')
     return "\n".join(parts)
 
 

@@ -256,9 +256,13 @@ class BackgroundWork:
 
     def _prepare_touch(self, session: Session) -> None:
         """Compute the Green's functions of the part that can be touched."""
+
+        def report(text: str, share: float) -> None:
+            self.touch_text = f"preparing the surface: {text}, {share:.0%}"
+            self._changed()
+
         material = self._material()
-        self.touch_text = "preparing the surface"
-        self._changed()
+        report("integrals", 0.0)
         try:
             self.green = make_green_functions(
                 session,
@@ -266,6 +270,7 @@ class BackgroundWork:
                 modulus=self.subject.modulus,
                 most=_touchable(session),
                 cache=self.cache,
+                progress=report,
             )
             self.touch_text = self.green.left_out_text
         except PalpateError as error:
