@@ -44,6 +44,23 @@ def test_the_object_gives_way_under_the_tool_and_the_support_answers(pressed):
     np.testing.assert_allclose(pressed.reaction, -PRESS, atol=1e-9)
 
 
+def test_a_contact_between_vertices_gives_way_as_one_at_a_vertex():
+    ball = read_session("examples/half_ball", observations=False)
+    mesh = ball.mesh
+    pole = mesh.vertices[:, 2].argmax()
+    around = np.flatnonzero((mesh.triangles == pole).any(axis=1))
+    points = [mesh.vertices[pole], *mesh.vertices[mesh.triangles[around[:2]]].mean(axis=1)]
+    depths = []
+    for point in points:
+        inward = -point / np.linalg.norm(point)
+        contact = Contact(point, 5.5e-3, "smooth")
+        moved = poke_session(ball, inward, contact, shear_modulus=SHEAR, poisson_ratio=NU)
+        depths.append(moved.displacement @ inward)
+    # Three degrees from the pole the half ball is as thick to 1e-3; quadratics through vertices
+    # that lie a third of the diameter of the contact apart miss a tenth of the dip.
+    np.testing.assert_allclose(depths[1:], depths[0], rtol=5e-3)
+
+
 def test_the_plane_half_way_down_carries_the_force(session):
     """Equilibrium of the upper half: the stress over the plane adds up to the force."""
     side = (np.arange(8) + 0.5) * 0.04 / 8

@@ -16,11 +16,13 @@ from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.loads.local_indentation import indentation_corrections, load_right_hand
 from palpate.bem.loads.surface_load import SurfaceLoad
 from palpate.bem.system.factors import CentredSystem, FactorisedSystem, solve
+from palpate.bem.system.matrix import point_equations
 from palpate.bem.system.springs import (
     Springs,
     SpringSystem,
     make_spring_factors,
     make_spring_system,
+    spring_columns,
 )
 from palpate.bem.system.system import BoundarySystem
 from palpate.errors import InputError
@@ -36,11 +38,14 @@ class ElasticState:
     support_traction : (s, 3) float [Pa]  at the held sides of the vertices,
                                           `system.unknowns.held_sides`
     reaction : (3,) float [N]             force of the support on the object
+    unknowns : (k,) float [m]             free displacements, scaled tractions, slack, then the
+                                          displacements of springs, if any
     """
 
     displacement: Float[np.ndarray, "v 3"]
     support_traction: Float[np.ndarray, "s 3"]
     reaction: Float[np.ndarray, "3"]
+    unknowns: Float[np.ndarray, " k"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +115,45 @@ class ElasticMap:
         displacement = (
             self.springs.factors.springs.displacement_basis @ unknowns[self.system.size :]
         )
-        return replace(state, displacement=state.displacement + displacement.reshape(-1, 3))
+        return replace(
+            state,
+            displacement=state.displacement + displacement.reshape(-1, 3),
+            unknowns=unknowns,
+        )
+
+    def at_point(
+        self,
+        loads: Sequence[SurfaceLoad],
+        forces: Float[np.ndarray, "k 3"],
+        unknowns: Float[np.ndarray, " u"],
+        triangle: int,
+        barycentric: Float[np.ndarray, "3"],
+    ) -> Float[np.ndarray, "3"]:
+        """Displacement of a point of the free surface under some loads together, by the integral
+        equation there: between vertices a dip is sharper than what is interpolated from them.
+
+        Parameters
+        ----------
+        loads : sequence of k SurfaceLoad
+        forces : (k, 3) float [N]         resultant of each load, acting on the object
+        unknowns : (u,) float [m]         of the response to all of them
+        triangle : int
+        barycentric : (3,) float [-]
+
+        Returns
+        -------
+        (3,) float [m]
+        """
+        equations = point_equations(self.system, np.array([triangle]), barycentric[None])
+        corrections = indentation_corrections(self.system.surface, loads)
+        right = load_right_hand(equations.system, loads, corrections).at(self.poisson_ratio)
+        matrix, own = (a + self.poisson_ratio * b for a, b in (equations.matrix, equations.own))
+        if self.springs is not None:
+            columns = spring_columns(equations.system, self.springs.factors.springs)
+            further = columns[0] + self.poisson_ratio * columns[1]
+            matrix = np.concatenate([matrix, -equations.by_point(further)], axis=2)
+        known = equations.by_point(right)[0] @ forces.ravel() / self.shear_modulus
+        return np.linalg.solve(own[0], matrix[0] @ unknowns - known)
 
 
 def _solved(
@@ -192,4 +235,4 @@ def sorted_state(
     traction = unknowns[3 * n_free : -3].reshape(-1, 3) * scale
     weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
     reaction = weights[system.unknowns.held_sides] @ traction
-    return ElasticState(displacement, traction, reaction)
+    return ElasticState(displacement, traction, reaction, unknowns)

@@ -129,10 +129,17 @@ def poke_session(
     pushes = [(surface_load(patch), force), *outward_pushes(patch, normal, force)]
     loads, forces = zip(*pushes, strict=True)
     states = elastic_map.respond(loads, np.array(forces))
+    at_contact = elastic_map.at_point(
+        loads, np.array(forces), np.sum([state.unknowns for state in states], axis=0),
+        patch.triangle, patch.barycentric,
+    )  # fmt: skip
     displacement = np.sum([state.displacement for state in states], axis=0)
     if modulus is not None:
         change = _map_change(session, modulus, poisson_ratio, patch, force)
         displacement += change / shear_modulus
+        nodes = system.surface.displacement
+        where = interpolation_matrix(nodes, np.array([patch.triangle]), patch.barycentric[None])
+        at_contact += (where @ change)[0] / shear_modulus
     progress("interior points", 0.8)
     inside = None
     if interior is not None:
@@ -141,13 +148,10 @@ def poke_session(
             np.sum([part.displacement for part in parts], axis=0),
             np.sum([part.stress for part in parts], axis=0),
         )
-    at_contact = interpolation_matrix(
-        system.surface.displacement, np.array([patch.triangle]), patch.barycentric[None]
-    )
     farthest = int(np.argmax(np.linalg.norm(displacement, axis=1)))
     return PokedState(
         contact=contact,
-        displacement=(at_contact @ displacement)[0],
+        displacement=at_contact,
         largest=displacement[farthest],
         largest_point=session.mesh.vertices[farthest],
         reaction=np.sum([state.reaction for state in states], axis=0),
