@@ -221,7 +221,13 @@ class Result:
         return Path(folder)
 
     def export(
-        self, folder: Path | str, to: str, *, probe: str | None = None, force: bool = False
+        self,
+        folder: Path | str,
+        to: str,
+        *,
+        probe: str | None = None,
+        nodes: int | None = None,
+        force: bool = False,
     ) -> Path:
         """Write the fitted object for a simulator, as `palpate export` does.
 
@@ -231,6 +237,8 @@ class Result:
         to : str                    "mujoco", "calculix", "obj", ...: a format of `palpate export`
         probe : str or None         name of the probing exported as the load case; None: the first
                                     that was held out from the estimate, else the first
+        nodes : int or None         at most about so many, for real time (500), in simulators with
+                                    linear tetrahedra
         force : bool                write even if something else lies there, which is then kept
                                     as NAME.old
 
@@ -250,7 +258,7 @@ class Result:
         with result_folder(folder, kind=f"export --to {to}", force=force) as new:
             record_inputs(new, session_files(self.session.path))
             source = FitSource(self.session, self.estimate, (), modulus=self.fitted.map)
-            export_fit(new, source, to, probe=probe, cache=self.cache)
+            export_fit(new, source, to, probe=probe, nodes=nodes, cache=self.cache)
         return Path(folder)
 
     def report(self, file: Path | str) -> Path:

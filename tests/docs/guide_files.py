@@ -148,6 +148,7 @@ def _compression(here):
 def _export(here):
     write_block(here / "examples" / "half_ball", ("p1", "p2", "p3", "p4", "p5", "p6"))
     yield
+    yield
 
 
 _PLAN = "palpate lab plan my_session --young-modulus 50e3 --poisson-ratio 0.3"

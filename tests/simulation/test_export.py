@@ -253,6 +253,52 @@ def test_mujoco_moves_the_point_as_the_model_does(exported):
     assert float(done.stdout.split()[-1]) < 0.05
 
 
+def test_few_nodes_are_moved_by_the_push_as_many_are(source, cache, tmp_path):
+    body = export_fit(tmp_path, source, "mujoco", nodes=300, cache=cache)
+    facts = json.loads((tmp_path / "palpate.json").read_text())
+    assert facts["tetrahedra"]["nodes"] <= 300
+    # Linear tetrahedra are too stiff; so few by a tenth at least.
+    young, written = (facts[each]["young_modulus"] for each in ("constants", "written"))
+    assert written < 0.9 * young["value"]
+    assert written == pytest.approx(body.material.young_modulus)
+    assert "nodes are few" in body.notes[-1]
+    pytest.importorskip("mujoco")
+    done = subprocess.run(
+        [sys.executable, "replay.py"], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    # What is sideways is not matched, and 60 steps leave some of the way.
+    assert float(done.stdout.split()[-1]) < 0.03
+
+
+def test_a_ball_pushes_the_flex_of_mujoco_aside(source, cache, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    export_fit(tmp_path, source, "mujoco", nodes=300, cache=cache)
+    push = json.loads((tmp_path / "palpate.json").read_text())["push"]
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    outward = data.mocap_pos[0] - push["point"]
+    outward /= np.linalg.norm(outward)
+    for depth in np.linspace(0.0, 1e-3, 50):
+        data.mocap_pos[0] = push["point"] + (model.geom_size[0][0] - depth) * outward
+        mujoco.mj_step(model, data)
+    # A fifth of the depth is what the soft contact may swallow, and rigid triangles bridge over.
+    assert 0.8e-3 < np.abs(data.qpos).max() < 1.2e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "words"),
+    [
+        ("calculix", {"nodes": 500}, r"linear tetrahedra \(mujoco, sofa, openusd\), not for"),
+        ("mujoco", {"nodes": 500, "edge": 0.01}, "give one"),
+        ("mujoco", {"nodes": 20}, "must be 100 to"),
+    ],
+)
+def test_numbers_of_nodes_that_mean_nothing(source, tmp_path, name, sizes, words):
+    with pytest.raises(InputError, match=words):
+        export_fit(tmp_path, source, name, **sizes)
+
+
 def with_ratio(source, ratio):
     """The same shear modulus with another Poisson's ratio."""
     young = 2 * source.estimate.shear_modulus.value * (1 + ratio)

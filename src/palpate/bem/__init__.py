@@ -17,6 +17,7 @@ from palpate.bem.compressed.system import (
     memory_needed as memory_needed,
 )
 from palpate.bem.elastic_map import (
+    ElasticMap as ElasticMap,
     make_elastic_map as make_elastic_map,
 )
 from palpate.bem.integrals.surface import (

@@ -1,6 +1,7 @@
 """Response to a push that was not measured, on an object of known constants: displacement and
 stress."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +10,9 @@ from jaxtyping import Float
 
 from palpate.bem import (
     BoundarySystem,
+    ElasticMap,
     InteriorState,
+    SurfaceLoad,
     check_memory,
     held_system,
     interior_state,
@@ -32,7 +35,7 @@ from palpate.pipeline.model.supports import (
 from palpate.probe import ContactPatch, find_contact_patch
 from palpate.progress import Progress, silent
 from palpate.records import Contact, ModulusMap, Session, require_probings
-from palpate.shapes import Points, Vector3
+from palpate.shapes import Points, Vector3, Vertices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,18 +131,12 @@ def poke_session(
     normal = unit_normals(session.mesh)[patch.triangle]
     pushes = [(surface_load(patch), force), *outward_pushes(patch, normal, force)]
     loads, forces = zip(*pushes, strict=True)
-    states = elastic_map.respond(loads, np.array(forces))
-    at_contact = elastic_map.at_point(
-        loads, np.array(forces), np.sum([state.unknowns for state in states], axis=0),
-        patch.triangle, patch.barycentric,
-    )  # fmt: skip
-    displacement = np.sum([state.displacement for state in states], axis=0)
+    displacement, at_contact, reaction = _pressed(elastic_map, loads, np.array(forces), patch)
     if modulus is not None:
-        change = _map_change(session, modulus, poisson_ratio, patch, force)
-        displacement += change / shear_modulus
+        change = _map_change(session, modulus, poisson_ratio, patch, force) / shear_modulus
         nodes = system.surface.displacement
         where = interpolation_matrix(nodes, np.array([patch.triangle]), patch.barycentric[None])
-        at_contact += (where @ change)[0] / shear_modulus
+        displacement, at_contact = displacement + change, at_contact + (where @ change)[0]
     progress("interior points", 0.8)
     inside = None
     if interior is not None:
@@ -154,9 +151,26 @@ def poke_session(
         displacement=at_contact,
         largest=displacement[farthest],
         largest_point=session.mesh.vertices[farthest],
-        reaction=np.sum([state.reaction for state in states], axis=0),
+        reaction=reaction,
         interior=inside,
     )
+
+
+def _pressed(
+    elastic_map: ElasticMap,
+    loads: Sequence[SurfaceLoad],
+    forces: Float[np.ndarray, "k 3"],
+    patch: ContactPatch,
+) -> tuple[Vertices, Vector3, Vector3]:
+    """Displacement of the vertices and of the contact point under loads together, and the reaction
+    of the support."""
+    states = elastic_map.respond(loads, forces)
+    displacement, reaction, unknowns = (
+        np.sum([getattr(state, name) for state in states], axis=0)
+        for name in ("displacement", "reaction", "unknowns")
+    )
+    at_contact = elastic_map.at_point(loads, forces, unknowns, patch.triangle, patch.barycentric)
+    return displacement, at_contact, reaction
 
 
 def _check_interior(modulus: ModulusMap | None, interior: Points | None) -> None:

@@ -29,6 +29,7 @@ from palpate.solids import (
     boundary_surface,
     check_solid_size,
     held_nodes,
+    linear_displacement,
     make_solid,
     surface_values,
 )
@@ -39,6 +40,8 @@ USUAL_DENSITY = 1000.0
 _ALONG_BODY, _ALONG_CONTACT = 9.0, 2.5
 # Radius of the fine elements, in radii of the contact.
 _FINE_REACH = 1.2
+# Elements may be so many times as long as usual for a number of nodes; halvings of that range.
+_LONGEST, _HALVINGS = (1.0, 8.0), 8
 # Elements whose moduli differ by no more than this factor are of one material.
 _MATERIAL_STEP = 0.02
 # Quarterings of the triangles under a contact for the integration of its pressure.
@@ -61,6 +64,7 @@ class Format:
     of_solid : callable or None     (folder, SolidModel): writes tetrahedra
     of_surface : callable or None   (folder, EstimatedObject): writes the surface, and may return a
                                     sentence about what is left out; exactly one of the two is given
+    is_linear : bool                whether it takes the linear tetrahedra
     by_element : bool               whether it is written what a map of moduli says
     stiffens : bool                 whether it is written how a material stiffens
     """
@@ -70,6 +74,7 @@ class Format:
     run: str
     of_solid: "Callable[[Path, SolidModel], None] | None" = None
     of_surface: "Callable[[Path, EstimatedObject], str | None] | None" = None
+    is_linear: bool = False
     by_element: bool = False
     stiffens: bool = False
 
@@ -337,7 +342,11 @@ def check_edge(mesh: TriangleMesh, edge: float | None) -> None:
 
 
 def make_solid_model(
-    body: EstimatedObject, *, edge: float | None = None, progress: Progress = silent
+    body: EstimatedObject,
+    *,
+    edge: float | None = None,
+    nodes: int | None = None,
+    progress: Progress = silent,
 ) -> SolidModel:
     """Fill an object with tetrahedra, finer under its push.
 
@@ -346,6 +355,8 @@ def make_solid_model(
     body : EstimatedObject
     edge : float or None [m]        of the quadratic tetrahedra away from the contact; None: nine
                                     along the cube root of the volume
+    nodes : int or None             at most so many, by elements that are longer everywhere; there
+                                    may be more where the object's shape takes them
     progress : callable
 
     Returns
@@ -359,18 +370,62 @@ def make_solid_model(
     """
     session, push = body.session, body.push
     check_edge(session.mesh, edge)
-    fine = []
-    if push is not None and push.radius is not None:
-        fine = [(push.point, _FINE_REACH * push.radius, push.radius / _ALONG_CONTACT)]
     usual = float(np.cbrt(enclosed_volume(session.mesh))) / _ALONG_BODY
-    edge = usual if edge is None else edge
-    solid = make_solid(session.mesh, edge=edge, fine=fine, progress=progress)
+
+    def filled(longer: float) -> Solid:
+        """Elements that many times as long."""
+        fine = []
+        if push is not None and push.radius is not None:
+            fine = [(push.point, _FINE_REACH * push.radius, longer * push.radius / _ALONG_CONTACT)]
+        away = longer * (usual if edge is None else edge)
+        return make_solid(session.mesh, edge=away, fine=fine, progress=progress)
+
+    longer = 1.0 if nodes is None else _longer(filled, nodes)
+    solid = filled(longer)
     empty = np.zeros_like(solid.nodes)
     model = SolidModel(
         body, solid, linear_tetrahedra(solid), held_nodes(solid, session.held_triangles), empty,
         empty, np.zeros(0, dtype=np.int64), np.zeros(0),
     )  # fmt: skip
     return model if push is None else _loaded(model, push)
+
+
+def _longer(filled: Callable[[float], Solid], nodes: int) -> float:
+    """How many times as long elements must be for a number of nodes, by bisection."""
+    low, high = _LONGEST
+    for _ in range(_HALVINGS):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if len(filled(middle).nodes) > nodes else (low, middle)
+    return high
+
+
+def matched_to_push(model: SolidModel) -> tuple[SolidModel, float]:
+    """A model whose linear tetrahedra give way under its push as the object does.
+
+    Few of them are too stiff for the dip under a tool; the modulus is written smaller in return.
+
+    Parameters
+    ----------
+    model : SolidModel              with a push
+
+    Returns
+    -------
+    SolidModel
+    float                           its modulus over that of the object
+    """
+    body, push = model.body, model.body.push
+    if push is None:
+        return model, 1.0
+    shear = body.material.shear_modulus * np.exp(np.repeat(model.log_modulus, 8))
+    moved = linear_displacement(
+        model.nodes, model.linear, model.held, model.linear_load, shear_modulus=shear,
+        poisson_ratio=body.material.poisson_ratio,
+    )  # fmt: skip
+    share = float(model.share @ moved[model.node] @ push.displacement) / float(
+        push.displacement @ push.displacement
+    )
+    material = replace(body.material, shear_modulus=share * body.material.shear_modulus)
+    return replace(model, body=replace(body, material=material)), share
 
 
 def linear_tetrahedra(solid: Solid) -> Int[np.ndarray, "e 4"]:

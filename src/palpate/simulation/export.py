@@ -42,6 +42,7 @@ from palpate.simulation.estimated_object import (
     estimated_material,
     make_estimated_object,
     make_solid_model,
+    matched_to_push,
 )
 from palpate.simulation.laws import prony
 from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
@@ -49,6 +50,8 @@ from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPEN
 
 # Fractions of the work that are done when the push is known, and when the body is filled.
 _PUSHED, _FILLED = 0.02, 0.95
+# Numbers of nodes that may be asked for.
+_FEWEST_NODES, _MOST_NODES = 100, 100_000
 
 EXPORT_FORMAT = "palpate-export/1"
 # To add a simulator: a file with its `Format`, and one line here.
@@ -215,6 +218,7 @@ def export_fit(
     *,
     probe: str | None = None,
     edge: float | None = None,
+    nodes: int | None = None,
     cache: Path | None = None,
     progress: Progress = silent,
 ) -> EstimatedObject:
@@ -229,6 +233,8 @@ def export_fit(
                                     the estimate, else the first
     edge : float or None [m]        edge length of the tetrahedra away from the contact; None: see
                                     `make_solid_model`
+    nodes : int or None             at most about so many of linear tetrahedra, whose modulus is
+                                    written smaller so that the push moves as it should
     cache : Path or None            folder in which what is computed of the body is kept
     progress : callable             called with the current step (text) and the fraction done (0 to
                                     1)
@@ -247,6 +253,7 @@ def export_fit(
         raise InputError(f"there is no simulator '{to}'; there are: {', '.join(FORMATS)}")
     form = FORMATS[to]
     check_edge(source.session.mesh, edge)
+    _check_nodes(form, edge, nodes)
     material, changed = written_material(form, estimated_material(source.estimate))
     progress("the push in the boundary element model", 0.0)
     body = make_estimated_object(
@@ -270,12 +277,41 @@ def export_fit(
             body = replace(body, notes=(*body.notes, left_out))
     elif form.of_solid is not None:
         report = part_of(progress, _PUSHED, _FILLED)
-        model = make_solid_model(body, edge=edge, progress=report)
+        model = make_solid_model(body, edge=edge, nodes=nodes, progress=report)
+        if nodes is not None:
+            model, share = matched_to_push(model)
+            body = replace(model.body, notes=(*body.notes, _few_nodes(len(model.nodes), share)))
+            model = replace(model, body=body)
         progress(f"files of {form.title}", _FILLED)
         form.of_solid(folder, model)
     write_text(folder / "palpate.json", _facts(form, body, model))
     write_text(folder / "README.txt", _readme(form, body, model))
     return body
+
+
+def _check_nodes(form: Format, edge: float | None, nodes: int | None) -> None:
+    """Refuse a number of nodes where it means nothing."""
+    if nodes is None:
+        return
+    if not form.is_linear:
+        linear = ", ".join(name for name, each in FORMATS.items() if each.is_linear)
+        raise InputError(
+            f"--nodes is for simulators that take linear tetrahedra ({linear}), not for"
+            f" {form.title}: leave it out"
+        )
+    if edge is not None:
+        raise InputError("--nodes and --edge both say how fine the tetrahedra are; give one")
+    if not _FEWEST_NODES <= nodes <= _MOST_NODES:
+        raise InputError(f"--nodes is {nodes}; must be {_FEWEST_NODES} to {_MOST_NODES}")
+
+
+def _few_nodes(count: int, share: float) -> str:
+    """What was written of a mesh that is too coarse for its push."""
+    return (
+        f"{count} nodes are few: their tetrahedra would be {1.0 / share:.3g} times as stiff under"
+        f" the push, so the modulus was written {share:.3g} times as large; under loads that spread"
+        " farther than the push the object gives way too much, up to that factor"
+    )
 
 
 def _status_advice(estimate: Estimate) -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from palpate.geometry import enclosed_volume
+from palpate.geometry import enclosed_volume, unit_normals
 from palpate.records import json_text, write_text
 from palpate.simulation.estimated_object import Format, SolidModel
 from palpate.simulation.laws import (
@@ -28,6 +28,9 @@ from palpate.simulation.laws import (
     write_febio_prony,
 )
 
+# Radius of the ball to push with where no tool is known, in radii of the contact; distance of its
+# centre from the surface, in its own radii.
+_BALL_RADII, _BALL_AWAY = 2.0, 1.5
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <!-- SI units; made by Palpate, see README.txt -->
 <febio_spec version="4.0">
@@ -76,7 +79,7 @@ _MODEL = """<mujoco model="{name}">
     <joint type="slide"/>
   </default>
   <worldbody>
-{bodies}
+{bodies}{ball}
   </worldbody>
   <deformable>
 {flexes}
@@ -89,12 +92,19 @@ _BODY = """    <body name="node{node}" pos="{place}">
       <inertial pos="0 0 0" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/>
       <joint axis="1 0 0"/><joint axis="0 1 0"/><joint axis="0 0 1"/>
     </body>"""
+# To push with: it goes where a program, or the mouse, puts it, and touches the flexes alone. By
+# MuJoCo's usual solimp nodes, which are light and stiff, would hardly resist it.
+_BALL = """
+    <body name="ball" mocap="true" pos="{place}">
+      <geom type="sphere" size="{radius:.9g}" contype="0" conaffinity="1"
+            solimp="0.999 0.9999 0.001" rgba="0.2 0.5 0.8 1"/>
+    </body>"""
 _FLEX = """    <flex name="body{number}" dim="3" radius="1e-4"
           body="{bodies}"
           vertex="{places}"
           element="{elements}">
       <elasticity young="{young}" poisson="{poisson}" damping="0.01"/>
-      <contact selfcollide="none" contype="1" conaffinity="0"/>
+      <contact selfcollide="none" contype="1" conaffinity="0" solimp="0.999 0.9999 0.001"/>
     </flex>"""
 _REPLAY = '''"""Repeat the push of replay.json on model.xml; print where its point comes to rest."""
 
@@ -419,6 +429,7 @@ SOFA = Format(
     "runSofa model.scn: the object comes to rest under the push; replay.json has the nodes around"
     " its point and their shares. Not tried in SOFA itself.",
     of_solid=write_sofa,
+    is_linear=True,
     by_element=True,
 )
 
@@ -456,7 +467,15 @@ def write_mujoco(folder: Path, model: SolidModel) -> None:
                 poisson=f"{body.material.poisson_ratio:.9g}",
             )
         )
+    ball = ""
+    if (push := body.push) is not None and push.radius is not None:
+        tool = push.patch.contact.tool
+        radius = _BALL_RADII * push.radius if tool is None else tool.radius
+        outward = unit_normals(body.session.mesh)[push.patch.triangle]
+        place = push.point + _BALL_AWAY * radius * outward
+        ball = _BALL.format(place=_number_text(place), radius=radius)
     text = _MODEL.format(
+        ball=ball,
         name=body.session.path.parent.name.replace('"', "").replace("<", "").replace("&", ""),
         bodies="\n".join(bodies),
         flexes="\n".join(flexes),
@@ -477,8 +496,10 @@ MUJOCO = Format(
     " stiffness is ill-conditioned and the inertia close to singular: its solver stops early in"
     " single steps. The half ball of Palpate's examples comes to rest as far off with steps of a"
     " third. Where the modulus differs from place to place there is a flex for every 2 % of it;"
-    " flexes share nodes, and do not touch each other.",
+    " flexes share nodes, and do not touch each other. `ball` is a mocap body to push with: move"
+    " data.mocap_pos, or drag it in the viewer. For real time export with --nodes 500.",
     of_solid=write_mujoco,
+    is_linear=True,
     by_element=True,
 )
 

@@ -302,5 +302,6 @@ OPENUSD = Format(
     " variable `youngsModulus` has the modulus of every tetrahedron, which a simulator has to be"
     " told, too, where it is not the same everywhere; the material has that of the table.",
     of_solid=write_openusd,
+    is_linear=True,
     by_element=True,
 )

@@ -22,6 +22,7 @@ from palpate.solids.finite_elements import (
     half_space_compliance as half_space_compliance,
     held_nodes as held_nodes,
     inner_points as inner_points,
+    linear_displacement as linear_displacement,
     make_body as make_body,
     pressure_load as pressure_load,
     solve_load as solve_load,

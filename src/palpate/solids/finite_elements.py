@@ -289,6 +289,37 @@ def solve_free(
     return moved
 
 
+def linear_displacement(
+    nodes: Points,
+    tetrahedra: Int[np.ndarray, "e 4"],
+    held: Bool[np.ndarray, " n"],
+    load: Float[np.ndarray, "n 3"],
+    *,
+    shear_modulus: Float[np.ndarray, " e"],
+    poisson_ratio: float,
+) -> Float[np.ndarray, "n 3"]:
+    """Displacement of linear tetrahedra, as simulators that know no others have them.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float [m]
+    tetrahedra : (e, 4) int
+    held : (n,) bool                fixed nodes
+    load : (n, 3) float [N]         nodal forces
+    shear_modulus : (e,) float [Pa] of every element
+    poisson_ratio : float [-]
+
+    Returns
+    -------
+    (n, 3) float [m]
+    """
+    mesh = skfem.MeshTet(np.ascontiguousarray(nodes.T), np.ascontiguousarray(tetrahedra.T))
+    basis = skfem.Basis(mesh, skfem.ElementTetP1(), intorder=1)
+    moduli = hooke_moduli(1.0, poisson_ratio)[..., None, None] * shear_modulus[:, None]
+    factor = factorise(free_part(stiffness_matrix(basis, moduli), held), nodes[~held])
+    return solve_free(held, factor, load.reshape(-1, 1)).reshape(-1, 3)
+
+
 def pressure_load(
     solid: Solid,
     point: Vector3,

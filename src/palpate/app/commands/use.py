@@ -231,6 +231,7 @@ def export(
     out: Path | None = None,
     probe: str | None = None,
     edge: Length | None = None,
+    nodes: int | None = None,
     session: Path | None = None,
     cache: Path | None = None,
     force: bool = False,
@@ -255,6 +256,9 @@ def export(
     edge
         Edge of the tetrahedra away from the contact, m, or with its unit: 3mm. Default: a ninth of
         the cube root of the volume.
+    nodes
+        At most about so many nodes, for real time (500), in simulators with linear tetrahedra
+        (mujoco, sofa, openusd); their modulus is written so that the push moves as it should.
     session
         Present location of the result's session, if it was moved.
     cache
@@ -275,7 +279,14 @@ def export(
         record_inputs(folder, source.files)
         with progress_bar("a larger --edge") as progress:
             body = export_fit(
-                folder, source, to, probe=probe, edge=edge, cache=cache, progress=progress
+                folder,
+                source,
+                to,
+                probe=probe,
+                edge=edge,
+                nodes=nodes,
+                cache=cache,
+                progress=progress,
             )
     print_notes(body.notes)
     if body.push is not None:
