@@ -350,8 +350,7 @@ def fit(
     _check_choice("surface", surface, ("smooth", "flat"))
     _check_choice("strain", strain, ("small", "finite"))
     _check_choice("material", material, tuple(Material))
-    names = [probe] if isinstance(probe, str) else probe
-    given = replace(_given(session, names), smooth=surface == "smooth")
+    given = replace(_given(session, _probe_names(probe)), smooth=surface == "smooth")
     folder = None if cache is None else Path(cache)
     measured = with_pictures_measured(given, pose=pose, progress=progress)
     fitted = fit_session(
@@ -414,6 +413,16 @@ def _fit_read(probing: FittedProbing) -> ProbeFit:
         sigma=probing.sigma,
         surface=probing.surface,
     )
+
+
+def _probe_names(probe: str | Sequence[str] | None) -> Sequence[str] | None:
+    """The probings that were named."""
+    names = [probe] if isinstance(probe, str) else probe
+    if names is not None and not (
+        isinstance(names, Sequence) and all(isinstance(name, str) for name in names)
+    ):
+        raise InputError(f"probe is {probe!r}; must be a probing's name, or a list of them")
+    return names
 
 
 def _given(session: Session | Path | str, probe: Sequence[str] | None = None) -> Session:

@@ -141,11 +141,18 @@ def test_choices_that_there_are_not_are_refused(cube_session, options, message):
         palpate.fit(cube_session, **options)
 
 
-def test_what_is_no_session_is_refused():
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ("fit(3)", "session is 3; must be the path of a session folder, or a Session"),
+        ("fit('s', probe=['n01', 2])", "probe is ['n01', 2]; must be a probing's name, or a list"),
+    ],
+)
+def test_arguments_of_wrong_types_are_refused(call, message):
     # In another process: here the types of all arguments are checked before.
-    script = "import palpate; palpate.fit(3)"
+    script = f"import palpate; palpate.{call}"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert "session is 3; must be the path of a session folder, or a Session" in done.stderr
+    assert message in done.stderr
 
 
 def test_pushes_are_predicted_from_a_folder(result, cube_session):
