@@ -18,7 +18,13 @@ import numpy as np
 from benchmarks.figure import LIVE, Figure
 from benchmarks.flow_time import FOLDER, NAMES
 from benchmarks.options import Options
-from palpate.bench import Bench, measure as measure_live, read_bench, wanted_precision
+from palpate.bench import (
+    Bench,
+    Questions,
+    measure as measure_live,
+    read_bench,
+    wanted_precision,
+)
 from palpate.parts import Memory
 from palpate.pipeline import (
     Material,
@@ -100,7 +106,7 @@ def _constants_figure() -> Figure:
 
 
 @dataclass
-class _Counting:
+class _Counting(Questions):
     """Takes the usual answer to everything, and counts."""
 
     asked: int = 0

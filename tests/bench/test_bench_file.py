@@ -5,6 +5,7 @@ import pytest
 from bench.test_devices import Straight
 
 from palpate.bench import bench_file, read_bench
+from palpate.calibration import Chessboard
 from palpate.errors import RecordError
 from palpate.records import Camera, Rig, write_rig
 
@@ -88,6 +89,8 @@ def test_a_bench(folder, monkeypatch):
         ("source = 0", "source = -1", "source: is -1; must be a whole number"),
         ("[push]", "[push]\nhold = -1.5", "hold: is -1.5 s; must be above 0, and 30 at most"),
         ('limit = "50 N"', "direction = [0, 0, 0]", "direction: has no length"),
+        ("[force]", '[board]\ntarget = "charuco"\n[force]', "the key 'square' is missing"),
+        ("[force]", '[board]\ntarget = "round"\n[force]', "allowed: charuco"),
     ],
 )
 def test_what_is_wrong(folder, monkeypatch, old, new, words):
@@ -101,3 +104,25 @@ def test_what_is_wrong(folder, monkeypatch, old, new, words):
 def test_no_arm_is_built_in(folder):
     with pytest.raises(RecordError, match=r"no arm is built in; docs/howto/bench\.md"):
         read(folder, HEAD + CAMERAS + FORCE + ARM)
+
+
+BOARD = """
+[board]
+target = "chessboard"
+columns = 9
+rows = 6
+square = "20 mm"
+"""
+
+
+def test_a_bench_without_a_rig_names_its_cameras(tmp_path):
+    bench = read(tmp_path, HEAD.split("[rig]")[0] + CAMERAS + FORCE + BOARD)
+    assert bench.rig is None
+    assert [camera.name for camera in bench.cameras] == ["c0", "c1"]
+    assert bench.board == Chessboard(9, 6, 0.02)
+
+
+def test_one_camera_is_refused(tmp_path):
+    text = HEAD.split("[rig]")[0] + CAMERAS[: CAMERAS.rindex("[[camera]]")] + FORCE
+    with pytest.raises(RecordError, match="is one camera; must be two or more"):
+        read(tmp_path, text)

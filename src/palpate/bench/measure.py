@@ -6,6 +6,7 @@ in the browser answers.
 """
 
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,10 +17,19 @@ import numpy as np
 
 from palpate.bench.arms import check_push
 from palpate.bench.bench_file import Bench, put
+from palpate.bench.calibrating import CALIBRATED, calibrate_live, place_object
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
 from palpate.bench.pushing import PushError, grabbed, take_push
-from palpate.bench.questions import DEVICES, OBJECT, PUSHES, REST, Questions, Stopped
+from palpate.bench.questions import (
+    CALIBRATION,
+    DEVICES,
+    OBJECT,
+    PUSHES,
+    REST,
+    Questions,
+    Stopped,
+)
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, checked_mesh
@@ -37,6 +47,8 @@ from palpate.records import (
     Constant,
     Estimate,
     Session,
+    TomlTable,
+    read_object_mesh,
     read_toml,
     verdict_text,
 )
@@ -133,9 +145,14 @@ def measure(
     with bench.closed_afterwards(), suppress(Stopped):
         questions.step(DEVICES)
         _start(bench, questions)
-        questions.watch(bench.rig, lambda: grabbed(bench)[1])
+        questions.watch([camera.name for camera in bench.cameras], lambda: grabbed(bench)[1])
+        questions.step(CALIBRATION)
+        if bench.rig is None and not (folder / CALIBRATED).exists():
+            _insisting(bench, questions, lambda: calibrate_live(bench, questions, folder))
         questions.step(OBJECT)
         session = _begun(bench, questions, folder, cache)
+        bench = replace(bench, rig=session.rig)
+        questions.known(session.rig)
         questions.body(session.mesh, session.bare.held_triangles)
         places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
@@ -180,6 +197,16 @@ def _start(bench: Bench, questions: Questions, error: DeviceError | None = None)
             error = another
 
 
+def _insisting(bench: Bench, questions: Questions, do: Callable[[], object]) -> None:
+    """Do something, again where a device fails in it and was mended."""
+    while True:
+        try:
+            do()
+            return
+        except DeviceError as error:
+            _start(bench, questions, error)
+
+
 def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None) -> LiveSession:
     """The session, once object, support and tool are known."""
     for camera in bench.cameras:
@@ -198,6 +225,11 @@ def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None)
         unit = head["object"]["length_unit"]
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
         contact = {"tool": "sphere", "tool_radius": _asked_radius(questions, unit, usual)}
+    if not (folder / "rig.toml").exists():
+        body = TomlTable(folder / "session.toml", "", head).table("object")
+        units = FILE_LENGTH_UNITS
+        mesh, _ = read_object_mesh(body, units[body.choice("length_unit", tuple(units))])
+        _insisting(bench, questions, lambda: place_object(bench, questions, folder, mesh))
     return LiveSession(folder, head, contact, by_hand=bench.arm is None, cache=cache)
 
 

@@ -92,9 +92,12 @@ def grabbed(bench: Bench) -> tuple[float, Pictures]:
     DeviceError                     a camera sends none, or none of the rig's size
     """
     times, pictures = [], []
-    for camera, known in zip(bench.cameras, bench.rig.cameras, strict=True):
+    sizes = (
+        [camera.size for camera in bench.rig.cameras] if bench.rig else [None] * len(bench.cameras)
+    )
+    for camera, known in zip(bench.cameras, sizes, strict=True):
         picture, when = camera.grab()
-        columns, rows = known.size or picture.shape[::-1]
+        columns, rows = known or picture.shape[::-1]
         if picture.shape != (rows, columns) or picture.dtype != np.uint8:
             raise DeviceError(
                 f"camera '{camera.name}' sends pictures of {' x '.join(map(str, picture.shape))}"
