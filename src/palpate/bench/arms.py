@@ -122,6 +122,11 @@ class GuardedArm:
         """Say where depth counts from: a place on the surface and the unit normal into it."""
         self._place, self._force = (place, inward), 0.0
 
+    def leave(self) -> None:
+        """Say that the tool goes round the object: on its far side, depth at a place means nothing.
+        """
+        self._place, self._force = None, 0.0
+
     def felt(self, force: float) -> None:
         """Say what the gauge reads, without the weight of the tool [N]; the next move knows it."""
         self._force = force

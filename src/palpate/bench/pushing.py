@@ -313,10 +313,11 @@ def _by_arm(
     limits, wanted = arm.limits, float(bench.push_force or 0.0)
     above = place - limits.depth * inward
     check_push(limits, place, inward, clearance=limits.depth, force=wanted)
-    arm.press_at(place, inward)
+    arm.leave()
     try:
         for position in way_round(arm.pose(), above, mesh, clearance=limits.depth):
             arm.move(position, inward, limits.speed)
+        arm.press_at(place, inward)
         rest = watch.seen_for(_REST)
         try:
             watch.state = "presses"
