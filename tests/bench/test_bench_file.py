@@ -79,7 +79,7 @@ def test_a_bench(folder, monkeypatch):
         ('limit = "50 N"', "limit = 50", "must be a number with its unit"),
         ('limit = "50 N"', 'limit = "-50 N"', "limit: is -50 N; must be above zero"),
         ('force = "1 N"', 'force = "0 N"', "force: is 0 N; must be above zero"),
-        ('driver = "straight"', 'driver = "ur"', "did|allowed: straight"),
+        ('driver = "straight"', 'driver = "ur"', "allowed: universal-robot, straight"),
         ('speed = "10 mm/s"\n', "", "the key 'speed' is missing"),
         ('depth = "5 mm"', 'depth = "-5 mm"', "depth is -0.005; must be positive"),
         ('high = ["5 cm"', 'high = ["-9 cm"', "every number of low must be below that of high"),
@@ -101,9 +101,17 @@ def test_what_is_wrong(folder, monkeypatch, old, new, words):
         read(folder, text.replace(old, new))
 
 
-def test_no_arm_is_built_in(folder):
-    with pytest.raises(RecordError, match=r"no arm is built in; docs/howto/bench\.md"):
-        read(folder, HEAD + CAMERAS + FORCE + ARM)
+def test_a_universal_robot(folder):
+    """Its base, as a file, and the input of its dead man's key are required."""
+    base = 'length_unit = "mm"\nR = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]\nt = [300, 0, 0]\n'
+    (folder / "base.toml").write_text(base)
+    keys = 'driver = "universal-robot"\nhost = "10.0.0.9"\nkey = 3\nbase = "base.toml"\n'
+    arm = ARM.replace('driver = "straight"\n', keys)
+    found = read(folder, HEAD + CAMERAS + FORCE + arm).arm._arm
+    np.testing.assert_allclose(found.base[:3, 3], [0.3, 0.0, 0.0])
+    assert (found.host, found.key) == ("10.0.0.9", 3)
+    with pytest.raises(RecordError, match="the key 'key' is missing"):
+        read(folder, HEAD + CAMERAS + FORCE + arm.replace("key = 3\n", ""))
 
 
 BOARD = """

@@ -14,9 +14,12 @@ from typing import Any
 import numpy as np
 
 from palpate.bench.arms import ArmLimits, GuardedArm
-from palpate.bench.cameras import STREAMS, OpenCvCamera
+from palpate.bench.cameras import opencv_camera
 from palpate.bench.devices import Arm, Camera, ForceSource
 from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce
+from palpate.bench.genicam import genicam_camera
+from palpate.bench.realsense import realsense_camera
+from palpate.bench.universal_robot import universal_robot
 from palpate.bench.virtual import DrawnBody, VirtualWorld, rendered_body, virtual_devices
 from palpate.calibration import TARGET_KINDS, Charuco, Target, make_target
 from palpate.disk import write_bytes
@@ -283,8 +286,6 @@ def put(content: bytes, file: Path) -> None:
 
 def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]]) -> Any:
     """The device of a table, made by the driver that it names."""
-    if not drivers:
-        table.fail("driver", "no arm is built in; docs/howto/bench.md says how to add a driver")
     make = drivers[table.choice("driver", tuple(drivers))]
     with table.error_context():
         return make(table)
@@ -312,21 +313,6 @@ def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
     if missing := [name for name in names if name not in found]:
         root.fail("[[camera]]", f"the rig's cameras {', '.join(missing)} have no table")
     return tuple(found[name] for name in names or found)
-
-
-def _opencv(table: TomlTable) -> OpenCvCamera:
-    table.check_keys(("name", "driver", "source", "size"))
-    source = table.get("source")
-    if type(source) is int:
-        source = table.count("source")
-    else:
-        source = table.text("source")
-        if not source.startswith(STREAMS):
-            source = str(table.existing_file("source"))
-    size = table.optional("size", lambda key: tuple(table.each(TomlTable.count, key)))
-    if size is not None and (len(size) != 2 or 0 in size):
-        table.fail("size", f"is {list(size)}; must be [columns, rows], in pixels")
-    return OpenCvCamera(table.text("name"), source, size)
 
 
 def _positive_force(table: TomlTable, key: str) -> float:
@@ -383,10 +369,14 @@ def _metres(table: TomlTable, key: str, k: int) -> float:
     return lengths[k]
 
 
-CAMERA_DRIVERS: dict[str, Callable[[TomlTable], Camera]] = {"opencv": _opencv}
+CAMERA_DRIVERS: dict[str, Callable[[TomlTable], Camera]] = {
+    "opencv": opencv_camera,
+    "genicam": genicam_camera,
+    "realsense": realsense_camera,
+}
 FORCE_DRIVERS: dict[str, Callable[[TomlTable], ForceSource]] = {
     "serial": _serial,
     "table": _table,
     "typed": _typed,
 }
-ARM_DRIVERS: dict[str, Callable[[TomlTable], Arm]] = {}
+ARM_DRIVERS: dict[str, Callable[[TomlTable], Arm]] = {"universal-robot": universal_robot}

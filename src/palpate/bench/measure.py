@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from palpate.bench.arms import check_push
@@ -20,7 +21,8 @@ from palpate.bench.bench_file import Bench, put
 from palpate.bench.calibrating import CALIBRATED, calibrate_live, place_object
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
-from palpate.bench.pushing import PushError, grabbed, take_push
+from palpate.bench.page_parts import montage
+from palpate.bench.pushing import PushError, grabbed, take_push, way_round
 from palpate.bench.questions import (
     CALIBRATION,
     DEVICES,
@@ -30,6 +32,7 @@ from palpate.bench.questions import (
     Questions,
     Stopped,
 )
+from palpate.disk import write_bytes
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, checked_mesh
@@ -60,7 +63,8 @@ _WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
 _FROM_ABOVE = 0.7
 # Triangles that a person says are held, in the session's folder.
 _HELD_FILE = "support_triangles.txt"
-# What a person can say to a push that failed.
+# The way of an arm to its first push; what a person can say to a push that failed.
+_DRAWING = "first_push.png"
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
 _Places = list[tuple[Vector3, Vector3]]
 
@@ -156,7 +160,7 @@ def measure(
         questions.body(session.mesh, session.bare.held_triangles)
         places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
-            _rehearse(bench, questions, *places[0])
+            _rehearse(bench, questions, session, *places[0])
             return None
         questions.step(REST)
         _look(bench, questions, session)
@@ -164,6 +168,10 @@ def measure(
         judge = partial(_judged, bench, session, questions, until=until)
         if session.count:
             result, places = judge(session.measured())
+        if bench.arm is not None and bench.arm.asks:
+            _rehearse(bench, questions, session, *places[0])
+            if questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "no":
+                return result
         while not _enough(session, result, until, pushes, questions):
             measured = _push(bench, session, questions, places)
             if measured is None:
@@ -401,19 +409,27 @@ def _check(bench: Bench, place: Vector3, inward: Vector3) -> None:
         check_push(limits, place, inward, clearance=limits.depth, force=force)
 
 
-def _rehearse(bench: Bench, questions: Questions, place: Vector3, inward: Vector3) -> None:
-    """Say what the arm would do, without moving it."""
+def _rehearse(
+    bench: Bench, questions: Questions, session: LiveSession, place: Vector3, inward: Vector3
+) -> None:
+    """Say and draw what the arm would do, without moving it."""
     _check(bench, place, inward)
     if bench.arm is None:
         questions.tell("There is no arm: a person presses.")
         return
     limits = bench.arm.limits
     above, speed = place - limits.depth * inward, 1e3 * limits.speed
+    here = bench.arm.pose()
+    way = [here, *way_round(here, above, session.mesh, clearance=limits.depth), place]
+    questions.place(place, inward, way)
+    names, drawing = [camera.name for camera in bench.cameras], session.folder / _DRAWING
+    sheet = montage(names, grabbed(bench)[1], session.rig, place=(place, inward), way=way)
+    write_bytes(drawing, cv2.imencode(".png", sheet[..., ::-1])[1].tobytes())
     questions.tell(
-        f"From {_mm(bench.arm.pose())} mm round the object to {_mm(above)} mm at {speed:.3g} mm/s;"
+        f"From {_mm(here)} mm round the object to {_mm(above)} mm at {speed:.3g} mm/s;"
         f" down along {np.round(inward, 3).tolist()} to {_mm(place)} mm and on, up to"
         f" {bench.push_force:g} N, never beyond {limits.force:g} N or {1e3 * limits.depth:.3g} mm"
-        f" deep; hold for {bench.hold:g} s, and back to {_mm(above)} mm."
+        f" deep; hold for {bench.hold:g} s, and back to {_mm(above)} mm. Drawn in {drawing}"
     )
 
 

@@ -36,7 +36,7 @@ from palpate.bench.questions import (
     motion_about,
 )
 from palpate.errors import InputError
-from palpate.figures import HELD, ORANGE, best_direction
+from palpate.figures import BLUE, HELD, ORANGE, best_direction
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
@@ -90,6 +90,7 @@ class Page(Questions):
         self._look: Callable[[], Pictures] | None = None
         self._names: Sequence[str] = ()
         self._place: tuple[Vector3, Vector3] | None = None
+        self._way: Sequence[Vector3] = ()
         self._outline: TriangleMesh | None = None
         self._mesh: TriangleMesh | None = None
         self._toward = np.array([0.8, -0.5, 0.4])
@@ -264,11 +265,15 @@ class Page(Questions):
                     draw_camera(self._server.scene, camera, 1e3 * bounding_diagonal(mesh))
             self._turn(best_direction(unit_normals(mesh), np.array([0.0, 0.0, 1.0])))
 
-    def place(self, point: Vector3, inward: Vector3) -> None:
-        """As in `Questions`: an arrow at the object, and a mark in the pictures."""
-        self._place = point, inward
+    def place(self, point: Vector3, inward: Vector3, way: Sequence[Vector3] = ()) -> None:
+        """As in `Questions`: an arrow at the object, a mark in the pictures, the way in both."""
+        self._place, self._way = (point, inward), way
+        self._forget("way")
         if self._mesh is None:
             return
+        if way:
+            points = 1e3 * np.stack([way[:-1], way[1:]], axis=1)
+            self._drawn["way"] = self._server.scene.add_line_segments("/way", points, rgb(BLUE))
         size, end = 1e3 * bounding_diagonal(self._mesh), 1e3 * point
         start = end - _ARROW * size * inward
         scene = self._server.scene
@@ -334,7 +339,13 @@ class Page(Questions):
             return False
         self._shown = now
         self._picture.image = montage(
-            self._names, pictures, self._rig, place=self._place, outline=self._outline, dots=dots
+            self._names,
+            pictures,
+            self._rig,
+            place=self._place,
+            way=self._way,
+            outline=self._outline,
+            dots=dots,
         )
         ring = "" if self._place is None else "; the ring is where to press"
         self._state.content = state_html(state + ring)

@@ -229,6 +229,7 @@ def montage(
     rig: Rig | None = None,
     *,
     place: tuple[Vector3, Vector3] | None = None,
+    way: Sequence[Vector3] = (),
     outline: TriangleMesh | None = None,
     dots: Dots = (),
 ) -> UInt8[np.ndarray, "_ _ 3"]:
@@ -241,6 +242,7 @@ def montage(
     pictures : Pictures             of them
     rig : Rig or None               of them; without one there is neither ring nor outline
     place : (3,) and (3,) float     point [m] and direction of the push; None: no ring
+    way : sequence of (3,) float [m]    of an arm's tool
     outline : TriangleMesh or None  the object as the rig has it [m]
     dots : sequence of (k, 2) float [px]    in the picture of each camera
     """
@@ -252,6 +254,8 @@ def montage(
             drawn.dots(dots[k])
         if rig is not None and place is not None:
             drawn.ring(rig.cameras[k], *place)
+        if rig is not None and len(way):
+            drawn.lines(rig.cameras[k], np.stack([way[:-1], way[1:]], axis=1), BLUE)
         if rig is not None and outline is not None:
             drawn.outline(rig.cameras[k], outline)
         tiles.append(np.asarray(drawn.picture))
@@ -293,7 +297,10 @@ class _Tile:
             self.draw.ellipse(box, outline=colour, width=thick)
 
     def outline(self, camera: Camera, mesh: TriangleMesh) -> None:
-        edges = drawn_edges(mesh, camera_centre(camera))
-        for line in self.place(project(camera, mesh.vertices))[edges]:
-            if np.isfinite(line).all():
-                self.draw.line([*map(tuple, line)], fill=ORANGE, width=2)
+        edges = mesh.vertices[drawn_edges(mesh, camera_centre(camera))]
+        self.lines(camera, edges, ORANGE)
+
+    def lines(self, camera: Camera, ends: Float[np.ndarray, "m 2 3"], colour: str) -> None:
+        pixels = self.place(project(camera, ends.reshape(-1, 3))).reshape(-1, 2, 2)
+        for line in pixels[np.isfinite(pixels).all(axis=(1, 2))]:
+            self.draw.line([*map(tuple, line)], fill=colour, width=2)

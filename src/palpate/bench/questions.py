@@ -104,8 +104,8 @@ class Questions(Protocol):
         """Show the object [m], and which triangles are held."""
         return None
 
-    def place(self, point: Vector3, inward: Vector3) -> None:
-        """Show where to press [m], and the direction."""
+    def place(self, point: Vector3, inward: Vector3, way: Sequence[Vector3] = ()) -> None:
+        """Show where to press [m], the direction, and the way of an arm's tool there [m]."""
         return None
 
     def judged(self, estimate: Estimate) -> None:

@@ -295,4 +295,4 @@ def virtual_devices(
         low - _ROOM * world.size, high + _ROOM * world.size,
     )  # fmt: skip
     cameras = tuple(VirtualCamera(world, k) for k in range(len(world.rig.cameras)))
-    return cameras, VirtualGauge(world), GuardedArm(VirtualArm(world), limits)
+    return cameras, VirtualGauge(world), GuardedArm(VirtualArm(world), limits, asks=False)
