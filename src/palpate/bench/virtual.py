@@ -151,12 +151,16 @@ class VirtualWorld:
         time = np.arange(since + 1.0 / _READINGS, self.time + 1e-9, 1.0 / _READINGS)
         depth = np.interp(time, *np.array(self._path).T)
         self._path = self._path[-2:]
-        force = np.zeros(len(time))
-        if self._press is not None:
-            force = self._press.force_at(depth) @ self._press.tip.direction
+        force = self.force_at(depth)
         sensor = self.config.force_sensor
         noise = np.hypot(sensor.noise or _NOISE * self.force, sensor.relative_noise * force)
         return time, force + _WEIGHT + noise * self.rng.standard_normal(len(time))
+
+    def force_at(self, depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Force of the push that was solved last, at depths as `depth` counts them [N]."""
+        if self._press is None:
+            return np.zeros(len(depth))
+        return np.asarray(self._press.force_at(depth) @ self._press.tip.direction)
 
     def picture(self, camera: int) -> Picture:
         """What a camera sees now, with noise."""
@@ -164,7 +168,7 @@ class VirtualWorld:
         board = self.shown
         depth = max(self.depth, 0.0) if board is None else -1.0 - self.time // _SHOWN
         if self._drawn is None or self._drawn[0] != depth:
-            self._drawn = depth, self._board(board, int(-depth)) if board else self._draw(depth)
+            self._drawn = depth, self._board(board, int(-depth)) if board else self.drawn(depth)
         grey = self._drawn[1][camera]
         noisy = grey + self.config.pictures.noise * self.rng.standard_normal(grey.shape)
         return np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
@@ -178,7 +182,8 @@ class VirtualWorld:
             for camera in self.rig.cameras
         )
 
-    def _draw(self, depth: float) -> tuple[np.ndarray, ...]:
+    def drawn(self, depth: float) -> tuple[np.ndarray, ...]:
+        """What all cameras see at a depth of the push that was solved last, without noise."""
         rest, press = self.body.vertices, self._press
         if press is None or self._surface is None or depth == 0.0:
             return self.body.draw(rest, None)
