@@ -1,4 +1,4 @@
-"""What cheap cameras cost in precision: two webcams before a rendered half ball, pressed three times.
+"""What cheap cameras cost in precision: two webcams before a rendered half ball, pressed thrice.
 
 Two cameras without a trigger, one 15 ms behind the other, with shutters that roll for 20 ms and an
 exposure that changes by 10 % between pictures; a hand that holds still but for a tremor of 1 % of

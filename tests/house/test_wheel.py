@@ -61,10 +61,13 @@ def test_what_it_says_of_itself(wheel):
         "cad",
         "e57",
         "gauge",
+        "genicam",
         "hdf5",
         "lab",
         "parquet",
+        "realsense",
         "surface",
+        "ur",
         "view",
     }
     of_extra = {
