@@ -72,6 +72,8 @@ def test_a_calibration_is_gone_on_with_after_a_camera_failed(tmp_path):
     kept = sorted(path.name for path in (tmp_path / "boards" / "c1").iterdir())
     # Places of 0.8 s at 15 pictures a second: the sixth was in hand.
     assert kept == ["01.png", "02.png", "03.png", "04.png", "table.png"]
+    # The process ended while a place was being written.
+    (tmp_path / "boards" / "c2" / "04.png").unlink()
     calibrate_live(virtual, script, tmp_path)
     assert sum(text.startswith("Lay the board") for text in script.asked) == 1
     assert (tmp_path / "calibration" / "views.csv").read_text().count("c1,01,") == 1

@@ -10,12 +10,11 @@ from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from palpate.bench.bench_file import Bench, put, read_board
-from palpate.bench.pushing import grabbed
+from palpate.bench.pushing import grabbed, write_picture
 from palpate.bench.questions import Pictures, Questions
 from palpate.calibration import (
     TARGET_KINDS,
@@ -36,7 +35,7 @@ from palpate.calibration import (
     without_repeats,
     write_calibration,
 )
-from palpate.disk import atomic_replacement, write_bytes
+from palpate.disk import atomic_replacement
 from palpate.errors import CalibrationError, InputError
 from palpate.figures import object_figure, save_figure
 from palpate.geometry import TriangleMesh
@@ -71,8 +70,10 @@ class _Places:
         self.folder, self.board, self.cameras = folder, board, list(cameras)
         self.sizes: dict[str, tuple[int, int]] = {}
         self.pictures: list[tuple[str, str, Path, list[Sighting]]] = []
-        kept = find_pictures(folder) if folder.exists() else {}
-        for camera, instant in product(self.cameras, next(iter(kept.values()), {})):
+        kept = find_pictures(folder) if any(folder.rglob("*.png")) else {}
+        # What was being written when the process ended is left out.
+        whole = set.intersection(*(set(kept.get(camera, ())) for camera in self.cameras))
+        for camera, instant in product(self.cameras, sorted(whole)):
             path = kept[camera][instant]
             self._add(camera, instant, path, eight_bits(read_grey(path)))
 
@@ -108,7 +109,7 @@ class _Places:
         for camera, picture in zip(self.cameras, pictures, strict=True):
             path = self.folder / camera / f"{instant}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(path, cv2.imencode(".png", picture)[1].tobytes())
+            write_picture(path, picture)
             self._add(camera, instant, path, picture)
 
     def forget_table(self) -> None:
@@ -272,8 +273,7 @@ def _view(rig: Rig, mesh: TriangleMesh, pictures: Pictures, known: RigCovariance
     with TemporaryDirectory() as folder:
         pattern = str(Path(folder, "{camera}.png"))
         for camera, picture in zip(rig.cameras, pictures, strict=True):
-            content = cv2.imencode(".png", picture)[1].tobytes()
-            write_bytes(picture_path(camera, pattern, Path()), content)
+            write_picture(picture_path(camera, pattern, Path()), picture)
         return view_object(rig, mesh, [pattern], known=known)
 
 

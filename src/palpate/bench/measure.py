@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from palpate.bench.arms import check_push
@@ -22,7 +21,7 @@ from palpate.bench.calibrating import CALIBRATED, calibrate_live, place_object
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
 from palpate.bench.page_parts import montage
-from palpate.bench.pushing import PushError, grabbed, take_push, way_round
+from palpate.bench.pushing import PushError, grabbed, take_push, way_round, write_picture
 from palpate.bench.questions import (
     CALIBRATION,
     DEVICES,
@@ -32,7 +31,6 @@ from palpate.bench.questions import (
     Questions,
     Stopped,
 )
-from palpate.disk import write_bytes
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, checked_mesh
@@ -63,6 +61,7 @@ _WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
 _FROM_ABOVE = 0.7
 # Triangles that a person says are held, in the session's folder.
 _HELD_FILE = "support_triangles.txt"
+_RIG = "rig.toml"
 # The way of an arm to its first push; what a person can say to a push that failed.
 _DRAWING = "first_push.png"
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
@@ -151,7 +150,7 @@ def measure(
         _start(bench, questions)
         questions.watch([camera.name for camera in bench.cameras], lambda: grabbed(bench)[1])
         questions.step(CALIBRATION)
-        if bench.rig is None and not (folder / CALIBRATED).exists():
+        if bench.rig is None and not any((folder / x).exists() for x in (_RIG, CALIBRATED)):
             _insisting(bench, questions, lambda: calibrate_live(bench, questions, folder))
         questions.step(OBJECT)
         session = _begun(bench, questions, folder, cache)
@@ -221,7 +220,7 @@ def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None)
         shown = ", ".join(f"{key} {value}" for key, value in camera.settings.items())
         questions.tell(f"Camera {camera.name}: {shown}")
     bench.supply(folder)
-    head: dict[str, Any] = {"name": bench.name, **bench.head, "rig": {"cameras": "rig.toml"}}
+    head: dict[str, Any] = {"name": bench.name, **bench.head, "rig": {"cameras": _RIG}}
     before = _before(folder)
     before_contact = before.pop("contact", None)
     contact = bench.contact or before_contact
@@ -233,7 +232,7 @@ def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None)
         unit = head["object"]["length_unit"]
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
         contact = {"tool": "sphere", "tool_radius": _asked_radius(questions, unit, usual)}
-    if not (folder / "rig.toml").exists():
+    if not (folder / _RIG).exists():
         body = TomlTable(folder / "session.toml", "", head).table("object")
         units = FILE_LENGTH_UNITS
         mesh, _ = read_object_mesh(body, units[body.choice("length_unit", tuple(units))])
@@ -424,7 +423,7 @@ def _rehearse(
     questions.place(place, inward, way)
     names, drawing = [camera.name for camera in bench.cameras], session.folder / _DRAWING
     sheet = montage(names, grabbed(bench)[1], session.rig, place=(place, inward), way=way)
-    write_bytes(drawing, cv2.imencode(".png", sheet[..., ::-1])[1].tobytes())
+    write_picture(drawing, sheet)
     questions.tell(
         f"From {_mm(here)} mm round the object to {_mm(above)} mm at {speed:.3g} mm/s;"
         f" down along {np.round(inward, 3).tolist()} to {_mm(place)} mm and on, up to"

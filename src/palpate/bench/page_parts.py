@@ -194,7 +194,7 @@ def verdicts(picture: UInt8[np.ndarray, "_ _"]) -> tuple[tuple[str, bool], ...]:
     """
     white = float((picture == 255).mean())
     if white > MOST_SATURATED:
-        light = f"{100 * white:.0f} % white: less light", False
+        light = f"{100 * white:.0f} % white: less light, or move the lamp", False
     elif np.percentile(picture[::4, ::4], 99.0) < DARK_LEVEL:
         light = "dark: more light", False
     else:

@@ -8,6 +8,7 @@ than that; pictures that move there are refused.
 import time
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.bench.questions import AT_REST, Pictures, Questions
+from palpate.disk import write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
 from palpate.recording import (
@@ -107,6 +109,18 @@ def grabbed(bench: Bench) -> tuple[float, Pictures]:
         times.append(when)
         pictures.append(picture)
     return max(times), tuple(pictures)
+
+
+def write_picture(file: Path, picture: np.ndarray) -> None:
+    """Write a picture as PNG; the file is whole, or not there.
+
+    Parameters
+    ----------
+    file : Path
+    picture : (rows, columns) or (rows, columns, 3) uint8     grey, or red, green, blue
+    """
+    code = cv2.imencode(".png", picture if picture.ndim == 2 else picture[..., ::-1])[1]
+    write_bytes(file, code.tobytes())
 
 
 class _Watch:
