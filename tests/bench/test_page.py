@@ -261,6 +261,6 @@ def test_outline_and_dots_are_drawn_over_the_pictures(seen):
     drawn[230:] = False
     # Shares of the pixels on the line that have the dark of the background, and the object, nearby.
     grey = cv2.resize(pictures[0], (320, 256), interpolation=cv2.INTER_AREA)
-    low, high = (f(grey, np.ones((9, 9))) for f in (cv2.erode, cv2.dilate))
+    low, high = (f(grey, np.ones((5, 5))) for f in (cv2.erode, cv2.dilate))
     assert drawn.sum() > 300
     assert ((low[drawn] < 15) & (high[drawn] > 40)).mean() > 0.95
