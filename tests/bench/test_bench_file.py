@@ -5,6 +5,7 @@ import pytest
 from bench.test_devices import Straight
 
 from palpate.bench import bench_file, read_bench
+from palpate.calibration import Chessboard
 from palpate.errors import RecordError
 from palpate.records import Camera, Rig, write_rig
 
@@ -78,7 +79,7 @@ def test_a_bench(folder, monkeypatch):
         ('limit = "50 N"', "limit = 50", "must be a number with its unit"),
         ('limit = "50 N"', 'limit = "-50 N"', "limit: is -50 N; must be above zero"),
         ('force = "1 N"', 'force = "0 N"', "force: is 0 N; must be above zero"),
-        ('driver = "straight"', 'driver = "ur"', "did|allowed: straight"),
+        ('driver = "straight"', 'driver = "ur"', "allowed: universal-robot, straight"),
         ('speed = "10 mm/s"\n', "", "the key 'speed' is missing"),
         ('depth = "5 mm"', 'depth = "-5 mm"', "depth is -0.005; must be positive"),
         ('high = ["5 cm"', 'high = ["-9 cm"', "every number of low must be below that of high"),
@@ -88,6 +89,8 @@ def test_a_bench(folder, monkeypatch):
         ("source = 0", "source = -1", "source: is -1; must be a whole number"),
         ("[push]", "[push]\nhold = -1.5", "hold: is -1.5 s; must be above 0, and 30 at most"),
         ('limit = "50 N"', "direction = [0, 0, 0]", "direction: has no length"),
+        ("[force]", '[board]\ntarget = "charuco"\n[force]', "the key 'square' is missing"),
+        ("[force]", '[board]\ntarget = "round"\n[force]', "allowed: charuco"),
     ],
 )
 def test_what_is_wrong(folder, monkeypatch, old, new, words):
@@ -98,6 +101,36 @@ def test_what_is_wrong(folder, monkeypatch, old, new, words):
         read(folder, text.replace(old, new))
 
 
-def test_no_arm_is_built_in(folder):
-    with pytest.raises(RecordError, match=r"no arm is built in; docs/howto/bench\.md"):
-        read(folder, HEAD + CAMERAS + FORCE + ARM)
+def test_a_universal_robot(folder):
+    """Its base, as a file, and the input of its dead man's key are required."""
+    base = 'length_unit = "mm"\nR = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]\nt = [300, 0, 0]\n'
+    (folder / "base.toml").write_text(base)
+    keys = 'driver = "universal-robot"\nhost = "10.0.0.9"\nkey = 3\nbase = "base.toml"\n'
+    arm = ARM.replace('driver = "straight"\n', keys)
+    found = read(folder, HEAD + CAMERAS + FORCE + arm).arm._arm
+    np.testing.assert_allclose(found.base[:3, 3], [0.3, 0.0, 0.0])
+    assert (found.host, found.key) == ("10.0.0.9", 3)
+    with pytest.raises(RecordError, match="the key 'key' is missing"):
+        read(folder, HEAD + CAMERAS + FORCE + arm.replace("key = 3\n", ""))
+
+
+BOARD = """
+[board]
+target = "chessboard"
+columns = 9
+rows = 6
+square = "20 mm"
+"""
+
+
+def test_a_bench_without_a_rig_names_its_cameras(tmp_path):
+    bench = read(tmp_path, HEAD.split("[rig]")[0] + CAMERAS + FORCE + BOARD)
+    assert bench.rig is None
+    assert [camera.name for camera in bench.cameras] == ["c0", "c1"]
+    assert bench.board == Chessboard(9, 6, 0.02)
+
+
+def test_one_camera_is_refused(tmp_path):
+    text = HEAD.split("[rig]")[0] + CAMERAS[: CAMERAS.rindex("[[camera]]")] + FORCE
+    with pytest.raises(RecordError, match="is one camera; must be two or more"):
+        read(tmp_path, text)

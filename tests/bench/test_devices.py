@@ -1,6 +1,8 @@
 """The laws of cameras, gauges and arms, over every implementation; and devices that fail."""
 
 import itertools
+import os
+import sys
 import time
 from contextlib import contextmanager
 
@@ -9,12 +11,17 @@ import numpy as np
 import pytest
 from bench.drawn_world import drawn_bench
 from bench.live_devices import REPLIES, gauge_line, mjpeg_stream
+from bench.stand_ins import HARVESTERS, REALSENSE, Robot
+from scipy.spatial.transform import Rotation
 
 from palpate.bench import Arm, Camera, DeviceError, ForceSource
 from palpate.bench.arms import ArmLimits, GuardedArm, check_push
-from palpate.bench.cameras import OpenCvCamera
+from palpate.bench.bench_file import CAMERA_DRIVERS
+from palpate.bench.cameras import LiveCamera, live_pictures
 from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce
+from palpate.bench.universal_robot import UniversalRobot
 from palpate.errors import InputError
+from palpate.records import TomlTable
 
 
 def repeat(ask):
@@ -35,13 +42,13 @@ def film(tmp_path):
         picture = np.full((48, 64, 3), 2 * k + 20, np.uint8)
         writer.write(picture)
     writer.release()
-    yield OpenCvCamera("c0", str(path))
+    yield LiveCamera("c0", live_pictures, str(path), None)
 
 
 @contextmanager
 def stream(_):
     with mjpeg_stream(1000) as address:
-        yield OpenCvCamera("c0", address)
+        yield LiveCamera("c0", live_pictures, address, None)
 
 
 @contextmanager
@@ -49,7 +56,29 @@ def virtual_camera(_):
     yield drawn_bench().cameras[0]
 
 
-@pytest.mark.parametrize("make", [film, stream, virtual_camera])
+def stand_in(driver, module, code, **keys):
+    """A camera of a library that the child finds in a folder."""
+
+    @contextmanager
+    def made(tmp_path):
+        file = tmp_path / f"{module.replace('.', '/')}.py"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(code)
+        (tmp_path / "maker.cti").touch()
+        values = {"name": "c0", "driver": driver, "source": "A7", **keys}
+        with pytest.MonkeyPatch.context() as patch:
+            path = os.pathsep.join([str(tmp_path), *sys.path])
+            patch.setenv("PYTHONPATH", path)
+            yield CAMERA_DRIVERS[driver](TomlTable(tmp_path / "bench.toml", "[camera]", values))
+
+    return made
+
+
+genicam = stand_in("genicam", "harvesters.core", HARVESTERS, producer="maker.cti")
+realsense = stand_in("realsense", "pyrealsense2", REALSENSE, size=[64, 48])
+
+
+@pytest.mark.parametrize("make", [film, stream, virtual_camera, genicam, realsense])
 def test_laws_of_cameras(make, tmp_path):
     with make(tmp_path) as camera:
         assert isinstance(camera, Camera)
@@ -74,16 +103,30 @@ def test_laws_of_cameras(make, tmp_path):
     [(97, "it does not open"), ("http://127.0.0.1:9/", "it does not open")],
 )
 def test_a_camera_that_is_not_there(source, words):
-    camera = OpenCvCamera("c0", source)
+    camera = LiveCamera("c0", live_pictures, source, None)
     with pytest.raises(DeviceError, match=f"camera 'c0' .*{words}.*plugged in"):
         camera.start()
     camera.close()
 
 
+@pytest.mark.parametrize(
+    ("driver", "module", "code", "keys", "words"),
+    [
+        ("genicam", "harvesters.core", HARVESTERS, {"producer": "maker.cti"}, "is not found"),
+        ("realsense", "pyrealsense2", REALSENSE, {}, "No device connected"),
+    ],
+)
+def test_a_number_that_no_camera_has(tmp_path, driver, module, code, keys, words):
+    with stand_in(driver, module, code, **keys | {"source": "B8"})(tmp_path) as camera:
+        with pytest.raises(DeviceError, match=f"camera 'c0' .B8.: .*{words}"):
+            camera.start()
+        camera.close()
+
+
 def test_a_camera_that_is_unplugged():
     """After 20 pictures; the ones before are good."""
     with mjpeg_stream(20) as address:
-        camera = OpenCvCamera("c0", address)
+        camera = LiveCamera("c0", live_pictures, address, None)
         camera.start()
         with pytest.raises(DeviceError, match=r"camera 'c0' .* stopped sending"):
             repeat(camera.grab)
@@ -226,6 +269,58 @@ class Straight:
 
     def close(self):
         pass
+
+
+BASE = np.array([[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0, 0, 0, 1]])
+
+
+@pytest.fixture
+def robot(monkeypatch):
+    robot = Robot()
+    robot.install(monkeypatch)
+    return robot
+
+
+def universal(host="10.0.0.9"):
+    return UniversalRobot(host, 3, BASE)
+
+
+def test_laws_of_an_arm_by_its_stand_in(robot):
+    test_laws_of_arms(universal)
+    assert robot.calls.count(("moveL", 0.005)) == 2
+    # In the frame of its base, upside down as it was; and again with the tool aslant.
+    np.testing.assert_allclose(robot.pose, [0.0, 0.29, 0.08, np.pi, 0.0, 0.0], atol=1e-9)
+    arm = universal()
+    arm.start()
+    aslant = np.array([0.6, 0.0, -0.8])
+    arm.move(np.zeros(3), aslant, 0.005)
+    tool = BASE[:3, :3] @ Rotation.from_rotvec(robot.pose[3:]).as_matrix()
+    np.testing.assert_allclose(tool[:, 2], aslant, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "stops"),
+    [
+        ({"held": False}, "the dead man's key, digital input 3, is not held", True),
+        ({"connected": False}, "the connection broke: its controller stops it", False),
+        ({"refuses": True}, "it refuses to move", False),
+        ({"stuck": True}, "it has not arrived", True),
+    ],
+)
+def test_an_arm_that_does_not_arrive(robot, monkeypatch, change, words, stops):
+    monkeypatch.setattr("palpate.bench.universal_robot._SPARE", 0.0)
+    arm = universal()
+    arm.start()
+    for name, value in change.items():
+        setattr(robot, name, value)
+    with pytest.raises(DeviceError, match=f"the arm at 10.0.0.9: {words}"):
+        arm.move(np.array([0.3, 0.05, 0.1]), DOWN, 1.0)
+    assert [call for call in robot.calls if call[0] == "stopL"] == [("stopL", 1.0)] * stops
+
+
+def test_an_arm_that_is_not_there(robot):
+    with pytest.raises(DeviceError, match=r"Could not connect.*is it on, and in remote control"):
+        universal("10.0.0.8").start()
 
 
 def limits():

@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from bench.drawn_world import Script, drawn_bench, hand_bench, small_config
@@ -170,6 +171,17 @@ def test_a_rehearsal_moves_nothing(tmp_path):
     assert measure(bench, script, tmp_path, dry_run=True) is None
     np.testing.assert_array_equal(bench.arm.pose(), before)
     assert "never beyond 0.585 N" in script.told[-1]
+    # The way is drawn, in blue; from above the half ball it leads to its top.
+    drawn = cv2.imread(str(tmp_path / "first_push.png")).astype(int)
+    assert (np.abs(drawn - (178, 114, 0)).max(axis=2) < 20).sum() > 50
+
+
+def test_an_arm_that_asks_goes_only_when_told(tmp_path):
+    bench, script = drawn_bench(), Script(("Is that way free", "no"))
+    bench.arm.asks, before = True, bench.arm.pose()
+    assert measure(bench, script, tmp_path) is None
+    np.testing.assert_array_equal(bench.arm.pose(), before)
+    assert script.asked[-1] == "Is that way free, and shall the arm go?"
 
 
 def test_what_is_not_in_the_bench_is_asked_for(tmp_path):

@@ -2,7 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -101,7 +101,7 @@ def test_pictures_are_live_while_a_question_is_open(page, asking, seen):
             raise DeviceError("camera 'c0': it has stopped sending")
         return shown.pop()
 
-    page.watch(rig, look)
+    page.watch([camera.name for camera in rig.cameras], look)
     answer = asking(page.wait, "Tool off")
     until(lambda: "it has stopped sending" in page._state.content, patience=10.0)
     assert page._picture.image.shape[1] == 640
@@ -202,14 +202,11 @@ def test_a_ring_is_where_to_press(seen):
     rig, pictures = seen
     camera, tile = rig.cameras[0], 320
     for inward, colour in ((DOWN, (213, 94, 0)), (-DOWN, (138, 143, 152))):
-        sheet = montage(rig, pictures, (TOP, inward))
+        sheet = montage("abc", pictures, rig, place=(TOP, inward))
         scale = tile / pictures[0].shape[1]
         x, y = scale * (project(camera, TOP[None])[0] + 0.5)
         assert tuple(sheet[round(y), round(x - 21)]) == colour
-    assert montage(replace(rig, cameras=rig.cameras[:2]), pictures[:2], None).shape[:2] == (
-        1024,
-        640,
-    )
+    assert montage("ab", pictures[:2]).shape[:2] == (1024, 640)
 
 
 def test_a_push_goes_up_whichever_way_a_gauge_counts():
@@ -218,3 +215,52 @@ def test_a_push_goes_up_whichever_way_a_gauge_counts():
     assert trace_svg(time.tolist(), push.tolist()) == trace_svg(time.tolist(), (-push).tolist())
     # Nothing yet, and readings that came all at once.
     assert trace_svg([], []) == trace_svg([1.0, 1.0], [0.1, 0.2]) == ""
+
+
+def test_an_object_is_dragged_over_the_pictures(page, asking, seen):
+    """By 3 mm along x and a right angle about z; untouched, it lies where it is."""
+    rig, pictures = seen
+    mesh, scene = small_config().specimen.mesh, page._server.scene
+    page.watch([camera.name for camera in rig.cameras], lambda: pictures)
+
+    def asked(*drags):
+        handle = scene.add_transform_controls.return_value = MagicMock(wxyz=(1.0, 0.0, 0.0, 0.0))
+        answer = asking(page.over, rig, mesh, Path("object.png"))
+        until(lambda: handle.on_update.called)
+        handle.position = scene.add_transform_controls.call_args.kwargs["position"]
+        for wxyz, shift in drags:
+            handle.wxyz, handle.position = wxyz, np.array(handle.position) + shift
+            handle.on_update.call_args.args[0](None)
+        shown = page._outline.vertices
+        page.gui.open_button("It lies there").click()
+        return answer.result(), shown
+
+    motion, shown = asked()
+    assert motion is None
+    np.testing.assert_array_equal(shown, mesh.vertices)
+    motion, shown = asked(((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)), [3.0, 0.0, 0.0]))
+    turn, shift = motion[:3, :3], motion[:3, 3]
+    np.testing.assert_allclose(turn, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(shown, mesh.vertices @ turn.T + shift)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    middle = 0.5 * (low + high)
+    moved = turn @ middle + shift - middle
+    np.testing.assert_allclose(moved, [3e-3, 0.0, 0.0], atol=1e-15)
+
+
+def test_outline_and_dots_are_drawn_over_the_pictures(seen):
+    """The outline of the half ball is where the picture goes from the object to the dark."""
+    rig, pictures = seen
+    mesh = small_config().specimen.mesh
+    names = [camera.name for camera in rig.cameras]
+    dots = [np.array([[20.0 + 40 * k, 300.0]]) for k in range(3)]
+    plain = montage(names, pictures).astype(int)
+    sheet = montage(names, pictures, rig, outline=mesh, dots=dots).astype(int)
+    drawn = (np.abs(sheet - plain).sum(axis=2) > 0)[:256, :320]
+    assert tuple(sheet[round(0.8 * 300.5), round(0.8 * 20.5)]) == (213, 94, 0)
+    drawn[230:] = False
+    # Shares of the pixels on the line that have the dark of the background, and the object, nearby.
+    grey = cv2.resize(pictures[0], (320, 256), interpolation=cv2.INTER_AREA)
+    low, high = (f(grey, np.ones((5, 5))) for f in (cv2.erode, cv2.dilate))
+    assert drawn.sum() > 300
+    assert ((low[drawn] < 15) & (high[drawn] > 40)).mean() > 0.95

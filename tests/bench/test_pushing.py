@@ -104,6 +104,23 @@ def test_a_scale_under_the_object_is_read(bench):
     assert any("'much' is no force" in text for text in script.told)
 
 
+def test_an_arm_goes_to_the_far_side(monkeypatch):
+    """From one side of the half ball to the other: outward there is deep along the new normal."""
+    bench, there = drawn_bench(), []
+
+    def press(arm, watch, place, inward, wanted):
+        there.append(arm.pose() - (place - arm.limits.depth * inward))
+        raise PushError("it is there")
+
+    monkeypatch.setattr("palpate.bench.pushing._press", press)
+    mesh = bench.cameras[0]._world.config.specimen.mesh
+    for side in (1.0, -1.0):
+        outward = np.array([side * np.sqrt(0.75), 0.0, 0.5])
+        with pytest.raises(PushError, match="it is there"):
+            take_push(bench, Script(), mesh, 0.04 * outward, -outward)
+    np.testing.assert_allclose(there, 0.0, atol=1e-12)
+
+
 def test_the_way_round_keeps_clear(bench):
     mesh = bench.cameras[0]._world.config.specimen.mesh
     way = way_round(np.array([0.09, 0.0, 0.02]), np.array([-0.06, 0.0, 0.02]), mesh, clearance=0.01)

@@ -94,10 +94,11 @@ def _millimetres(position: Vector3) -> str:
 
 class GuardedArm:
     """An arm behind its limits: no move leaves them, and none goes deeper while the tool presses
-    too hard. Every arm of a bench is inside one."""
+    too hard. Every arm of a bench is inside one; `asks`: before its first push it is drawn, and a
+    person asked."""
 
-    def __init__(self, arm: Arm, limits: ArmLimits) -> None:
-        self.limits = limits
+    def __init__(self, arm: Arm, limits: ArmLimits, *, asks: bool = True) -> None:
+        self.limits, self.asks = limits, asks
         self._arm = arm
         self._force = 0.0
         self._place: tuple[Vector3, Vector3] | None = None
@@ -121,6 +122,10 @@ class GuardedArm:
     def press_at(self, place: Vector3, inward: Vector3) -> None:
         """Say where depth counts from: a place on the surface and the unit normal into it."""
         self._place, self._force = (place, inward), 0.0
+
+    def leave(self) -> None:
+        """Say that the tool goes round the object, where depth means nothing."""
+        self._place, self._force = None, 0.0
 
     def felt(self, force: float) -> None:
         """Say what the gauge reads, without the weight of the tool [N]; the next move knows it."""

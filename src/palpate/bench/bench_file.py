@@ -14,10 +14,14 @@ from typing import Any
 import numpy as np
 
 from palpate.bench.arms import ArmLimits, GuardedArm
-from palpate.bench.cameras import STREAMS, OpenCvCamera
+from palpate.bench.cameras import opencv_camera
 from palpate.bench.devices import Arm, Camera, ForceSource
 from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce
-from palpate.bench.virtual import DrawnBody, rendered_body, virtual_devices
+from palpate.bench.genicam import genicam_camera
+from palpate.bench.realsense import realsense_camera
+from palpate.bench.universal_robot import universal_robot
+from palpate.bench.virtual import DrawnBody, VirtualWorld, rendered_body, virtual_devices
+from palpate.calibration import TARGET_KINDS, Charuco, Target, make_target
 from palpate.disk import write_bytes
 from palpate.errors import InputError, quoted
 from palpate.geometry import write_mesh
@@ -45,10 +49,12 @@ from palpate.shapes import Vector3
 VIRTUAL = "virtual"
 # Tables that the session takes over as they are.
 _HEAD = ("object", "support", "gravity")
-_KEYS = ("format", "name", *_HEAD, "rig", "contact", "camera", "force", "arm", "push")
+_KEYS = ("format", "name", *_HEAD, "rig", "board", "contact", "camera", "force", "arm", "push")
 _SPEED_UNITS = {f"{unit}/s": value for unit, value in LENGTH_UNITS.items()}
 # Time for which a push is held [s], and its force on a virtual bench [N].
 _HOLD, _VIRTUAL_FORCE = 1.5, 0.45
+# Pixels of a square of a virtual board's print.
+_DRAWN = 64
 # Longest time for which a person can hold still; pictures are kept for less [s].
 _LONGEST_HOLD = 30.0
 
@@ -61,24 +67,25 @@ class Bench:
     ----------
     name : str                      of the session
     folder : Path                   in which files of the object are looked for
-    rig : Rig
+    rig : Rig or None               None: the cameras are to be calibrated with a board
     cameras : tuple of Camera       in the rig's order
     force : ForceSource
     arm : GuardedArm or None        None: the person presses
     head : dict                     tables of the session's file: object, support, gravity, as far
                                     as they are known
     contact : dict or None          keys of every probing's contact: tool, radius, ...
-    supply : callable               puts the rig, and the mesh where it is known, into a folder
+    supply : callable               puts rig and mesh, where they are known, into a folder
     direction : (3,) float or None  unit vector in which a scale under the object reads; None: the
                                     gauge is in line with the tool
     push_force : float [N] or None  that pushes are to have; None: as the person likes
     hold : float [s]                how long a push is held
     force_std : float [N]           standard deviation of the gauge's calibration
+    board : Target or None          None: the person is asked, where there is no rig
     """
 
     name: str
     folder: Path
-    rig: Rig
+    rig: Rig | None
     cameras: tuple[Camera, ...]
     force: ForceSource
     arm: GuardedArm | None
@@ -89,6 +96,7 @@ class Bench:
     push_force: float | None = None
     hold: float = _HOLD
     force_std: float = 0.0
+    board: Target | None = None
 
     @property
     def devices(self) -> tuple[Camera | ForceSource | GuardedArm, ...]:
@@ -130,8 +138,8 @@ def read_bench(source: Path | str) -> Bench:
         return virtual_bench(read_lab_config(root.file))
     root.check_keys(_KEYS)
     root.check_format(BENCH_FORMAT)
-    rig_file = root.table("rig").existing_file("cameras")
-    rig = read_rig(rig_file)
+    rig_file = root.table("rig").existing_file("cameras") if "rig" in root.values else None
+    rig = None if rig_file is None else read_rig(rig_file)
     force = root.table("force")
     push = root.optional("push", root.table) or TomlTable(root.file, "[push]", {})
     push.check_keys(("force", "hold"))
@@ -158,11 +166,15 @@ def read_bench(source: Path | str) -> Bench:
         push_force=push.optional("force", partial(_positive_force, push)),
         hold=_HOLD if hold is None else hold,
         force_std=force.optional("std", lambda key: force.quantity(key, FORCE_UNITS)) or 0.0,
+        board=read_board(root.table("board")) if "board" in root.values else None,
     )
 
 
 def virtual_bench(
-    config: LabConfig, *, draw: Callable[[LabConfig, Rig], DrawnBody] | None = None
+    config: LabConfig,
+    *,
+    draw: Callable[[LabConfig, Rig], DrawnBody] | None = None,
+    board: Charuco | None = None,
 ) -> Bench:
     """The virtual bench of a configuration; its probings say with which force to push.
 
@@ -170,6 +182,8 @@ def virtual_bench(
     ----------
     config : LabConfig
     draw : callable or None         makes the body that the cameras see; None: Mitsuba renders it
+    board : Charuco or None         held before the cameras until they are calibrated; None: they
+                                    are, with errors as the configuration says
 
     Returns
     -------
@@ -182,14 +196,20 @@ def virtual_bench(
     rig = make_head(config.head, config.specimen.mesh)
     body = draw(config, rig) if draw else rendered_body(config, rig, choose_variant())
     force = next((probe.force for probe in config.probes if probe.force), _VIRTUAL_FORCE)
-    cameras, gauge, arm = virtual_devices(config, rig, body, force=force)
+    world = VirtualWorld(config, rig, body, force)
+    cameras, gauge, arm = virtual_devices(world)
+    if board is not None:
+        extent = board.columns * board.square, board.rows * board.square
+        world.shown = board.drawing(_DRAWN), extent
 
     def supply(folder: Path) -> None:
+        world.shown = None
         rng = np.random.default_rng([config.seed, 3])
         known = miscalibrated(rig, config.calibration, config.specimen.mesh, rng=rng)
         with TemporaryDirectory() as made:
             write_mesh(Path(made, "mesh.ply"), config.specimen.mesh)
-            write_rig(Path(made, "rig.toml"), known)
+            if board is None:
+                write_rig(Path(made, "rig.toml"), known)
             for file in Path(made).iterdir():
                 put(file.read_bytes(), folder / file.name)
 
@@ -200,15 +220,43 @@ def virtual_bench(
     shape = "sphere" if config.arm.tip == "sphere" else "flat"
     contact = {"tool": shape, "tool_radius": config.arm.radius}
     return Bench(
-        config.name, Path(), rig, cameras, gauge, arm, head, contact, supply, push_force=force
-    )
+        config.name, Path(), None if board else rig, cameras, gauge, arm, head, contact, supply,
+        push_force=force, board=board,
+    )  # fmt: skip
 
 
-def _copy(root: TomlTable, rig_file: Path, folder: Path) -> None:
-    """Copy rig, its covariance and mesh into a session's folder."""
-    put(rig_file.read_bytes(), folder / "rig.toml")
-    if covariance := covariance_file(rig_file):
-        put(covariance.read_bytes(), folder / covariance.name)
+def read_board(table: TomlTable) -> Target:
+    """The board of `[board]`.
+
+    Parameters
+    ----------
+    table : TomlTable
+
+    Returns
+    -------
+    Target
+
+    Raises
+    ------
+    RecordError                     a key that is missing or wrong
+    """
+    table.check_keys(("target", "columns", "rows", "square", "marker", "gap", "dictionary"))
+    kind = table.choice("target", tuple(TARGET_KINDS))
+    second = TARGET_KINDS[kind]
+    lengths = [table.quantity(key, LENGTH_UNITS) for key in ("square", second) if key]
+    with table.error_context():
+        return make_target(
+            kind, table.count("columns"), table.count("rows"), lengths[0],
+            lengths[1] if second else None, table.optional("dictionary", table.text),
+        )  # fmt: skip
+
+
+def _copy(root: TomlTable, rig_file: Path | None, folder: Path) -> None:
+    """Copy rig, its covariance and mesh, as far as they are known, into a session's folder."""
+    if rig_file is not None:
+        put(rig_file.read_bytes(), folder / "rig.toml")
+        if covariance := covariance_file(rig_file):
+            put(covariance.read_bytes(), folder / covariance.name)
     if "object" in root.values:
         mesh = root.table("object").existing_file("mesh")
         put(mesh.read_bytes(), folder / mesh.name)
@@ -238,20 +286,18 @@ def put(content: bytes, file: Path) -> None:
 
 def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]]) -> Any:
     """The device of a table, made by the driver that it names."""
-    if not drivers:
-        table.fail("driver", "no arm is built in; docs/howto/bench.md says how to add a driver")
     make = drivers[table.choice("driver", tuple(drivers))]
     with table.error_context():
         return make(table)
 
 
-def _cameras(root: TomlTable, rig: Rig) -> tuple[Camera, ...]:
-    """A camera for each of the rig's, in its order."""
+def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
+    """A camera for each of the rig's, in its order; as they stand in the file without one."""
     found: dict[str, Camera] = {}
     sources: dict[str, str] = {}
-    names = [camera.name for camera in rig.cameras]
+    names = [camera.name for camera in rig.cameras] if rig else []
     for table in root.tables("camera"):
-        name = table.choice("name", names)
+        name = table.choice("name", names) if rig else table.label("name")
         if name in found:
             table.fail("name", f"camera '{name}' is there twice; give each its own name")
         source = quoted(table.get("source"))
@@ -262,24 +308,11 @@ def _cameras(root: TomlTable, rig: Rig) -> tuple[Camera, ...]:
             )  # fmt: skip
         sources[source] = name
         found[name] = _driver(table, CAMERA_DRIVERS)
+    if len(found) < 2:
+        root.fail("[[camera]]", "is one camera; must be two or more, 20 to 40 degrees apart")
     if missing := [name for name in names if name not in found]:
         root.fail("[[camera]]", f"the rig's cameras {', '.join(missing)} have no table")
-    return tuple(found[name] for name in names)
-
-
-def _opencv(table: TomlTable) -> OpenCvCamera:
-    table.check_keys(("name", "driver", "source", "size"))
-    source = table.get("source")
-    if type(source) is int:
-        source = table.count("source")
-    else:
-        source = table.text("source")
-        if not source.startswith(STREAMS):
-            source = str(table.existing_file("source"))
-    size = table.optional("size", lambda key: tuple(table.each(TomlTable.count, key)))
-    if size is not None and (len(size) != 2 or 0 in size):
-        table.fail("size", f"is {list(size)}; must be [columns, rows], in pixels")
-    return OpenCvCamera(table.text("name"), source, size)
+    return tuple(found[name] for name in names or found)
 
 
 def _positive_force(table: TomlTable, key: str) -> float:
@@ -336,10 +369,14 @@ def _metres(table: TomlTable, key: str, k: int) -> float:
     return lengths[k]
 
 
-CAMERA_DRIVERS: dict[str, Callable[[TomlTable], Camera]] = {"opencv": _opencv}
+CAMERA_DRIVERS: dict[str, Callable[[TomlTable], Camera]] = {
+    "opencv": opencv_camera,
+    "genicam": genicam_camera,
+    "realsense": realsense_camera,
+}
 FORCE_DRIVERS: dict[str, Callable[[TomlTable], ForceSource]] = {
     "serial": _serial,
     "table": _table,
     "typed": _typed,
 }
-ARM_DRIVERS: dict[str, Callable[[TomlTable], Arm]] = {}
+ARM_DRIVERS: dict[str, Callable[[TomlTable], Arm]] = {"universal-robot": universal_robot}

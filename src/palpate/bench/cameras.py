@@ -1,4 +1,5 @@
-"""Cameras that OpenCV opens: by number, a film, or a stream of the network.
+"""Cameras whose pictures a child process sends; those that OpenCV opens: by number, a film, or a
+stream of the network.
 
 Drivers and decoders are not ours, and what a network camera sends may be anything: they run in a
 child process with limits (`foreign.py`), which also is what ends when a camera is pulled out.
@@ -6,7 +7,7 @@ child process with limits (`foreign.py`), which also is what ends when a camera 
 
 import os
 import time
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
 from threading import Condition, Thread
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from palpate.bench.devices import DeviceError, Picture
 from palpate.foreign import results_in_child
 from palpate.optional_imports import late_import
+from palpate.records import TomlTable
 
 # Longest time until the first picture, and between two pictures [s].
 _OPENS, _NEXT = 20.0, 5.0
@@ -65,18 +67,21 @@ def live_pictures(source: int | str, size: tuple[int, int] | None) -> Iterator[A
         yield np.asarray(grey), time.monotonic()
 
 
-class OpenCvCamera:
+class LiveCamera:
     """A camera, film or stream; the newest picture is kept, older ones are let go.
 
     Parameters
     ----------
     name : str                      of its camera in the rig
-    source : int or str             as in `live_pictures`
-    size : (columns, rows) or None  to ask for
+    pictures : callable             a generator like `live_pictures`, which runs in a child
+    source : int or str             its first argument
+    *others                         its other arguments
     """
 
-    def __init__(self, name: str, source: int | str, size: tuple[int, int] | None = None) -> None:
-        self.name, self.source, self.size = name, source, size
+    def __init__(
+        self, name: str, pictures: Callable[..., Iterator[Any]], source: int | str, *others: Any
+    ) -> None:
+        self.name, self.source, self._work = name, source, (pictures, source, *others)
         self._new = Condition()
         self._latest: tuple[Picture, float] | None = None
         self._error, self._stopping = "", False
@@ -93,7 +98,7 @@ class OpenCvCamera:
         """
         self.close()
         self._error, self._latest, self._stopping = "", None, False
-        self._pictures = results_in_child(live_pictures, self.source, self.size, seconds=_OPENS)
+        self._pictures = results_in_child(*self._work, seconds=_OPENS)
         self._reader = Thread(target=self._receive, args=(self._pictures,), daemon=True)
         self._reader.start()
         picture, _ = self._waited(_OPENS + 1.0)
@@ -145,3 +150,26 @@ class OpenCvCamera:
             f"camera '{self.name}' ({self.source}): {reason}; is it plugged in, and is no other"
             " program using it? Then go on"
         )
+
+
+def opencv_camera(table: TomlTable) -> LiveCamera:
+    """The camera of its table in bench.toml."""
+    table.check_keys(("name", "driver", "source", "size"))
+    source = table.get("source")
+    if type(source) is int:
+        source = table.count("source")
+    else:
+        source = table.text("source")
+        if not source.startswith(STREAMS):
+            source = str(table.existing_file("source"))
+    return LiveCamera(table.text("name"), live_pictures, source, picture_size(table))
+
+
+def picture_size(table: TomlTable) -> tuple[int, int] | None:
+    """Columns and rows that a camera is asked for; None: as it has them."""
+    size = table.optional("size", lambda key: tuple(table.each(TomlTable.count, key)))
+    if size is None:
+        return None
+    if len(size) != 2 or 0 in size:
+        table.fail("size", f"is {list(size)}; must be [columns, rows], in pixels")
+    return size[0], size[1]

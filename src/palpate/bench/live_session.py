@@ -9,12 +9,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import tomlkit
 from scipy.spatial import cKDTree
 
-from palpate.bench.pushing import PushError, TakenPush
+from palpate.bench.pushing import PushError, TakenPush, write_picture
 from palpate.bench.questions import Pictures
 from palpate.disk import atomic_replacement, write_bytes
 from palpate.errors import InputError, RecordError
@@ -272,8 +271,7 @@ class LiveSession:
 
     def _write(self, pattern: str, pictures: Pictures) -> None:
         for camera, picture in zip(self.rig.cameras, pictures, strict=True):
-            content = cv2.imencode(".png", picture)[1].tobytes()
-            write_bytes(picture_path(camera, pattern, self.folder), content)
+            write_picture(picture_path(camera, pattern, self.folder), picture)
 
     def _measured(self, session: Session, name: str) -> dict[str, ProbingMotion]:
         """The motions of all pushes; the new one is refused where it shows too little."""

@@ -6,6 +6,7 @@ in the browser answers.
 """
 
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,10 +17,20 @@ import numpy as np
 
 from palpate.bench.arms import check_push
 from palpate.bench.bench_file import Bench, put
+from palpate.bench.calibrating import CALIBRATED, calibrate_live, place_object
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
-from palpate.bench.pushing import PushError, grabbed, take_push
-from palpate.bench.questions import DEVICES, OBJECT, PUSHES, REST, Questions, Stopped
+from palpate.bench.page_parts import montage
+from palpate.bench.pushing import PushError, grabbed, take_push, way_round, write_picture
+from palpate.bench.questions import (
+    CALIBRATION,
+    DEVICES,
+    OBJECT,
+    PUSHES,
+    REST,
+    Questions,
+    Stopped,
+)
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, checked_mesh
@@ -37,6 +48,8 @@ from palpate.records import (
     Constant,
     Estimate,
     Session,
+    TomlTable,
+    read_object_mesh,
     read_toml,
     verdict_text,
 )
@@ -48,7 +61,9 @@ _WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
 _FROM_ABOVE = 0.7
 # Triangles that a person says are held, in the session's folder.
 _HELD_FILE = "support_triangles.txt"
-# What a person can say to a push that failed.
+_RIG = "rig.toml"
+# The way of an arm to its first push; what a person can say to a push that failed.
+_DRAWING = "first_push.png"
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
 _Places = list[tuple[Vector3, Vector3]]
 
@@ -133,13 +148,18 @@ def measure(
     with bench.closed_afterwards(), suppress(Stopped):
         questions.step(DEVICES)
         _start(bench, questions)
-        questions.watch(bench.rig, lambda: grabbed(bench)[1])
+        questions.watch([camera.name for camera in bench.cameras], lambda: grabbed(bench)[1])
+        questions.step(CALIBRATION)
+        if bench.rig is None and not any((folder / x).exists() for x in (_RIG, CALIBRATED)):
+            _insisting(bench, questions, lambda: calibrate_live(bench, questions, folder))
         questions.step(OBJECT)
         session = _begun(bench, questions, folder, cache)
+        bench = replace(bench, rig=session.rig)
+        questions.known(session.rig)
         questions.body(session.mesh, session.bare.held_triangles)
         places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
-            _rehearse(bench, questions, *places[0])
+            _rehearse(bench, questions, session, *places[0])
             return None
         questions.step(REST)
         _look(bench, questions, session)
@@ -147,6 +167,10 @@ def measure(
         judge = partial(_judged, bench, session, questions, until=until)
         if session.count:
             result, places = judge(session.measured())
+        if bench.arm is not None and bench.arm.asks:
+            _rehearse(bench, questions, session, *places[0])
+            if questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "no":
+                return result
         while not _enough(session, result, until, pushes, questions):
             measured = _push(bench, session, questions, places)
             if measured is None:
@@ -180,13 +204,23 @@ def _start(bench: Bench, questions: Questions, error: DeviceError | None = None)
             error = another
 
 
+def _insisting(bench: Bench, questions: Questions, do: Callable[[], object]) -> None:
+    """Do something, again where a device fails in it and was mended."""
+    while True:
+        try:
+            do()
+            return
+        except DeviceError as error:
+            _start(bench, questions, error)
+
+
 def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None) -> LiveSession:
     """The session, once object, support and tool are known."""
     for camera in bench.cameras:
         shown = ", ".join(f"{key} {value}" for key, value in camera.settings.items())
         questions.tell(f"Camera {camera.name}: {shown}")
     bench.supply(folder)
-    head: dict[str, Any] = {"name": bench.name, **bench.head, "rig": {"cameras": "rig.toml"}}
+    head: dict[str, Any] = {"name": bench.name, **bench.head, "rig": {"cameras": _RIG}}
     before = _before(folder)
     before_contact = before.pop("contact", None)
     contact = bench.contact or before_contact
@@ -198,6 +232,11 @@ def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None)
         unit = head["object"]["length_unit"]
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
         contact = {"tool": "sphere", "tool_radius": _asked_radius(questions, unit, usual)}
+    if not (folder / _RIG).exists():
+        body = TomlTable(folder / "session.toml", "", head).table("object")
+        units = FILE_LENGTH_UNITS
+        mesh, _ = read_object_mesh(body, units[body.choice("length_unit", tuple(units))])
+        _insisting(bench, questions, lambda: place_object(bench, questions, folder, mesh))
     return LiveSession(folder, head, contact, by_hand=bench.arm is None, cache=cache)
 
 
@@ -369,19 +408,27 @@ def _check(bench: Bench, place: Vector3, inward: Vector3) -> None:
         check_push(limits, place, inward, clearance=limits.depth, force=force)
 
 
-def _rehearse(bench: Bench, questions: Questions, place: Vector3, inward: Vector3) -> None:
-    """Say what the arm would do, without moving it."""
+def _rehearse(
+    bench: Bench, questions: Questions, session: LiveSession, place: Vector3, inward: Vector3
+) -> None:
+    """Say and draw what the arm would do, without moving it."""
     _check(bench, place, inward)
     if bench.arm is None:
         questions.tell("There is no arm: a person presses.")
         return
     limits = bench.arm.limits
     above, speed = place - limits.depth * inward, 1e3 * limits.speed
+    here = bench.arm.pose()
+    way = [here, *way_round(here, above, session.mesh, clearance=limits.depth), place]
+    questions.place(place, inward, way)
+    names, drawing = [camera.name for camera in bench.cameras], session.folder / _DRAWING
+    sheet = montage(names, grabbed(bench)[1], session.rig, place=(place, inward), way=way)
+    write_picture(drawing, sheet)
     questions.tell(
-        f"From {_mm(bench.arm.pose())} mm round the object to {_mm(above)} mm at {speed:.3g} mm/s;"
+        f"From {_mm(here)} mm round the object to {_mm(above)} mm at {speed:.3g} mm/s;"
         f" down along {np.round(inward, 3).tolist()} to {_mm(place)} mm and on, up to"
         f" {bench.push_force:g} N, never beyond {limits.force:g} N or {1e3 * limits.depth:.3g} mm"
-        f" deep; hold for {bench.hold:g} s, and back to {_mm(above)} mm."
+        f" deep; hold for {bench.hold:g} s, and back to {_mm(above)} mm. Drawn in {drawing}"
     )
 
 

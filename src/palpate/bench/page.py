@@ -6,11 +6,13 @@ Closing a tab loses nothing: all that is shown belongs to the server, and a new 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from palpate.bench.page_parts import (
     constants_html,
@@ -23,9 +25,18 @@ from palpate.bench.page_parts import (
     trace_svg,
     verdicts_html,
 )
-from palpate.bench.questions import AT_REST, DEVICES, Pictures, Questions, Stopped
+from palpate.bench.questions import (
+    AT_REST,
+    DEVICES,
+    Dots,
+    Pictures,
+    Pose,
+    Questions,
+    Stopped,
+    motion_about,
+)
 from palpate.errors import InputError
-from palpate.figures import HELD, ORANGE, best_direction
+from palpate.figures import BLUE, HELD, ORANGE, best_direction
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
@@ -77,7 +88,10 @@ class Page(Questions):
         self._stopped, self._estimates = Event(), list[Estimate]()
         self._rig: Rig | None = None
         self._look: Callable[[], Pictures] | None = None
+        self._names: Sequence[str] = ()
         self._place: tuple[Vector3, Vector3] | None = None
+        self._way: Sequence[Vector3] = ()
+        self._outline: TriangleMesh | None = None
         self._mesh: TriangleMesh | None = None
         self._toward = np.array([0.8, -0.5, 0.4])
         self._clicked: Callable[[int, bool], object] | None = None
@@ -182,15 +196,52 @@ class Page(Questions):
         """As in `Questions`."""
         self._steps.content = steps_html(name)
 
-    def watch(self, rig: Rig, look: Callable[[], Pictures]) -> None:
-        """As in `Questions`."""
-        self._rig, self._look = rig, look
+    def over(self, rig: Rig, mesh: TriangleMesh, drawing: Path) -> Pose | None:
+        """As in `Questions`; its outline is over the pictures while it is dragged."""
+        self.known(rig)
+        self.body(mesh, np.zeros(0, dtype=np.int64))
+        middle = 500.0 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+        handle = self._server.scene.add_transform_controls(
+            "/handle", 0.6e3 * bounding_diagonal(mesh), position=tuple(middle), depth_test=False
+        )
 
-    def see(self, pictures: Pictures, time: list[float], force: list[float], state: str) -> None:
+        def motion() -> Pose:
+            turn = Rotation.from_quat(handle.wxyz, scalar_first=True).as_matrix()
+            return motion_about(mesh, 1e-3 * (np.array(handle.position) - middle), turn)
+
+        def drag(_: object) -> None:
+            pose = motion()
+            moved = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+            self._outline = TriangleMesh(moved, mesh.triangles)
+            body = self._drawn["/body"]
+            body.wxyz, body.position = handle.wxyz, tuple(1e3 * pose[:3, 3])
+
+        self._outline = mesh
+        handle.on_update(drag)
+        try:
+            question = "Does the outline lie on the object in the pictures? If not, drag it there."
+            self._answer(question, ["It lies there"])
+            found = motion()
+            return None if np.allclose(found, np.eye(4), atol=1e-9) else found
+        finally:
+            self._outline = None
+            handle.remove()
+
+    def watch(self, cameras: Sequence[str], look: Callable[[], Pictures]) -> None:
+        """As in `Questions`."""
+        self._names, self._look = cameras, look
+
+    def known(self, rig: Rig) -> None:
+        """As in `Questions`."""
+        self._rig, self._mesh = rig, None
+
+    def see(
+        self, pictures: Pictures, time: list[float], force: list[float], state: str, dots: Dots = ()
+    ) -> None:
         """As in `Questions`, some times a second."""
         if self._stopped.is_set():
             raise Stopped
-        if self._show(pictures, state):
+        if self._show(pictures, state, dots):
             self._question.content = question_html(state.capitalize())
             self._trace.content = trace_svg(time, force)
 
@@ -214,11 +265,15 @@ class Page(Questions):
                     draw_camera(self._server.scene, camera, 1e3 * bounding_diagonal(mesh))
             self._turn(best_direction(unit_normals(mesh), np.array([0.0, 0.0, 1.0])))
 
-    def place(self, point: Vector3, inward: Vector3) -> None:
-        """As in `Questions`: an arrow at the object, and a mark in the pictures."""
-        self._place = point, inward
+    def place(self, point: Vector3, inward: Vector3, way: Sequence[Vector3] = ()) -> None:
+        """As in `Questions`: an arrow at the object, a mark in the pictures, the way in both."""
+        self._place, self._way = (point, inward), way
+        self._forget("way")
         if self._mesh is None:
             return
+        if way:
+            points = 1e3 * np.stack([way[:-1], way[1:]], axis=1)
+            self._drawn["way"] = self._server.scene.add_line_segments("/way", points, rgb(BLUE))
         size, end = 1e3 * bounding_diagonal(self._mesh), 1e3 * point
         start = end - _ARROW * size * inward
         scene = self._server.scene
@@ -277,20 +332,27 @@ class Page(Questions):
         except InputError as error:
             self._state.content = text_html(str(error), italic=True)
 
-    def _show(self, pictures: Pictures, state: str) -> bool:
+    def _show(self, pictures: Pictures, state: str, dots: Dots = ()) -> bool:
         """Show pictures, if it is time for new ones."""
         now = time.monotonic()
-        if self._rig is None or now < self._shown + _PAUSE:
+        if not self._names or now < self._shown + _PAUSE:
             return False
         self._shown = now
-        self._picture.image = montage(self._rig, pictures, self._place)
+        self._picture.image = montage(
+            self._names,
+            pictures,
+            self._rig,
+            place=self._place,
+            way=self._way,
+            outline=self._outline,
+            dots=dots,
+        )
         ring = "" if self._place is None else "; the ring is where to press"
         self._state.content = state_html(state + ring)
         # Without the tool, and with time to spare.
         if state in (_LIVE, AT_REST) and now > self._judged + _JUDGED:
             self._judged = now
-            names = [camera.name for camera in self._rig.cameras]
-            self._verdicts.content = verdicts_html(names, pictures)
+            self._verdicts.content = verdicts_html(self._names, pictures)
         return True
 
     def _forget(self, *names: str) -> None:

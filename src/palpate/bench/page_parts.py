@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from palpate.bench.questions import STEPS, Pictures
-from palpate.figures import BLUE, GREY, INK, ORANGE, PALE_BLUE
+from palpate.bench.questions import STEPS, Dots, Pictures
+from palpate.figures import BLUE, GREY, INK, ORANGE, PALE_BLUE, drawn_edges
+from palpate.geometry import TriangleMesh
 from palpate.pipeline import COARSEST_TEXTURE, DARK_LEVEL, MOST_SATURATED, texture_length
 from palpate.records import MODULUS_UNITS, Camera, Estimate, Rig, camera_centre, constant_row
 from palpate.shapes import Vector3
@@ -193,7 +194,7 @@ def verdicts(picture: UInt8[np.ndarray, "_ _"]) -> tuple[tuple[str, bool], ...]:
     """
     white = float((picture == 255).mean())
     if white > MOST_SATURATED:
-        light = f"{100 * white:.0f} % white: less light", False
+        light = f"{100 * white:.0f} % white: less light, or move the lamp", False
     elif np.percentile(picture[::4, ::4], 99.0) < DARK_LEVEL:
         light = "dark: more light", False
     else:
@@ -223,22 +224,41 @@ def verdicts_html(names: Sequence[str], pictures: Pictures) -> str:
 
 
 def montage(
-    rig: Rig, pictures: Pictures, place: tuple[Vector3, Vector3] | None
+    names: Sequence[str],
+    pictures: Pictures,
+    rig: Rig | None = None,
+    *,
+    place: tuple[Vector3, Vector3] | None = None,
+    way: Sequence[Vector3] = (),
+    outline: TriangleMesh | None = None,
+    dots: Dots = (),
 ) -> UInt8[np.ndarray, "_ _ 3"]:
     """The cameras' pictures below each other, two in a row where there are more than two; with
     their names, and a ring where to press, grey where that is on the far side.
 
     Parameters
     ----------
-    rig : Rig
-    pictures : Pictures             of its cameras
-    place : (3,) and (3,) float     point [m] and direction of the push; None: no mark
+    names : sequence of str         of the cameras
+    pictures : Pictures             of them
+    rig : Rig or None               of them; without one there is neither ring nor outline
+    place : (3,) and (3,) float     point [m] and direction of the push; None: no ring
+    way : sequence of (3,) float [m]    of an arm's tool
+    outline : TriangleMesh or None  the object as the rig has it [m]
+    dots : sequence of (k, 2) float [px]    in the picture of each camera
     """
     columns = 1 if len(pictures) <= 2 else 2
-    tiles = [
-        _marked(camera, picture, _WIDTH // columns, place)
-        for camera, picture in zip(rig.cameras, pictures, strict=True)
-    ]
+    tiles: list[np.ndarray] = []
+    for k, (name, picture) in enumerate(zip(names, pictures, strict=True)):
+        drawn = _Tile(name, picture, _WIDTH // columns)
+        if dots:
+            drawn.dots(dots[k])
+        if rig is not None and place is not None:
+            drawn.ring(rig.cameras[k], *place)
+        if rig is not None and len(way):
+            drawn.lines(rig.cameras[k], np.stack([way[:-1], way[1:]], axis=1), BLUE)
+        if rig is not None and outline is not None:
+            drawn.outline(rig.cameras[k], outline)
+        tiles.append(np.asarray(drawn.picture))
     height = max(len(tile) for tile in tiles)
     rows = -(-len(tiles) // columns)
     sheet = np.full((rows * height, _WIDTH, 3), 255, dtype=np.uint8)
@@ -249,21 +269,38 @@ def montage(
     return sheet
 
 
-def _marked(
-    camera: Camera, picture: np.ndarray, width: int, place: tuple[Vector3, Vector3] | None
-) -> Float[np.ndarray, "_ _ 3"] | np.ndarray:
-    """A camera's picture of some width, with its name and the mark."""
-    scale = width / picture.shape[1]
-    size = width, round(scale * picture.shape[0])
-    small = Image.fromarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)).convert("RGB")
-    draw = ImageDraw.Draw(small)
-    font = ImageFont.load_default(size=26)
-    draw.text((10, 6), camera.name, fill="white", font=font, stroke_width=2, stroke_fill="black")
-    if place is not None:
-        point, inward = place
-        x, y = scale * (project(camera, point[None])[0] + 0.5)
+class _Tile:
+    """A camera's picture of some width, with its name, and what is drawn over it."""
+
+    def __init__(self, name: str, picture: np.ndarray, width: int) -> None:
+        self.scale = width / picture.shape[1]
+        size = width, round(self.scale * picture.shape[0])
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        self.picture = Image.fromarray(small).convert("RGB")
+        self.draw = ImageDraw.Draw(self.picture)
+        font = ImageFont.load_default(size=26)
+        self.draw.text((10, 6), name, fill="white", font=font, stroke_width=2, stroke_fill="black")
+
+    def place(self, pixels: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
+        """Pixels of the camera in this picture."""
+        return self.scale * (pixels + 0.5)
+
+    def dots(self, pixels: Float[np.ndarray, "_ 2"]) -> None:
+        for x, y in self.place(pixels):
+            self.draw.ellipse((x - 2, y - 2, x + 2, y + 2), fill=ORANGE)
+
+    def ring(self, camera: Camera, point: Vector3, inward: Vector3) -> None:
+        x, y = self.place(project(camera, point[None])[0])
         faces = (camera_centre(camera) - point) @ inward < 0.0
         for radius, colour, thick in ((25, "black", 9), (23, ORANGE if faces else GREY, 5)):
             box = (x - radius, y - radius, x + radius, y + radius)
-            draw.ellipse(box, outline=colour, width=thick)
-    return np.asarray(small)
+            self.draw.ellipse(box, outline=colour, width=thick)
+
+    def outline(self, camera: Camera, mesh: TriangleMesh) -> None:
+        edges = mesh.vertices[drawn_edges(mesh, camera_centre(camera))]
+        self.lines(camera, edges, ORANGE)
+
+    def lines(self, camera: Camera, ends: Float[np.ndarray, "m 2 3"], colour: str) -> None:
+        pixels = self.place(project(camera, ends.reshape(-1, 3))).reshape(-1, 2, 2)
+        for line in pixels[np.isfinite(pixels).all(axis=(1, 2))]:
+            self.draw.line([*map(tuple, line)], fill=colour, width=2)

@@ -8,6 +8,7 @@ than that; pictures that move there are refused.
 import time
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from palpate.bench.bench_file import Bench
 from palpate.bench.devices import DeviceError
 from palpate.bench.gauges import TypedForce
 from palpate.bench.questions import AT_REST, Pictures, Questions
+from palpate.disk import write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
 from palpate.recording import (
@@ -92,9 +94,12 @@ def grabbed(bench: Bench) -> tuple[float, Pictures]:
     DeviceError                     a camera sends none, or none of the rig's size
     """
     times, pictures = [], []
-    for camera, known in zip(bench.cameras, bench.rig.cameras, strict=True):
+    sizes = (
+        [camera.size for camera in bench.rig.cameras] if bench.rig else [None] * len(bench.cameras)
+    )
+    for camera, known in zip(bench.cameras, sizes, strict=True):
         picture, when = camera.grab()
-        columns, rows = known.size or picture.shape[::-1]
+        columns, rows = known or picture.shape[::-1]
         if picture.shape != (rows, columns) or picture.dtype != np.uint8:
             raise DeviceError(
                 f"camera '{camera.name}' sends pictures of {' x '.join(map(str, picture.shape))}"
@@ -104,6 +109,18 @@ def grabbed(bench: Bench) -> tuple[float, Pictures]:
         times.append(when)
         pictures.append(picture)
     return max(times), tuple(pictures)
+
+
+def write_picture(file: Path, picture: np.ndarray) -> None:
+    """Write a picture as PNG; the file is whole, or not there.
+
+    Parameters
+    ----------
+    file : Path
+    picture : (rows, columns) or (rows, columns, 3) uint8     grey, or red, green, blue
+    """
+    code = cv2.imencode(".png", picture if picture.ndim == 2 else picture[..., ::-1])[1]
+    write_bytes(file, code.tobytes())
 
 
 class _Watch:
@@ -310,10 +327,11 @@ def _by_arm(
     limits, wanted = arm.limits, float(bench.push_force or 0.0)
     above = place - limits.depth * inward
     check_push(limits, place, inward, clearance=limits.depth, force=wanted)
-    arm.press_at(place, inward)
+    arm.leave()
     try:
         for position in way_round(arm.pose(), above, mesh, clearance=limits.depth):
             arm.move(position, inward, limits.speed)
+        arm.press_at(place, inward)
         rest = watch.seen_for(_REST)
         try:
             watch.state = "presses"

@@ -1,23 +1,35 @@
 """How the guided way speaks to a person: what it asks, what it says, and what there is to see."""
 
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
 from palpate.progress import Progress
-from palpate.records import Estimate, Rig
+from palpate.records import Estimate, Rig, make_pose
 from palpate.shapes import Indices, Vector3
 
 Pictures = tuple[UInt8[np.ndarray, "_ _"], ...]
-DEVICES, OBJECT, REST, PUSHES = STEPS = ("Devices", "Object", "At rest", "Pushes")
+Dots = Sequence[Float[np.ndarray, "_ 2"]]
+Pose = Float[np.ndarray, "4 4"]
+DEVICES, CALIBRATION, OBJECT, REST, PUSHES = STEPS = (
+    "Devices", "Calibration", "Object", "At rest", "Pushes"
+)  # fmt: skip
 
 # How a push stands before it begins.
 AT_REST = "at rest"
+
+
+def motion_about(mesh: TriangleMesh, shift: Vector3, turn: Float[np.ndarray, "3 3"]) -> Pose:
+    """A motion (4, 4) [m]: a turn about the middle of a mesh, then a shift."""
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    return make_pose(turn, middle + shift - turn @ middle)
 
 
 class Stopped(Exception):
@@ -28,7 +40,7 @@ class Stopped(Exception):
 class Questions(Protocol):
     """A person at the terminal, in the browser, or a script that answers.
 
-    The first five ask and tell; the others show what there is to see, which a terminal does not.
+    The first five ask and tell; those that show what there is to see do nothing at a terminal.
     """
 
     def tell(self, text: str) -> None:
@@ -58,20 +70,42 @@ class Questions(Protocol):
         """Say which of `STEPS` begins."""
         return None
 
-    def watch(self, rig: Rig, look: Callable[[], Pictures]) -> None:
+    def over(self, rig: Rig, mesh: TriangleMesh, drawing: Path) -> Pose | None:
+        """Ask whether the mesh [m] lies on the object in the pictures, as the drawing shows. None:
+        it does; else the rigid motion (4, 4) [m] that brings it nearer."""
+        if self.choose(f"Does the outline in {drawing} lie on the object?", ["yes", "no"]) == "yes":
+            return None
+        text = "By how much is the outline to move along the mesh's x, y, z [mm], and to turn about"
+        while True:
+            words = self.ask(f"{text} them [degrees]: six numbers", "0 0 0 0 0 0").split()
+            with suppress(ValueError):
+                numbers = np.array([float(word) for word in words])
+                if numbers.shape == (6,) and np.isfinite(numbers).all():
+                    turn = Rotation.from_euler("xyz", numbers[3:], degrees=True).as_matrix()
+                    return motion_about(mesh, 1e-3 * numbers[:3], turn)
+            self.tell("These are not six numbers, such as 0 0 2.5 0 0 90")
+
+    def watch(self, cameras: Sequence[str], look: Callable[[], Pictures]) -> None:
         """Say what shows the cameras' pictures while a question is open."""
         return None
 
-    def see(self, pictures: Pictures, time: list[float], force: list[float], state: str) -> None:
-        """Show the newest pictures, all readings [s, N] of the push in hand, and how it stands."""
+    def known(self, rig: Rig) -> None:
+        """Say where the cameras are, in the object's frame."""
+        return None
+
+    def see(
+        self, pictures: Pictures, time: list[float], force: list[float], state: str, dots: Dots = ()
+    ) -> None:
+        """Show the newest pictures, with dots [px] in that of each camera, all readings [s, N] of
+        the push in hand, and how it stands."""
         return None
 
     def body(self, mesh: TriangleMesh, held: Indices) -> None:
         """Show the object [m], and which triangles are held."""
         return None
 
-    def place(self, point: Vector3, inward: Vector3) -> None:
-        """Show where to press [m], and the direction."""
+    def place(self, point: Vector3, inward: Vector3, way: Sequence[Vector3] = ()) -> None:
+        """Show where to press [m], the direction, and the way of an arm's tool there [m]."""
         return None
 
     def judged(self, estimate: Estimate) -> None:

@@ -18,10 +18,13 @@ from palpate.geometry import TriangleMesh, ray_intersection
 from palpate.lab import (
     Film,
     LabConfig,
+    Print,
     Probe,
     SolvedPress,
     Variant,
     aim,
+    board_picture,
+    board_pose,
     make_studio,
     photograph,
     rod_at,
@@ -39,6 +42,8 @@ _WEIGHT, _NOISE = 0.2, 0.002
 # Limits of the arm: how many times the wanted force; depth, speed in a second, and room around the
 # object, over its size.
 _MOST_FORCE, _DEEPEST, _SPEED, _ROOM = 1.3, 0.3, 0.1, 2.0
+# Time for which a board is held at a place [s], and the blur of its pictures [px].
+_SHOWN, _BLUR = 0.8, 0.6
 # What the cameras see of a surface, with a tool or without: a picture of each, without noise.
 Draw = Callable[[Vertices, TriangleMesh | None], tuple[Float[np.ndarray, "_ _"], ...]]
 
@@ -100,6 +105,8 @@ class VirtualWorld:
         self.size = float(np.ptp(config.specimen.mesh.vertices, axis=0).max())
         self.position = middle + np.array([0.0, 0.0, 1.5 * self.size])
         self.pushes = 0
+        # A board that is held before the cameras, at another place every second.
+        self.shown: Print | None = None
         self._press: SolvedPress | None = None
         self._surface: CubicSpline | None = None
         self._path = [(0.0, -1.0)]
@@ -144,23 +151,39 @@ class VirtualWorld:
         time = np.arange(since + 1.0 / _READINGS, self.time + 1e-9, 1.0 / _READINGS)
         depth = np.interp(time, *np.array(self._path).T)
         self._path = self._path[-2:]
-        force = np.zeros(len(time))
-        if self._press is not None:
-            force = self._press.force_at(depth) @ self._press.tip.direction
+        force = self.force_at(depth)
         sensor = self.config.force_sensor
         noise = np.hypot(sensor.noise or _NOISE * self.force, sensor.relative_noise * force)
         return time, force + _WEIGHT + noise * self.rng.standard_normal(len(time))
 
+    def force_at(self, depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Force of the push that was solved last, at depths as `depth` counts them [N]."""
+        if self._press is None:
+            return np.zeros(len(depth))
+        return np.asarray(self._press.force_at(depth) @ self._press.tip.direction)
+
     def picture(self, camera: int) -> Picture:
         """What a camera sees now, with noise."""
-        depth = max(self.depth, 0.0)
+        # A place of the board counts as a depth above the object.
+        board = self.shown
+        depth = max(self.depth, 0.0) if board is None else -1.0 - self.time // _SHOWN
         if self._drawn is None or self._drawn[0] != depth:
-            self._drawn = depth, self._draw(depth)
+            self._drawn = depth, self._board(board, int(-depth)) if board else self.drawn(depth)
         grey = self._drawn[1][camera]
         noisy = grey + self.config.pictures.noise * self.rng.standard_normal(grey.shape)
         return np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
 
-    def _draw(self, depth: float) -> tuple[np.ndarray, ...]:
+    def _board(self, board: Print, number: int) -> tuple[np.ndarray, ...]:
+        """The board at one of its places, from 1; that is the table."""
+        rng = np.random.default_rng([self.config.seed, 4, number])
+        pose = board_pose(self.rig, board, self.config, number - 1, rng)
+        return tuple(
+            board_picture(camera, pose, *board, rng=rng, noise=0.0, blur=_BLUR)
+            for camera in self.rig.cameras
+        )
+
+    def drawn(self, depth: float) -> tuple[np.ndarray, ...]:
+        """What all cameras see at a depth of the push that was solved last, without noise."""
         rest, press = self.body.vertices, self._press
         if press is None or self._surface is None or depth == 0.0:
             return self.body.draw(rest, None)
@@ -259,26 +282,22 @@ class VirtualArm:
 
 
 def virtual_devices(
-    config: LabConfig, rig: Rig, body: DrawnBody, *, force: float
+    world: VirtualWorld,
 ) -> tuple[tuple[VirtualCamera, ...], VirtualGauge, GuardedArm]:
     """Cameras, gauge and arm of a virtual bench.
 
     Parameters
     ----------
-    config : LabConfig
-    rig : Rig                       the true one
-    body : DrawnBody                of that rig
-    force : float [N]               of the pushes
+    world : VirtualWorld
 
     Returns
     -------
-    cameras, gauge, arm             the arm within limits that leave room for such pushes
+    cameras, gauge, arm             the arm within limits that leave room for its pushes
     """
-    world = VirtualWorld(config, rig, body, force)
-    low, high = (f(config.specimen.mesh.vertices, axis=0) for f in (np.min, np.max))
+    low, high = (f(world.config.specimen.mesh.vertices, axis=0) for f in (np.min, np.max))
     limits = ArmLimits(
-        _MOST_FORCE * force, _DEEPEST * world.size, _SPEED * world.size,
+        _MOST_FORCE * world.force, _DEEPEST * world.size, _SPEED * world.size,
         low - _ROOM * world.size, high + _ROOM * world.size,
     )  # fmt: skip
-    cameras = tuple(VirtualCamera(world, k) for k in range(len(rig.cameras)))
-    return cameras, VirtualGauge(world), GuardedArm(VirtualArm(world), limits)
+    cameras = tuple(VirtualCamera(world, k) for k in range(len(world.rig.cameras)))
+    return cameras, VirtualGauge(world), GuardedArm(VirtualArm(world), limits, asks=False)

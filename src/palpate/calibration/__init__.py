@@ -34,16 +34,22 @@ from palpate.calibration.quality import (
     write_calibration as write_calibration,
 )
 from palpate.calibration.sightings import (
+    Sightings as Sightings,
+    eight_bits as eight_bits,
     find_boards as find_boards,
     find_pictures as find_pictures,
     find_videos as find_videos,
+    gathered as gathered,
     still_frames as still_frames,
     without_repeats as without_repeats,
 )
 from palpate.calibration.targets import (
+    TARGET_KINDS as TARGET_KINDS,
     AprilGrid as AprilGrid,
     Charuco as Charuco,
     Chessboard as Chessboard,
     Circles as Circles,
+    Sighting as Sighting,
     Target as Target,
+    make_target as make_target,
 )

@@ -144,7 +144,7 @@ def find_boards(
     sizes = _sizes(jobs, [size for size, _, _ in results])
     blurred = _blurred(jobs, [seen for _, seen, _ in results], [width for _, _, width in results])
     sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]
-    found = _gathered([name for name, by in pictures.items() if by], sizes, sharp, targets)
+    found = gathered([name for name, by in pictures.items() if by], sizes, sharp, targets)
     return replace(found, notes=(*_without_pictures(pictures), *blurred.values(), *found.notes))
 
 
@@ -231,13 +231,29 @@ def _sizes(jobs: Sequence[_Job], sizes: Sequence[tuple[int, int]]) -> dict[str, 
     return found
 
 
-def _gathered(
+def gathered(
     cameras: list[str],
     sizes: Mapping[str, tuple[int, int]],
     pictures: Sequence[tuple[str, str, Path, list[Sighting]]],
     targets: Sequence[Target],
 ) -> Sightings:
-    """Collect all marks in one list, with notes on pictures that have too few."""
+    """Collect all marks in one list, with notes on pictures that have too few.
+
+    Parameters
+    ----------
+    cameras : list of str           names
+    sizes : mapping of camera to (columns, rows) [px]
+    pictures : sequence of (camera, instant, file, sightings)   a sighting for each target
+    targets : sequence of Target
+
+    Returns
+    -------
+    Sightings
+
+    Raises
+    ------
+    CalibrationError                no board was found
+    """
     views: dict[tuple[str, int], int] = {}
     parts, notes = [], []
     for camera, instant, path, boards in pictures:
@@ -379,7 +395,7 @@ def _written(video: Path, chosen: list[int], folder: Path) -> dict[str, Path]:
     return files
 
 
-def without_repeats(found: Sightings) -> Sightings:
+def without_repeats(found: Sightings, *, news: float = _NEWS) -> Sightings:
     """Drop views in which the board is where it was in an earlier one.
 
     Otherwise a board that is held still for long would be counted many times.
@@ -387,6 +403,8 @@ def without_repeats(found: Sightings) -> Sightings:
     Parameters
     ----------
     found : Sightings
+    news : float                    a board that moved by more is at another place, over the width
+                                    of the pictures
 
     Returns
     -------
@@ -399,7 +417,7 @@ def without_repeats(found: Sightings) -> Sightings:
         seen = {
             (int(corners.camera[r]), int(found.mark[r])): corners.pixel[r] for r in rows.tolist()
         }
-        if not any(_same(seen, other, found.sizes) for other in kept):
+        if not any(_same(seen, other, found.sizes, news) for other in kept):
             keep.append(v)
             kept.append(seen)
     dropped = len(found.views) - len(keep)
@@ -424,10 +442,11 @@ def _same(
     first: Mapping[tuple[int, int], np.ndarray],
     second: Mapping[tuple[int, int], np.ndarray],
     sizes: tuple[tuple[int, int], ...],
+    news: float,
 ) -> bool:
     """Whether two views show a board at the same place, by the median motion of common marks."""
     common = first.keys() & second.keys()
     if 2 * len(common) < max(len(first), len(second)):
         return False
     motion = [np.linalg.norm(first[key] - second[key]) / sizes[key[0]][0] for key in common]
-    return bool(np.median(motion) < _NEWS)
+    return bool(np.median(motion) < news)

@@ -323,6 +323,46 @@ class AprilGrid:
         return Sighting(mark, _refined(picture, pixel, self.points[mark], free))
 
 
+# Kinds of target, with the name of the second length that some have.
+TARGET_KINDS = {
+    "charuco": "marker",
+    "chessboard": None,
+    "circles": None,
+    "asymmetric-circles": None,
+    "aprilgrid": "gap",
+}
+
+
+def make_target(
+    kind: str, columns: int, rows: int, side: float, second: float | None, dictionary: str | None
+) -> Target:
+    """A target of a kind.
+
+    Parameters
+    ----------
+    kind : str                      a key of `TARGET_KINDS`
+    columns, rows : int             as its class counts them
+    side : float [m]                of a square or tag; spacing of circles
+    second : float [m] or None      the length that `TARGET_KINDS` names
+    dictionary : str or None        of the markers; None: the usual one
+
+    Returns
+    -------
+    Target
+
+    Raises
+    ------
+    InputError                      as its class
+    """
+    if kind == "chessboard":
+        return Chessboard(columns, rows, side)
+    if kind in ("circles", "asymmetric-circles"):
+        return Circles(columns, rows, side, kind == "asymmetric-circles")
+    if kind == "aprilgrid":
+        return AprilGrid(columns, rows, side, second or 0.0, dictionary or "apriltag_36h11")
+    return Charuco(columns, rows, side, second or 0.0, dictionary or "4x4_250")
+
+
 _NOTHING = Sighting(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
 
 

@@ -10,6 +10,7 @@ Read first : `style.py`, then `estimate.py` and `flow.py`.
 
 from palpate.figures.calibration import (
     board_figure as board_figure,
+    drawn_edges as drawn_edges,
     object_figure as object_figure,
     recording_figure as recording_figure,
     residual_figure as residual_figure,

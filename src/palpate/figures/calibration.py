@@ -6,7 +6,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Real
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -188,14 +188,14 @@ def _set_space(axes: Any) -> None:
 
 
 @styled
-def object_figure(rig: Rig, mesh: TriangleMesh, grey: Sequence[Float[np.ndarray, "_ _"]]) -> Figure:
+def object_figure(rig: Rig, mesh: TriangleMesh, grey: Sequence[Real[np.ndarray, "_ _"]]) -> Figure:
     """Silhouette and creases of a mesh over the pictures of the object, one panel per camera.
 
     Parameters
     ----------
     rig : Rig                       in the object frame
     mesh : TriangleMesh
-    grey : sequence of c (rows, columns) float [grey levels]    one picture for each camera
+    grey : sequence of c (rows, columns) [grey levels]    one picture for each camera
 
     Returns
     -------
@@ -206,7 +206,7 @@ def object_figure(rig: Rig, mesh: TriangleMesh, grey: Sequence[Float[np.ndarray,
         axes = figure.add_subplot(1, len(grey), c + 1)
         axes.imshow(picture, cmap="gray", vmin=0.0, vmax=255.0)
         pixel = project(camera, mesh.vertices)
-        lines = pixel[_drawn_edges(mesh, camera_centre(camera))]
+        lines = pixel[drawn_edges(mesh, camera_centre(camera))]
         axes.add_collection(LineCollection(list(lines), colors=ORANGE, linewidths=0.8))
         low, high = np.nanmin(pixel, axis=0), np.nanmax(pixel, axis=0)
         half = 0.5 * (1.0 + _AROUND) * float((high - low).max())
@@ -216,8 +216,18 @@ def object_figure(rig: Rig, mesh: TriangleMesh, grey: Sequence[Float[np.ndarray,
     return figure
 
 
-def _drawn_edges(mesh: TriangleMesh, eye: Vector3) -> Int[np.ndarray, "k 2"]:
-    """Visible edges to draw: silhouette edges, between a front and a back face, and creases."""
+def drawn_edges(mesh: TriangleMesh, eye: Vector3) -> Int[np.ndarray, "k 2"]:
+    """Visible edges to draw: silhouette edges, between a front and a back face, and creases.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    eye : (3,) float [m]            from where it is seen
+
+    Returns
+    -------
+    (k, 2) int                      vertices at their ends
+    """
     toward = np.einsum(
         "ma,ma->m", unit_normals(mesh), eye - mesh.vertices[mesh.triangles].mean(axis=1)
     )

@@ -25,7 +25,11 @@ from palpate.lab.config_files import (
     read_lab_config as read_lab_config,
 )
 from palpate.lab.facility import make_session as make_session, make_sessions as make_sessions
-from palpate.lab.head import make_head as make_head, miscalibrated as miscalibrated
+from palpate.lab.head import (
+    board_picture as board_picture,
+    make_head as make_head,
+    miscalibrated as miscalibrated,
+)
 from palpate.lab.planned_pictures import planned_pictures as planned_pictures
 from palpate.lab.press_film import (
     Film as Film,
@@ -45,5 +49,6 @@ from palpate.lab.specimens import (
 from palpate.lab.studio import make_studio as make_studio, photograph as photograph
 from palpate.lab.tutorial import (
     Print as Print,
+    board_pose as board_pose,
     make_tutorial as make_tutorial,
 )

@@ -140,7 +140,7 @@ def _write_boards(
         (folder / camera.name).mkdir(parents=True)
     for number in range(size.boards):
         progress("boards", number / size.boards)
-        pose = _board_pose(rig, board, config, number, rng)
+        pose = board_pose(rig, board, config, number, rng)
         for camera in rig.cameras:
             picture = board_picture(
                 camera, pose, *board, rng=rng, noise=config.pictures.noise,
@@ -149,11 +149,24 @@ def _write_boards(
             cv2.imwrite(str(folder / camera.name / f"{number:02d}.png"), picture)
 
 
-def _board_pose(
+def board_pose(
     rig: Rig, board: Print, config: LabConfig, number: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "4 4"]:
-    """Pose of the board in the object's frame: the first on the table, where the object will stand;
-    the others tilted in front of the cameras."""
+    """Pose of a board that is shown to the cameras: the first on the table, where the object will
+    stand; the others tilted in front of the cameras.
+
+    Parameters
+    ----------
+    rig : Rig
+    board : levels, extent          `Print`
+    config : LabConfig              its specimen's size says where the table is
+    number : int                    of the pose, from 0
+    rng : Generator
+
+    Returns
+    -------
+    (4, 4) float [m]                x_object = pose x_board
+    """
     # The print faces -z of its own frame.
     turn, middle = np.diag([1.0, -1.0, -1.0]), np.zeros(3)
     if number > 0:

@@ -10,12 +10,10 @@ from rich.table import Table
 from palpate.app.tables import terminal_table
 from palpate.app.terminal import print_notes, print_tables, print_text, progress_bar
 from palpate.calibration import (
-    AprilGrid,
+    TARGET_KINDS,
     Calibration,
     CameraQuality,
     Charuco,
-    Chessboard,
-    Circles,
     ObjectView,
     Target,
     baseline_text,
@@ -28,6 +26,7 @@ from palpate.calibration import (
     find_videos,
     length_check,
     length_sigma,
+    make_target,
     still_frames,
     timing_note,
     view_object,
@@ -303,18 +302,13 @@ def _make_target(
     gap: str | None,
     dictionary: str | None,
 ) -> Target:
+    name = TARGET_KINDS[kind]
+    text = {"marker": marker, "gap": gap, None: ""}[name]
+    if text is None:
+        raise InputError(f"a target of kind {kind} needs --{name}, with its unit, like 9mm")
+    second = metres_from_text(text, name=f"--{name}") if text else None
     side = metres_from_text(square, name="--square")
-    if kind == "chessboard":
-        return Chessboard(columns, rows, side)
-    if kind in ("circles", "asymmetric-circles"):
-        return Circles(columns, rows, side, kind == "asymmetric-circles")
-    needed, name = (gap, "--gap") if kind == "aprilgrid" else (marker, "--marker")
-    if needed is None:
-        raise InputError(f"a target of kind {kind} needs {name}, with its unit, like 9mm")
-    other = metres_from_text(needed, name=name)
-    if kind == "aprilgrid":
-        return AprilGrid(columns, rows, side, other, dictionary or "apriltag_36h11")
-    return Charuco(columns, rows, side, other, dictionary or "4x4_250")
+    return make_target(kind, columns, rows, side, second, dictionary)
 
 
 def _boards(target: Target, count: int) -> list[Target]:

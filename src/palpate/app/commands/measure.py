@@ -88,9 +88,10 @@ def measure(
 ) -> int:
     """Measure an object live: cameras, a gauge or a scale, pushes by hand or by an arm.
 
-    Looks at the devices, asks what the object is, says where to press, and after each push prints
-    the constants with their intervals and how many more pushes the wanted precision takes. The
-    session is whole after each push; begun again with the same folder, it goes on.
+    Looks at the devices, calibrates cameras without a rig with a board that is held up, asks what
+    the object is, says where to press, and after each push prints the constants with their
+    intervals and how many more pushes the wanted precision takes. The session is whole after each
+    push; begun again with the same folder, it goes on.
 
     It asks and shows in the browser, on a page that this computer serves to itself only and to who
     has the address that is printed; or at the terminal, with --terminal, without a display, or
@@ -111,7 +112,7 @@ def measure(
         Folder in which to keep factors and reduced models of this object, as in `palpate fit`.
         Without it, factors are kept in memory while it runs.
     dry_run
-        Say what the arm would do for the first push, without moving it.
+        Say and draw what the arm would do for the first push, without moving it.
     terminal
         Ask at the terminal.
     port
