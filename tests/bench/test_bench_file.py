@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 from bench.test_devices import Straight
+from surfaces import box
 
+from palpate.app.cli import main
 from palpate.bench import bench_file, read_bench
 from palpate.calibration import Chessboard
 from palpate.errors import RecordError
+from palpate.geometry import write_mesh
 from palpate.records import Camera, Rig, write_rig
 
 CAMERAS = """
@@ -134,3 +137,14 @@ def test_one_camera_is_refused(tmp_path):
     text = HEAD.split("[rig]")[0] + CAMERAS[: CAMERAS.rindex("[[camera]]")] + FORCE
     with pytest.raises(RecordError, match="is one camera; must be two or more"):
         read(tmp_path, text)
+
+
+def test_the_template_of_init_is_a_bench(tmp_path):
+    write_mesh(tmp_path / "sponge.stl", box(size=(0.1, 0.06, 0.04), cells=2))
+    assert main(["init", str(tmp_path), "--template", "webcams", "--tool-radius", "0.008"]) == 0
+    bench = read_bench(tmp_path)
+    assert [camera.source for camera in bench.cameras] == [0, 1]
+    assert bench.rig is None
+    assert bench.board is not None
+    np.testing.assert_allclose(bench.direction, [0.0, 0.0, -1.0])
+    assert bench.contact == {"tool": "sphere", "tool_radius": 0.008}
