@@ -24,6 +24,7 @@ from palpate.records import (
     BudgetEntry,
     Constant,
     ErrorEstimate,
+    LoadDependence,
     RegionEstimate,
     Status,
     read_session,
@@ -166,15 +167,20 @@ def test_what_is_not_determined_is_said_in_place_of_a_number(cube_session):
     assert "0.3000" not in printed(probes_table(estimate), 140)
 
 
-def test_stiffening_has_a_row(cube_session):
+def test_stiffening_has_rows(cube_session):
     known = sample_result(read_session(cube_session)).estimate
-    assert "stiffening" not in printed(constants_table(known), 120)
-    stiff = replace(known, stiffening=Constant(3.0, 0.2, (2.6, 3.4)))
-    (row,) = (
-        line for line in printed(constants_table(stiff), 120).splitlines() if "C2 / C1" in line
-    )
-    assert "3.00 \u00b1 0.20" in row
-    assert "2.60 to 3.40" in row
+    assert "load" not in printed(constants_table(known), 120)
+    exponent = Constant(0.12, 0.03, (0.06, 0.18))
+    load = LoadDependence(exponent, (0.51, 1.0), (0.95, 1.05))
+    stiff = replace(known, stiffening=Constant(3.0, 0.2, (2.6, 3.4)), load=load)
+    rows = [line.split("  ") for line in printed(constants_table(stiff), 80).splitlines()]
+    rows = {cells[0].strip(): [cell.strip() for cell in cells if cell.strip()] for cells in rows}
+    assert rows["stiffening C2 / C1"][1:] == ["3.00 \u00b1 0.20", "2.60 to 3.40", "-"]
+    young = known.young_modulus.value / 1e3
+    assert rows["E at 0.51 N"][1:] == [f"{0.95 * young:.3g}", "-", "kPa"]
+    assert rows["E at 1 N"][1:] == [f"{1.05 * young:.3g}", "-", "kPa"]
+    rises = rows["E rises with load, as force to the"]
+    assert rises[1:] == ["0.120 \u00b1 0.030", "0.060 to 0.180", "-"]
 
 
 def test_regions_have_a_table(cube_session):

@@ -17,6 +17,7 @@ from palpate.records import (
     Constant,
     ErrorEstimate,
     Estimate,
+    LoadDependence,
     RegionEstimate,
     Status,
     quantities,
@@ -126,6 +127,11 @@ def test_a_verdict_says_that_the_estimate_is_biased():
     known = dict.fromkeys(CONSTANT_NAMES, True)
     estimate = Estimate(Status.OK, **constants(), identifiable=known, probes=(), seconds={},
                         method="reduced", settings={}, notes=notes)  # fmt: skip
+    load = LoadDependence(Constant(0.12, 0.03, (0.06, 0.18)), (0.51, 1.0), (0.95, 1.05))
+    assert (
+        "Stiffness rises with load: E is 57 kPa at 0.51 N, 63 kPa at 1 N (4 sigma)."
+        in verdict_text(replace(estimate, load=load))
+    )
     text = verdict_text(estimate)
     assert text.startswith("All three constants are determined by the data. E = 60.0 kPa")
     assert f"(95 % intervals in brackets). {notes[1]} 2 notes say so." in text

@@ -15,7 +15,14 @@ from estimate_samples import constants, sample_result
 from palpate.api import Result
 from palpate.errors import RecordError
 from palpate.pipeline import read_fitted_surface
-from palpate.records import Constant, Status, check_fit_result, read_estimate, write_estimate
+from palpate.records import (
+    Constant,
+    LoadDependence,
+    Status,
+    check_fit_result,
+    read_estimate,
+    write_estimate,
+)
 from palpate.report import write_report
 from palpate.report.scene import scene
 
@@ -246,12 +253,15 @@ def test_a_body_that_creeps_and_stiffens_says_so(saved, tmp_path):
     estimate = read_estimate(folder / "estimate.json")
     relaxation = sample_relaxation(2e4)
     stiffening = Constant(3.0, 0.2, (2.6, 3.4))
-    changed = replace(estimate, relaxation=relaxation, stiffening=stiffening)
+    load = LoadDependence(Constant(-0.12, 0.03, (-0.18, -0.06)), (0.5, 2.0), (1.1, 0.9))
+    changed = replace(estimate, relaxation=relaxation, stiffening=stiffening, load=load)
     write_estimate(folder / "estimate.json", changed)
     write_report(folder, folder / "report.html")
     text = page_of(folder).text
     assert "stiffening C2 / C1" in text
     assert "2.60 to 3.40" in text
+    assert "Stiffness falls with load: " in text
+    assert "falls with load, as force to the -0.120 \u00b1 0.030 95 % interval" in text
     assert "Over time" in text
     assert "The constants above are those at 12 s after contact." in text
     assert relaxation.remarks[0] in text

@@ -31,11 +31,11 @@ from palpate.records import (
     constant_row,
     constant_text,
     error_texts,
+    law_rows,
     length_unit,
     modulus_unit,
     region_row,
     relaxation_rows,
-    stiffening_row,
     value_text,
 )
 
@@ -115,8 +115,7 @@ def constants_table(estimate: Estimate) -> Table:
     for name, label in _LABELS.items():
         *texts, unit = constant_row(estimate, name)
         rows.append((label, *texts, unit or "-"))
-    if estimate.stiffening is not None:
-        rows.append((*stiffening_row(estimate.stiffening), "-"))
+    rows += law_rows(estimate)
     columns = ("constant", "value ± 1 sigma", "95 % interval", "unit")
     caption = " ".join(_captions(estimate))
     return terminal_table("Elastic constants", columns, rows, caption=caption)

@@ -24,7 +24,7 @@ from palpate.pipeline.heterogeneous import (
     Predictor,
     fit_material,
 )
-from palpate.pipeline.load_dependence import load_dependence
+from palpate.pipeline.load_dependence import is_shown, load_dependence
 from palpate.pipeline.model.contact_loads import OUTWARD_ERROR, RADIUS_ERROR
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.large_strain import fit_at_finite_strain, require_finite_strain
@@ -46,11 +46,13 @@ from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     BIASED,
     FRICTIONS,
+    Estimate,
     ProbeEstimate,
     Reciprocity,
     Session,
     Status,
     SupportEstimate,
+    load_text,
     require_probings,
     without_pictures,
 )
@@ -167,6 +169,9 @@ def _fit_displacements(
         result = fit_at_finite_strain(refined, observations, linear, settings, last)
     else:
         result, field = fit_material(material, graded, observations, settings, last, cache, tested)
+    load = load_dependence(graded, result.minimum)
+    if is_shown(load):
+        result = replace(result, estimate=replace(result.estimate, load=load))
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
@@ -343,7 +348,7 @@ def _session_notes(
         strained = biased = []
     others = [note for note in session.notes if BIASED not in note]
     found = _contact_notes(refined, probes) + _rejection_notes(session)
-    strained = [*_load_notes(graded, result), *strained]
+    strained = [*_load_notes(result.estimate, finite_strain=finite_strain), *strained]
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
     # Pushes that contradict each other leave the model nothing to explain.
     broken = [tested.text] if tested is not None and not tested.holds else []
@@ -356,15 +361,18 @@ def _agreement(tested: Reciprocity | None) -> list[str]:
     return [tested.text] if tested is not None and tested.holds and tested.is_tested else []
 
 
-def _load_notes(session: Session, result: FitResult) -> list[str]:
+def _load_notes(estimate: Estimate, *, finite_strain: bool) -> list[str]:
     """A note on a modulus that changes with the load."""
-    found = load_dependence(session, result.minimum)
-    if found is None or not found.is_significant:
+    load = estimate.load
+    if load is None:
         return []
-    estimate = result.estimate
-    if estimate.identifiable["young_modulus"]:
-        return [found.note("E", estimate.young_modulus.value)]
-    return [found.note("G", estimate.shear_modulus.value)]
+    cause = "stiffens" if load.exponent.value > 0.0 else "softens, or a tool slips,"
+    fit = "" if finite_strain else ", or fit the stiffening (--strain finite)"
+    note = (
+        f"{load_text(estimate)} The object or its shape {cause} under load, and the constants are a"
+        f" mean over these loads: for small ones fit the gentle pushes alone (--probe){fit}."
+    )
+    return [note]
 
 
 def _rotation_notes(probes: Sequence[ProbeEstimate]) -> list[str]:

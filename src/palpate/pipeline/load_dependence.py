@@ -6,64 +6,20 @@ the model leaves over in proportion to the force, the same in all pushes at a pl
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
 from palpate.estimation import FALSE_ALARM, Evaluation
-from palpate.records import Session, modulus_unit
+from palpate.records import HALF_95, Constant, LoadDependence, Session
 
 # Forces less unlike than so tell nothing of a dependence.
 _UNLIKE = 1.25
+# Standard deviations from which a dependence counts as shown.
+_SHOWN = -float(ndtri(0.5 * FALSE_ALARM))
 # Fewest points that several pushes have in common, for what they leave over to be compared.
 _FEWEST = 3
-
-
-@dataclass(frozen=True, slots=True)
-class LoadDependence:
-    """How the modulus changes with the load.
-
-    Attributes
-    ----------
-    exponent : float [-]            above 0 the object stiffens
-    std : float [-]                 one standard deviation
-    force : (float, float) [N]      smallest and largest
-    factor : (float, float) [-]     the modulus at these over that of the joint fit
-    """
-
-    exponent: float
-    std: float
-    force: tuple[float, float]
-    factor: tuple[float, float]
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether a linear object is ruled out."""
-        return abs(self.exponent) > -float(ndtri(0.5 * FALSE_ALARM)) * self.std
-
-    def note(self, modulus: str, constant: float) -> str:
-        """What it means for the constants, in full sentences.
-
-        Parameters
-        ----------
-        modulus : str               "E" or "G"
-        constant : float [Pa]       its joint value
-        """
-        scale, unit = modulus_unit(constant)
-        low, high = (f"{constant * each / scale:.3g}" for each in self.factor)
-        least, largest = (f"{each:.2g} N" for each in self.force)
-        rises, cause = "rises", "stiffens"
-        if self.exponent < 0.0:
-            rises, cause = "falls", "softens, or a tool slips,"
-        return (
-            f"Stiffness {rises} with load: {modulus} is {low} {unit} at {least}, {high} {unit} at"
-            f" {largest} (as force^{self.exponent:.2f}, +- {self.std:.2f}, in pushes at one place)."
-            f" The object or its shape {cause} under load, and the constants are a mean over these"
-            " loads: for small ones fit the gentle pushes alone (--probe), or fit the stiffening"
-            " (--strain finite)."
-        )
 
 
 def load_dependence(session: Session, minimum: Evaluation) -> LoadDependence | None:
@@ -101,10 +57,22 @@ def load_dependence(session: Session, minimum: Evaluation) -> LoadDependence | N
     ends = force[used].min(), force[used].max()
     middle = float(np.log(force[used]).mean())
     low, high = np.exp(np.mean(level) + exponent * (np.log(ends) - middle))
+    std = float(np.sqrt(max(noise, scatter)))
+    interval = exponent - HALF_95 * std, exponent + HALF_95 * std
     return LoadDependence(
-        exponent, float(np.sqrt(max(noise, scatter))), (float(ends[0]), float(ends[1])),
+        Constant(exponent, std, interval), (float(ends[0]), float(ends[1])),
         (float(low), float(high)),
     )  # fmt: skip
+
+
+def is_shown(found: LoadDependence | None) -> bool:
+    """Whether pushes rule out a linear object.
+
+    Parameters
+    ----------
+    found : LoadDependence or None      None: nothing tells
+    """
+    return found is not None and abs(found.exponent.value) > _SHOWN * found.exponent.std
 
 
 def _places(session: Session, force: Float[np.ndarray, " k"]) -> Iterator[Int[np.ndarray, " g"]]:

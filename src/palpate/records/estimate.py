@@ -457,6 +457,22 @@ class RelaxationEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class LoadDependence:
+    """How the modulus changes with the load: it is proportional to force^exponent.
+
+    Parameters
+    ----------
+    exponent : Constant [-]         above 0 the object stiffens
+    force : (float, float) [N]      smallest and largest
+    factor : (float, float) [-]     the modulus at these over that of all pushes together
+    """
+
+    exponent: Constant
+    force: tuple[float, float]
+    factor: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """The elastic constants of the object, estimated from all its probings.
 
@@ -482,6 +498,7 @@ class Estimate:
     relaxation : RelaxationEstimate or None     None: no probing has a series
     stiffening : Constant or None [-]   C2 / C1 of Yeoh's law, whose small strain has the constants
                                     above; None: the data do not show it, or small strain was taken
+    load : LoadDependence or None   None: the data do not show that the modulus changes with it
 
     Raises
     ------
@@ -507,6 +524,7 @@ class Estimate:
     regions: tuple[RegionEstimate, ...] = ()
     relaxation: RelaxationEstimate | None = None
     stiffening: Constant | None = None
+    load: LoadDependence | None = None
 
     def __post_init__(self) -> None:
         expected = Status.from_identifiable(self.identifiable)

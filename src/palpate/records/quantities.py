@@ -15,6 +15,7 @@ from palpate.records.estimate import (
     Constant,
     ErrorEstimate,
     Estimate,
+    LoadDependence,
     RegionEstimate,
     RelaxationEstimate,
     Status,
@@ -43,6 +44,7 @@ _NO_INTERVAL = "none"
 _SYMBOLS = {"young_modulus": "E", "shear_modulus": "G", "poisson_ratio": "nu"}
 # Simple shear at which stiffening is told; range of the factor there that is no knowledge.
 _SHEAR, _UNKNOWN = 0.2, 0.5
+_RISES = {True: "rises", False: "falls"}
 _INCH, _POUND = 0.0254, 4.4482216152605
 # Value of each unit in SI units.
 LENGTH_UNITS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": _INCH}
@@ -234,14 +236,54 @@ def relaxation_rows(relaxation: RelaxationEstimate) -> list[tuple[str, str, str,
     return rows
 
 
-def stiffening_row(stiffening: Constant) -> tuple[str, str, str]:
-    """The stiffening of a material in a table: its name, value and 95 % interval.
+def law_rows(estimate: Estimate) -> list[tuple[str, str, str, str]]:
+    """Rows of a table of constants on what one modulus does not say, where the data show it: the
+    stiffening of the material, and how the modulus changes with the load.
 
     Parameters
     ----------
-    stiffening : Constant [-]       C2 / C1 of Yeoh's law
+    estimate : Estimate
+
+    Returns
+    -------
+    list of four str                what; value; 95 % interval; unit
     """
-    return "stiffening C2 / C1", constant_text(stiffening), interval_text(stiffening)
+    rows, load = [], estimate.load
+    if (found := estimate.stiffening) is not None:
+        rows.append(("stiffening C2 / C1", constant_text(found), interval_text(found), "-"))
+    if load is not None:
+        symbol, values, unit = _at_loads(estimate, load)
+        for value, force in zip(values, load.force, strict=True):
+            rows.append((f"{symbol} at {force:.2g} N", value, "-", unit))
+        what = f"{symbol} {_RISES[load.exponent.value > 0.0]} with load, as force to the"
+        rows.append((what, constant_text(load.exponent), interval_text(load.exponent), "-"))
+    return rows
+
+
+def load_text(estimate: Estimate) -> str:
+    """That stiffness changes with the load, in a sentence; empty where the data do not show it.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    """
+    load = estimate.load
+    if load is None:
+        return ""
+    symbol, values, unit = _at_loads(estimate, load)
+    at = ", ".join(
+        f"{value} {unit} at {force:.2g} N" for value, force in zip(values, load.force, strict=True)
+    )
+    rises, sigmas = _RISES[load.exponent.value > 0.0], abs(load.exponent.value) / load.exponent.std
+    return f"Stiffness {rises} with load: {symbol} is {at} ({sigmas:.2g} sigma)."
+
+
+def _at_loads(estimate: Estimate, load: LoadDependence) -> tuple[str, list[str], str]:
+    """Symbol of the modulus that is determined, its values at both loads, and their unit."""
+    known = estimate.identifiable["young_modulus"]
+    symbol, modulus = ("E", estimate.young_modulus) if known else ("G", estimate.shear_modulus)
+    factor, unit = _constant_unit(estimate, "young_modulus")
+    return symbol, [f"{modulus.value * each / factor:.3g}" for each in load.factor], unit
 
 
 def stiffening_text(stiffening: Constant, *, shown: bool) -> str:
@@ -284,7 +326,8 @@ def verdict_text(estimate: Estimate) -> str:
     Returns
     -------
     str                             the meaning of the status; then the identifiable constants with
-                                    their intervals; then the first note that calls it biased
+                                    their intervals; then how they change with the load, and the
+                                    first note that calls it biased
     """
     sentence = estimate.status.sentence
     known = []
@@ -302,6 +345,8 @@ def verdict_text(estimate: Estimate) -> str:
     )
     if known:
         sentences.append(f"{', '.join(known)} ({remark}).")
+    if estimate.load is not None:
+        sentences.append(load_text(estimate))
     biased = [note for note in (*estimate.notes, *estimate.details) if BIASED in note]
     sentences += biased[:1]
     if len(biased) > 1:

@@ -37,12 +37,12 @@ from palpate.records import (
     constant_text,
     error_texts,
     file_stems,
+    law_rows,
     modulus_unit,
     read_estimate,
     read_text,
     region_row,
     relaxation_rows,
-    stiffening_row,
     verdict_text,
     without_pictures,
     write_estimate,
@@ -269,11 +269,9 @@ def _constant_rows(estimate: Estimate) -> list[dict[str, str]]:
         rows.append(
             {"label": label, "symbol": symbol, "value": value, "interval": interval, "unit": unit}
         )
-    if estimate.stiffening is not None:
-        label, value, interval = stiffening_row(estimate.stiffening)
-        rows.append(
-            {"label": label, "symbol": "", "value": value, "interval": interval, "unit": ""}
-        )
+    for label, value, interval, unit in law_rows(estimate):
+        shown = {"value": value, "interval": interval.strip("-"), "unit": unit.strip("-")}
+        rows.append({"label": label, "symbol": ""} | shown)
     return rows
 
 

@@ -14,6 +14,7 @@ from palpate.records import (
     Constant,
     Estimate,
     FieldEstimate,
+    LoadDependence,
     ProbeEstimate,
     RegionEstimate,
     Status,
@@ -53,7 +54,8 @@ def _estimate(**changes):
 
 @pytest.mark.parametrize("stiffening", [None, Constant(3.0, 0.2, (2.6, 3.4))])
 def test_round_trip_is_exact(tmp_path, stiffening):
-    estimate = _estimate(stiffening=stiffening)
+    load = stiffening and LoadDependence(stiffening, (0.5, 2.0), (0.9, 1.1))
+    estimate = _estimate(stiffening=stiffening, load=load)
     write_estimate(tmp_path / "estimate.json", estimate)
     assert read_estimate(tmp_path / "estimate.json") == estimate
 
