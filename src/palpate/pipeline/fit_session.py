@@ -26,8 +26,9 @@ from palpate.pipeline.heterogeneous import (
 )
 from palpate.pipeline.load_dependence import is_shown, load_dependence
 from palpate.pipeline.model.contact_loads import OUTWARD_ERROR, RADIUS_ERROR
+from palpate.pipeline.model.finite_body import require_finite_strain
 from palpate.pipeline.model.grading import graded_session, refined_session
-from palpate.pipeline.model.large_strain import fit_at_finite_strain, require_finite_strain
+from palpate.pipeline.model.large_strain import fit_at_finite_strain
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, length_error, with_stretch
 from palpate.pipeline.motion.figures import rejection_note, rejections

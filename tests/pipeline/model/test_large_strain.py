@@ -11,7 +11,9 @@ from surfaces import box
 from palpate.errors import InputError
 from palpate.geometry import closest_points
 from palpate.pipeline import fit_session
-from palpate.pipeline.model.large_strain import make_finite_body, strain_corrections
+from palpate.pipeline.model import large_strain
+from palpate.pipeline.model.finite_body import make_finite_body
+from palpate.pipeline.model.large_strain import strain_corrections
 from palpate.pipeline.model.stiffening import MaterialConstants, is_stiffening
 from palpate.records import (
     BIASED,
@@ -71,6 +73,25 @@ def test_it_is_of_second_order_in_the_load() -> None:
     small, large = (_correction(push) for push in (0.05, 0.1))
     # A third order of some tenths of the second is left at 0.1 N, 2 % strain.
     assert np.linalg.norm(large) / np.linalg.norm(small) == pytest.approx(4.0, rel=0.05)
+
+
+def test_what_presses_alike_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    session, solved = _session(1.0), []
+    (probing,) = session.probings
+    stronger = replace(probing, name="s", force=1.5 * probing.force)
+    again = replace(probing, name="a")
+    body = make_finite_body(replace(session, probings=(probing, stronger, again)), coarser=2.0)
+    assert body.same == (0, 1, 0)
+
+    def counted(*args: object, **options: object) -> np.ndarray:
+        solved.append(args)
+        return solve_finite(*args, **options)
+
+    monkeypatch.setattr(large_strain, "solve_finite", counted)
+    first, other, second = strain_corrections(body, MaterialConstants(SHEAR, NU))
+    assert len(solved) == 2
+    assert np.array_equal(first.value, second.value)
+    assert not np.array_equal(first.value, other.value)
 
 
 def test_slopes_are_those_of_the_corrections() -> None:

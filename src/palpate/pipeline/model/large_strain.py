@@ -15,10 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.sparse import csr_array
+from jaxtyping import Float
 
-from palpate.errors import InputError, NotConvergedError
+from palpate.errors import NotConvergedError
 from palpate.estimation import (
     FitResult,
     FitSettings,
@@ -30,9 +29,7 @@ from palpate.estimation import (
     fit,
     fixed_displacement,
 )
-from palpate.geometry import mesh_quality
-from palpate.pipeline.model.contact_loads import outward_load
-from palpate.pipeline.model.grading import halved_session
+from palpate.pipeline.model.finite_body import FiniteBody, make_finite_body
 from palpate.pipeline.model.stiffening import (
     STIFFENING_STD,
     STIFFENS,
@@ -42,38 +39,25 @@ from palpate.pipeline.model.stiffening import (
 )
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
-    FIXED,
-    SLIDES,
     Constant,
-    Contact,
-    FlatFace,
-    Probing,
     Session,
-    ShapedTool,
-    Sphere,
     Status,
     stiffening_text,
 )
-from palpate.shapes import Points, Vector3
+from palpate.shapes import Points
 from palpate.solids import (
     Body,
     FinitePress,
     LawOf,
     NeoHookean,
-    Solid,
     SplitNeoHookean,
-    Tip,
     dilation_slope,
-    held_nodes,
     load_slopes,
     make_body,
-    make_solid,
     press_finite,
     press_slopes,
-    pressure_load,
     solve_finite,
     solve_load,
-    surface_values,
     yeoh,
 )
 
@@ -90,12 +74,6 @@ _COARSER = 1.4
 _BEYOND = 1.0 / (_COARSER**2 - 1.0)
 # Fractions of the work that are done with the coarser elements, and with those by another law.
 _ROUGH, _OTHER = 0.2, 0.3
-# Element size away from the tools over the mean edge of the mesh. Over the contact radius: radius
-# of the region under a tool, whose own shape tells where it touches, or under a pressure, and
-# element size there; the same along the rim of a flat face, where pressure is without bound.
-_COARSE = 1.5
-_UNDER, _UNDER_PRESSURE = {Sphere: (1.0, 0.6), FlatFace: (1.3, 1.0)}, (1.3, 0.4)
-_AT_RIM = (0.12, 0.16)
 # Largest Poisson's ratio for which neo-Hookean elements find an equilibrium.
 _LARGEST_RATIO = 0.495
 
@@ -214,87 +192,8 @@ def fit_at_finite_strain(
     return replace(result, estimate=replace(estimate, notes=notes, stiffening=stiffening))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _FiniteBody:
-    """A session's object in finite elements, with its loads and observed points.
-
-    Attributes
-    ----------
-    solid : Solid
-    held : (n,) bool                     nodes that are fixed
-    loads : tuple of (n, 3) float [N]    nodal forces of each probing, as in the linear model
-    tips : tuple of Tip or None          of each probing, where its contact is solved for at finite
-                                         strain; None: the load stays as it is
-    observed : tuple of sparse (p, n)    of each probing: takes nodes to its points and, where the
-                                         tip's displacement was measured, to the contact point
-    """
-
-    solid: Solid
-    held: Bool[np.ndarray, " n"]
-    loads: tuple[Float[np.ndarray, "n 3"], ...]
-    tips: tuple[Tip | None, ...]
-    observed: tuple[csr_array, ...]
-
-
-def make_finite_body(session: Session, *, coarser: float = 1.0) -> _FiniteBody:
-    """Fill a session's object with tetrahedra, finer under its tools.
-
-    Parameters
-    ----------
-    session : Session
-    coarser : float [-]             factor on the usual edge length of all elements
-
-    Returns
-    -------
-    _FiniteBody
-
-    Raises
-    ------
-    InputError                      of `require_finite_strain`
-    MeshError                       the surface cannot be filled
-    """
-    require_finite_strain(session)
-    tips = tuple(_tip(probing) for probing in session.probings)
-    fine = [
-        region
-        for probing, tip in zip(session.probings, tips, strict=True)
-        for region in _fine_regions(probing.contact, tip, coarser)
-    ]
-    edge = coarser * _COARSE * mesh_quality(session.mesh).edge_mean
-    if any(tips):
-        # A tool meets the surface as it is curved.
-        session = halved_session(session)
-    solid = make_solid(session.mesh, edge=edge, fine=fine)
-    loads, observed = [], []
-    for probing in session.probings:
-        share = pressure_load(
-            solid,
-            probing.contact.point,
-            float(probing.contact.radius or 0.0),
-            probing.contact.pressure,
-        )
-        outward = outward_load(solid, probing.contact, probing.force)
-        loads.append(share[:, None] * probing.force + outward)
-        observed.append(surface_values(solid, _places(probing)))
-    held = held_nodes(solid, session.held_triangles)
-    return _FiniteBody(solid, held, tuple(loads), tips, tuple(observed))
-
-
-def _fine_regions(
-    contact: Contact, tip: Tip | None, coarser: float
-) -> list[tuple[Vector3, float, float]]:
-    """Where elements are finer: point, reach and edge (`make_solid`)."""
-    radius = float(contact.radius or 0.0)
-    reach, size = _UNDER_PRESSURE if tip is None else _UNDER[type(tip.tool)]
-    regions = [(contact.point, reach * radius, coarser * size * radius)]
-    if tip is not None and tip.tool.is_flat:
-        reach, edge = _AT_RIM[0] * tip.radius, coarser * _AT_RIM[1] * tip.radius
-        regions += [(point, reach, edge) for point in tip.rim(edge)]
-    return regions
-
-
 def strain_corrections(
-    body: _FiniteBody,
+    body: FiniteBody,
     constants: MaterialConstants,
     *,
     law: LawOf = NeoHookean,
@@ -305,7 +204,7 @@ def strain_corrections(
 
     Parameters
     ----------
-    body : _FiniteBody
+    body : FiniteBody
     constants : MaterialConstants   a Poisson's ratio above 0.495 is taken for 0.495, a stiffening
                                     below 0 for 0
     law : function                  Lame constants mu and lambda [Pa] -> `Law` of finite strain
@@ -334,24 +233,30 @@ def strain_corrections(
         shear_modulus=constants.shear_modulus,
         poisson_ratio=constants.poisson_ratio,
     )
-    corrections = []
-    for k in range(len(body.loads)):
-        progress("finite strain", k / len(body.loads))
+    pressed = []
+    for k, same in enumerate(body.same):
+        progress("finite strain", k / len(body.same))
         start = starts[k].press if starts else None
-        corrections.append(_correction(body, k, elastic, constants, law, start))
-    return tuple(corrections)
+        pressed.append(
+            pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start)
+        )
+    return tuple(
+        Correction(constants, seen @ value, np.stack([seen @ each for each in slope]), press)
+        for seen, (press, value, slope) in zip(body.observed, pressed, strict=True)
+    )
 
 
-def _correction(
-    body: _FiniteBody,
+def _pressed(
+    body: FiniteBody,
     index: int,
     elastic: Body,
     constants: MaterialConstants,
     plain: LawOf,
     start: FinitePress | None,
-) -> Correction:
-    """The correction of one probing."""
-    load, tip, observed = body.loads[index], body.tips[index], body.observed[index]
+) -> tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]:
+    """The solution of one probing at finite strain, and the correction of all nodes with its
+    slopes."""
+    load, tip = body.loads[index], body.tips[index]
     (mu, lame), law = elastic.lame, yeoh(constants.stiffening, plain)
     others = [law(mu, lame + mu), yeoh(constants.stiffening + 1.0, plain)(mu, lame)]
     linear = solve_load(elastic, load)
@@ -368,12 +273,12 @@ def _correction(
     per_ratio = 2.0 / (1.0 - 2.0 * constants.poisson_ratio) ** 2
     per_ratio *= constants.poisson_ratio < _LARGEST_RATIO
     by_ratio = per_ratio * (by_lame - dilation_slope(elastic, linear))
-    slope = np.stack([observed @ each for each in (linear - by_load, by_ratio, by_stiffening)])
-    return Correction(constants, observed @ (press.displacement - linear), slope, press)
+    slope = np.stack([linear - by_load, by_ratio, by_stiffening])
+    return press, press.displacement - linear, slope
 
 
 def _converged(
-    body: _FiniteBody,
+    body: FiniteBody,
     used: _Used,
     start: FitResult,
     progress: Progress,
@@ -539,53 +444,3 @@ def _share(observed: ProbeObservations, correction: Float[np.ndarray, "p 3"]) ->
     size = float(np.linalg.norm(observed.displacement[measured]))
     applied = correction[: len(measured)][measured]
     return float(np.linalg.norm(applied)) / max(size, float(np.finfo(float).tiny))
-
-
-def _tip(probing: Probing) -> Tip | None:
-    """A ball or a flat face that slides and moves along the force, through the point that it
-    touched first; None: a fixed patch."""
-    tool = probing.contact.tool
-    if not isinstance(tool, Sphere | FlatFace) or tool.friction != SLIDES:
-        return None
-    return Tip(tool, probing.contact.start, probing.force)
-
-
-def _places(probing: Probing) -> Points:
-    """Points of a probing, and its contact point where the tip's displacement was measured."""
-    field = probing.displacement
-    points = np.zeros((0, 3)) if field is None else field.surface.position
-    if probing.tip_displacement is None:
-        return points
-    return np.vstack([points, probing.contact.point])
-
-
-def require_finite_strain(session: Session) -> None:
-    """Refuse supports and loads that are not served at finite strain.
-
-    Parameters
-    ----------
-    session : Session               before or after its contacts are fitted
-
-    Raises
-    ------
-    InputError                      a support that moves or slides, a load on no round patch, or
-                                    without bound
-    """
-    for number, support in enumerate(session.supports, start=1):
-        if support.motion != FIXED or support.directions is not None:
-            raise InputError(
-                f"finite strain: support {number} moves or slides; only supports that are fixed are"
-                " served: leave --strain finite out"
-            )
-    for probing in session.probings:
-        contact = probing.contact
-        if contact.has_sharp_rim and _tip(probing) is None:
-            raise InputError(
-                f"finite strain: probing '{probing.name}' has the pressure of a flat face, which"
-                " no object bears at its rim; name the tool that slides, or take another profile"
-            )
-        if probing.loads or contact.radius is None or isinstance(contact.tool, ShapedTool):
-            raise InputError(
-                f"finite strain: probing '{probing.name}' has a load that is no round patch under a"
-                " tool; leave --strain finite out"
-            )
