@@ -1,5 +1,6 @@
 """Exports of a body that creeps: the numbers in the files of Abaqus and FEBio, replayed."""
 
+import importlib
 import json
 import re
 from dataclasses import replace
@@ -85,3 +86,19 @@ def test_an_elastic_body_has_no_such_files(source, tmp_path):
     assert not (tmp_path / "viscoelastic.inp").exists()
     assert json.loads((tmp_path / "palpate.json").read_text())["relaxation"] is None
     assert not any("creeps" in note for note in body.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # Of its own code.
+def test_sfepy_creeps_as_measured(source, tmp_path):
+    """Another program's elements and memory, with the numbers of the files."""
+    pytest.importorskip("sfepy")
+    moved_by_sfepy = importlib.import_module("creep_in_sfepy").moved_by_sfepy
+    export_fit(tmp_path, source, "calculix", edge=0.01)
+    step, count = 0.25, 160
+    moved, at_once = moved_by_sfepy(tmp_path, rise=RISE, step=step, count=count)
+    time = step * np.arange(count + 1)
+    expected = TRUTH.response(time, np.minimum(time / RISE, 1.0))
+    found = moved @ at_once / float(at_once @ at_once)
+    # Strain is not linear over a step, of a ninth of the shortest time.
+    np.testing.assert_allclose(found, expected, atol=1e-4)

@@ -67,6 +67,11 @@ _MODULUS_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
 _WANDERS = 0.1
 # Standard deviations of stiffening below which finer elements do not look for it.
 _HOPELESS = 1.0
+# Of stiffening that is too little to be shown, and without which the data contradict the model.
+_NEEDED = (
+    " By itself that is {sigmas:.2g} sigma, which may be chance; but these pushes contradict a"
+    " material that does not stiffen, and not this one."
+)
 # Soft materials of the same constants differ by about this much of their change from a linear one.
 _OTHER_LAWS = 0.3
 # Edge ratio of the coarser elements, and the error of second order over the change from these.
@@ -176,15 +181,19 @@ def fit_at_finite_strain(
     body, report = make_finite_body(session), part_of(progress, _OTHER, 1.0)
     result, found = rough, estimated_stiffening(rough)
     starts: tuple[Correction, ...] = ()
-    shown = found.value > _HOPELESS * found.std
+    shown, needed = found.value > _HOPELESS * found.std, False
     if shown:
         result, starts = _converged(body, used, rough, report, stiffens=True)
         found = estimated_stiffening(result)
         shown = is_stiffening(found)
     if not shown:
-        result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
+        plain = _converged(body, used, result, report, stiffens=False, starts=starts)
+        shown = needed = found.ci95[0] > 0.0 and _is_better(result, plain[0])
+        if not needed:
+            result, starts = plain
     estimate = result.estimate
     told, size = stiffening_text(found, shown=shown), _size_note(observations, starts)
+    told += _NEEDED.format(sigmas=found.value / found.std) if needed else ""
     notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
     if estimate.status is Status.MODEL_CONTRADICTED:
         notes, found = (*estimate.notes, size), Constant(found.value, np.nan, (np.nan, np.nan))
@@ -320,6 +329,12 @@ def _extrapolated(correction: Correction, rough: _Coarser) -> Correction:
     """A correction of infinitely fine elements, whose error is of second order (Richardson)."""
     step = correction.value - rough[0].at(correction.constants)
     return replace(correction, value=correction.value + _BEYOND * step)
+
+
+def _is_better(result: FitResult, other: FitResult) -> bool:
+    """Whether the data contradict the other model alone."""
+    contradicted = Status.MODEL_CONTRADICTED
+    return result.estimate.status is not contradicted and other.estimate.status is contradicted
 
 
 def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
