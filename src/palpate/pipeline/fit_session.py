@@ -170,13 +170,10 @@ def _fit_displacements(
         result = fit_at_finite_strain(refined, observations, linear, settings, last)
     else:
         result, field = fit_material(material, graded, observations, settings, last, cache, tested)
-    load = load_dependence(graded, result.minimum)
-    if is_shown(load):
-        result = replace(result, estimate=replace(result.estimate, load=load))
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
-    probes = _probe_estimates(model, result)
+    result, probes = _with_load(graded, result), _probe_estimates(model, result)
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
     )
@@ -189,9 +186,9 @@ def _fit_displacements(
         seconds=stages | {"total": time.perf_counter() - start},
         settings=result.estimate.settings | chosen | _described(session, refined, graded),
     )
-    result = with_relaxation(refined, replace(result, estimate=estimate))
     return replace(
-        result, probes=_on_given_mesh(result.probes, session),
+        with_relaxation(refined, replace(result, estimate=estimate)),
+        probes=_on_given_mesh(result.probes, session),
         predict=Predictor(result.minimum, field, settings),
     )  # fmt: skip
 
@@ -360,6 +357,14 @@ def _session_notes(
 def _agreement(tested: Reciprocity | None) -> list[str]:
     """That pushes agree, for those who want to know all."""
     return [tested.text] if tested is not None and tested.holds and tested.is_tested else []
+
+
+def _with_load(session: Session, result: FitResult) -> FitResult:
+    """A result with how its modulus changes with the load, where the pushes show it."""
+    load = load_dependence(session, result.minimum)
+    if not is_shown(load):
+        return result
+    return replace(result, estimate=replace(result.estimate, load=load))
 
 
 def _load_notes(estimate: Estimate, *, finite_strain: bool) -> list[str]:

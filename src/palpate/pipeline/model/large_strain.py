@@ -242,7 +242,7 @@ def strain_corrections(
         shear_modulus=constants.shear_modulus,
         poisson_ratio=constants.poisson_ratio,
     )
-    pressed = []
+    pressed: list[tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]] = []
     for k, same in enumerate(body.same):
         progress("finite strain", k / len(body.same))
         start = starts[k].press if starts else None
