@@ -308,7 +308,9 @@ def stiffening_text(stiffening: Constant, *, shown: bool) -> str:
         )
     if 2.0 * _SHEAR**2 * (high - low) > _UNKNOWN:
         return (
-            "Whether the material stiffens is not determined: press deeper, and to several depths."
+            f"Whether the material stiffens is not determined: {where} it may be {times(low)} to"
+            f" {times(high)} times as stiff as at small strain (95 %); press deeper, and to several"
+            " depths."
         )
     return (
         f"No stiffening is shown: {where} the material is at most {times(high)} times as stiff as"

@@ -65,13 +65,8 @@ _MOST_ROUNDS = 8
 _MODULUS_TOLERANCE, _RATIO_TOLERANCE, _STIFFENING_TOLERANCE = 1e-3, 5e-4, 2e-2
 # Share of its standard deviation by which a constant may still change: no interval shows it.
 _WANDERS = 0.1
-# Standard deviations of stiffening below which finer elements do not look for it.
+# Standard deviations of stiffening below which the material is taken as one that does not stiffen.
 _HOPELESS = 1.0
-# Of stiffening that is too little to be shown, and without which the data contradict the model.
-_NEEDED = (
-    " By itself that is {sigmas:.2g} sigma, which may be chance; but these pushes contradict a"
-    " material that does not stiffen, and not this one."
-)
 # Soft materials of the same constants differ by about this much of their change from a linear one.
 _OTHER_LAWS = 0.3
 # Edge ratio of the coarser elements, and the error of second order over the change from these.
@@ -181,19 +176,14 @@ def fit_at_finite_strain(
     body, report = make_finite_body(session), part_of(progress, _OTHER, 1.0)
     result, found = rough, estimated_stiffening(rough)
     starts: tuple[Correction, ...] = ()
-    shown, needed = found.value > _HOPELESS * found.std, False
-    if shown:
+    if found.value > _HOPELESS * found.std:
         result, starts = _converged(body, used, rough, report, stiffens=True)
         found = estimated_stiffening(result)
-        shown = is_stiffening(found)
-    if not shown:
-        plain = _converged(body, used, result, report, stiffens=False, starts=starts)
-        shown = needed = found.ci95[0] > 0.0 and _is_better(result, plain[0])
-        if not needed:
-            result, starts = plain
-    estimate = result.estimate
+    # What is not shown may be there: the constants allow for it, unless it is hardly suspected.
+    if found.value <= _HOPELESS * found.std:
+        result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
+    estimate, shown = result.estimate, is_stiffening(found)
     told, size = stiffening_text(found, shown=shown), _size_note(observations, starts)
-    told += _NEEDED.format(sigmas=found.value / found.std) if needed else ""
     notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
     if estimate.status is Status.MODEL_CONTRADICTED:
         notes, found = (*estimate.notes, size), Constant(found.value, np.nan, (np.nan, np.nan))
@@ -299,8 +289,9 @@ def _converged(
     elements until the constants converge, of a material that may stiffen or does not; and its
     corrections."""
     result, now = start, _constants(start, stiffens=stiffens)
+    change = 0.0
     for iteration in range(_MOST_ROUNDS):
-        before = now
+        before, last = now, change
         report = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
         starts = strain_corrections(body, before, starts=starts, progress=report)
         if used.coarser:
@@ -313,12 +304,16 @@ def _converged(
         ]
         result = fit(corrected, settings=used.settings)
         now = _constants(result, stiffens=stiffens)
+        change = now.stiffening - before.stiffening
         if _is_settled(before, now, result):
             probes = tuple(
                 _with_correction(probe, _taken_off(correction, stiffens=stiffens))
                 for probe, correction in zip(result.probes, starts, strict=True)
             )
             return replace(result, probes=probes), tuple(starts)
+        if change * last < 0.0:
+            # Else it may jump to and fro for ever.
+            now = replace(now, stiffening=0.5 * (before.stiffening + now.stiffening))
     raise NotConvergedError(
         f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
         " object is pressed too far for this; press less, or leave --strain finite out"
@@ -329,12 +324,6 @@ def _extrapolated(correction: Correction, rough: _Coarser) -> Correction:
     """A correction of infinitely fine elements, whose error is of second order (Richardson)."""
     step = correction.value - rough[0].at(correction.constants)
     return replace(correction, value=correction.value + _BEYOND * step)
-
-
-def _is_better(result: FitResult, other: FitResult) -> bool:
-    """Whether the data contradict the other model alone."""
-    contradicted = Status.MODEL_CONTRADICTED
-    return result.estimate.status is not contradicted and other.estimate.status is contradicted
 
 
 def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
