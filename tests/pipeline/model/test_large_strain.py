@@ -14,7 +14,7 @@ from palpate.pipeline import fit_session
 from palpate.pipeline.model import large_strain
 from palpate.pipeline.model.finite_body import make_finite_body
 from palpate.pipeline.model.large_strain import strain_corrections
-from palpate.pipeline.model.stiffening import MaterialConstants, is_stiffening
+from palpate.pipeline.model.stiffening import MaterialConstants, damped, is_stiffening
 from palpate.records import (
     BIASED,
     EXACT,
@@ -221,3 +221,13 @@ def test_stiffening_is_shown_by_more_than_noise() -> None:
     """A false alarm in 400: 3.02 standard deviations."""
     assert is_stiffening(Constant(0.4, 0.13, (0.15, 0.65)))
     assert not is_stiffening(Constant(0.4, 0.15, (0.11, 0.69)))
+
+
+@pytest.mark.parametrize("slope", [0.5, -0.5, -1.2, -2.5])
+def test_stiffening_that_jumps_to_and_fro_settles(slope: float) -> None:
+    """A correction with c gives 4 + slope (c - 4); undamped it would not settle below -1."""
+    at, last = MaterialConstants(SHEAR, NU, 6.0), (0.0, 0.0)
+    for _ in range(8):
+        found = 4.0 + slope * (at.stiffening - 4.0)
+        last, at = (at.stiffening, found), damped(at, replace(at, stiffening=found), last)
+    assert at.stiffening == pytest.approx(4.0, abs=0.02)

@@ -34,6 +34,7 @@ from palpate.pipeline.model.stiffening import (
     STIFFENING_STD,
     STIFFENS,
     MaterialConstants,
+    damped,
     estimated_stiffening,
     is_stiffening,
 )
@@ -289,9 +290,9 @@ def _converged(
     elements until the constants converge, of a material that may stiffen or does not; and its
     corrections."""
     result, now = start, _constants(start, stiffens=stiffens)
-    change = 0.0
+    last = 0.0, 0.0
     for iteration in range(_MOST_ROUNDS):
-        before, last = now, change
+        before = now
         report = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
         starts = strain_corrections(body, before, starts=starts, progress=report)
         if used.coarser:
@@ -304,16 +305,13 @@ def _converged(
         ]
         result = fit(corrected, settings=used.settings)
         now = _constants(result, stiffens=stiffens)
-        change = now.stiffening - before.stiffening
         if _is_settled(before, now, result):
             probes = tuple(
                 _with_correction(probe, _taken_off(correction, stiffens=stiffens))
                 for probe, correction in zip(result.probes, starts, strict=True)
             )
             return replace(result, probes=probes), tuple(starts)
-        if change * last < 0.0:
-            # Else it may jump to and fro for ever.
-            now = replace(now, stiffening=0.5 * (before.stiffening + now.stiffening))
+        last, now = (before.stiffening, now.stiffening), damped(before, now, last)
     raise NotConvergedError(
         f"the constants still change after {_MOST_ROUNDS} corrections for finite strain: the"
         " object is pressed too far for this; press less, or leave --strain finite out"

@@ -1,6 +1,6 @@
 """The constants of a material at finite strain: its stiffening, and whether it is shown."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scipy.special import ndtri
 
@@ -39,6 +39,25 @@ def estimated_stiffening(result: FitResult) -> Constant:
     )
     low, high = value - HALF_95 * std, value + HALF_95 * std
     return Constant(value, std, (min(max(low, 0.0), value), max(high, 0.0)))
+
+
+def damped(
+    before: MaterialConstants, now: MaterialConstants, last: tuple[float, float]
+) -> MaterialConstants:
+    """Constants of the next correction: between the last two where the stiffening turns back, as
+    it may else jump to and fro for ever.
+
+    Parameters
+    ----------
+    before, now : MaterialConstants     of the last correction, and as estimated with it
+    last : (float, float) [-]           stiffening of the correction before that, and as estimated
+    """
+    earlier, change = last[1] - last[0], now.stiffening - before.stiffening
+    if change * earlier >= 0.0:
+        return now
+    # Where the change would be zero if it were linear in between.
+    settled = (before.stiffening * earlier - last[0] * change) / (earlier - change)
+    return replace(now, stiffening=settled)
 
 
 def is_stiffening(stiffening: Constant) -> bool:
