@@ -224,7 +224,7 @@ def test_stiffening_is_shown_by_more_than_noise() -> None:
 
 
 @pytest.mark.parametrize("slope", [0.5, -0.5, -1.2, -2.5])
-def test_stiffening_that_jumps_to_and_fro_settles(slope: float) -> None:
+def test_stiffening_that_jumps_back_and_forth_settles(slope: float) -> None:
     """A correction with c gives 4 + slope (c - 4); undamped it would not settle below -1."""
     at, last = MaterialConstants(SHEAR, NU, 6.0), (0.0, 0.0)
     for _ in range(8):

@@ -45,7 +45,7 @@ def damped(
     before: MaterialConstants, now: MaterialConstants, last: tuple[float, float]
 ) -> MaterialConstants:
     """Constants of the next correction: between the last two where the stiffening turns back, as
-    it may else jump to and fro for ever.
+    it may else jump back and forth for ever.
 
     Parameters
     ----------
