@@ -7,13 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from palpate.bem.compressed.iterative import ClusterInverse, cluster_inverse, solve_compressed
 from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.integrals.kelvin import check_material
 from palpate.bem.integrals.surface import integral_weights
-from palpate.bem.loads.local_indentation import indentation_corrections, load_right_hand
+from palpate.bem.loads.local_indentation import (
+    indentation_corrections,
+    load_right_hand,
+    missed_indentation,
+)
 from palpate.bem.loads.surface_load import SurfaceLoad
 from palpate.bem.system.factors import CentredSystem, FactorisedSystem, solve
 from palpate.bem.system.matrix import point_equations
@@ -26,6 +30,7 @@ from palpate.bem.system.springs import (
 )
 from palpate.bem.system.system import BoundarySystem
 from palpate.errors import InputError
+from palpate.geometry import interpolation_matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,18 +130,21 @@ class ElasticMap:
         self,
         loads: Sequence[SurfaceLoad],
         forces: Float[np.ndarray, "k 3"],
-        unknowns: Float[np.ndarray, " u"],
+        states: Sequence[ElasticState],
         triangle: int,
         barycentric: Float[np.ndarray, "3"],
     ) -> Float[np.ndarray, "3"]:
-        """Displacement of a point of the free surface under some loads together, by the integral
-        equation there: between vertices a dip is sharper than what is interpolated from them.
+        """Displacement of a point of the free surface under some loads together.
+
+        Close to a load a dip is sharper than what is interpolated from the vertices. What that
+        misses is known of a round patch; under other loads the integral equation at the point
+        takes its place.
 
         Parameters
         ----------
         loads : sequence of k SurfaceLoad
         forces : (k, 3) float [N]         resultant of each load, acting on the object
-        unknowns : (u,) float [m]         of the response to all of them
+        states : sequence of k ElasticState    the responses
         triangle : int
         barycentric : (3,) float [-]
 
@@ -144,15 +152,34 @@ class ElasticMap:
         -------
         (3,) float [m]
         """
-        equations = point_equations(self.system, np.array([triangle]), barycentric[None])
-        corrections = indentation_corrections(self.system.surface, loads)
-        right = load_right_hand(equations.system, loads, corrections).at(self.poisson_ratio)
+        total = np.zeros(3)
+        nodes, where = self.system.surface.displacement, (np.array([triangle]), barycentric[None])
+        for load, force, state in zip(loads, forces, states, strict=True):
+            missed = missed_indentation(self.system.surface, load, triangle, barycentric)
+            if missed is None:
+                total += self._by_equation(load, force, state.unknowns, where)
+                continue
+            dip = (missed[0] + self.poisson_ratio * missed[1]) @ force / self.shear_modulus
+            total += dip + (interpolation_matrix(nodes, *where) @ state.displacement)[0]
+        return total
+
+    def _by_equation(
+        self,
+        load: SurfaceLoad,
+        force: Float[np.ndarray, "3"],
+        unknowns: Float[np.ndarray, " u"],
+        where: tuple[Int[np.ndarray, "1"], Float[np.ndarray, "1 3"]],
+    ) -> Float[np.ndarray, "3"]:
+        """Displacement of a point by the integral equation there."""
+        equations = point_equations(self.system, *where)
+        corrections = indentation_corrections(self.system.surface, [load])
+        right = load_right_hand(equations.system, [load], corrections).at(self.poisson_ratio)
         matrix, own = (a + self.poisson_ratio * b for a, b in (equations.matrix, equations.own))
         if self.springs is not None:
             columns = spring_columns(equations.system, self.springs.factors.springs)
             further = columns[0] + self.poisson_ratio * columns[1]
             matrix = np.concatenate([matrix, -equations.by_point(further)], axis=2)
-        known = equations.by_point(right)[0] @ forces.ravel() / self.shear_modulus
+        known = equations.by_point(right)[0] @ force / self.shear_modulus
         return np.linalg.solve(own[0], matrix[0] @ unknowns - known)
 
 

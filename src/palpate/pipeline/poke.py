@@ -165,11 +165,11 @@ def _pressed(
     """Displacement of the vertices and of the contact point under loads together, and the reaction
     of the support."""
     states = elastic_map.respond(loads, forces)
-    displacement, reaction, unknowns = (
+    displacement, reaction = (
         np.sum([getattr(state, name) for state in states], axis=0)
-        for name in ("displacement", "reaction", "unknowns")
+        for name in ("displacement", "reaction")
     )
-    at_contact = elastic_map.at_point(loads, forces, unknowns, patch.triangle, patch.barycentric)
+    at_contact = elastic_map.at_point(loads, forces, states, patch.triangle, patch.barycentric)
     return displacement, at_contact, reaction
 
 

@@ -28,7 +28,13 @@ from palpate.bem.loads.half_space import (
 from palpate.bem.loads.right_hand import RightHand, load_columns
 from palpate.bem.loads.surface_load import SurfaceLoad, find_foot, integrate_loads
 from palpate.bem.system.system import BoundarySystem
-from palpate.geometry import QuadraticNodes, TriangleMesh, cut_distance
+from palpate.geometry import (
+    QuadraticNodes,
+    TriangleMesh,
+    cut_distance,
+    interpolation_matrix,
+    quadratic_shapes,
+)
 
 # Midside nodes within this many edge lengths of the patch may be corrected.
 _REACH_EDGES = 2.5
@@ -112,21 +118,68 @@ def indentation_corrections(
     edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
     potentials: dict[Profile, DiscPotentials] = {}
     for load in loads:
-        disc = load.disc
-        if disc is None or not surface.corrects_indentation:
+        placed = _placed(surface, load)
+        if placed is None:
             found.append(None)
             continue
-        flat, curved, normal = find_foot(surface, load.triangles, disc.centre)
-        # An edge of the object or the rim of its support may run through the patch.
-        if cut_distance(surface.mesh, surface.sides, load.triangles, flat) < disc.radius:
-            found.append(None)
-            continue
+        disc, normal = placed
         if disc.profile not in potentials:
             potentials[disc.profile] = disc_potentials(disc.profile)
-        placed = replace(disc, centre=curved)
-        own = _indentation_correction(surface, edge, placed, potentials[disc.profile], normal)
-        found.append(own)
+        found.append(_indentation_correction(surface, edge, disc, potentials[disc.profile], normal))
     return found
+
+
+def missed_indentation(
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    triangle: int,
+    barycentric: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "2 3 3"] | None:
+    """Indentation of a load at a point minus what is interpolated of it from the vertices.
+
+    Parameters
+    ----------
+    surface : BoundarySurface
+    load : SurfaceLoad
+    triangle : int
+    barycentric : (3,) float [-]
+
+    Returns
+    -------
+    (2, 3, 3) float [1/m] or None     displacement times shear modulus, constant and slope in nu:
+                                      component i under a newton along j; None for a load that is
+                                      no round patch, or that an edge crosses
+    """
+    placed = _placed(surface, load)
+    if placed is None:
+        return None
+    disc, normal = placed
+    potentials = disc_potentials(disc.profile)
+    weights = interpolation_matrix(
+        surface.displacement, np.array([triangle]), barycentric[None]
+    ).toarray()[0]
+    used = np.flatnonzero(weights)
+    place = quadratic_shapes(barycentric[None])[:, 0] @ surface.element_nodes[triangle]
+    there, around = (
+        disc_displacement(disc, potentials, normal, points)
+        for points in (place[None], surface.mesh.vertices[used])
+    )
+    return there[:, 0] - np.einsum("v,svij->sij", weights[used], around)
+
+
+def _placed(
+    surface: BoundarySurface, load: SurfaceLoad
+) -> tuple[PressureDisc, Float[np.ndarray, "3"]] | None:
+    """The disc of a load on the curved surface, and the normal there; None where it cannot be
+    corrected."""
+    disc = load.disc
+    if disc is None or not surface.corrects_indentation:
+        return None
+    flat, curved, normal = find_foot(surface, load.triangles, disc.centre)
+    # An edge of the object or the rim of its support may run through the patch.
+    if cut_distance(surface.mesh, surface.sides, load.triangles, flat) < disc.radius:
+        return None
+    return replace(disc, centre=curved), normal
 
 
 def _edge_lengths(mesh: TriangleMesh) -> Float[np.ndarray, "m 3"]:
