@@ -142,6 +142,13 @@ def test_at_the_end_of_the_range_an_interval_is_cut() -> None:
     assert 0.0 < high < 0.1
 
 
+def test_what_is_known_does_not_depend_on_where_the_range_lies() -> None:
+    """An interval is judged by its share of the range, which may begin below zero."""
+    minimum = minimum_of(problem_of(_probes(poisson_ratio=0.1, noise=2e-5)))
+    for ends in ((-0.45, 0.45), (-0.3, 0.45), (0.0, 0.45)):
+        assert posterior_of(minimum, ends, np.inf).determines_ratio, ends
+
+
 def _beam() -> ProbeObservations:
     points = surface_grid(8, 0.04) + np.array([0.05, 0.0, 0.0])
     response = Cantilever(points)

@@ -240,6 +240,12 @@ def test_weights_of_points_that_are_not_there_are_refused():
             SurfaceAverage(np.zeros((3, 3)), bad)
 
 
+def test_a_field_has_an_average_for_each_of_its_points():
+    assert _field(average=_average()).average is not None
+    with pytest.raises(InputError, match="average has 3 rows; must be 6"):
+        _field(average=_average(((1.0, 0.0, 0.0),)))
+
+
 def test_an_average_is_pickled_whole():
     average = _average()
     found = pickle.loads(pickle.dumps(average))
