@@ -6,7 +6,7 @@ import pytest
 from palpate.contact import PlacedTool, gaps
 from palpate.contact.friction import node_force
 from palpate.contact.moved_tools import tool_arrays
-from palpate.contact.response import OPEN, SLIDES, STICKS
+from palpate.contact.response import OPEN, SLIDES, STICKS, set_frame
 from palpate.contact.settle import tool_gap
 from palpate.records import Cone, ConvexMesh, FlatFace, Tool
 
@@ -93,3 +93,12 @@ def test_a_round_tool_is_what_its_outline_sweeps(tool: Tool, outline: np.ndarray
     # Along its normal the nearest face goes away as fast as the point goes.
     farther = gaps(PlacedTool(tool, place, turn), place + points @ turn.T + 1e-9 * normal)[0]
     np.testing.assert_allclose(farther - gap, 1e-9, rtol=1e-3)
+
+
+def test_a_node_s_frame_is_orthonormal_and_starts_with_its_normal() -> None:
+    for normal in np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(5).normal(size=(20, 3))]):
+        normal = normal / np.linalg.norm(normal)
+        frame = np.empty((3, 3))
+        set_frame(normal, frame)
+        np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
+        np.testing.assert_array_equal(frame[0], normal)
