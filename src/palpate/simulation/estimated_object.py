@@ -372,16 +372,16 @@ def make_solid_model(
     check_edge(session.mesh, edge)
     usual = float(np.cbrt(enclosed_volume(session.mesh))) / _ALONG_BODY
 
-    def filled(longer: float) -> Solid:
+    def filled(longer: float, report: Progress = silent) -> Solid:
         """Elements that many times as long."""
         fine = []
         if push is not None and push.radius is not None:
             fine = [(push.point, _FINE_REACH * push.radius, longer * push.radius / _ALONG_CONTACT)]
         away = longer * (usual if edge is None else edge)
-        return make_solid(session.mesh, edge=away, fine=fine, progress=progress)
+        return make_solid(session.mesh, edge=away, fine=fine, progress=report)
 
     longer = 1.0 if nodes is None else _longer(filled, nodes)
-    solid = filled(longer)
+    solid = filled(longer, progress)
     empty = np.zeros_like(solid.nodes)
     model = SolidModel(
         body, solid, linear_tetrahedra(solid), held_nodes(solid, session.held_triangles), empty,

@@ -49,7 +49,7 @@ from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
 from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPENUSD
 
 # Fractions of the work that are done when the push is known, and when the body is filled.
-_PUSHED, _FILLED = 0.02, 0.95
+_PUSHED, _MOSTLY_PUSHED, _FILLED = 0.02, 0.8, 0.95
 # Numbers of nodes that may be asked for.
 _FEWEST_NODES, _MOST_NODES = 100, 100_000
 
@@ -276,7 +276,9 @@ def export_fit(
         if left_out := form.of_surface(folder, body):
             body = replace(body, notes=(*body.notes, left_out))
     elif form.of_solid is not None:
-        report = part_of(progress, _PUSHED, _FILLED)
+        # Few nodes are soon filled in: the push takes the most of the time.
+        pushed = _PUSHED if nodes is None else _MOSTLY_PUSHED
+        report = part_of(progress, pushed, _FILLED)
         model = make_solid_model(body, edge=edge, nodes=nodes, progress=report)
         if nodes is not None:
             model, share = matched_to_push(model)
