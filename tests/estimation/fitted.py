@@ -6,9 +6,9 @@ import numpy as np
 
 from palpate.estimation import ProbeObservations
 from palpate.estimation.gauss_newton import gauss_newton
+from palpate.estimation.measured_components import observed_rows_of
 from palpate.estimation.noise import NOISE_MODELS
 from palpate.estimation.normal_equations import Evaluation
-from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.problem import Problem, make_problem
 
 __all__ = ["RANGE", "dense_information", "minimum_of", "patterns", "problem_of"]

@@ -19,8 +19,8 @@ from palpate.estimation.checks import (
     with_outlying_forces_freed,
 )
 from palpate.estimation.gauss_newton import fitted
+from palpate.estimation.measured_components import observed_rows_of
 from palpate.estimation.noise import StudentT
-from palpate.estimation.observed_rows import observed_rows_of
 from palpate.pipeline.model.shared_errors import force_gain
 from palpate.pipeline.observations import model_step
 

@@ -13,9 +13,9 @@ from palpate.estimation import (
     fit,
 )
 from palpate.estimation.gauss_newton import _neighbours_sharing, _scores, fitted, gauss_newton
+from palpate.estimation.measured_components import observed_rows_of
 from palpate.estimation.noise import StudentT
 from palpate.estimation.normal_equations import Evaluation
-from palpate.estimation.observed_rows import observed_rows_of
 from palpate.pipeline.model.shared_errors import force_gain
 from palpate.pipeline.observations import model_step
 from palpate.records import PointCorrelation

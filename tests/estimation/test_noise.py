@@ -9,6 +9,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.integrate import quad
 from scipy.stats import chi2, multivariate_normal, multivariate_t
 
+from palpate.estimation.measured_components import observed_rows_of
 from palpate.estimation.noise import (
     NOISE_MODELS,
     Gaussian,
@@ -20,7 +21,6 @@ from palpate.estimation.noise import (
     noise_levels,
     relative_weight,
 )
-from palpate.estimation.observed_rows import observed_rows_of
 
 EVERY = [pytest.param(model, id=name) for name, model in NOISE_MODELS.items()]
 SQUARED = np.array([0.0, 0.3, 1.0, 4.0, 30.0, 2500.0])

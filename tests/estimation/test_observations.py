@@ -15,7 +15,7 @@ from palpate.estimation import (
     fisher_information,
     fit,
 )
-from palpate.estimation.observed_rows import observed_rows_of
+from palpate.estimation.measured_components import observed_rows_of
 from palpate.pipeline.model.shared_errors import force_direction, force_gain, length_scale
 
 NU, SHEAR, NOISE = 0.3, 2e4, 2e-5

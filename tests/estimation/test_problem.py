@@ -16,8 +16,8 @@ from palpate.estimation import (
     Settlement,
     fixed_displacement,
 )
+from palpate.estimation.measured_components import MeasuredComponents, observed_rows_of
 from palpate.estimation.normal_equations import Evaluation
-from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
 from palpate.pipeline.model.shared_errors import (
     contact_error,
@@ -186,7 +186,7 @@ def _probe(grid: int = 12, **options: object) -> ProbeObservations:
     return half_space_probes(rng, count=1, grid=grid, noise=1e-6, **options)[0]
 
 
-def _unknown(probe: ObservedRows, fields: np.ndarray) -> UnknownRows:
+def _unknown(probe: MeasuredComponents, fields: np.ndarray) -> UnknownRows:
     return unknown_rows(probe, fields, correlated_patterns(probe.position))
 
 

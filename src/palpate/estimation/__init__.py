@@ -25,6 +25,10 @@ from palpate.estimation.information import (
     Information as Information,
     fisher_information as fisher_information,
 )
+from palpate.estimation.measured_components import (
+    MeasuredComponents as MeasuredComponents,
+    observed_rows_of as observed_rows_of,
+)
 from palpate.estimation.normal_equations import Evaluation as Evaluation
 from palpate.estimation.observations import (
     PLACES as PLACES,
@@ -36,10 +40,6 @@ from palpate.estimation.observations import (
     Settlement as Settlement,
     fixed_displacement as fixed_displacement,
     padded as padded,
-)
-from palpate.estimation.observed_rows import (
-    ObservedRows as ObservedRows,
-    observed_rows_of as observed_rows_of,
 )
 from palpate.estimation.posterior import (
     IntervalSet as IntervalSet,

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtrc, ndtri
 
 from palpate.estimation.gauss_newton import with_noise
+from palpate.estimation.measured_components import FIRST_CLAIMED, GROUP_NAMES
 from palpate.estimation.noise import FINEST
 from palpate.estimation.normal_equations import Evaluation
-from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_NAMES
 from palpate.estimation.problem import FORCES, Problem
 from palpate.geometry import morton_order
 from palpate.records import IMPOSSIBLE

@@ -20,15 +20,15 @@ from palpate.estimation.checks import (
     with_outlying_forces_freed,
 )
 from palpate.estimation.gauss_newton import at_constants, fitted, gauss_newton
+from palpate.estimation.measured_components import (
+    FIRST_CLAIMED,
+    GROUP_NAMES,
+    MeasuredComponents,
+    observed_rows_of,
+)
 from palpate.estimation.noise import NOISE_MODELS
 from palpate.estimation.normal_equations import Evaluation, determined
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.observed_rows import (
-    FIRST_CLAIMED,
-    GROUP_NAMES,
-    ObservedRows,
-    observed_rows_of,
-)
 from palpate.estimation.posterior import (
     IntervalSet,
     LikelihoodMap,
@@ -290,7 +290,7 @@ def contradicted(estimate: Estimate) -> Estimate:
     return replace(estimate, status=Status.MODEL_CONTRADICTED, budget=(), **bare)
 
 
-def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[ObservedRows, ...]:
+def _checked_rows(probes: Sequence[ProbeObservations]) -> tuple[MeasuredComponents, ...]:
     if not len(probes):
         raise InputError("there are no probings; at least one is needed for an estimate")
     names = [probe.name for probe in probes]

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from palpate.estimation.measured_components import MeasuredComponents
 from palpate.estimation.noise import NoiseModel, noise_levels
 from palpate.estimation.normal_equations import (
     SMALLEST_SLOPE,
@@ -20,7 +21,6 @@ from palpate.estimation.normal_equations import (
     determined,
     diagonal_root,
 )
-from palpate.estimation.observed_rows import ObservedRows
 from palpate.estimation.problem import Problem, make_problem
 from palpate.geometry import morton_order
 
@@ -47,13 +47,13 @@ _REFERENCE_SHARE = 0.5
 
 
 def fitted(
-    probes: tuple[ObservedRows, ...], noise: NoiseModel, poisson_range: tuple[float, float]
+    probes: tuple[MeasuredComponents, ...], noise: NoiseModel, poisson_range: tuple[float, float]
 ) -> Evaluation:
     """The minimum of the objective over all probings, with its noise levels.
 
     Parameters
     ----------
-    probes : tuple of ObservedRows
+    probes : tuple of MeasuredComponents
     noise : NoiseModel
     poisson_range : (float, float) [-]
 
@@ -244,7 +244,7 @@ def _about(problem: Problem, poisson_ratio: float) -> Problem:
 
 
 def _start(
-    probes: Sequence[ObservedRows], poisson_range: tuple[float, float]
+    probes: Sequence[MeasuredComponents], poisson_range: tuple[float, float]
 ) -> tuple[float, float]:
     """The best of several Poisson's ratios, each with its best shear modulus, for the measured
     forces and without errors; robust, as gross outliers would decide otherwise."""
@@ -265,7 +265,7 @@ def _start(
 
 
 def _at(
-    probes: Sequence[ObservedRows], poisson_ratio: float
+    probes: Sequence[MeasuredComponents], poisson_ratio: float
 ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
     """Displacement for a shear modulus of 1, measured displacement, and weight, of all rows."""
     columns = []
@@ -353,7 +353,7 @@ def _block_excess(
     return max(1.0, (1.0 + degrees * observed / (power * mean)) / (1.0 + degrees))
 
 
-def _blocks(probe: ObservedRows) -> Int[np.ndarray, " r"] | None:
+def _blocks(probe: MeasuredComponents) -> Int[np.ndarray, " r"] | None:
     """Number of the block that each row is in, along a space-filling curve, -1 for the tip; None
     where there are too few points."""
     on_surface = np.isfinite(probe.position[:, 0])
@@ -405,7 +405,7 @@ def _scores(at: Evaluation) -> list[Float[np.ndarray, " _"]]:
 
 
 def _between_probings(
-    probes: Sequence[ObservedRows],
+    probes: Sequence[MeasuredComponents],
     designs: Sequence[Float[np.ndarray, "_ 2"]],
     mixed: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> Float[np.ndarray, "2 2"]:
@@ -425,7 +425,7 @@ def _between_probings(
     return 0.5 * ((total - alone) + (total - alone).T)
 
 
-def _reference_points(probe: ObservedRows) -> dict[tuple[str, bytes], int]:
+def _reference_points(probe: MeasuredComponents) -> dict[tuple[str, bytes], int]:
     """First row of each point with all components and a reference, by reference and position."""
     reference = probe.observations.reference
     if reference is None:

@@ -8,10 +8,10 @@ from jaxtyping import Float
 
 from palpate.errors import InputError
 from palpate.estimation.gauss_newton import stated_excess
+from palpate.estimation.measured_components import observed_rows_of
 from palpate.estimation.noise import Gaussian
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import ProbeObservations
-from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.posterior import directions, posterior_of, uncertainty_budget
 from palpate.estimation.problem import Problem, make_problem
 from palpate.records import CONSTANT_NAMES, BudgetEntry

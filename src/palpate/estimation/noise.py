@@ -14,7 +14,12 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 from scipy.special import roots_genlaguerre
 
-from palpate.estimation.observed_rows import FIRST_CLAIMED, GROUP_COUNT, TIP_GROUP, ObservedRows
+from palpate.estimation.measured_components import (
+    FIRST_CLAIMED,
+    GROUP_COUNT,
+    TIP_GROUP,
+    MeasuredComponents,
+)
 
 Values = Float[np.ndarray, "..."]
 
@@ -199,7 +204,7 @@ def _moments(noise: NoiseModel, squared: Values, components: Values, share: Valu
 
 
 def noise_levels(
-    probes: Sequence[ObservedRows],
+    probes: Sequence[MeasuredComponents],
     squares: Sequence[Float[np.ndarray, " _"]],
     model_variance: Sequence[Float[np.ndarray, " _"]],
 ) -> Float[np.ndarray, " 8"]:
@@ -212,14 +217,14 @@ def noise_levels(
 
     Parameters
     ----------
-    probes : sequence of ObservedRows
+    probes : sequence of MeasuredComponents
     squares : one (r,) float [m^2] for each     squared residuals, corrected for lost degrees of
                                                 freedom
     model_variance : one (r,) float [m^2] for each    of what varies of the model's error
 
     Returns
     -------
-    (8,) float                                  to be multiplied by `ObservedRows.unit`
+    (8,) float                                  to be multiplied by `MeasuredComponents.unit`
     """
     group = np.concatenate([probe.group for probe in probes])
     unit = np.concatenate([probe.unit for probe in probes]) ** 2

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dposvx
 
+from palpate.estimation.measured_components import weighted_products
 from palpate.estimation.noise import Moments, moments_of
-from palpate.estimation.observed_rows import weighted_products
 from palpate.estimation.problem import Problem
 
 _LONGEST_STEP = 2.0

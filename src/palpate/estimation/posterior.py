@@ -13,8 +13,8 @@ from scipy.interpolate import BarycentricInterpolator
 from scipy.special import chdtri, stdtrit
 
 from palpate.arrays import fix_fields
+from palpate.estimation.measured_components import MeasuredComponents
 from palpate.estimation.normal_equations import Evaluation, gram
-from palpate.estimation.observed_rows import ObservedRows
 from palpate.records import CONSTANT_NAMES, BudgetEntry, Constant
 
 POINTS = "noise of the points"
@@ -291,7 +291,7 @@ def _eliminated(
 
 
 def _scaling(
-    probe: ObservedRows, poisson_ratio: float, load: Float[np.ndarray, " c"]
+    probe: MeasuredComponents, poisson_ratio: float, load: Float[np.ndarray, " c"]
 ) -> Float[np.ndarray, " r"]:
     """Displacement that scales with 1 / G under a load."""
     terms = probe.observations.response_terms(poisson_ratio)[probe.rows, 0]

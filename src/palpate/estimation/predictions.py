@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
+from palpate.estimation.measured_components import MeasuredComponents, observed_rows_of
 from palpate.estimation.noise import relative_weight
 from palpate.estimation.normal_equations import Evaluation
 from palpate.estimation.observations import NuisanceParameter, ProbeObservations
-from palpate.estimation.observed_rows import ObservedRows, observed_rows_of
 from palpate.estimation.posterior import IntervalSet
 from palpate.estimation.problem import MODEL, Problem
 from palpate.records import HALF_95, ErrorEstimate, ProbeEstimate
@@ -220,7 +220,7 @@ def probe_fits(minimum: Evaluation, poisson_range: tuple[float, float]) -> tuple
     return tuple(fits)
 
 
-def _sigma(probe: ObservedRows, variance: Float[np.ndarray, " r"]) -> Points:
+def _sigma(probe: MeasuredComponents, variance: Float[np.ndarray, " r"]) -> Points:
     """Standard deviation of every point's components from the variance of the rows."""
     count = len(probe.observations.position)
     sigma = np.full(3 * count + 3, np.nan)

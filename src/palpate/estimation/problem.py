@@ -22,13 +22,13 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
-from palpate.estimation.observations import NuisanceParameter, ResponseTerms
-from palpate.estimation.observed_rows import (
+from palpate.estimation.measured_components import (
     FIRST_CLAIMED,
     GROUP_COUNT,
-    ObservedRows,
+    MeasuredComponents,
 )
+from palpate.estimation.noise import Moments, NoiseModel, gaussian_moments
+from palpate.estimation.observations import NuisanceParameter, ResponseTerms
 from palpate.estimation.unknown_error import UnknownRows, correlated_patterns, unknown_rows
 from palpate.shapes import Points, Vertices
 
@@ -114,7 +114,7 @@ class Problem:
 
     Parameters
     ----------
-    probes : tuple of ObservedRows
+    probes : tuple of MeasuredComponents
     noise : NoiseModel
     shared : tuple of NuisanceParameter     the m errors that probings of the session share
     unknown : tuple of UnknownRows          the model's error of unknown shape, of each probing
@@ -125,7 +125,7 @@ class Problem:
     information : float             c
     """
 
-    probes: tuple[ObservedRows, ...]
+    probes: tuple[MeasuredComponents, ...]
     noise: NoiseModel
     shared: tuple[NuisanceParameter, ...]
     unknown: tuple[UnknownRows, ...]
@@ -176,7 +176,7 @@ class Problem:
 
     def of(
         self,
-        probes: tuple[ObservedRows, ...],
+        probes: tuple[MeasuredComponents, ...],
         shared: tuple[NuisanceParameter, ...],
         theta: Float[np.ndarray, " _"],
     ) -> "Problem":
@@ -184,7 +184,7 @@ class Problem:
 
         Parameters
         ----------
-        probes : tuple of ObservedRows
+        probes : tuple of MeasuredComponents
         shared : tuple of NuisanceParameter     that they share, with others as well
         theta : (n,) float                      begins with Poisson's ratio and log G
         """
@@ -310,7 +310,7 @@ class Problem:
 
 
 def make_problem(
-    probes: tuple[ObservedRows, ...],
+    probes: tuple[MeasuredComponents, ...],
     noise: NoiseModel,
     *,
     poisson_ratio: float,
@@ -320,7 +320,7 @@ def make_problem(
 
     Parameters
     ----------
-    probes : tuple of ObservedRows
+    probes : tuple of MeasuredComponents
     noise : NoiseModel
     poisson_ratio : float [-]           about which the model is expanded
     shear_modulus : float [Pa]          at which the size of the model's error is taken
@@ -340,7 +340,7 @@ def make_problem(
 
 
 def _terms(
-    probes: tuple[ObservedRows, ...],
+    probes: tuple[MeasuredComponents, ...],
     shared: tuple[NuisanceParameter, ...],
     poisson_ratio: float,
     shear_modulus: float,
@@ -357,13 +357,13 @@ def _terms(
     return unknown, _layout(probes, shared, unknown), expansions
 
 
-def _expected(noise: NoiseModel, probes: Sequence[ObservedRows]) -> Moments:
+def _expected(noise: NoiseModel, probes: Sequence[MeasuredComponents]) -> Moments:
     components = np.concatenate([probe.components for probe in probes])
     return gaussian_moments(noise, round(float(components.mean())))
 
 
 def _layout(
-    probes: Sequence[ObservedRows],
+    probes: Sequence[MeasuredComponents],
     shared: tuple[NuisanceParameter, ...],
     unknown: Sequence[UnknownRows],
 ) -> Layout:
@@ -384,13 +384,13 @@ def _layout(
 
 
 def _own(
-    probe: ObservedRows, shared: tuple[NuisanceParameter, ...]
+    probe: MeasuredComponents, shared: tuple[NuisanceParameter, ...]
 ) -> tuple[NuisanceParameter, ...]:
     names = {parameter.name for parameter in shared}
     return tuple(each for each in probe.parameters if each.name not in names)
 
 
-def _shared_parameters(probes: Sequence[ObservedRows]) -> tuple[NuisanceParameter, ...]:
+def _shared_parameters(probes: Sequence[MeasuredComponents]) -> tuple[NuisanceParameter, ...]:
     """Parameters that occur in more than one probing, and those of the material."""
     encountered: dict[str, NuisanceParameter] = {}
     shared: dict[str, NuisanceParameter] = {}
@@ -408,7 +408,7 @@ def _in_terms(load: Float[np.ndarray, " c"], modulus: float, count: int) -> Floa
 
 
 def _expansion(
-    probe: ObservedRows, shared: tuple[NuisanceParameter, ...], poisson_ratio: float
+    probe: MeasuredComponents, shared: tuple[NuisanceParameter, ...], poisson_ratio: float
 ) -> Expansion:
     order, seen = _order(probe, shared), probe.observations
     low, response, high = (
@@ -430,7 +430,9 @@ def _expansion(
     return Expansion(poisson_ratio, table[0], table[1], table[2:], _curvature(probe, at, own))
 
 
-def _order(probe: ObservedRows, shared: tuple[NuisanceParameter, ...]) -> Int[np.ndarray, " k"]:
+def _order(
+    probe: MeasuredComponents, shared: tuple[NuisanceParameter, ...]
+) -> Int[np.ndarray, " k"]:
     """Order of a probing's errors in its expansion: those that it shares, then its own."""
     names = {parameter.name for parameter in shared}
     is_own = np.array([each.name not in names for each in probe.parameters], dtype=bool)
@@ -438,7 +440,7 @@ def _order(probe: ObservedRows, shared: tuple[NuisanceParameter, ...]) -> Int[np
 
 
 def _curvature(
-    probe: ObservedRows, at: ResponseTerms, own: Int[np.ndarray, " o"]
+    probe: MeasuredComponents, at: ResponseTerms, own: Int[np.ndarray, " o"]
 ) -> Float[np.ndarray, "r o o"]:
     """Second derivatives in a probing's own errors, given by their ascending numbers, times the
     shear modulus."""
@@ -453,7 +455,7 @@ def _curvature(
 
 
 def _fields(
-    probe: ObservedRows,
+    probe: MeasuredComponents,
     shared: tuple[NuisanceParameter, ...],
     model: Expansion,
     shear_modulus: float,

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from palpate.estimation.observed_rows import ObservedRows, weighted_products
+from palpate.estimation.measured_components import MeasuredComponents, weighted_products
 from palpate.geometry import morton_order
 from palpate.shapes import Points
 
@@ -37,14 +37,14 @@ class UnknownRows:
 
     Attributes
     ----------
-    probe : ObservedRows
+    probe : MeasuredComponents
     fields : (f, r) float [m]       errors of known shape
     modes : (p, m) float [m]        smooth modes, one value for each point
     variance : (r,) float [m^2]     of what varies from point to point
     size : (p,) float [m]           standard deviation of each component of a point, in all
     """
 
-    probe: ObservedRows
+    probe: MeasuredComponents
     fields: Float[np.ndarray, "f r"]
     modes: Float[np.ndarray, "p m"]
     variance: Float[np.ndarray, " r"]
@@ -106,7 +106,7 @@ class UnknownRows:
 
 
 def unknown_rows(
-    probe: ObservedRows,
+    probe: MeasuredComponents,
     fields: Float[np.ndarray, "r f"],
     patterns_at: Callable[[Points], Float[np.ndarray, "_ m"]],
 ) -> UnknownRows:
@@ -114,7 +114,7 @@ def unknown_rows(
 
     Parameters
     ----------
-    probe : ObservedRows
+    probe : MeasuredComponents
     fields : (r, f) float [m]       displacement per standard deviation of each error of the model;
                                     none: the model is exact
     patterns_at : function          of `correlated_patterns`

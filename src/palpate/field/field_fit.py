@@ -11,7 +11,7 @@ from palpate.errors import NotConvergedError
 from palpate.estimation import (
     Evaluation,
     FitSettings,
-    ObservedRows,
+    MeasuredComponents,
     ProbeObservations,
     gauss_newton,
     joint_minimum,
@@ -284,7 +284,7 @@ def information_about(
 
 
 def _with_modes(
-    minimum: Evaluation, rows: tuple[ObservedRows, ...], coefficients: Float[np.ndarray, " b"]
+    minimum: Evaluation, rows: tuple[MeasuredComponents, ...], coefficients: Float[np.ndarray, " b"]
 ) -> Evaluation:
     """The objective at the same point, with the coefficients of other modes."""
     problem, theta, first = minimum.problem, minimum.theta, minimum.problem.layout.errors.start

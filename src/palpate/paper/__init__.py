@@ -11,7 +11,7 @@ Read first : `sessions.py`, then `experiments.py`.
 
 from palpate.paper.experiments import (
     EXPERIMENTS as EXPERIMENTS,
-    Workplace as Workplace,
+    ExperimentRun as ExperimentRun,
     run_experiments as run_experiments,
 )
 from palpate.paper.result import (

@@ -60,7 +60,7 @@ _DRAWS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Workplace:
+class ExperimentRun:
     """Where and how experiments make their sessions.
 
     Attributes
@@ -95,7 +95,7 @@ class Workplace:
         config = read_lab_config(built_in()[name])
         return reduced(config) if self.quick else config
 
-    def part(self, begin: float, end: float, name: str) -> "Workplace":
+    def part(self, begin: float, end: float, name: str) -> "ExperimentRun":
         """This workplace with the progress of one part of the work.
 
         Parameters
@@ -105,18 +105,18 @@ class Workplace:
 
         Returns
         -------
-        Workplace
+        ExperimentRun
         """
         return replace(self, progress=part_of(self.progress, begin, end, prefix=f"{name}: "))
 
 
-def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperResult]:
+def run_experiments(names: Sequence[str], work: ExperimentRun) -> dict[str, PaperResult]:
     """Make and measure the sessions of some experiments, each session once, and evaluate them.
 
     Parameters
     ----------
     names : sequence of str         keys of `EXPERIMENTS`
-    work : Workplace
+    work : ExperimentRun
 
     Returns
     -------
@@ -150,7 +150,7 @@ def run_experiments(names: Sequence[str], work: Workplace) -> dict[str, PaperRes
     return results
 
 
-def _table1(measured: Measured, _work: Workplace) -> PaperResult:
+def _table1(measured: Measured, _work: ExperimentRun) -> PaperResult:
     own = {_X: PAPER_FLOW_LEFT_REAR, _Y: PAPER_FLOW_REAR_RIGHT}
     tests = {name: _with_paper_rows(rows, measured[name], flow_rows) for name, rows in own.items()}
     return PaperResult(
@@ -166,7 +166,7 @@ def _table1(measured: Measured, _work: Workplace) -> PaperResult:
     )
 
 
-def _table2(measured: Measured, _work: Workplace) -> PaperResult:
+def _table2(measured: Measured, _work: ExperimentRun) -> PaperResult:
     own = {
         _X: PAPER_ANGLE_ERROR_X,
         _Y: PAPER_ANGLE_ERROR_Y,
@@ -190,7 +190,7 @@ def _table2(measured: Measured, _work: Workplace) -> PaperResult:
     )
 
 
-def _figure2(measured: Measured, _work: Workplace) -> PaperResult:
+def _figure2(measured: Measured, _work: ExperimentRun) -> PaperResult:
     shown = [(_X, "s2", "translation by 5 mm"), (_ROTATION, "s1", "rotation by 2°")]
     return PaperResult(
         "Figure 2: optical flow and range flow of a rigid object",
@@ -203,7 +203,7 @@ def _figure2(measured: Measured, _work: Workplace) -> PaperResult:
     )
 
 
-def _figure3(measured: Measured, _work: Workplace) -> PaperResult:
+def _figure3(measured: Measured, _work: ExperimentRun) -> PaperResult:
     last = measured[_PROBING].session.probings[0].name
     shown = [(_PROBING, last, f"probing of the {last}")]
     return PaperResult(
@@ -217,7 +217,7 @@ def _figure3(measured: Measured, _work: Workplace) -> PaperResult:
     )
 
 
-def _table3(measured: Measured, _work: Workplace) -> PaperResult:
+def _table3(measured: Measured, _work: ExperimentRun) -> PaperResult:
     ball = measured[_BALL]
     found = {method: estimated_constants(ball, method)[1].estimate for method in METHODS}
     truth = true_material(ball.session)
@@ -240,7 +240,7 @@ def _table3(measured: Measured, _work: Workplace) -> PaperResult:
     )
 
 
-def _budget(_measured: Measured, work: Workplace) -> PaperResult:
+def _budget(_measured: Measured, work: ExperimentRun) -> PaperResult:
     folder = work.folder / "budget"
     folder.mkdir()
     sources = error_budget(
@@ -265,7 +265,7 @@ def _budget(_measured: Measured, work: Workplace) -> PaperResult:
     )
 
 
-def _figure4(measured: Measured, _work: Workplace) -> PaperResult:
+def _figure4(measured: Measured, _work: ExperimentRun) -> PaperResult:
     ball = measured[_BALL]
     session, result = estimated_constants(ball, "joint")
     names = [probing.name for probing in ball.session.probings]
@@ -332,7 +332,7 @@ def _tracking_table(title: str, measured: Measured, motions: Sequence[_Motion]) 
 
 # By their names on the command line: the built-in configurations whose sessions each of them needs,
 # and its evaluation.
-EXPERIMENTS: dict[str, tuple[tuple[str, ...], Callable[[Measured, Workplace], PaperResult]]] = {
+EXPERIMENTS: dict[str, tuple[tuple[str, ...], Callable[[Measured, ExperimentRun], PaperResult]]] = {
     "table1": ((_X, _Y), _table1),
     "table2": ((_X, _Y, _ROTATION), _table2),
     "table3": ((_BALL,), _table3),

@@ -9,8 +9,8 @@ from error_columns import columns_of
 from surfaces import box
 
 from palpate.estimation import FitMethod, FitSettings
+from palpate.estimation.measured_components import observed_rows_of
 from palpate.estimation.noise import Gaussian
-from palpate.estimation.observed_rows import observed_rows_of
 from palpate.estimation.problem import make_problem
 from palpate.geometry import closest_points
 from palpate.pipeline import (

@@ -20,7 +20,7 @@ from palpate.bem import (
 from palpate.bem.loads.right_hand import joined
 from palpate.bem.reduced_model import ReducedModel
 from palpate.geometry import interpolation_matrix
-from palpate.pipeline.model.object_model import PointRows, ProbeRows
+from palpate.pipeline.model.object_model import ContactPointEquations, ObservationMatrix
 from palpate.pipeline.model.responses import ProbeResponse, full_responses, reduced_responses
 
 TOP = np.array([0.0, 0.0, 1.0])
@@ -50,8 +50,10 @@ def setting():
     tip_load = load_right_hand(tips.system, loads[1:2])
     tip_right = joined([tip_load, body_force_columns(tips.system, GRAVITY).right])
     by_point = [tips.by_point(part)[0] for part in tip_right.terms]
-    tip = PointRows(tips.matrix[:, 0], tips.own[:, 0], np.stack(by_point), body.particular[top])
-    rows = ProbeRows(
+    tip = ContactPointEquations(
+        tips.matrix[:, 0], tips.own[:, 0], np.stack(by_point), body.particular[top]
+    )
+    rows = ObservationMatrix(
         columns,
         csr_array(hstack([surface, rest])),
         (at_points @ body.particular).ravel(),
@@ -107,7 +109,7 @@ def test_series_is_what_the_reduced_model_says(setting, nu):
     model = make_reduced_model(system, right)
     # In another unit: what is left out is relative.
     surface = 1e-6 * rows.surface
-    bare = ProbeRows(rows.columns, surface, rows.particular, None, has_body_force=True)
+    bare = ObservationMatrix(rows.columns, surface, rows.particular, None, has_body_force=True)
     weights = model.coefficients(nu)[0][:, rows.columns]
     solution = sum(w * x for w, x in zip(weights, model.basis(rows.columns), strict=True))
     expected = surface @ solution
@@ -140,7 +142,7 @@ def test_the_derivative_by_the_compliance_of_a_support():
     """The response is linear in the solutions, and they in the compliance, where no support is
     pulled."""
     rng = np.random.default_rng(2)
-    rows = ProbeRows(np.arange(3), csr_array(rng.normal(size=(6, 8))), np.zeros(6), None)
+    rows = ObservationMatrix(np.arange(3), csr_array(rng.normal(size=(6, 8))), np.zeros(6), None)
     blocks = np.stack([rows.observed(rng.normal(size=(8, 3))) for _ in range(3)])
     response = ProbeResponse(rows, lambda _: blocks)
     for support in range(2):
@@ -150,7 +152,7 @@ def test_the_derivative_by_the_compliance_of_a_support():
 
 def test_without_gravity_the_last_column_is_zero(setting):
     system, right, _, rows, _, _ = setting
-    bare = ProbeRows(rows.columns[:3], rows.surface, rows.particular, None)
+    bare = ObservationMatrix(rows.columns[:3], rows.surface, rows.particular, None)
     for response in (
         full_responses(_exact(system, right), [bare])[0],
         reduced_responses(make_reduced_model(system, right), [bare], RANGE)[0],

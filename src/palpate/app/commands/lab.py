@@ -32,7 +32,7 @@ from palpate.lab import (
 )
 from palpate.paper import (
     EXPERIMENTS,
-    Workplace,
+    ExperimentRun,
     check_page,
     run_experiments,
     shown_rows,
@@ -226,7 +226,7 @@ def reproduce(
             distribution(scheduler, workers, insecure=insecure, by_default=True) as distribute,
         ):
             parts = parts_folder(folder)
-            work = Workplace(folder / _SESSIONS, variant, quick, progress, parts, distribute)
+            work = ExperimentRun(folder / _SESSIONS, variant, quick, progress, parts, distribute)
             results = run_experiments(names, work)
         for name, result in results.items():
             (folder / subfolder[name]).mkdir(exist_ok=True)

@@ -167,7 +167,7 @@ def make_object_model(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointRows:
+class ContactPointEquations:
     """Equations for the displacement of a contact point from the unknowns and loads
     (`bem.PointEquations`).
 
@@ -232,7 +232,7 @@ class ProbeMotions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProbeRows:
+class ObservationMatrix:
     """Observations of a probing as linear functions of the solutions.
 
     Attributes
@@ -243,7 +243,7 @@ class ProbeRows:
     surface : (3 n, k) sparse         takes the unknowns to the observed displacements
     particular : (3 n,) float [m Pa]  particular solution there for a body force, over
                                       `dilation_factor`
-    tip : PointRows or None           None: the contact point's displacement was not measured
+    tip : ContactPointEquations or None    None: the contact point's displacement was not measured
     known_loads : (l,) float          multiplier of each known load
     has_body_force : bool             whether a body force acts
     motions : ProbeMotions or None    None: no support moves
@@ -253,7 +253,7 @@ class ProbeRows:
     columns: Int[np.ndarray, " c"]
     surface: csr_array
     particular: Float[np.ndarray, " r"]
-    tip: PointRows | None
+    tip: ContactPointEquations | None
     known_loads: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
     has_body_force: bool = False
     motions: ProbeMotions | None = None
@@ -320,7 +320,7 @@ def probe_rows(
     *,
     average: SurfaceAverage | None = None,
     perturbed: bool = True,
-) -> ProbeRows:
+) -> ObservationMatrix:
     """Observations of a probing, and the right-hand sides that they depend on.
 
     Parameters
@@ -333,7 +333,7 @@ def probe_rows(
 
     Returns
     -------
-    ProbeRows
+    ObservationMatrix
     """
     perturbations = _own_perturbations(model, index)[: None if perturbed else 0]
     columns, known_loads = _columns(model, index, perturbations)
@@ -353,7 +353,7 @@ def probe_rows(
     motions = None
     if model.supports:
         motions = _motions(model, index, observed, with_tip=tip is not None)
-    return ProbeRows(
+    return ObservationMatrix(
         columns, surface, particular, tip, known_loads, model.body is not None, motions,
         changes=len(perturbations),
     )  # fmt: skip
@@ -388,8 +388,8 @@ def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v
 def _columns(
     model: ObjectModel, index: int, perturbations: Int[np.ndarray, " p"]
 ) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
-    """Right-hand sides of a probing in the order of `ProbeRows`, and the multipliers of its known
-    loads."""
+    """Right-hand sides of a probing in the order of `ObservationMatrix`, and the multipliers of its
+    known loads."""
     probing, table = model.session.probings[index], model.loads
     columns, known_loads = [], []
     if probing.contact.profile != RIGID:
@@ -438,7 +438,7 @@ def _motions(
 
 def _tip_rows(
     model: ObjectModel, tips: _ContactPoints, index: int, columns: Int[np.ndarray, " c"]
-) -> PointRows:
+) -> ContactPointEquations:
     patch = int(model.loads.patch_of[index])
     right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
     particular = np.zeros(3)
@@ -451,4 +451,4 @@ def _tip_rows(
     matrix = tips.equations.matrix[:, patch]
     if model.springs is not None:
         matrix = np.concatenate([matrix, springs_at(tips.equations, model.springs, patch)], axis=2)
-    return PointRows(matrix, tips.equations.own[:, patch], np.stack(right), particular)
+    return ContactPointEquations(matrix, tips.equations.own[:, patch], np.stack(right), particular)

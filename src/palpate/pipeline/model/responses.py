@@ -33,7 +33,7 @@ from palpate.estimation import (
     ResponseTerms,
     Settlement,
 )
-from palpate.pipeline.model.object_model import ObjectModel, ProbeRows
+from palpate.pipeline.model.object_model import ObjectModel, ObservationMatrix
 from palpate.pipeline.model.supports import (
     compliances,
     compliant_supports,
@@ -57,13 +57,14 @@ class ProbeResponse:
 
     Attributes
     ----------
-    rows : ProbeRows
-    blocks : callable                 Poisson's ratio -> (1 + d, rows, c): `ProbeRows.observed` of
-                                      the solution there, and its derivatives with respect to the
-                                      compliance of each of d compliant supports
+    rows : ObservationMatrix
+    blocks : callable                 Poisson's ratio -> (1 + d, rows, c):
+                                      `ObservationMatrix.observed` of the solution there, and its
+                                      derivatives with respect to the compliance of each of d
+                                      compliant supports
     """
 
-    rows: ProbeRows
+    rows: ObservationMatrix
     blocks: Callable[[float], Float[np.ndarray, "n rows c"]]
 
     def value(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows c"]:
@@ -131,7 +132,7 @@ Responses = Callable[[float], list[ProbeResponse]]
 
 def full_responses(
     solution: Callable[[float], Float[np.ndarray, "k c"]],
-    rows: Sequence[ProbeRows],
+    rows: Sequence[ObservationMatrix],
     *,
     blocks: int = 1,
 ) -> list[ProbeResponse]:
@@ -141,7 +142,7 @@ def full_responses(
     ----------
     solution : function               Poisson's ratio -> (k, c) float: solutions and their
                                       derivatives in blocks (`bem.SpringSystem`)
-    rows : sequence of ProbeRows
+    rows : sequence of ObservationMatrix
     blocks : int                      1 + d, d the number of compliant supports
 
     Returns
@@ -150,7 +151,7 @@ def full_responses(
     """
     latest = lru_cache(maxsize=_KEPT)(solution)
 
-    def response_of(probe: ProbeRows) -> ProbeResponse:
+    def response_of(probe: ObservationMatrix) -> ProbeResponse:
         def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
             parts = np.split(latest(poisson_ratio)[:, probe.columns], blocks)
             return np.stack([probe.observed(part) for part in parts])
@@ -162,7 +163,7 @@ def full_responses(
 
 def reduced_responses(
     model: SolutionModel,
-    rows: Sequence[ProbeRows],
+    rows: Sequence[ObservationMatrix],
     poisson_range: tuple[float, float],
     *,
     blocks: int = 1,
@@ -172,7 +173,7 @@ def reduced_responses(
     Parameters
     ----------
     model : SolutionModel
-    rows : sequence of ProbeRows
+    rows : sequence of ObservationMatrix
     poisson_range : (float, float)    that the model covers
     blocks : int                      1 + d, as `full_responses`
 
@@ -196,7 +197,7 @@ def reduced_responses(
 
 
 def spring_responses(
-    model: ObjectModel, springs: Springs, rows: Sequence[ProbeRows], settings: FitSettings
+    model: ObjectModel, springs: Springs, rows: Sequence[ObservationMatrix], settings: FitSettings
 ) -> Responses:
     """Responses of probings of an object on springs, from one factorisation for all materials.
 
@@ -204,7 +205,7 @@ def spring_responses(
     ----------
     model : ObjectModel
     springs : Springs               of this model
-    rows : sequence of ProbeRows
+    rows : sequence of ObservationMatrix
     settings : FitSettings          method and range of Poisson's ratio
 
     Returns
@@ -314,7 +315,7 @@ def compliance_error(model: ObjectModel, response: ProbeResponse) -> Nuisance | 
 
 
 def _projected(
-    model: SolutionModel, probe: ProbeRows, blocks: int
+    model: SolutionModel, probe: ObservationMatrix, blocks: int
 ) -> Float[np.ndarray, "n c rows j"]:
     """Observations of each basis vector."""
     terms = [
@@ -347,7 +348,7 @@ def _series(
 
 
 def _series_response(
-    probe: ProbeRows,
+    probe: ObservationMatrix,
     coefficients: Float[np.ndarray, "k n rows c"],
     ends: tuple[float, float],
 ) -> ProbeResponse:

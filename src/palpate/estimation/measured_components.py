@@ -21,7 +21,7 @@ _UNTHREADED = 2**18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObservedRows:
+class MeasuredComponents:
     """The measured components of one probing as one stack of rows, ready for the misfit.
 
     A point has up to three rows, which share one robust weight: a wrong match spoils all of them.
@@ -73,7 +73,7 @@ class ObservedRows:
         """Whether every measured row came with a standard deviation of its own."""
         return bool((self.group >= FIRST_CLAIMED).all())
 
-    def everywhere(self) -> "ObservedRows":
+    def everywhere(self) -> "MeasuredComponents":
         """All rows of the probing, as if every point had been measured, with nothing moved."""
         seen, tip = self.observations, self.observations.tip_displacement
         return observed_rows_of(replace(
@@ -154,7 +154,7 @@ def _pointwise(
     return np.concatenate([first.reshape(rows[:k].shape), rows[k:]])
 
 
-def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
+def observed_rows_of(probe: ProbeObservations) -> MeasuredComponents:
     """Measured components of a probing, in the order of the response's rows.
 
     Parameters
@@ -163,7 +163,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
 
     Returns
     -------
-    ObservedRows
+    MeasuredComponents
 
     Raises
     ------
@@ -185,7 +185,7 @@ def observed_rows_of(probe: ProbeObservations) -> ObservedRows:
     point, start, count = np.unique(rows // 3, return_index=True, return_counts=True)
     position = np.vstack([probe.position, np.full((1, 3), np.nan)])[point]
     whitening = _whitening(probe)
-    return ObservedRows(
+    return MeasuredComponents(
         observations=probe,
         rows=rows,
         measured=_pointwise(whitening, displacement[rows]),
@@ -206,7 +206,7 @@ def _neighbours(
     start: Int[np.ndarray, " p"],
     count: Int[np.ndarray, " p"],
 ) -> csr_array | None:
-    """`ObservedRows.neighbours` of the points with all three components measured."""
+    """`MeasuredComponents.neighbours` of the points with all three components measured."""
     complete = np.flatnonzero(count == 3)
     complete = complete[point[complete] < len(probe.position)]
     correlation = probe.correlation.subset(point[complete], len(probe.position))
@@ -223,7 +223,7 @@ def _neighbours(
 
 
 def _whitening(probe: ProbeObservations) -> Float[np.ndarray, "k 3 3"]:
-    """`ObservedRows.whitening` of the measured points."""
+    """`MeasuredComponents.whitening` of the measured points."""
     if probe.covariance is None:
         return np.zeros((0, 3, 3))
     covariance = probe.covariance[np.isfinite(probe.displacement).all(axis=1)]
