@@ -109,6 +109,23 @@ def test_a_camera_that_is_not_there(source, words):
     camera.close()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems show no files of cameras")
+@pytest.mark.parametrize(
+    ("number", "allowed", "words"),
+    [
+        (97, True, "there is no .*video97, but .*video98"),
+        (98, True, "video98 is there: another program has it"),
+        (98, False, "you may not use .*video98; join its group"),
+    ],
+)
+def test_why_a_camera_does_not_open(tmp_path, monkeypatch, number, allowed, words):
+    (tmp_path / "video98").touch()
+    monkeypatch.setattr("os.access", lambda *_: allowed)
+    monkeypatch.setattr("palpate.bench.cameras._FILE", f"{tmp_path}/video{{}}")
+    with pytest.raises(RuntimeError, match=f"it does not open.*{words}"):
+        next(live_pictures(number, None))
+
+
 @pytest.mark.parametrize(
     ("driver", "module", "code", "keys", "words"),
     [

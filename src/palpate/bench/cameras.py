@@ -6,9 +6,11 @@ child process with limits (`foreign.py`), which also is what ends when a camera 
 """
 
 import os
+import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
+from pathlib import Path
 from threading import Condition, Thread
 from typing import Any
 
@@ -21,6 +23,8 @@ from palpate.records import TomlTable
 
 # Longest time until the first picture, and between two pictures [s].
 _OPENS, _NEXT = 20.0, 5.0
+# Linux's cameras.
+_FILE = "/dev/video{}"
 # Sources of the network, and the formats that FFmpeg may take them for.
 STREAMS = ("rtsp://", "http://", "https://")
 _FORMATS = "mpjpeg,mjpeg,rtsp,rtp,sdp,mpegts,h264,hevc"
@@ -54,7 +58,7 @@ def live_pictures(source: int | str, size: tuple[int, int] | None) -> Iterator[A
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
     if not capture.isOpened():
-        raise RuntimeError("it does not open")
+        raise RuntimeError(f"it does not open{_unopened(source)}")
     begun = time.monotonic()
     while True:
         good, picture = capture.read()
@@ -65,6 +69,19 @@ def live_pictures(source: int | str, size: tuple[int, int] | None) -> Iterator[A
             time.sleep(max(due - time.monotonic(), 0.0))
         grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         yield np.asarray(grey), time.monotonic()
+
+
+def _unopened(source: int | str) -> str:
+    """Why a camera with a number does not open, where Linux shows it as a file."""
+    if not (isinstance(source, int) and sys.platform == "linux"):
+        return ""
+    file = Path(_FILE.format(source))
+    others = sorted(file.parent.glob(Path(_FILE.format("*")).name))
+    if not file.exists():
+        return f": there is no {file}, but {', '.join(map(str, others)) or 'no camera at all'}"
+    if not os.access(file, os.R_OK | os.W_OK):
+        return f": you may not use {file}; join its group, {file.group()}"
+    return f", though {file} is there: another program has it, or it is no camera"
 
 
 class LiveCamera:
@@ -147,8 +164,8 @@ class LiveCamera:
             return newest
         reason = self._error or f"no picture for {seconds:g} s"
         raise DeviceError(
-            f"camera '{self.name}' ({self.source}): {reason}; is it plugged in, and is no other"
-            " program using it? Then go on"
+            f"camera '{self.name}' ({self.source}): {reason}; see that it is plugged in and that no"
+            " other program uses it, then go on"
         )
 
 
