@@ -1,5 +1,6 @@
 """The page's side of the conversation, with controls that nobody draws."""
 
+import re
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
@@ -17,7 +18,7 @@ from surfaces import box
 
 from palpate.bench import DeviceError, Page
 from palpate.bench.page_parts import montage, trace_svg, verdicts
-from palpate.bench.questions import Stopped
+from palpate.bench.questions import AT_REST, Stopped
 from palpate.lab import make_head
 from palpate.records import CONSTANT_NAMES, Estimate, ProbeEstimate, Status
 from palpate.vision import project
@@ -215,6 +216,49 @@ def test_a_push_goes_up_whichever_way_a_gauge_counts():
     assert trace_svg(time.tolist(), push.tolist()) == trace_svg(time.tolist(), (-push).tolist())
     # Nothing yet, and readings that came all at once.
     assert trace_svg([], []) == trace_svg([1.0, 1.0], [0.1, 0.2]) == ""
+
+
+def test_motion_and_force_are_one_line_of_an_elastic_body():
+    """The same path, twice; and half of it where half as much has moved in the end."""
+    time = np.linspace(10.0, 13.0, 51)
+    push = np.clip(time - 11.0, 0.0, 0.5)
+
+    def paths(motion):
+        svg = trace_svg(time.tolist(), push.tolist(), list(zip(time, motion, strict=True)))
+        return re.findall(r'd="(M[^"]*)" fill="none" stroke="#(?!8)', svg), svg
+
+    (force, motion), svg = paths(4e-3 * push)
+    assert force == motion
+    assert "2 mm" in svg
+    (force, motion), _ = paths(np.where(time > 12.0, 2e-3, 4e-3) * push)
+    assert force.split("L")[:30] == motion.split("L")[:30]
+    assert force.split("L")[-1] != motion.split("L")[-1]
+
+
+def test_motion_near_the_tool_is_followed_while_it_is_pressed(page, seen):
+    """A push of 2 mm down: rest pictures do not move, later ones do, and the next rest forgets."""
+    rig, rest = seen
+    mesh = small_config().specimen.mesh
+    page.known(rig)
+    page.body(mesh, np.zeros(0, dtype=np.int64))
+    page.place(TOP, DOWN)
+    body = drawn_body(small_config(), rig)
+    gap = np.linalg.norm(body.vertices - TOP, axis=1)
+    dented = body.vertices + 2e-3 * np.exp(-((gap / 0.015) ** 2))[:, None] * DOWN
+    pressed = tuple(np.rint(p).astype(np.uint8) for p in body.draw(dented, None))
+    page.see(rest, [0.0], [0.0], AT_REST)
+    page.see(rest, [0.1], [0.0], "press")
+    until(lambda: page._motion._work.done(), patience=60.0)
+    for when, pictures in ((0.2, rest), (0.3, pressed)):
+        page.see(pictures, [when], [0.0], "press")
+        until(lambda: page._motion._work.done(), patience=60.0)
+    (first, still), (second, moved) = page._motion.found[-2:]
+    assert (first, second) == (0.2, 0.3)
+    assert abs(still) < 1e-5
+    # The twenty nearest of points every 9 pixels, 2 mm apart: within 6 mm, where it is 1.7 to 2 mm.
+    assert 1.6e-3 < moved < 2.05e-3
+    page.see(rest, [0.4], [0.0], AT_REST)
+    assert page._motion is None
 
 
 def test_an_object_is_dragged_over_the_pictures(page, asking, seen):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from palpate.bench.live_motion import LiveMotion
 from palpate.bench.page_parts import (
     constants_html,
     intervals_svg,
@@ -92,6 +93,8 @@ class Page(Questions):
         self._place: tuple[Vector3, Vector3] | None = None
         self._way: Sequence[Vector3] = ()
         self._outline: TriangleMesh | None = None
+        self._rest: Pictures = ()
+        self._motion: LiveMotion | None = None
         self._mesh: TriangleMesh | None = None
         self._toward = np.array([0.8, -0.5, 0.4])
         self._clicked: Callable[[int, bool], object] | None = None
@@ -128,6 +131,7 @@ class Page(Questions):
 
     def close(self) -> None:
         """End the page; open tabs lose their connection."""
+        self._forget_motion()
         stop_server(self._server)
 
     def tell(self, text: str) -> None:
@@ -241,9 +245,27 @@ class Page(Questions):
         """As in `Questions`, some times a second."""
         if self._stopped.is_set():
             raise Stopped
+        self._follow(pictures, time, state)
         if self._show(pictures, state, dots):
             self._question.content = question_html(state.capitalize())
-            self._trace.content = trace_svg(time, force)
+            moved = [] if self._motion is None else list(self._motion.found)
+            self._trace.content = trace_svg(time, force, moved)
+
+    def _follow(self, pictures: Pictures, time: list[float], state: str) -> None:
+        """Have the motion near the tool followed, from the last pictures at rest."""
+        if state == AT_REST:
+            self._rest = pictures
+            self._forget_motion()
+        elif self._rest and self._place and self._rig is not None and self._mesh is not None:
+            if self._motion is None:
+                self._motion = LiveMotion(self._rig, self._mesh, self._rest, self._place)
+            if time:
+                self._motion.look(time[-1], pictures)
+
+    def _forget_motion(self) -> None:
+        if self._motion is not None:
+            self._motion.close()
+            self._motion = None
 
     def body(self, mesh: TriangleMesh, held: Indices) -> None:
         """As in `Questions`."""

@@ -28,6 +28,8 @@ _STYLE = "padding:0 .8em .6em;font-size:.875rem;line-height:1.4;overflow-wrap:an
 _CONTRAST, _WITHIN, _LEAST_TEXTURED = 5.0, 5.0, 0.03
 # A plot of forces reaches so many standard deviations of those at rest.
 _NOISE = 30.0
+# A motion is not drawn as large as a push that is smaller [m].
+_STILL = 1e-4
 # Time that it shows [s].
 _SHOWN = 8.0
 # Width of a camera's picture in the page, and a plot's size [px].
@@ -115,8 +117,11 @@ def _interval_svg(estimates: Sequence[Estimate], key: str) -> str:
     return plot.svg(title, f'<path d="{band}Z" fill="{PALE_BLUE}"/>{dots}')
 
 
-def trace_svg(time: Sequence[float], force: Sequence[float]) -> str:
-    """The latest readings of a gauge, from what it shows at rest; empty where there are none."""
+def trace_svg(
+    time: Sequence[float], force: Sequence[float], moved: Sequence[tuple[float, float]] = ()
+) -> str:
+    """The latest readings of a gauge, from what it shows at rest; empty where there are none. With
+    them the motion of the surface [s, m], drawn as high: of an elastic body both lines are one."""
     t, f = np.array(time), np.array(force)
     late = np.flatnonzero(t >= t[-1:] - _SHOWN)
     # Readings that came together have one time.
@@ -125,14 +130,19 @@ def trace_svg(time: Sequence[float], force: Sequence[float]) -> str:
     rest = f[: max(2, len(f) // 10)]
     f = f - np.median(rest)
     late = late[:: max(1, len(late) // _PLOT[0])]
-    t, f = t[late] - t[late[0]], f[late]
+    first, t, f = t[late[0]], t[late] - t[late[0]], f[late]
     f = (f if f.max() >= -f.min() else -f) + 0.0
     # At rest there is noise alone: it is not drawn as large as a push.
     plot = _Plot(t, np.append(f, _NOISE * rest.std()))
-    return plot.svg(
-        "force, N, over seconds",
-        f'<path d="{plot.line(t, f)}" fill="none" stroke="{ORANGE}" stroke-width="2"/>',
-    )
+    title, lines = "force, N, over seconds", [(plot.line(t, f), ORANGE)]
+    then = np.array([one for one in moved if one[0] >= first]).reshape(-1, 2)
+    if len(then):
+        most = max(then[:, 1].max(), _STILL)
+        line = plot.line(then[:, 0] - first, then[:, 1] / most * max(f.max(), 0.0))
+        lines.append((line, BLUE))
+        title = f"force, N (orange), and motion there, of {1e3 * most:.2g} mm (blue), over seconds"
+    drawn = (f'<path d="{d}" fill="none" stroke="{c}" stroke-width="2"/>' for d, c in lines)
+    return plot.svg(title, "".join(drawn))
 
 
 class _Plot:
