@@ -1,6 +1,7 @@
 """One push by a person: with a gauge that says when it is held, and with a scale that is read."""
 
 import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,49 @@ def test_a_blurred_push_is_refused(bench):
     object.__setattr__(world.body, "draw", shaken)
     with pytest.raises(PushError, match=r"blurred, .* as sharp as those at rest"):
         taken(bench, Script(on_tell=person))
+
+
+@pytest.mark.slow
+def test_a_force_that_falls_while_it_is_held_is_said(bench):
+    """By 1.5 % a second; at 3 % it would not be held."""
+    bench = replace(bench, hold=3.0)
+    person = Hand(bench)
+
+    def relaxed(time, newtons):
+        since = np.clip(time - person.begun - 0.5, 0.0, None)
+        return time, 0.2 + (newtons - 0.2) * (1.0 - 0.015 * since)
+
+    _readings(relaxed)(bench)
+    script = Script(on_tell=person)
+    taken(bench, script)
+    # 4.5 % over that of the middle, 98 %, to the nearest per cent.
+    said = script.told[-1]
+    assert re.match(r"The force fell by [45] % in the (2\.9|3\.[0-2]) s it was held", said)
+
+
+@pytest.mark.parametrize(
+    ("factor", "taken_so"), [(0.6, False), pytest.param(0.75, True, marks=pytest.mark.slow)]
+)
+def test_exposure_that_jumps(bench, factor, taken_so):
+    """A camera that is darker under load is named; by a quarter less is made good."""
+    person = Hand(bench)
+    world, quiet = person.world, bench.cameras[1].grab
+
+    def darker():
+        picture, when = quiet()
+        late = world.time > person.begun + 1.2
+        return (factor * picture if late else picture).astype(np.uint8), when
+
+    bench.cameras[1].grab = darker
+    if not taken_so:
+        with pytest.raises(PushError, match=r"'c1' is 0\.[56]. times as bright under load"):
+            taken(bench, Script(on_tell=person))
+        return
+    push = taken(bench, Script(on_tell=person))
+    lit = push.rest[1] > 60
+    # Most of the object is where it was: as bright to two per cent, a grey level of the darkest.
+    ratio = np.median(push.loaded[1][lit] / push.rest[1][lit].astype(float))
+    assert ratio == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_arm_that_is_stopped_lifts_off():

@@ -22,6 +22,7 @@ from palpate.bench.questions import AT_REST, Pictures, Questions
 from palpate.disk import write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh
+from palpate.pipeline import DARK_LEVEL
 from palpate.recording import (
     ForceLog,
     Reading,
@@ -47,6 +48,9 @@ _PATIENCE = 60.0
 # Change of the pictures while a push is held, over their change since rest, that is a slip; and
 # sharpness over that at rest that is a blur.
 _SLIP, _BLUR = 0.15, 0.5
+# Brightness over that at rest that is no longer taken: four standard deviations of that of cameras
+# which were tried and left the constants as they are (`python -m benchmarks.cheap_cameras`).
+_BRIGHTER = 1.5
 # Percentile of the contrasts of neighbouring pixels that is the texture's, not the background's.
 _TEXTURED = 95.0
 # Steps of an arm's way down to the largest depth; angle of a step around the object [rad].
@@ -59,6 +63,10 @@ _FELT = 0.02
 _PAUSE, _SAME = 2e-3, 1e-6
 # Standard deviation of a force that was read by eye, over the force.
 _BY_EYE = 0.02
+# Change of the force while it is held that is said. A gauge with noise of 0.5 % and 100 readings a
+# second shows 0.2 % in a second and a half; above 3 % a second it is not held at all.
+_CREEPS = 0.02
+_Grey = tuple[np.ndarray, ...]
 
 
 class PushError(InputError):
@@ -167,19 +175,34 @@ class _Watch:
 
     def mean(self, begin: float, end: float, rest: Pictures | None = None) -> Pictures:
         """Mean picture of a span of time; a push that slips in it since rest is refused."""
-        chosen = [pictures for when, pictures in self.frames if begin <= when <= end][-_AVERAGED:]
+        chosen: list[_Grey] = [p for when, p in self.frames if begin <= when <= end][-_AVERAGED:]
         if len(chosen) < _FEWEST:
             raise PushError(
                 f"only {len(chosen)} pictures came while it was still; hold longer, or have the"
                 " cameras send more pictures a second"
             )
+        if rest is not None:
+            chosen = [self.lit_as(rest, pictures) for pictures in chosen]
         if rest is not None and (share := _moved(chosen, rest)) > _SLIP:
             raise PushError(
                 f"it moved while it was held, by {100 * share:.0f} % of the push: did the tool"
                 " slip, or does a camera deliver late? Press straight in, and hold still"
             )
         stacks = [np.stack(views) for views in zip(*chosen, strict=True)]
-        return tuple(np.rint(s.mean(axis=0)).astype(np.uint8) for s in stacks)
+        means = (np.rint(stack.mean(axis=0)) for stack in stacks)
+        return tuple(np.minimum(mean, 255.0).astype(np.uint8) for mean in means)
+
+    def lit_as(self, rest: Pictures, pictures: Pictures) -> _Grey:
+        """Pictures as bright as those at rest; a push under another light is refused."""
+        gains = [_brightness(a, b) for a, b in zip(pictures, rest, strict=True)]
+        for camera, gain in zip(self.bench.cameras, gains, strict=True):
+            if not 1.0 / _BRIGHTER < gain < _BRIGHTER:
+                raise PushError(
+                    f"camera '{camera.name}' is {gain:.2g} times as bright under load as at rest:"
+                    " fix its exposure and gain, keep lamps and daylight as they are, and stay out"
+                    " of the light"
+                )
+        return tuple(p / np.float32(gain) for p, gain in zip(pictures, gains, strict=True))
 
     def force(self) -> "_Force | None":
         """The push in the readings so far; None before there is one."""
@@ -295,7 +318,7 @@ def _by_hand(
         found = watch.force() or found
         if time.monotonic() - begun > 2.0 * _PATIENCE:
             raise PushError("the tool was not lifted off, so the gauge's zero is not known")
-    return rest, loaded, _size(found.reading())
+    return rest, loaded, _size(found.reading(), questions)
 
 
 def _typed(
@@ -305,7 +328,7 @@ def _typed(
     rest = _at_rest(questions, watch, where)
     questions.wait(f"Press straight in near {where}, and hold still")
     watch.state = "hold still"
-    loaded = watch.seen_for(_DELIVERY)
+    loaded = watch.seen_for(_DELIVERY, rest)
     while True:
         try:
             newtons = force.newtons(questions.ask("What does the scale show more than before?", ""))
@@ -348,7 +371,7 @@ def _by_arm(
         raise
     if (found := watch.force()) is None:
         raise PushError("the gauge shows no push that was held; is it in line with the tool?")
-    return rest, loaded, _size(found.reading())
+    return rest, loaded, _size(found.reading(), watch.questions)
 
 
 def _press(arm: GuardedArm, watch: _Watch, place: Vector3, inward: Vector3, wanted: float) -> None:
@@ -410,12 +433,22 @@ def way_round(
     return [*around, there]
 
 
-def _size(reading: Reading) -> tuple[float, float]:
-    """Size of the force, whatever its sign, and its standard deviation [N]."""
-    return float(np.linalg.norm(reading.force)), float(np.linalg.norm(reading.std))
+def _size(reading: Reading, questions: Questions) -> tuple[float, float]:
+    """Size of the force, whatever its sign, and its standard deviation [N]; creep is said."""
+    size, std = float(np.linalg.norm(reading.force)), float(np.linalg.norm(reading.std))
+    held = reading.end - reading.begin
+    if abs(reading.creep) > _CREEPS:
+        way = "fell" if reading.creep < 0.0 else "rose"
+        questions.tell(
+            f"The force {way} by {100 * abs(reading.creep):.0f} % in the {held:.1f} s it was held:"
+            " the object creeps, or the tool did not stand still. E is that of about"
+            f" {held / 2:.1g} s under load: hold every push as long, or record one that is held ten"
+            " times as long as it rises"
+        )
+    return size, std
 
 
-def _moved(chosen: list[Pictures], rest: Pictures) -> float:
+def _moved(chosen: list[_Grey], rest: Pictures) -> float:
     """Change over some pictures, over that since rest; noise taken off both."""
     half, shares = len(chosen) // 2, []
     for k, still in enumerate(rest):
@@ -427,6 +460,14 @@ def _moved(chosen: list[Pictures], rest: Pictures) -> float:
         since = float(np.mean((views.mean(axis=0) - still) ** 2)) - noise / len(chosen)
         shares.append(np.sqrt(max(within, 0.0) / max(since, noise, 1e-6)))
     return float(np.median(shares))
+
+
+def _brightness(picture: np.ndarray, rest: np.ndarray) -> float:
+    """Grey levels over those at rest, of what is not dark: tool, hand and shadow hide a part."""
+    lit = rest[::2, ::2] > DARK_LEVEL
+    if not lit.any():
+        return 1.0
+    return float(np.median(picture[::2, ::2][lit] / rest[::2, ::2][lit].astype(np.float32)))
 
 
 def _sharpness(loaded: Pictures, rest: Pictures) -> float:
