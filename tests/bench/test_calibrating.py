@@ -10,7 +10,7 @@ from palpate.bench import DeviceError, measure, virtual_bench
 from palpate.bench.calibrating import _Places, _still_pictures, calibrate_live, moved_rig
 from palpate.bench.questions import motion_about
 from palpate.calibration import Charuco, Chessboard
-from palpate.records import read_rig, read_rig_covariance
+from palpate.records import make_pose, read_rig, read_rig_covariance, read_session
 from palpate.vision import project
 
 BOARD = Charuco(9, 7, 0.012, 0.009)
@@ -52,6 +52,16 @@ def test_from_a_board_to_constants(tmp_path):
     again = Script()
     measure(bench(), again, tmp_path, dry_run=True)
     assert again.asked == []
+    # The object is moved by 2 mm meanwhile, for good: a session of the new place begins.
+    moved, script = bench(), Script(("Is it back", "no"))
+    body, shift = moved.cameras[0]._world.body, np.array([2e-3, 0.0, 0.0])
+    object.__setattr__(body, "vertices", body.vertices + shift)
+    measure(moved, script, tmp_path, pushes=2)
+    further = tmp_path.with_name(f"{tmp_path.name}-2")
+    assert any(f"stay in {tmp_path}; {further} begins" in text for text in script.told)
+    assert [len(read_session(each).probings) for each in (tmp_path, further)] == [1, 2]
+    rig = read_rig(further / "rig.toml")
+    assert off(moved_rig(rig, make_pose(np.eye(3), -shift)), moved.cameras[0]._world) < 0.15
 
 
 @pytest.mark.slow

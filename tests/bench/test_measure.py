@@ -120,7 +120,7 @@ def test_a_camera_that_goes_is_said_and_started_again(tmp_path):
 
 @pytest.mark.slow
 def test_an_object_that_was_moved_is_noticed(tmp_path):
-    """By 1 mm between the first push and the second; then the person stops."""
+    """By 1 mm between the first push and the second, for good; a given rig is of the old place."""
     bench = drawn_bench()
     world = bench.cameras[0]._world
     rest = world.body.vertices
@@ -130,10 +130,11 @@ def test_an_object_that_was_moved_is_noticed(tmp_path):
             object.__setattr__(world.body, "vertices", rest + np.array([1e-3, 0.0, 0.0]))
             world._drawn = None
 
-    script = Script(("Push again?", "stop"), on_tell=shift)
+    script = Script(("Is it back", "yes"), ("Is it back", "no"), on_tell=shift)
     measure(bench, script, tmp_path, pushes=2)
-    (said,) = [text for text in script.told if "does not count" in text]
+    said, _ = [text for text in script.told if "does not count" in text]
     assert "the object has moved by 1" in said
+    assert script.told[-1].startswith("Its rig is of the old place")
     assert len(read_session(tmp_path).probings) == 1
 
 
@@ -149,13 +150,16 @@ def test_a_push_that_is_too_light_does_not_count(tmp_path):
 
 @pytest.mark.slow
 def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
+    """And of the notes on the next one, those that are about it are said."""
+    deep, other = "In n01 the tool went in by 20 % of the radius", "Support s turned"
     fits, fit = [], LiveSession.fit
 
     def failing(self, *arguments, **options):
         fits.append(1)
         if len(fits) == 1:
             raise InputError("probing 'n01': the tool is buried")
-        return fit(self, *arguments, **options)
+        found = fit(self, *arguments, **options)
+        return replace(found, estimate=replace(found.estimate, notes=(other, deep)))
 
     monkeypatch.setattr(LiveSession, "fit", failing)
     script = Script()
@@ -163,6 +167,8 @@ def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
     assert "This push does not count: probing 'n01': the tool is buried" in script.told
     assert len(result.estimate.probes) == len(read_session(tmp_path).probings) == 1
     assert len(fits) == 2
+    assert deep in script.told
+    assert other not in script.told
 
 
 def test_a_rehearsal_moves_nothing(tmp_path):

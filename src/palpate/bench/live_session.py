@@ -50,7 +50,7 @@ from palpate.records import (
     read_toml,
 )
 from palpate.shapes import Vector3
-from palpate.vision import JointFlow, is_valid, picture_path
+from palpate.vision import JointFlow, is_valid, picture_path, read_pictures
 
 _IMAGES, _REST, _LOADED = "images", "images/{}_rest_{{camera}}.png", "images/{}_{{camera}}.png"
 _LOOKS = tuple(Step(name, f"{_IMAGES}/{name}_{{camera}}.png") for name in ("look1", "look2"))
@@ -167,13 +167,17 @@ class LiveSession:
                 picture_path(camera, file, self.folder).unlink(missing_ok=True)
 
     def moved(self, pictures: Pictures) -> float:
-        """How far the object has moved since the first pictures at rest that this was asked of [m];
-        0 where that is no more than can be seen."""
+        """How far the object has moved since before the first push [m]; 0 where that is no more
+        than can be seen."""
         grey = tuple(picture.astype(np.float32) for picture in pictures)
         if self._first is None:
-            method = JointFlow()
-            self._first = method.start(self.rig, grey, self.mesh), method
-            return 0.0
+            method, first = JointFlow(), grey
+            if self.count:
+                rest = self.content["probe"][0]["images"]["rest"]
+                first = read_pictures(self.rig, rest, folder=self.folder, what="push 1").grey
+            self._first = method.start(self.rig, first, self.mesh), method
+            if not self.count:
+                return 0.0
         state, method = self._first
         _, flow = method.follow(state, grey)
         valid = is_valid(flow)

@@ -6,6 +6,7 @@ in the browser answers.
 """
 
 import re
+import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -43,6 +44,7 @@ from palpate.recording import (
     survey_folder,
 )
 from palpate.records import (
+    BIASED,
     FILE_LENGTH_UNITS,
     MODULUS_UNITS,
     Constant,
@@ -65,6 +67,9 @@ _RIG = "rig.toml"
 # The way of an arm to its first push; what a person can say to a push that failed.
 _DRAWING = "first_push.png"
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
+# What a session of the object at another place does not take over, and what is asked before one.
+_OF_ONE_SESSION = ("format", "rig", "probe")
+_IS_BACK = "Is it back where it was? If not, another session begins, with the object where it is"
 _Places = list[tuple[Vector3, Vector3]]
 
 
@@ -137,7 +142,8 @@ def measure(
 
     Returns
     -------
-    FitResult or None               of all pushes; None where there is none
+    FitResult or None               of all pushes; None where there is none. Where the object was
+                                    moved for good: of those since, whose folder has "-2" added
 
     Raises
     ------
@@ -145,6 +151,7 @@ def measure(
     PalpateError                    as in `read_session`, `fit_session`
     """
     result: FitResult | None = None
+    further: tuple[Bench, Path] | None = None
     with bench.closed_afterwards(), suppress(Stopped):
         questions.step(DEVICES)
         _start(bench, questions)
@@ -172,7 +179,11 @@ def measure(
             if questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "no":
                 return result
         while not _enough(session, result, until, pushes, questions):
-            measured = _push(bench, session, questions, places)
+            try:
+                measured = _push(bench, session, questions, places)
+            except _MovedAway:
+                further = _beside(bench, session, questions)
+                break
             if measured is None:
                 break
             try:
@@ -180,7 +191,40 @@ def measure(
             except InputError as error:
                 session.withdraw()
                 questions.tell(f"This push does not count: {error}")
+    if further is not None:
+        again, folder = further
+        return measure(again, questions, folder, until=until, pushes=pushes, cache=cache)
     return result
+
+
+class _MovedAway(Exception):
+    """The object is no longer where the session has it."""
+
+
+def _beside(bench: Bench, session: LiveSession, questions: Questions) -> tuple[Bench, Path]:
+    """The bench of a further session, beside this one, of the object where it is now; only cameras
+    that were calibrated here can find it there."""
+    folder, number = session.folder, 2
+    if not (folder / CALIBRATED).exists():
+        questions.tell("Its rig is of the old place: give one of the new place, and another --out")
+        raise Stopped
+    while (further := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    shutil.copytree(folder / CALIBRATED, further / CALIBRATED)
+    head = {key: session.content[key] for key in session.content if key not in _OF_ONE_SESSION}
+    named = head["object"]["mesh"], head["support"].get("triangles")
+    files = [name for name in named if isinstance(name, str)]
+
+    def supply(into: Path) -> None:
+        for name in files:
+            put((folder / name).read_bytes(), into / name)
+
+    questions.tell(
+        f"Pushes up to {session.count} stay in {folder}; {further} begins, and what follows is of"
+        " its pushes alone"
+    )
+    again = replace(bench, rig=None, head=head, contact=session.contact, supply=supply)
+    return again, further
 
 
 def _start(bench: Bench, questions: Questions, error: DeviceError | None = None) -> None:
@@ -325,14 +369,18 @@ def _push(
             taken = take_push(bench, questions, session.mesh, place, inward)
             with questions.working() as progress:
                 progress("displacements from the pictures", 0.0)
-                if moved := session.moved(taken.rest):
-                    raise PushError(
-                        f"the object has moved by {1e3 * moved:.2g} mm since the first push: put it"
-                        " back, or stop and begin another session"
-                    )
-                measured = session.add(taken, place, inward)
-            questions.tell(f"Push {session.count} is taken: {taken.force:.3g} N")
-            return measured
+                moved = session.moved(taken.rest)
+                measured = None if moved else session.add(taken, place, inward)
+            if measured is not None:
+                questions.tell(f"Push {session.count} is taken: {taken.force:.3g} N")
+                return measured
+            questions.tell(
+                f"This push does not count: the object has moved by {1e3 * moved:.2g} mm since the"
+                " first push"
+            )
+            if questions.choose(_IS_BACK, ["yes", "no"]) == "no":
+                raise _MovedAway
+            continue
         except PushError as error:
             questions.tell(f"This push does not count: {error}")
         except DeviceError as error:
@@ -358,6 +406,10 @@ def _judged(
         result = session.fit(measured, progress=progress)
     estimate = result.estimate
     questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
+    for note in estimate.notes:
+        # Such as a push that went too deep for the model.
+        if measured.probings[-1].name in note and BIASED not in note:
+            questions.tell(note)
     questions.judged(estimate)
     try:
         with questions.working() as progress:
