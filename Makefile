@@ -46,8 +46,11 @@ $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/run.stamp
 	$(PIP) install -r requirements-dev.lock
 	touch $@
 
-demo: $(VENV)/lab.stamp $(VENV)/kernels.stamp
-	$(BIN)/palpate lab demo demo-session
+# Kernels are compiled by one processor: beside the rendering, shown after it.
+demo: $(VENV)/lab.stamp
+	@$(MAKE) --no-print-directory $(VENV)/kernels.stamp > $(VENV)/kernels.txt 2>&1 & kernels=$$!; \
+	$(BIN)/palpate lab demo demo-session || exit; \
+	wait $$kernels; kernels=$$?; cat $(VENV)/kernels.txt; exit $$kernels
 	$(BIN)/palpate fit demo-session --out demo-result || [ $$? -eq 3 ]
 
 # Contracts and types keep one processor busy for a minute: beside the tests, shown after them.
