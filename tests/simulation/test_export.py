@@ -270,8 +270,10 @@ def test_few_nodes_are_moved_by_the_push_as_many_are(source, cache, tmp_path):
     assert float(done.stdout.split()[-1]) < 0.03
 
 
-def test_a_ball_pushes_the_flex_of_mujoco_aside(source, cache, tmp_path):
+def test_a_ball_pushes_the_flex_of_mujoco_aside(source, cache, tmp_path, monkeypatch):
     mujoco = pytest.importorskip("mujoco")
+    # MuJoCo writes its warnings where it runs.
+    monkeypatch.chdir(tmp_path)
     export_fit(tmp_path, source, "mujoco", nodes=300, cache=cache)
     push = json.loads((tmp_path / "palpate.json").read_text())["push"]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
