@@ -76,7 +76,7 @@ from palpate.bem.system.springs import (
     make_spring_factors as make_spring_factors,
     make_spring_system as make_spring_system,
     make_springs as make_springs,
-    spring_columns as spring_columns,
+    springs_at as springs_at,
 )
 from palpate.bem.system.system import (
     BoundarySystem as BoundarySystem,

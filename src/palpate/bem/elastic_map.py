@@ -26,7 +26,7 @@ from palpate.bem.system.springs import (
     SpringSystem,
     make_spring_factors,
     make_spring_system,
-    spring_columns,
+    springs_at,
 )
 from palpate.bem.system.system import BoundarySystem
 from palpate.errors import InputError
@@ -174,11 +174,11 @@ class ElasticMap:
         equations = point_equations(self.system, *where)
         corrections = indentation_corrections(self.system.surface, [load])
         right = load_right_hand(equations.system, [load], corrections).at(self.poisson_ratio)
-        matrix, own = (a + self.poisson_ratio * b for a, b in (equations.matrix, equations.own))
+        parts = equations.matrix
         if self.springs is not None:
-            columns = spring_columns(equations.system, self.springs.factors.springs)
-            further = columns[0] + self.poisson_ratio * columns[1]
-            matrix = np.concatenate([matrix, -equations.by_point(further)], axis=2)
+            further = springs_at(equations, self.springs.factors.springs)
+            parts = np.concatenate([parts, further], axis=3)
+        matrix, own = (a + self.poisson_ratio * b for a, b in (parts, equations.own))
         known = equations.by_point(right)[0] @ force / self.shear_modulus
         return np.linalg.solve(own[0], matrix[0] @ unknowns - known)
 

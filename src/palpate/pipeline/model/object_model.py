@@ -19,6 +19,7 @@ from palpate.bem import (
     dilation_factor,
     held_system,
     point_equations,
+    springs_at,
 )
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.parts import Cache
@@ -31,7 +32,6 @@ from palpate.pipeline.model.supports import (
     session_springs,
     session_surface,
     sliding_motion,
-    springs_at,
     support_force,
     support_shapes,
 )
@@ -450,5 +450,6 @@ def _tip_rows(
         particular = (at_tip @ _particular(model.system, model.body))[0]
     matrix = tips.equations.matrix[:, patch]
     if model.springs is not None:
-        matrix = np.concatenate([matrix, springs_at(tips.equations, model.springs, patch)], axis=2)
+        further = springs_at(tips.equations, model.springs)[:, patch]
+        matrix = np.concatenate([matrix, further], axis=2)
     return ContactPointEquations(matrix, tips.equations.own[:, patch], np.stack(right), particular)

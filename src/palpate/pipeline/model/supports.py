@@ -16,12 +16,10 @@ from palpate.bem import (
     BodyForce,
     BoundarySurface,
     BoundarySystem,
-    PointEquations,
     Springs,
     integral_weights,
     make_springs,
     make_surface,
-    spring_columns,
     unrestrained_motions,
 )
 from palpate.errors import InputError
@@ -441,25 +439,6 @@ def weight_on_springs(
     first = 3 * system.unknowns.free_vertices.size
     unknowns[first : first + body.support_traction.size] = body.support_traction.ravel()
     return springs.mean_traction @ unknowns * system.traction_length
-
-
-def springs_at(
-    equations: PointEquations, springs: Springs, point: int
-) -> Float[np.ndarray, "2 3 e"]:
-    """Further columns of the equations at one point, for the displacements of the springs.
-
-    Parameters
-    ----------
-    equations : PointEquations
-    springs : Springs               of the same object
-    point : int                     index among the points of the equations
-
-    Returns
-    -------
-    (2, 3, e) float                 constant and slope in Poisson's ratio
-    """
-    columns = spring_columns(equations.system, springs)
-    return -np.stack([equations.by_point(part)[point] for part in columns])
 
 
 def support_force(
