@@ -20,7 +20,7 @@ from palpate.shapes import Matrix3, Points, PointScalars, Vector3
 # Tolerance relative to the largest nodal force, and largest number of rounds to reach it.
 _TOLERANCE, _MAX_ROUNDS = 1e-9, 120
 # Fewer nodes under a tool do not resolve its contact (with six, its force is 20 % too high).
-FEW_NODES = 10
+_FEW_NODES = 10
 # Largest deviation of an entry of R R^T from the identity.
 _ROTATION_TOLERANCE = 1e-9
 
@@ -99,10 +99,10 @@ class ContactState:
 
     @property
     def resolved(self) -> Bool[np.ndarray, " t"]:
-        """Whether each tool touches no node, or at least `FEW_NODES`: with fewer, its force depends
-        on the mesh and is too high."""
+        """Whether each tool touches no node, or at least ten: with fewer, its force depends on
+        the mesh and is too high."""
         count = np.bincount(self.tool_of[self.touching], minlength=len(self.tools))
-        return (count == 0) | (count >= FEW_NODES)
+        return (count == 0) | (count >= _FEW_NODES)
 
     @property
     def sticking(self) -> Int[np.ndarray, " k"]:

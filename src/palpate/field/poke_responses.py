@@ -29,7 +29,7 @@ from palpate.field.field_prior import make_field_modes
 from palpate.field.field_responses import CoefficientPrior, FieldExpansion, FieldModel
 from palpate.geometry import CREASE_ANGLE, triangle_distances, unit_normals
 from palpate.probe import dent
-from palpate.records import RoundTool, Session
+from palpate.records import FlatFace, Session, Sphere
 from palpate.shapes import Points
 from palpate.solids import (
     GradedBody,
@@ -185,7 +185,7 @@ def growths(session: Session) -> Float[np.ndarray, " k"]:
     return np.array([tool.growth for tool in tools(session)])
 
 
-def tools(session: Session) -> list[RoundTool]:
+def tools(session: Session) -> list[Sphere | FlatFace]:
     """The tool of each poke.
 
     Parameters
@@ -193,7 +193,7 @@ def tools(session: Session) -> list[RoundTool]:
     session : Session               `without_pictures`
     """
     found = [each.contact.tool for each in session.probings]
-    return [tool for tool in found if isinstance(tool, RoundTool)]
+    return [tool for tool in found if isinstance(tool, Sphere | FlatFace)]
 
 
 def make_poke_model(

@@ -7,7 +7,7 @@ face, 1/3 under a sphere, whose circle of contact grows with the force.
 from dataclasses import replace
 
 from palpate.probe.tool_contact import reduced_modulus
-from palpate.records import RoundTool, Tool
+from palpate.records import FlatFace, Sphere, Tool
 
 # A hollow surface counts as at most this share of a sphere's curvature: else it would fit the tool.
 _HOLLOW = 0.9
@@ -35,12 +35,14 @@ def on_flat(tool: Tool, curvature: float) -> Tool:
     return replace(tool, radius=tool.radius / max(1.0 + tool.radius * curvature, 1.0 - _HOLLOW))
 
 
-def dent(tool: RoundTool, force: float, *, shear_modulus: float, poisson_ratio: float) -> float:
-    """Depth to which a round tool dents a half space (`RoundTool.dent`).
+def dent(
+    tool: Sphere | FlatFace, force: float, *, shear_modulus: float, poisson_ratio: float
+) -> float:
+    """Depth to which a ball or a flat round face dents a half space (`Sphere.dent`).
 
     Parameters
     ----------
-    tool : RoundTool
+    tool : Sphere or FlatFace
     force : float [N]               along the inward normal, > 0
     shear_modulus : float [Pa]      > 0
     poisson_ratio : float [-]       -1 < nu <= 0.5

@@ -107,29 +107,6 @@ class RoundTool(Tool):
         distance : array [m]        from the axis, below the radius
         """
 
-    @abstractmethod
-    def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """How far the face is ahead of the origin, towards -z [m]; -inf beyond the radius.
-
-        Parameters
-        ----------
-        distance : array [m]        from the axis
-        """
-
-    @abstractmethod
-    def dent(self, load: float) -> float:
-        """Depth to which it dents a half space [m].
-
-        Parameters
-        ----------
-        load : float [m^2]          force over the reduced modulus, > 0
-
-        Source
-        ------
-        Johnson, Contact Mechanics (1985), equations 4.23 (sphere, taken as a paraboloid: up to
-        about half its radius) and 3.36 (flat face); Sneddon, Int. J. Eng. Sci. 3 (1965) 47 (cone).
-        """
-
 
 class Sphere(RoundTool):
     """A ball of a radius [m]."""
@@ -148,12 +125,26 @@ class Sphere(RoundTool):
         return np.asarray(distance / np.sqrt(self.radius**2 - distance**2))
 
     def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """A circle."""
+        """How far the face is ahead of the origin, towards -z [m]; -inf beyond the radius.
+
+        Parameters
+        ----------
+        distance : array [m]        from the axis
+        """
         rise = np.sqrt(np.clip(self.radius**2 - distance**2, 0.0, None))
         return np.where(distance < self.radius, rise, -np.inf)
 
     def dent(self, load: float) -> float:
-        """Hertz' depth."""
+        """Depth to which it dents a half space [m], as a paraboloid: up to half its radius.
+
+        Parameters
+        ----------
+        load : float [m^2]          force over the reduced modulus, > 0
+
+        Source
+        ------
+        Hertz; Johnson, Contact Mechanics (1985), equation 4.23
+        """
         return float(np.cbrt((0.75 * load) ** 2 / self.radius))
 
 
@@ -168,11 +159,11 @@ class FlatFace(RoundTool):
         return np.zeros_like(distance)
 
     def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """None, up to the rim."""
+        """As of a `Sphere`: none, up to the rim."""
         return np.where(distance <= self.radius * (1.0 + 1e-9), 0.0, -np.inf)
 
     def dent(self, load: float) -> float:
-        """That of a punch."""
+        """As of a `Sphere`; Johnson, Contact Mechanics (1985), equation 3.36."""
         return load / (2.0 * self.radius)
 
     @property
@@ -212,14 +203,6 @@ class Cone(RoundTool):
     def slope(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """That of its side."""
         return np.full_like(distance, 1.0 / np.tan(self.angle))
-
-    def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Its side, which falls behind its apex."""
-        return np.where(distance <= self.radius, -distance / np.tan(self.angle), -np.inf)
-
-    def dent(self, load: float) -> float:
-        """Sneddon's depth."""
-        return float(np.sqrt(0.5 * np.pi * load / np.tan(self.angle)))
 
     @property
     def faces(self) -> Float[np.ndarray, "p 4"]:

@@ -298,13 +298,13 @@ def _check_nodes(form: Format, edge: float | None, nodes: int | None) -> None:
     if not form.is_linear:
         linear = ", ".join(name for name, each in FORMATS.items() if each.is_linear)
         raise InputError(
-            f"--nodes is for simulators that take linear tetrahedra ({linear}), not for"
+            f"nodes is for simulators that take linear tetrahedra ({linear}), not for"
             f" {form.title}: leave it out"
         )
     if edge is not None:
-        raise InputError("--nodes and --edge both say how fine the tetrahedra are; give one")
+        raise InputError("nodes and edge both say how fine the tetrahedra are; give one")
     if not _FEWEST_NODES <= nodes <= _MOST_NODES:
-        raise InputError(f"--nodes is {nodes}; must be {_FEWEST_NODES} to {_MOST_NODES}")
+        raise InputError(f"nodes is {nodes}; must be {_FEWEST_NODES} to {_MOST_NODES}")
 
 
 def _few_nodes(count: int, share: float) -> str:
