@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from palpate.contact import PlacedTool, gaps
-from palpate.contact.friction import node_force
+from palpate.contact.friction import at_rest, node_force
 from palpate.contact.moved_tools import tool_arrays
 from palpate.contact.response import OPEN, SLIDES, STICKS, set_frame
-from palpate.contact.settle import tool_gap
-from palpate.records import Cone, ConvexMesh, FlatFace, Tool
+from palpate.contact.settle import out_of_reach, tool_gap
+from palpate.records import Cone, ConvexMesh, FlatFace, Sphere, Tool
 
 
 def _compliance(rng: np.random.Generator) -> np.ndarray:
@@ -64,6 +64,27 @@ def test_a_tool_that_is_turned_is_as_far_from_a_point_that_is_turned() -> None:
         found, at = tool_gap(both[1], 0, -1, turn @ point, normals[1])
         assert (found, at) == (pytest.approx(straight, abs=1e-15), face)
         np.testing.assert_allclose(normals[1], turn @ normals[0], atol=1e-15)
+
+
+def test_a_point_is_out_of_reach_of_a_ball_beyond_its_radius_and_the_margin() -> None:
+    ball = [PlacedTool(Sphere(0.01), np.array([0.02, 0.0, 0.0]))]
+    tools, margin = tool_arrays(ball, ball), 0.002
+    for share in (0.5, 0.999, 1.001, 2.0):
+        point = np.array([0.02, 0.0, 0.0]) + share * 0.012 * np.array([0.6, 0.0, 0.8])
+        assert out_of_reach(tools, 0, point, margin) == (share > 1.0)
+
+
+@pytest.mark.parametrize("friction", [0.3, 1.0])
+def test_a_node_that_slides_is_at_rest_under_all_of_its_friction_alone(friction: float) -> None:
+    frame = np.empty((1, 3, 3))
+    set_frame(np.array([0.0, 0.0, 1.0]), frame[0])
+    way, residual = np.array([[1.0, 0.0, 0.0]]), np.array([[1e-4, 0.0, 0.0]])
+    for pull in (0.0, 0.5, 0.99, 1.0):
+        force = np.array([[-pull * friction * 2.0, 0.0, 2.0]])
+        found = at_rest(
+            frame, np.array([friction]), residual, force, np.array([SLIDES]), way.copy(), 1e-3
+        )
+        assert found == (pull == 1.0)
 
 
 @pytest.mark.parametrize(

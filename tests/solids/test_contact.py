@@ -229,6 +229,13 @@ def test_a_sphere_deeper_than_its_radius_is_refused(block):
         press(block, BALL, np.array([1e-4, BALL.radius]))
 
 
+def test_a_force_that_a_body_could_bear_only_as_a_thin_layer_is_refused(block):
+    # Hertz, as in test_tips: the depth that the message names.
+    force = 4 / 3 * CONTACT_MODULUS * np.sqrt(BALL.radius * 0.12**3)
+    with pytest.raises(InputError, match="a half space of this material in by 120 mm"):
+        press_to_force(block, BALL, force)
+
+
 def test_samples_of_a_face_are_of_degree_two():
     place = facet_samples()
     assert place.shape == (48, 3)

@@ -80,6 +80,24 @@ def test_the_tip_of_a_cone_is_kept():
     assert solid.deviation < 0.05
 
 
+def test_where_a_sharp_edge_turns_a_corner_is_kept():
+    """The rim of a flat double pyramid: two sharp edges meet in each corner, at 60 degrees."""
+    angle = np.arange(6) * np.pi / 3
+    corner = 0.05 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(6)])
+    # Rim points between the corners are as close together as those that are kept are not.
+    share = np.arange(7)[:, None] / 7
+    ends = zip(corner, np.roll(corner, -1, axis=0), strict=True)
+    rim = np.vstack([start + share * (end - start) for start, end in ends])
+    count = len(rim)
+    vertices = np.vstack([rim, [[0.0, 0.0, 0.018], [0.0, 0.0, -0.018]]])
+    k = np.arange(count)
+    upper = np.column_stack([k, (k + 1) % count, np.full(count, count)])
+    lower = np.column_stack([(k + 1) % count, k, np.full(count, count + 1)])
+    solid = filled(TriangleMesh(vertices, np.vstack([upper, lower])), edge=0.013)
+    for one in corner:
+        assert np.linalg.norm(solid.nodes - one, axis=1).min() < 1e-12
+
+
 def test_a_reentrant_edge_is_kept():
     mesh = l_shape()
     solid = filled(mesh, edge=0.3)
