@@ -39,6 +39,7 @@ from palpate.bem.loads.local_indentation import (
     correction_columns as correction_columns,
     indentation_corrections as indentation_corrections,
     load_right_hand as load_right_hand,
+    missed_indentation as missed_indentation,
 )
 from palpate.bem.loads.right_hand import (
     BodyForce as BodyForce,
@@ -67,16 +68,11 @@ from palpate.bem.system.factors import (
     solve as solve,
     unrestrained_motions as unrestrained_motions,
 )
-from palpate.bem.system.matrix import (
-    PointEquations as PointEquations,
-    point_equations as point_equations,
-)
 from palpate.bem.system.springs import (
     Springs as Springs,
     make_spring_factors as make_spring_factors,
     make_spring_system as make_spring_system,
     make_springs as make_springs,
-    springs_at as springs_at,
 )
 from palpate.bem.system.system import (
     BoundarySystem as BoundarySystem,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from palpate.bem.compressed.iterative import ClusterInverse, cluster_inverse, solve_compressed
 from palpate.bem.compressed.system import CompressedSystem
@@ -20,13 +20,11 @@ from palpate.bem.loads.local_indentation import (
 )
 from palpate.bem.loads.surface_load import SurfaceLoad
 from palpate.bem.system.factors import CentredSystem, FactorisedSystem, solve
-from palpate.bem.system.matrix import point_equations
 from palpate.bem.system.springs import (
     Springs,
     SpringSystem,
     make_spring_factors,
     make_spring_system,
-    springs_at,
 )
 from palpate.bem.system.system import BoundarySystem
 from palpate.errors import InputError
@@ -136,10 +134,6 @@ class ElasticMap:
     ) -> Float[np.ndarray, "3"]:
         """Displacement of a point of the free surface under some loads together.
 
-        Close to a load a dip is sharper than what is interpolated from the vertices. What that
-        misses is known of a round patch; under other loads the integral equation at the point
-        takes its place.
-
         Parameters
         ----------
         loads : sequence of k SurfaceLoad
@@ -152,35 +146,14 @@ class ElasticMap:
         -------
         (3,) float [m]
         """
+        where = np.array([triangle]), barycentric[None]
+        at_point = interpolation_matrix(self.system.surface.displacement, *where)
         total = np.zeros(3)
-        nodes, where = self.system.surface.displacement, (np.array([triangle]), barycentric[None])
         for load, force, state in zip(loads, forces, states, strict=True):
-            missed = missed_indentation(self.system.surface, load, triangle, barycentric)
-            if missed is None:
-                total += self._by_equation(load, force, state.unknowns, where)
-                continue
+            missed = missed_indentation(self.system.surface, load, *where)[:, 0]
             dip = (missed[0] + self.poisson_ratio * missed[1]) @ force / self.shear_modulus
-            total += dip + (interpolation_matrix(nodes, *where) @ state.displacement)[0]
+            total += dip + (at_point @ state.displacement)[0]
         return total
-
-    def _by_equation(
-        self,
-        load: SurfaceLoad,
-        force: Float[np.ndarray, "3"],
-        unknowns: Float[np.ndarray, " u"],
-        where: tuple[Int[np.ndarray, "1"], Float[np.ndarray, "1 3"]],
-    ) -> Float[np.ndarray, "3"]:
-        """Displacement of a point by the integral equation there."""
-        equations = point_equations(self.system, *where)
-        corrections = indentation_corrections(self.system.surface, [load])
-        right = load_right_hand(equations.system, [load], corrections).at(self.poisson_ratio)
-        parts = equations.matrix
-        if self.springs is not None:
-            further = springs_at(equations, self.springs.factors.springs)
-            parts = np.concatenate([parts, further], axis=3)
-        matrix, own = (a + self.poisson_ratio * b for a, b in (parts, equations.own))
-        known = equations.by_point(right)[0] @ force / self.shear_modulus
-        return np.linalg.solve(own[0], matrix[0] @ unknowns - known)
 
 
 def _solved(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, diags_array, kron
+from scipy.sparse import csr_array, diags_array, hstack
 from scipy.spatial.transform import Rotation
 
 from palpate.arrays import fix_fields
@@ -130,21 +130,11 @@ class SurfaceAverage:
     def _total(self) -> Float[np.ndarray, "n 3 3"]:
         return (self.weights @ np.tile(np.eye(3), (len(self.points), 1))).reshape(-1, 3, 3)
 
-    def averaging_matrix(self, at_points: csr_array, at_samples: csr_array) -> csr_array:
-        """Matrix from nodal displacements to the averaged displacements.
-
-        Parameters
-        ----------
-        at_points : (n, v) sparse   interpolation from nodes to the n measured points
-        at_samples : (s, v) sparse  interpolation from nodes to the sampling points `points`
-
-        Returns
-        -------
-        (3 n, 3 v) sparse
-        """
-        unit = np.eye(3)
-        unweighted = diags_array((~self.has_weights).astype(np.float64)) @ at_points
-        return csr_array(self.weights @ kron(at_samples, unit) + kron(unweighted, unit))
+    def averaging_matrix(self) -> csr_array:
+        """Matrix from displacements of the n measured points, then of the s sampling points, to the
+        averaged displacements; (3 n, 3 (n + s)) sparse."""
+        alone = np.repeat(~self.has_weights, 3).astype(np.float64)
+        return csr_array(hstack([diags_array(alone), self.weights.astype(np.float64)]))
 
     def subset(self, rows: Indices) -> "SurfaceAverage":
         """Restrict to a subset of the measured displacements.

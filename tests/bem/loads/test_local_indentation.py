@@ -11,11 +11,13 @@ from palpate.bem import (
     factorise,
     indentation_corrections,
     load_right_hand,
+    missed_indentation,
     solve,
 )
 from palpate.bem.elastic_map import sorted_state
 from palpate.bem.loads.local_indentation import IndentationCorrection, correction_columns
 from palpate.bem.system.matrix import system_matrix
+from palpate.geometry import closest_points, interpolation_matrix
 
 TOP = np.array([0.0, 0.0, 1.0])
 RADIUS = 0.25
@@ -46,8 +48,15 @@ def ball(subdivisions, **options):
 def pressed(system, *, corrected):
     load = top_load(system.surface.mesh)
     (local,) = indentation_corrections(system.surface, [load]) if corrected else [None]
-    right = load_right_hand(system, [load], [local])
-    x = solve(factorise(system, NU), right.at(NU)) @ np.array([0.3, 0.0, -1.0])
+    return moved_by(system, load, local)
+
+
+def moved_by(system, load, *corrections):
+    """Displacement of the vertices under a load, corrected for its dip unless told otherwise."""
+    right = load_right_hand(
+        system, [load], corrections or indentation_corrections(system.surface, [load])
+    )
+    x = solve(factorise(system, NU), right.at(NU)) @ PUSH
     return sorted_state(system, x, 1.0).displacement
 
 
@@ -74,6 +83,47 @@ def test_the_correction_brings_a_coarse_mesh_closer_to_a_fine_one(fine, coarse):
     # The patch is narrower than an element here; half of the error at least must go.
     assert with_correction < 0.5 * without
     assert with_correction < 0.04
+
+
+# Beside every vertex of the coarse mesh.
+BETWEEN = np.array([0.11, 0.07, 1.0]) / np.linalg.norm([0.11, 0.07, 1.0])
+PUSH = np.array([0.3, 0.0, -1.0])
+
+
+def test_between_vertices_a_coarse_mesh_has_the_dip_of_a_fine_one():
+    """At the vertices of the fine mesh, most of which lie between those of the coarse one."""
+    fine, coarse = ball(4), ball(3)
+    exact = moved_by(fine, top_load(fine.surface.mesh, BETWEEN))
+    points = fine.surface.mesh.vertices
+    about = np.linalg.norm(points - BETWEEN, axis=1) < 3 * RADIUS
+    place = closest_points(coarse.surface.mesh, points[about])
+    where = place.triangle, place.barycentric
+    load = top_load(coarse.surface.mesh, BETWEEN)
+    at_points = interpolation_matrix(coarse.surface.displacement, *where)
+    interpolated = at_points @ moved_by(coarse, load)
+    constant, slope = missed_indentation(coarse.surface, load, *where)
+    with_dip = interpolated + (constant + NU * slope) @ PUSH
+    largest = np.linalg.norm(exact[about], axis=1).max()
+    errors = []
+    for found in (with_dip, interpolated):
+        error = found - exact[about]
+        # The rims of the two supports differ, so one ball has moved a little farther as a whole.
+        errors.append(np.linalg.norm(error - error.mean(axis=0), axis=1).max() / largest)
+    # The element is wider than the patch; the interpolation of what is smooth leaves 1 %.
+    assert errors[0] < 0.015
+    assert errors[1] > 0.1
+
+
+def test_at_a_vertex_or_far_from_the_load_nothing_of_the_dip_is_missed(coarse):
+    mesh = coarse.surface.mesh
+    top = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 1.0).any(axis=1))
+    at_top = np.isclose(mesh.vertices[mesh.triangles[top]][:, :, 2], 1.0).astype(float)
+    load = top_load(mesh, BETWEEN)
+    assert np.abs(missed_indentation(coarse.surface, load, top, at_top)).max() < 1e-12
+    beside = np.argmin(np.abs(mesh.vertices[mesh.triangles].mean(axis=1)[:, 2]))
+    middle = np.full((1, 3), 1 / 3)
+    assert not missed_indentation(coarse.surface, load, np.array([beside]), middle).any()
+    assert missed_indentation(coarse.surface, load, top[:1], middle).any()
 
 
 def test_without_a_disc_or_on_facets_nothing_is_added(coarse):

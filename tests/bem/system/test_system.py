@@ -10,9 +10,7 @@ from palpate.bem.integrals.surface import Quadrature
 from palpate.bem.system.matrix import matrix_and_slope, system_matrix
 from palpate.bem.system.system import (
     boundary_system,
-    equations_at,
     find_unknowns,
-    for_each_block,
     place_collocation,
     restricted_nodes,
 )
@@ -134,27 +132,6 @@ def test_restricted_parts_keep_what_they_name():
     whole = np.concatenate([x, surface.traction.weights @ x])[surface.traction.element[held]]
     part = x[unknowns.held_sides]
     assert np.array_equal(np.concatenate([part, nodes.weights @ part])[nodes.element], whole)
-
-
-def test_equations_without_the_rigid_sum_lack_only_the_free_term(cube_system):
-    raw = equations_at(cube_system.surface, cube_system.unknowns, cube_system.collocation)
-    change = np.abs(traction_integrals(cube_system) - traction_integrals(raw)).max(axis=1)
-    vertex = cube_system.collocation.vertex[raw.order]
-    at_vertex = np.flatnonzero(vertex >= 0)
-    assert at_vertex.size > 10
-    for row in at_vertex:
-        assert np.flatnonzero(change[:, row]).tolist() == [vertex[row]]
-
-
-def traction_integrals(system):
-    """Those of all blocks, (v, 9, r)."""
-    values = np.full((len(system.surface.mesh.vertices), 9, system.n_points), np.nan)
-
-    def keep(rows, traction, _):
-        values[:, :, rows] = traction
-
-    for_each_block(system, keep)
-    return values
 
 
 def bounded(faces):

@@ -1,6 +1,7 @@
-"""Responses of a probing: reduced against full, tips against vertices, slopes, gravity."""
+"""Responses of a probing: reduced against full, dips between vertices, slopes, gravity."""
 
 import gc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,13 +15,12 @@ from palpate.bem import (
     factorise,
     load_right_hand,
     make_reduced_model,
-    point_equations,
     solve,
 )
 from palpate.bem.loads.right_hand import joined
 from palpate.bem.reduced_model import ReducedModel
 from palpate.geometry import interpolation_matrix
-from palpate.pipeline.model.object_model import ContactPointEquations, ObservationMatrix
+from palpate.pipeline.model.object_model import ObservationMatrix
 from palpate.pipeline.model.responses import ProbeResponse, full_responses, reduced_responses
 
 TOP = np.array([0.0, 0.0, 1.0])
@@ -30,8 +30,7 @@ GRAVITY = np.array([0.5, 0.0, -3.0])
 
 @pytest.fixture(scope="module")
 def setting():
-    """Ball pressed on top and on one side, with its weight; five points are seen, and the tip on
-    top."""
+    """Ball pressed on top and on one side, with its weight; five points are seen."""
     mesh = sphere(2)
     system = held_part(mesh, mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.3)
     loads = [bump_load(mesh, np.array([0.6, 0.0, 0.8]), 0.5), bump_load(mesh, TOP, 0.5)]
@@ -44,23 +43,15 @@ def setting():
     at_points = interpolation_matrix(system.surface.displacement, triangle, barycentric)
     surface = kron(at_points[:, free], np.eye(3))
     rest = csr_array((15, system.size - 3 * free.size))
-    top = int(np.argmax(mesh.vertices[:, 2]))
-    at_top = np.flatnonzero((mesh.triangles == top).any(axis=1))[:1]
-    tips = point_equations(system, at_top, (mesh.triangles[at_top] == top).astype(float))
-    tip_load = load_right_hand(tips.system, loads[1:2])
-    tip_right = joined([tip_load, body_force_columns(tips.system, GRAVITY).right])
-    by_point = [tips.by_point(part)[0] for part in tip_right.terms]
-    tip = ContactPointEquations(
-        tips.matrix[:, 0], tips.own[:, 0], np.stack(by_point), body.particular[top]
-    )
     rows = ObservationMatrix(
         columns,
         csr_array(hstack([surface, rest])),
+        1e-3 * np.random.default_rng(1).normal(size=(2, 15, 5)),
         (at_points @ body.particular).ravel(),
-        tip,
+        5,
         has_body_force=True,
     )
-    return system, right, body, rows, at_points, top
+    return system, right, body, rows, at_points
 
 
 def _exact(system, right):
@@ -69,7 +60,7 @@ def _exact(system, right):
 
 @pytest.fixture(scope="module")
 def responses(setting):
-    system, right, _, rows, _, _ = setting
+    system, right, _, rows, _ = setting
     return (
         full_responses(_exact(system, right), [rows])[0],
         reduced_responses(make_reduced_model(system, right), [rows], RANGE)[0],
@@ -78,22 +69,17 @@ def responses(setting):
 
 @pytest.mark.parametrize("nu", [0.0, 0.2, 0.499])
 def test_full_response_is_what_the_solver_says(setting, responses, nu):
-    system, right, body, rows, at_points, top = setting
+    system, right, body, rows, at_points = setting
     x = solve(factorise(system, nu), right.at(nu))[:, rows.columns]
     count = 3 * system.unknowns.free_vertices.size
     nodal = np.zeros((system.surface.mesh.vertices.shape[0], 3, 5))
     nodal[system.unknowns.free_vertices] = x[:count].reshape(-1, 3, 5)
     factor = dilation_factor(nu)
-    weighed = nodal[:, :, 3] + factor * (nodal[:, :, 4] + body.particular)
-    expected = np.concatenate([nodal[:, :, :3], weighed[:, :, None]], axis=2)
-    seen = (at_points @ expected.reshape(-1, 12)).reshape(15, 4)
-    found = responses[0].value(nu)
-    assert found.shape == (18, 4)
-    np.testing.assert_allclose(found[:15], seen, atol=1e-10)
-    # The tip's own equation at a vertex is that vertex's equation, integrated in a block of its
-    # own.
-    scale = np.abs(expected[top]).max()
-    np.testing.assert_allclose(found[15:], expected[top], atol=2e-4 * scale)
+    nodal[:, :, 4] += body.particular
+    missed = rows.indentation[0] + nu * rows.indentation[1]
+    every = (at_points @ nodal.reshape(-1, 15)).reshape(15, 5) + missed
+    expected = np.column_stack([every[:, :3], every[:, 3] + factor * every[:, 4]])
+    np.testing.assert_allclose(responses[0].value(nu), expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.1, 0.3, 0.45, 0.4999])
@@ -105,11 +91,11 @@ def test_reduced_response_is_the_full_one(responses, nu):
 
 @pytest.mark.parametrize("nu", [0.0, 0.07, 0.31, 0.4999])
 def test_series_is_what_the_reduced_model_says(setting, nu):
-    system, right, _, rows, _, _ = setting
+    system, right, _, rows, _ = setting
     model = make_reduced_model(system, right)
     # In another unit: what is left out is relative.
     surface = 1e-6 * rows.surface
-    bare = ObservationMatrix(rows.columns, surface, rows.particular, None, has_body_force=True)
+    bare = replace(rows, surface=surface)
     weights = model.coefficients(nu)[0][:, rows.columns]
     solution = sum(w * x for w, x in zip(weights, model.basis(rows.columns), strict=True))
     expected = surface @ solution
@@ -127,7 +113,7 @@ def _models_with_directions():
 
 @pytest.mark.slow
 def test_a_response_does_not_hold_the_directions(setting):
-    system, right, _, rows, _, _ = setting
+    system, right, _, rows, _ = setting
     # Other tests may hold models of their own.
     before = _models_with_directions()
     model = make_reduced_model(system, right)
@@ -142,7 +128,8 @@ def test_the_derivative_by_the_compliance_of_a_support():
     """The response is linear in the solutions, and they in the compliance, where no support is
     pulled."""
     rng = np.random.default_rng(2)
-    rows = ObservationMatrix(np.arange(3), csr_array(rng.normal(size=(6, 8))), np.zeros(6), None)
+    surface, indentation = csr_array(rng.normal(size=(6, 8))), rng.normal(size=(2, 6, 3))
+    rows = ObservationMatrix(np.arange(3), surface, indentation, np.zeros(6), 2)
     blocks = np.stack([rows.observed(rng.normal(size=(8, 3))) for _ in range(3)])
     response = ProbeResponse(rows, lambda _: blocks)
     for support in range(2):
@@ -151,8 +138,9 @@ def test_the_derivative_by_the_compliance_of_a_support():
 
 
 def test_without_gravity_the_last_column_is_zero(setting):
-    system, right, _, rows, _, _ = setting
-    bare = ObservationMatrix(rows.columns[:3], rows.surface, rows.particular, None)
+    system, right, _, rows, _ = setting
+    indentation = rows.indentation[:, :, :3]
+    bare = ObservationMatrix(rows.columns[:3], rows.surface, indentation, rows.particular, 5)
     for response in (
         full_responses(_exact(system, right), [bare])[0],
         reduced_responses(make_reduced_model(system, right), [bare], RANGE)[0],

@@ -199,7 +199,7 @@ def compressed_system(
     )  # fmt: skip
     return CompressedSystem(
         surface=surface, unknowns=unknowns, collocation=collocation,
-        rows=point_blocks(collocation.point), quadrature=quadrature, rigid_body_sum=True,
+        rows=point_blocks(collocation.point), quadrature=quadrature,
         operator=operator,
     )  # fmt: skip
 

@@ -4,7 +4,8 @@ Close to a contact the displacement is a smooth field plus the indentation of a 
 same pressure. Fitted midside nodes capture the smooth part; the indentation is known. The midside
 nodes near a load are therefore corrected by the indentation minus its own fit, which is a term of
 the right-hand side (`IndentationCorrection`). No unknown is added, and like the system the term is
-linear in Poisson's ratio.
+linear in Poisson's ratio. Where the displacement is asked between the vertices, what these miss of
+the indentation there is added to what is interpolated from them (`missed_indentation`).
 """
 
 from collections.abc import Sequence
@@ -34,6 +35,7 @@ from palpate.geometry import (
     cut_distance,
     interpolation_matrix,
     quadratic_shapes,
+    unit_normals,
 )
 
 # Midside nodes within this many edge lengths of the patch may be corrected.
@@ -132,39 +134,49 @@ def indentation_corrections(
 def missed_indentation(
     surface: BoundarySurface,
     load: SurfaceLoad,
-    triangle: int,
-    barycentric: Float[np.ndarray, "3"],
-) -> Float[np.ndarray, "2 3 3"] | None:
-    """Indentation of a load at a point minus what is interpolated of it from the vertices.
+    triangle: Int[np.ndarray, " n"],
+    barycentric: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "2 n 3 3"]:
+    """Indentation of a load at points of the surface minus what is interpolated of it from the
+    vertices.
 
     Parameters
     ----------
     surface : BoundarySurface
     load : SurfaceLoad
-    triangle : int
-    barycentric : (3,) float [-]
+    triangle : (n,) int
+    barycentric : (n, 3) float [-]
 
     Returns
     -------
-    (2, 3, 3) float [1/m] or None     displacement times shear modulus, constant and slope in nu:
-                                      component i under a newton along j; None for a load that is
-                                      no round patch, or that an edge crosses
+    (2, n, 3, 3) float [1/m]          displacement times shear modulus, constant and slope in nu;
+                                      [.., i, j]: component i under a newton along j. Zero far from
+                                      the load, at vertices, and where `indentation_corrections`
+                                      has none
     """
+    missed = np.zeros((2, len(triangle), 3, 3))
     placed = _placed(surface, load)
     if placed is None:
-        return None
+        return missed
     disc, normal = placed
+    position = np.einsum(
+        "kn,nki->ni", quadratic_shapes(barycentric), surface.element_nodes[triangle]
+    )
+    reach = disc.radius + _REACH_EDGES * _edge_lengths(surface.mesh).max(axis=1)[triangle]
+    taper = np.where(surface.held[triangle], 0.0, _taper(surface.mesh, normal, triangle))
+    near = np.flatnonzero((lengths(position - disc.centre) < reach) & (taper > 0.0))
+    if not near.size:
+        return missed
+    weights = interpolation_matrix(surface.displacement, triangle[near], barycentric[near])
+    vertices = np.unique(weights.indices)
     potentials = disc_potentials(disc.profile)
-    weights = interpolation_matrix(
-        surface.displacement, np.array([triangle]), barycentric[None]
-    ).toarray()[0]
-    used = np.flatnonzero(weights)
-    place = quadratic_shapes(barycentric[None])[:, 0] @ surface.element_nodes[triangle]
     there, around = (
         disc_displacement(disc, potentials, normal, points)
-        for points in (place[None], surface.mesh.vertices[used])
+        for points in (position[near], surface.mesh.vertices[vertices])
     )
-    return there[:, 0] - np.einsum("v,svij->sij", weights[used], around)
+    fitted = np.einsum("nv,svij->snij", weights[:, vertices].toarray(), around)
+    missed[:, near] = taper[near, None, None] * (there - fitted)
+    return missed
 
 
 def _placed(
@@ -180,6 +192,14 @@ def _placed(
     if cut_distance(surface.mesh, surface.sides, load.triangles, flat) < disc.radius:
         return None
     return replace(disc, centre=curved), normal
+
+
+def _taper(
+    mesh: TriangleMesh, normal: Float[np.ndarray, "3"], triangles: Int[np.ndarray, " t"]
+) -> Float[np.ndarray, " t"]:
+    """Share, 0 to 1, in which triangles belong to the half space of an outward normal."""
+    low, high = _NORMAL_COSINES
+    return np.clip((unit_normals(mesh)[triangles] @ normal - low) / (high - low), 0.0, 1.0)
 
 
 def _edge_lengths(mesh: TriangleMesh) -> Float[np.ndarray, "m 3"]:
@@ -202,13 +222,10 @@ def _indentation_correction(
     within = lengths(midside - disc.centre) < disc.radius + _REACH_EDGES * edge
     # A midside node is within reach of the load in both of its triangles, or in neither.
     near = np.flatnonzero(within.any(axis=1))
-    low, high = _NORMAL_COSINES
-    a, b, c = mesh.vertices[mesh.triangles[near]].transpose(1, 0, 2)
-    area = np.cross(b - a, c - a)
-    taper = np.clip((area @ normal / lengths(area) - low) / (high - low), 0.0, 1.0)
+    taper = np.where(surface.held[near], 0.0, _taper(mesh, normal, near))
     edge_taper = np.ones(nodes.weights.shape[0])
     row = nodes.element[near, 3:] - nodes.n_nodes
-    np.minimum.at(edge_taper, row, np.where(surface.held[near], 0.0, taper)[:, None])
+    np.minimum.at(edge_taper, row, taper[:, None])
     corrected = (
         within[near] & (edge_taper[row] > 0.0) & ~surface.sides.cut[surface.sides.edge[near]]
     )

@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 
 from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.system.factors import FactorisedSystem, bases, solve
-from palpate.bem.system.matrix import PointEquations, SystemSlope, held_columns
+from palpate.bem.system.matrix import SystemSlope, held_columns
 from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import triangle_areas
 
@@ -153,22 +153,6 @@ def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray
     held = system.unknowns.held_vertices
     basis = springs.displacement_basis[(3 * held[:, None] + np.arange(3)).ravel()]
     return held_columns(system, basis)
-
-
-def springs_at(equations: PointEquations, springs: Springs) -> Float[np.ndarray, "2 p 3 e"]:
-    """Further columns of the equations at points, for the displacements of the springs.
-
-    Parameters
-    ----------
-    equations : PointEquations
-    springs : Springs               of the same object
-
-    Returns
-    -------
-    (2, p, 3, e) float              constant and slope in Poisson's ratio
-    """
-    columns = spring_columns(equations.system, springs)
-    return -np.stack([equations.by_point(part) for part in columns])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

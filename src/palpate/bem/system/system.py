@@ -9,7 +9,7 @@ others, its sides an unknown traction along those that it holds.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -105,8 +105,6 @@ class BoundarySystem:
     rows : (b, LANES) int                 collocation points in the order of the equations, by
                                           blocks, the last one padded (`point_blocks`)
     quadrature : Quadrature
-    rigid_body_sum : bool                 whether the equations contain the displacement of the
-                                          collocation point itself
     parts : Parts                         where what follows from the equations alone is kept
     """
 
@@ -115,7 +113,6 @@ class BoundarySystem:
     collocation: Collocation
     rows: Int[np.ndarray, "b lanes"]
     quadrature: Quadrature
-    rigid_body_sum: bool
     parts: Parts = field(default=Parts(None), kw_only=True)
 
     @property
@@ -160,34 +157,9 @@ def boundary_system(
     """
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
-    system = equations_at(surface, unknowns, collocation, quadrature=quadrature)
     parts = Parts(None) if cache is None else Parts(cache, _digest(surface, quadrature), cache=True)
-    return replace(system, rigid_body_sum=True, parts=parts)
-
-
-def equations_at(
-    surface: BoundarySurface,
-    unknowns: Unknowns,
-    collocation: Collocation,
-    *,
-    quadrature: Quadrature = Quadrature(),
-) -> BoundarySystem:
-    """Boundary integral equations at given points, without the term of the displacement at the
-    point itself.
-
-    Parameters
-    ----------
-    surface : BoundarySurface
-    unknowns : Unknowns
-    collocation : Collocation
-    quadrature : Quadrature
-
-    Returns
-    -------
-    BoundarySystem                        as many rows as points, without the rigid-body sum
-    """
     rows = point_blocks(collocation.point)
-    return BoundarySystem(surface, unknowns, collocation, rows, quadrature, rigid_body_sum=False)
+    return BoundarySystem(surface, unknowns, collocation, rows, quadrature, parts=parts)
 
 
 def for_each_block(system: BoundarySystem, use: BlockUse) -> None:
@@ -213,10 +185,9 @@ def for_each_block(system: BoundarySystem, use: BlockUse) -> None:
     def work(begin: int, end: int) -> None:
         for number in range(begin, end):
             traction, displacement = h.block(number), g.block(number)
-            if system.rigid_body_sum:
-                add_rigid_body_sum(
-                    traction, system.rows[number], system.collocation, surface.displacement
-                )
+            add_rigid_body_sum(
+                traction, system.rows[number], system.collocation, surface.displacement
+            )
             rows = slice(number * LANES, min((number + 1) * LANES, system.n_points))
             count = rows.stop - rows.start
             use(rows, traction[:, :, :count], displacement[:, :, :count])

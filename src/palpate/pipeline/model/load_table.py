@@ -24,6 +24,7 @@ from palpate.bem import (
     face_columns,
     indentation_corrections,
     load_right_hand,
+    missed_indentation,
     pressure_column,
     support_columns,
 )
@@ -135,6 +136,35 @@ class LoadTable:
         weight, motions = 0 if self.weight is None else 2, self.shapes.shape[2]
         counts = (3 * len(self.patches), len(self.pressed), weight, motions)
         return np.cumsum([0, *counts, len(self.perturbations)])
+
+    def missed_indentation(
+        self,
+        surface: BoundarySurface,
+        columns: Int[np.ndarray, " c"],
+        triangle: Int[np.ndarray, " n"],
+        barycentric: Float[np.ndarray, "n 3"],
+    ) -> Float[np.ndarray, "2 q c"]:
+        """What is missed of the dips about contacts between the vertices (`bem`), in some columns.
+
+        Parameters
+        ----------
+        surface : BoundarySurface
+        columns : (c,) int
+        triangle : (n,) int
+        barycentric : (n, 3) float [-]
+
+        Returns
+        -------
+        (2, 3 n, c) float [m Pa]      displacement times shear modulus, constant and slope in
+                                      Poisson's ratio
+        """
+        missed = np.zeros((2, 3 * len(triangle), len(columns)))
+        for traction in self.tractions:
+            _, here, own = np.intersect1d(columns, traction.columns, return_indices=True)
+            if here.size:
+                dip = missed_indentation(surface, traction.load, triangle, barycentric)
+                missed[:, :, here] += (dip @ traction.dip_force[:, own]).reshape(2, -1, own.size)
+        return missed
 
     def integrate(self, system: BoundarySystem) -> tuple[RightHand, BodyForce | None]:
         """All columns for a system on the surface of this table.

@@ -6,20 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, hstack, kron
+from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
 
 from palpate.bem import (
     BodyForce,
     BoundarySystem,
     CentredSystem,
-    PointEquations,
     RightHand,
     Springs,
     check_memory,
     dilation_factor,
     held_system,
-    point_equations,
-    springs_at,
 )
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.parts import Cache
@@ -40,20 +37,6 @@ from palpate.records import GIVEN, RIGID, Session, SurfaceAverage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _ContactPoints:
-    """Integral equations for the displacement of the contact points.
-
-    Attributes
-    ----------
-    equations : PointEquations            for every patch
-    right : RightHand                     the same columns as for the system
-    """
-
-    equations: PointEquations
-    right: RightHand
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ObjectModel:
     """Boundary element model of a session's object with the loads of its probings.
 
@@ -67,7 +50,6 @@ class ObjectModel:
     right : RightHand                     the columns of `loads`
     springs : Springs or None             under compliant supports
     body : BodyForce or None
-    tips : _ContactPoints or None          None where no tip was measured
     centred : CentredSystem or None       the system, factorised for several models of it to share
     """
 
@@ -78,7 +60,6 @@ class ObjectModel:
     slides: bool
     right: RightHand
     body: BodyForce | None
-    tips: _ContactPoints | None
     springs: Springs | None = None
     centred: CentredSystem | None = None
 
@@ -151,38 +132,10 @@ def make_object_model(
     else:
         system = held_system(boundary, dense=compliant, cache=cache, progress=progress)
     right, body = loads.integrate(system)
-    tips = None
-    if any(probing.tip_displacement is not None for probing in session.probings):
-        patches = loads.patches.values()
-        equations = point_equations(
-            system,
-            np.array([patch.triangle for patch in patches]),
-            np.array([patch.barycentric for patch in patches]),
-        )
-        tips = _ContactPoints(equations, loads.integrate(equations.system)[0])
     return ObjectModel(
-        session, system, loads, supports, sliding is not None, right, body, tips,
+        session, system, loads, supports, sliding is not None, right, body,
         session_springs(session, system), None if like is None else like.centred,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ContactPointEquations:
-    """Equations for the displacement of a contact point from the unknowns and loads
-    (`bem.PointEquations`).
-
-    Attributes
-    ----------
-    matrix : (2, 3, k) float          constant and slope in Poisson's ratio
-    own : (2, 3, 3) float             constant and slope
-    right : (3, 3, c) float           constant, slope and curvature
-    particular : (3,) float [m Pa]    particular solution for a body force, over `dilation_factor`
-    """
-
-    matrix: Float[np.ndarray, "2 3 k"]
-    own: Float[np.ndarray, "2 3 3"]
-    right: Float[np.ndarray, "3 3 c"]
-    particular: Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,10 +193,14 @@ class ObservationMatrix:
     columns : (c,) int                right-hand sides: the force along x, y, z, unless it acts on a
                                       support; known loads; the two of a body force, if any; motions
                                       of supports; perturbed contacts
-    surface : (3 n, k) sparse         takes the unknowns to the observed displacements
-    particular : (3 n,) float [m Pa]  particular solution there for a body force, over
+    surface : (n_rows, k) sparse      takes the unknowns to what is interpolated of the observed
+                                      displacements; the last three are those of the contact point,
+                                      where it was measured
+    indentation : (2, n_rows, c) float    what that misses of the dips about contacts times the
+                                      shear modulus, constant and slope in Poisson's ratio
+    particular : (n_rows,) float [m Pa]    particular solution there for a body force, over
                                       `dilation_factor`
-    tip : ContactPointEquations or None    None: the contact point's displacement was not measured
+    n_points : int                    number of points; the contact point comes after them
     known_loads : (l,) float          multiplier of each known load
     has_body_force : bool             whether a body force acts
     motions : ProbeMotions or None    None: no support moves
@@ -252,8 +209,9 @@ class ObservationMatrix:
 
     columns: Int[np.ndarray, " c"]
     surface: csr_array
-    particular: Float[np.ndarray, " r"]
-    tip: ContactPointEquations | None
+    indentation: Float[np.ndarray, "2 n_rows c"]
+    particular: Float[np.ndarray, " n_rows"]
+    n_points: int
     known_loads: Float[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0))
     has_body_force: bool = False
     motions: ProbeMotions | None = None
@@ -265,20 +223,17 @@ class ObservationMatrix:
         return None if self.motions is None else self.motions.support_force
 
     def observed(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
-        """Observed displacements, then the six equations (constant, slope) of the contact point and
-        the force on a support; zero where these are not needed."""
-        tip, force = np.zeros((6, solution.shape[1])), np.zeros((3, solution.shape[1]))
-        if self.tip is not None:
-            tip = self.tip.matrix.reshape(6, -1) @ solution
+        """What is interpolated of the observed displacements, then the force on the support that is
+        pulled; zero where there is none."""
+        force = np.zeros((3, solution.shape[1]))
         if self.support_force is not None:
             force = self.support_force @ solution
-        return np.concatenate([self.surface @ solution, tip, force])
+        return np.concatenate([self.surface @ solution, force])
 
     def response(
         self,
         moved: Float[np.ndarray, "n_rows c"],
         force: Float[np.ndarray, "3 c"],
-        particular: Float[np.ndarray, " n_rows"],
         poisson_ratio: float,
     ) -> Float[np.ndarray, "n_rows t"]:
         """Assemble the response (`estimation.ResponseModel`) from the solutions for the columns.
@@ -287,20 +242,12 @@ class ObservationMatrix:
         ----------
         moved : (n_rows, c) float             displacement of each solution, for G = 1 Pa
         force : (3, c) float                  on the support that is pulled
-        particular : (n_rows,) float          as the attribute, the tip included
         poisson_ratio : float
         """
-        combination = np.zeros((moved.shape[1], 4))
-        first = 0 if self.support_force is not None else 3
-        combination[:first, :3] = np.eye(first, 3)
-        last = first + len(self.known_loads)
-        combination[first:last, 3] = self.known_loads
-        offset = np.zeros((len(moved), 4))
+        combination = self._combination(poisson_ratio)[: moved.shape[1]]
+        per_load = moved @ combination
         if self.has_body_force:
-            factor = dilation_factor(poisson_ratio)
-            combination[last : last + 2, 3] = 1.0, factor
-            offset[:, 3] = factor * particular
-        per_load = moved @ combination + offset
+            per_load[:, 3] += dilation_factor(poisson_ratio) * self.particular
         if self.motions is None:
             return per_load
         count = self.motions.own.shape[1]
@@ -311,6 +258,31 @@ class ObservationMatrix:
             per_load[:, 3] -= per_newton @ (force @ combination[:, 3])
             per_load[:, :3] = per_newton
         return np.concatenate([per_load, per_motion], axis=1)
+
+    def of_loads(
+        self, indentation: Float[np.ndarray, "2 r c"], poisson_ratio: float
+    ) -> Float[np.ndarray, "r 4"]:
+        """What dips about contacts add to a response, without the columns of motions.
+
+        Parameters
+        ----------
+        indentation : (2, r, c) float         as the attribute, at r rows
+        poisson_ratio : float
+        """
+        moved = indentation[0] + poisson_ratio * indentation[1]
+        return moved @ self._combination(poisson_ratio)
+
+    def _combination(self, poisson_ratio: float) -> Float[np.ndarray, "c 4"]:
+        """Shares of the columns in the displacement per newton along x, y and z, and in that under
+        known loads."""
+        combination = np.zeros((len(self.columns), 4))
+        first = 0 if self.support_force is not None else 3
+        combination[:first, :3] = np.eye(first, 3)
+        last = first + len(self.known_loads)
+        combination[first:last, 3] = self.known_loads
+        if self.has_body_force:
+            combination[last : last + 2, 3] = 1.0, dilation_factor(poisson_ratio)
+        return combination
 
 
 def probe_rows(
@@ -337,7 +309,10 @@ def probe_rows(
     """
     perturbations = _own_perturbations(model, index)[: None if perturbed else 0]
     columns, known_loads = _columns(model, index, perturbations)
-    observed = _observed(model, place, average)
+    seen = _seen(model, index, place, average)
+    nodes = model.system.surface.displacement
+    points = interpolation_matrix(nodes, seen.triangle, seen.barycentric)
+    observed = csr_array(seen.matrix @ kron(points, np.eye(3)))
     particular = np.zeros(observed.shape[0])
     if model.body is not None:
         particular = observed @ _particular(model.system, model.body).ravel()
@@ -346,31 +321,56 @@ def probe_rows(
     parts = [free, csr_array((particular.size, model.system.size - free.shape[1]))]
     if model.springs is not None:
         parts.append(observed @ model.springs.displacement_basis)
-    surface = csr_array(hstack(parts))
-    tip = None
-    if model.session.probings[index].tip_displacement is not None and model.tips is not None:
-        tip = _tip_rows(model, model.tips, index, columns)
-    motions = None
-    if model.supports:
-        motions = _motions(model, index, observed, with_tip=tip is not None)
-    return ObservationMatrix(
-        columns, surface, particular, tip, known_loads, model.body is not None, motions,
-        changes=len(perturbations),
-    )  # fmt: skip
-
-
-def _observed(
-    model: ObjectModel, place: SurfacePoints, average: SurfaceAverage | None
-) -> csr_array:
-    """Matrix from the displacements of the vertices to the observed ones, (3 n, 3 v)."""
-    nodes = model.system.surface.displacement
-    points = interpolation_matrix(nodes, place.triangle, place.barycentric)
-    if average is None:
-        return csr_array(kron(points, np.eye(3)))
-    around = closest_points(model.session.mesh, average.points)
-    return average.averaging_matrix(
-        points, interpolation_matrix(nodes, around.triangle, around.barycentric)
+    missed = model.loads.missed_indentation(
+        model.system.surface, columns, seen.triangle, seen.barycentric
     )
+    return ObservationMatrix(
+        columns,
+        csr_array(hstack(parts)),
+        np.stack([seen.matrix @ part for part in missed]),
+        particular,
+        len(place.triangle),
+        known_loads,
+        model.body is not None,
+        _motions(model, index, observed) if model.supports else None,
+        changes=len(perturbations),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Points of the surface, and what is observed of their displacements.
+
+    Attributes
+    ----------
+    triangle : (p,) int
+    barycentric : (p, 3) float
+    matrix : (n_rows, 3 p) sparse     takes their displacements to the observed ones
+    """
+
+    triangle: Int[np.ndarray, " p"]
+    barycentric: Float[np.ndarray, "p 3"]
+    matrix: csr_array
+
+
+def _seen(
+    model: ObjectModel, index: int, place: SurfacePoints, average: SurfaceAverage | None
+) -> _Seen:
+    """What a probing observes: the displacements of points or their averages, and that of its
+    contact point where it was measured."""
+    parts = [(place.triangle, place.barycentric)]
+    matrix = csr_array(eye_array(3 * len(place.triangle)))
+    if average is not None:
+        around = closest_points(model.session.mesh, average.points)
+        parts.append((around.triangle, around.barycentric))
+        matrix = average.averaging_matrix()
+    patch = int(model.loads.patch_of[index])
+    if model.session.probings[index].tip_displacement is not None and patch >= 0:
+        contact = list(model.loads.patches.values())[patch]
+        parts.append((np.array([contact.triangle]), contact.barycentric[None]))
+        matrix = csr_array(block_diag([matrix, eye_array(3)]))
+    triangle, barycentric = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return _Seen(triangle, barycentric, matrix)
 
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
@@ -415,18 +415,9 @@ def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
     return np.append(np.arange(rigid), [rigid + index] * model.gives_motions).astype(np.int64)
 
 
-def _motions(
-    model: ObjectModel, index: int, observed: csr_array, *, with_tip: bool
-) -> ProbeMotions:
+def _motions(model: ObjectModel, index: int, observed: csr_array) -> ProbeMotions:
     shapes = model.loads.shapes[:, :, _own_motions(model, index)]
     own = observed @ shapes.reshape(-1, shapes.shape[2])
-    if with_tip:
-        at_tip = np.zeros((3, own.shape[1]))
-        if model.slides:
-            last = len(model.supports)
-            point = model.session.probings[index].contact.point
-            at_tip[:, 6 * last - 6 : 6 * last] = model.supports[-1].modes(point[None])[0]
-        own = np.concatenate([own, at_tip])
     pulled = model.pulled_support(index)
     if pulled is None:
         return ProbeMotions(own)
@@ -434,22 +425,3 @@ def _motions(
     return ProbeMotions(
         own, force, model.pulled_translations(index), model.supports[pulled].holding
     )
-
-
-def _tip_rows(
-    model: ObjectModel, tips: _ContactPoints, index: int, columns: Int[np.ndarray, " c"]
-) -> ContactPointEquations:
-    patch = int(model.loads.patch_of[index])
-    right = [tips.equations.by_point(part)[patch][:, columns] for part in tips.right.terms]
-    particular = np.zeros(3)
-    if model.body is not None:
-        contact = list(model.loads.patches.values())[patch]
-        nodes = model.system.surface.displacement
-        where = np.array([contact.triangle]), contact.barycentric[None]
-        at_tip = interpolation_matrix(nodes, *where)
-        particular = (at_tip @ _particular(model.system, model.body))[0]
-    matrix = tips.equations.matrix[:, patch]
-    if model.springs is not None:
-        further = springs_at(tips.equations, model.springs)[:, patch]
-        matrix = np.concatenate([matrix, further], axis=2)
-    return ContactPointEquations(matrix, tips.equations.own[:, patch], np.stack(right), particular)

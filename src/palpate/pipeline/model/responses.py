@@ -106,24 +106,15 @@ class ProbeResponse:
     ) -> Float[np.ndarray, "n_rows t"]:
         """`value`, from what is observed of the solution."""
         moved, force = self._moved(observed, poisson_ratio)
-        particular, tip = self.rows.particular, self.rows.tip
-        if tip is not None:
-            particular = np.concatenate([particular, tip.particular])
         kept = moved.shape[1] - self.rows.changes
-        return self.rows.response(moved[:, :kept], force[:, :kept], particular, poisson_ratio)
+        return self.rows.response(moved[:, :kept], force[:, :kept], poisson_ratio)
 
     def _moved(
         self, observed: Float[np.ndarray, "rows c"], poisson_ratio: float
     ) -> tuple[Float[np.ndarray, "n_rows c"], Float[np.ndarray, "3 c"]]:
         """Displacement of the rows for every column, and the force on the pulled support."""
-        displacement, equations, force = np.split(observed, [-9, -3])
-        tip = self.rows.tip
-        if tip is not None:
-            own = tip.own[0] + poisson_ratio * tip.own[1]
-            right = tip.right[0] + poisson_ratio * (tip.right[1] + poisson_ratio * tip.right[2])
-            left = equations[:3] + poisson_ratio * equations[3:]
-            displacement = np.concatenate([displacement, np.linalg.solve(own, left - right)])
-        return displacement, force
+        constant, slope = self.rows.indentation
+        return observed[:-3] + constant + poisson_ratio * slope, observed[-3:]
 
 
 # Function from a shear modulus [Pa] to the responses of some rows.

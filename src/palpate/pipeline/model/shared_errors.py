@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse import csr_array, kron
 
 from palpate.errors import quoted
@@ -33,6 +33,8 @@ from palpate.vision import space_strains
 
 # A component's std over the effect of the sensor's rotation, above which that adds at most 0.5 %.
 _LARGE_STD = 10.0
+# Small rotations about x, y and z.
+_TURNS = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 # Sources in the uncertainty budget, whichever the sensor.
 _GAIN, _TURN = "gain of the force sensor", "turn of the force sensor"
@@ -71,13 +73,11 @@ def shared_errors(
     if priors.length_scale > 0.0:
         nuisances.append(length_scale(priors.length_scale))
     if change:
-        nuisances.append(
-            pose_error(priors.pose_translation, priors.pose_rotation, change, vertices)
-        )
+        nuisances.append(_pose_error(model, probing, response, change, vertices))
     nuisances += _contact_errors(model, index, response)
     nuisances += _tool_slip(model, index, response)
     if priors.tool_compliance > 0.0 and probing.tip_displacement is not None:
-        at_points = np.zeros((response.rows.surface.shape[0] // 3, 3))
+        at_points = np.zeros((response.rows.n_points, 3))
         each = np.concatenate([at_points, probing.force[None]])
         nuisances.append(tool_compliance(priors.tool_compliance, each))
     if model.springs is not None:
@@ -101,12 +101,65 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
     list of (3 n, 3 v) sparse       per standard deviation of three translations, then of three
                                     rotations; without those whose prior is exact
     """
-    mesh, priors = model.session.mesh, model.session.errors
-    stds = np.array([priors.pose_translation] * 3 + [priors.pose_rotation] * 3)
+    stds = _pose_stds(model.session)
     chosen = np.flatnonzero(stds)
     if not chosen.size:
         return []
     nodes, count = model.system.surface.displacement, place.triangle.size
+    both = interpolation_matrix(nodes, *_beside(model, place))
+    changes = both[: chosen.size * count] - both[chosen.size * count :]
+    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    sparse = []
+    for row, k in enumerate(chosen):
+        change = kron(changes[row * count : (row + 1) * count], np.eye(3))
+        if k >= 3:
+            change = change + kron(at_points, stds[k] * _TURNS[k - 3])
+        sparse.append(csr_array(change))
+    return sparse
+
+
+def pose_dips(
+    model: ObjectModel, place: SurfacePoints, columns: Int[np.ndarray, " c"]
+) -> Float[np.ndarray, "p 2 r c"]:
+    """The same change of what the vertices miss of the dips about contacts.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    place : SurfacePoints           of n points
+    columns : (c,) int              of the loads
+
+    Returns
+    -------
+    (p, 2, 3 n, c) float [m Pa]     displacement times shear modulus, constant and slope in nu,
+                                    for each of the p parameters
+    """
+    surface, stds = model.system.surface, _pose_stds(model.session)
+    chosen, count = np.flatnonzero(stds), 3 * place.triangle.size
+    missed = model.loads.missed_indentation(surface, columns, *_beside(model, place))
+    missed = missed.reshape(2, 2, chosen.size, count, -1)
+    change = np.moveaxis(missed[:, 0] - missed[:, 1], 1, 0)
+    here = model.loads.missed_indentation(surface, columns, place.triangle, place.barycentric)
+    for row, k in enumerate(chosen):
+        if k >= 3:
+            turned = _TURNS[k - 3] @ here.reshape(2, count // 3, 3, -1)
+            change[row] += stds[k] * turned.reshape(2, count, -1)
+    return change
+
+
+def _pose_stds(session: Session) -> Float[np.ndarray, "6"]:
+    """Of three translations [m], then of three rotations [rad]."""
+    priors = session.errors
+    return np.repeat([priors.pose_translation, priors.pose_rotation], 3)
+
+
+def _beside(
+    model: ObjectModel, place: SurfacePoints
+) -> tuple[Int[np.ndarray, " q"], Float[np.ndarray, "q 3"]]:
+    """Triangles and barycentric coordinates of where points lie if the mesh is off by half a
+    standard deviation of each of p poses one way, then the other; 2 p n points in all."""
+    mesh, stds = model.session.mesh, _pose_stds(model.session)
+    chosen = np.flatnonzero(stds)
     modes = rigid_modes(place.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
     corner = mesh.vertices[mesh.triangles[place.triangle]]
     # From a shift to the change of barycentric coordinates; its normal component has no effect.
@@ -117,17 +170,7 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
     half = np.concatenate([-two.sum(axis=2, keepdims=True), two], axis=2)
     # Central difference of the element's quadratic shape functions about the point.
     sides = np.concatenate([place.barycentric + half, place.barycentric - half]).reshape(-1, 3)
-    both = interpolation_matrix(nodes, np.tile(place.triangle, 2 * chosen.size), sides)
-    changes = both[: chosen.size * count] - both[chosen.size * count :]
-    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
-    sparse = []
-    for row, k in enumerate(chosen):
-        change = kron(changes[row * count : (row + 1) * count], np.eye(3))
-        if k >= 3:
-            rotation = stds[k] * np.cross(np.eye(3)[k - 3], np.eye(3)).T
-            change = change + kron(at_points, rotation)
-        sparse.append(csr_array(change))
-    return sparse
+    return np.tile(place.triangle, 2 * chosen.size), sides
 
 
 def force_gain(std: float, sensor: str = "") -> Nuisance:
@@ -207,6 +250,7 @@ def pose_error(
     rotation: float,
     change: Sequence[csr_array],
     vertices: Callable[[float], Float[np.ndarray, "rows c"]],
+    dips: Callable[[float], Float[np.ndarray, "p r t"]] | None = None,
 ) -> Nuisance:
     """Pose of the mesh relative to the measured points, the same in all probings.
 
@@ -219,6 +263,8 @@ def pose_error(
                                                 standard deviation
     vertices : function                         Poisson's ratio -> (rows, c) float: response of all
                                                 vertices, three rows each (`ResponseModel`)
+    dips : function or None                     Poisson's ratio -> (p, 3 n, t) float: further change
+                                                of the first t columns, per standard deviation
 
     Returns
     -------
@@ -230,6 +276,9 @@ def pose_error(
         # Rows of a measured contact point follow those of the vertices.
         field = vertices(at.poisson_ratio)[: change[0].shape[1]]
         moved = np.stack([each @ field for each in change], axis=2)
+        if dips is not None:
+            further = dips(at.poisson_ratio)
+            moved[:, : further.shape[2]] += np.moveaxis(further, 0, 2)
         # The contact point moves with the tool, not with the mesh.
         tip = np.zeros((3, *moved.shape[1:]))
         return np.concatenate([moved, tip])[at.rows][:, None]
@@ -244,6 +293,25 @@ def pose_error(
     )
     every = (*translations, *rotations)
     return Nuisance(tuple(each for each in every if each.std > 0.0), effects)
+
+
+def _pose_error(
+    model: ObjectModel,
+    probing: Probing,
+    response: ProbeResponse,
+    change: Sequence[csr_array],
+    vertices: Response,
+) -> Nuisance:
+    """The pose in one probing, whose contact makes a dip of its own between the vertices."""
+    priors, rows, measured = model.session.errors, response.rows, probing.displacement
+    if measured is None:
+        return pose_error(priors.pose_translation, priors.pose_rotation, change, vertices)
+    shifted = pose_dips(model, measured.surface, rows.columns)
+
+    def dips(poisson_ratio: float) -> Float[np.ndarray, "p r 4"]:
+        return np.stack([rows.of_loads(each, poisson_ratio) for each in shifted])
+
+    return pose_error(priors.pose_translation, priors.pose_rotation, change, vertices, dips)
 
 
 def contact_error(
@@ -419,7 +487,7 @@ def _contact_errors(model: ObjectModel, index: int, response: ProbeResponse) -> 
         return []
     parameters = tuple(dict.fromkeys(parameter for steps in offsets for parameter in steps))
     steps = np.array([[each.get(parameter, 0.0) for parameter in parameters] for each in offsets])
-    count = response.rows.surface.shape[0] // 3
+    count = response.rows.n_points
     return [contact_error(parameters, steps, response.change, count)]
 
 
@@ -439,7 +507,7 @@ def _tool_slip(model: ObjectModel, index: int, response: ProbeResponse) -> list[
         )
         for name in names
     )
-    return [tool_slip((first, second), tangents, response.rows.surface.shape[0] // 3)]
+    return [tool_slip((first, second), tangents, response.rows.n_points)]
 
 
 def _measured_components(probing: Probing, rotation: float) -> tuple[bool, bool, bool]:
