@@ -117,7 +117,7 @@ def poke_session(
     )
     progress("integrals over the surface", 0.0)
     dense = bool(compliant_supports(session))
-    session, system = held_object(session, cache=cache, dense=dense)
+    session, system = held_object(session, [contact], cache=cache, dense=dense)
     patch = find_contact_patch(
         session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
     )
@@ -198,6 +198,7 @@ def _map_change(
 
 def held_object(
     session: Session,
+    contacts: Sequence[Contact] | None = None,
     *,
     cache: Path | None = None,
     dense: bool = False,
@@ -207,6 +208,7 @@ def held_object(
     Parameters
     ----------
     session : Session
+    contacts : sequence of Contact or None    where it is pressed; None: as its probings say
     cache : Path or None                folder in which what is computed of the body is kept
     dense : bool                        True: dense matrices for a mesh of any size
 
@@ -219,7 +221,7 @@ def held_object(
     ------
     InputError                          the model does not fit into memory
     """
-    session = graded_session(refined_session(session))
+    session = graded_session(refined_session(session, contacts))
     rollers = any(support.directions is not None for support in session.supports)
     check_memory(len(session.mesh.vertices), rollers=rollers, dense=dense)
     return session, held_system(session_surface(session), dense=dense, cache=cache)

@@ -10,7 +10,9 @@ A face one element wide has no vertices of its own, only those of its edges: eve
 across it, and a plate whose edge is such a strip bends 10 to 20 % too little. Edges across such
 faces are split at their middle first. So are elements about a flat punch that is hardly wider than
 they are: the surface has a kink at the punch's rim, which no element can follow. On a block of 594
-vertices, under a punch as wide as two of its edges, that moved nu by 0.001 to 0.002.
+vertices, under a punch as wide as two of its edges, that moved nu by 0.001 to 0.002. And so are
+elements about a contact that a crease or the rim of a support crosses, where no half space tells
+what the mesh misses of the dip (`bem`): again and again, until they are smaller than the contact.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,6 +26,7 @@ from palpate.geometry import (
     SurfacePoints,
     TriangleMesh,
     closest_points,
+    cut_distance,
     distinct_points,
     unit_normals,
 )
@@ -35,28 +38,40 @@ ROW = 0.3
 # The error falls at least with the first power of the element size at the rim, so that at most this
 # fraction of the change from one refinement step is left.
 REMAINING_FRACTION = ROW / (1.0 - ROW)
-# Edges about a flat punch that are longer than this fraction of its radius are split.
-_LONG_AT_PUNCH = 0.5
+# Edges about a flat punch, or a contact that a crease crosses, that are longer than this fraction
+# of its radius are split.
+_LONG_AT_CONTACT = 0.5
+# Most times that edges about contacts across a crease are halved: contacts 1/32 of an edge wide.
+_MOST_HALVINGS = 6
 # Sine of the elevation of a neighbour's centre above a triangle's plane beyond which their common
 # edge is hollow: a few degrees, far less than at a crease.
 _HOLLOW = 0.1
 
 
-def refined_session(session: Session) -> Session:
+def refined_session(session: Session, contacts: Sequence[Contact] | None = None) -> Session:
     """A session on a mesh whose faces are all at least two elements wide, and that is finer
-    about flat punches.
+    about flat punches and contacts that a crease crosses.
 
     Parameters
     ----------
     session : Session
+    contacts : sequence of Contact or None    None: those of its probings
 
     Returns
     -------
     Session                         vertices of the given mesh first, in their order; points of its
                                     fields are located anew on the new mesh
     """
-    contacts = [probing.contact for probing in session.probings]
-    return _divided_session(session, *refined_mesh(session_surface(session), contacts))
+    if contacts is None:
+        contacts = [probing.contact for probing in session.probings]
+    for number in range(_MOST_HALVINGS):
+        boundary = session_surface(session)
+        across = [contact for contact in contacts if _is_crossed(boundary, contact)]
+        mesh, parent = refined_mesh(boundary, contacts if number == 0 else across)
+        if len(mesh.vertices) == len(boundary.mesh.vertices):
+            break
+        session = _divided_session(session, mesh, parent)
+    return session
 
 
 def graded_session(session: Session) -> Session:
@@ -113,7 +128,7 @@ def refined_mesh(
     boundary: BoundarySurface, contacts: Sequence[Contact] = ()
 ) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
     """Halve every edge that crosses a face from one crease or rim to another, and long edges about
-    flat punches.
+    flat punches and contacts that a crease crosses.
 
     Parameters
     ----------
@@ -132,10 +147,19 @@ def refined_mesh(
     place = boundary.mesh.vertices[ends]
     length = np.linalg.norm(place[:, 1] - place[:, 0], axis=1)
     for contact in contacts:
-        if contact.has_sharp_rim and contact.radius is not None:
+        if contact.radius is not None and (contact.has_sharp_rim or _is_crossed(boundary, contact)):
             distance = np.linalg.norm(place.mean(axis=1) - contact.point, axis=1) - contact.radius
-            long |= (distance < length) & (length > _LONG_AT_PUNCH * contact.radius)
+            long |= (distance < length) & (length > _LONG_AT_CONTACT * contact.radius)
     return _divided(boundary, np.where(long[:, None], ends, -1), 0.5)
+
+
+def _is_crossed(boundary: BoundarySurface, contact: Contact) -> bool:
+    """Whether a crease or the rim of a support crosses a round contact."""
+    every = np.arange(len(boundary.mesh.triangles))
+    return (
+        contact.radius is not None
+        and cut_distance(boundary.mesh, boundary.sides, every, contact.point) < contact.reach
+    )
 
 
 def graded_mesh(boundary: BoundarySurface) -> tuple[TriangleMesh, Int[np.ndarray, " t"]]:
