@@ -35,7 +35,7 @@ from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import Material, fit_session
 from palpate.records import EXACT, Contact, DisplacementField, Estimate, Probing, Session, Status
 from palpate.records.error_priors import ErrorPriors
-from palpate.shapes import Vector3
+from palpate.shapes import Points, Vector3
 
 NOISE = 0.01
 EVERY = BODIES | DRAWN_BODIES
@@ -46,6 +46,8 @@ NAMES = ("poisson_ratio", "shear_modulus", "young_modulus")
 # where stresses have no bound (`make_truth`), of two solutions, and of a third where the two differ
 # much.
 MESHES, FINEST = ((1.4, 0.3), (1.0, 0.15)), (0.7, 0.1)
+# Edge of the triangles whose vertices are seen and pressed over those of the mesh that estimates.
+SEEN = 0.9
 # What a step leaves of the one before: second order of convergence; between first and fourth.
 USUAL, LEFT = 1 / 3, (0.7**4, 0.7)
 # The truth's own error that is small enough [-]: the model's is to be found within as much.
@@ -54,15 +56,16 @@ ENOUGH = 0.001
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A body with the true displacement of its vertices under each of its contacts.
+    """A body with the true displacement of places on it under each of its contacts.
 
     Attributes
     ----------
     name : str
     mesh : TriangleMesh
     shape : Shape
+    points : (p, 3) float [m]       places that are seen, on the true surface
     pushes : tuple of Contact       where, and along which unit force, it is pressed
-    moved : (c, v, 3) float [m]     under one newton of each push
+    moved : (c, p, 3) float [m]     under one newton of each push
     own : float [-]                 what the extrapolation to elements of no size has changed, over
                                     the displacement
     left : float [-]                what the last step of the mesh has left of the one before
@@ -71,8 +74,9 @@ class Measured:
     name: str
     mesh: TriangleMesh
     shape: Shape
+    points: Points
     pushes: tuple[Place, ...]
-    moved: Float[np.ndarray, "c v 3"]
+    moved: Float[np.ndarray, "c p 3"]
     own: float
     left: float
 
@@ -93,14 +97,15 @@ def measured_body(
     name: str, folder: Path, stiffness: float | None = None, *, oblique: bool = False
 ) -> Measured:
     """Truth of a body on a rigid support, or on springs [N/m^3], pressed inward at three places, or
-    eight times, five of them obliquely; computed once."""
+    eight times, five of them obliquely; computed once. Contacts and places that are seen are
+    vertices of another mesh: they lie anywhere in the triangles of the one that estimates."""
     shape = EVERY[name]
-    mesh = shape.make(shape.edge)
-    places = contacts(mesh, shape)
+    mesh, seen = shape.make(shape.edge), shape.make(SEEN * shape.edge)
+    places = contacts(seen, shape)
     pushes = (*places, *oblique_pushes(places)) if oblique else tuple(places)
 
-    def solved(edge: float, rim: float) -> Float[np.ndarray, "c v 3"]:
-        return _solved(name, mesh, folder, edge, rim, stiffness, pushes)
+    def solved(edge: float, rim: float) -> Float[np.ndarray, "c p 3"]:
+        return _solved(name, seen.vertices, folder, edge, rim, stiffness, pushes)
 
     coarse, fine = (solved(*sizes) for sizes in MESHES)
     step, left = fine - coarse, USUAL
@@ -113,7 +118,7 @@ def measured_body(
         left = float(np.clip((first * step).sum() / (first**2).sum(), *LEFT))
     rest = step * left / (1.0 - left)
     own = np.linalg.norm(rest) / np.linalg.norm(fine)
-    return Measured(name, mesh, shape, pushes, fine + rest, float(own), left)
+    return Measured(name, mesh, shape, seen.vertices, pushes, fine + rest, float(own), left)
 
 
 def oblique_pushes(places: Sequence[Place]) -> list[Place]:
@@ -130,13 +135,13 @@ def oblique_pushes(places: Sequence[Place]) -> list[Place]:
 
 def _solved(
     name: str,
-    mesh: TriangleMesh,
+    points: Points,
     folder: Path,
     edge: float,
     rim: float,
     stiffness: float | None,
     pushes: Sequence[Place],
-) -> Float[np.ndarray, "c v 3"]:
+) -> Float[np.ndarray, "c p 3"]:
     on_springs = "" if stiffness is None else f"_{stiffness:g}"
     count = f"_{len(pushes)}" if len(pushes) > 3 else ""
     file = folder / f"{name}_{edge}_{rim}{on_springs}{count}.npy"
@@ -144,13 +149,12 @@ def _solved(
         shape = EVERY[name]
         truth = make_truth(
             shape,
-            edge=edge * element_size(mesh, shape),
+            edge=edge * element_size(shape.make(shape.edge), shape),
             rim=rim * shape.edge,
             support_stiffness=stiffness,
         )
         moved = [
-            truth.at(truth.displacement(one.point, one.inward, RADIUS), mesh.vertices)
-            for one in pushes
+            truth.at(truth.displacement(one.point, one.inward, RADIUS), points) for one in pushes
         ]
         folder.mkdir(parents=True, exist_ok=True)
         np.save(file, np.stack(moved))
@@ -175,10 +179,10 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
     # Other draws on every body.
     rng, mesh = np.random.default_rng([seed, list(EVERY).index(body.name)]), body.mesh
     held = np.flatnonzero(held_triangles(mesh, body.shape))
-    seen = np.setdiff1d(np.arange(len(mesh.vertices)), np.unique(mesh.triangles[held]))
+    seen = np.flatnonzero(~np.isin(closest_points(mesh, body.points).triangle, held))
     gain, axes, turn, shift, scale = drawn_errors(errors, rng)
     centre = mesh.vertices.mean(axis=0)
-    points = turn.apply(mesh.vertices[seen] - centre) + centre + shift
+    points = turn.apply(body.points[seen] - centre) + centre + shift
     told = closest_points(mesh, points)
     probings = []
     for k, (place, moved) in enumerate(zip(body.pushes, body.moved, strict=True)):
@@ -192,7 +196,7 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
         sigma = noise * float(np.sqrt((moved**2).mean()))
         field = scale * turn.apply(moved[seen]) + sigma * rng.normal(size=(len(seen), 3))
         # No camera sees what the tool covers.
-        field[np.linalg.norm(mesh.vertices[seen] - place.point, axis=1) < RADIUS] = np.nan
+        field[np.linalg.norm(body.points[seen] - place.point, axis=1) < RADIUS] = np.nan
         std = np.full_like(field, sigma) if noise else None
         displacement = DisplacementField(told.position, field, std, None, told, "truth")
         probings.append(

@@ -39,7 +39,7 @@ def measured(name: str, kind: str, folder: Path) -> Measured:
     at = pushes(mesh, shape, FITTED + PREDICTED, seed=0)
     moved = true_motion(name, kind, folder, at, 0)[:FITTED]
     places = tuple(Contact(point, force) for point, force in at[:FITTED])
-    return Measured(name, mesh, shape, places, moved, 0.0, 0.0)
+    return Measured(name, mesh, shape, mesh.vertices, places, moved, 0.0, 0.0)
 
 
 def fitted(body: Measured, kind: str, seed: int, folder: Path) -> Row:

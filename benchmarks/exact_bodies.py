@@ -72,12 +72,12 @@ def variants(body: Measured) -> Iterator[tuple[str, Session]]:
 
 
 def _with_tips(given: Session, body: Measured) -> Session:
-    """The displacement of every contact point, too, which is a vertex."""
+    """The displacement of every contact point, too, which is a place that is seen."""
     probings = []
     for probing, push, moved in zip(given.probings, body.pushes, body.moved, strict=True):
-        vertex = int(np.linalg.norm(body.mesh.vertices - push.point, axis=1).argmin())
+        place = int(np.linalg.norm(body.points - push.point, axis=1).argmin())
         size = float(np.linalg.norm(probing.force))
-        probings.append(replace(probing, tip_displacement=size * moved[vertex]))
+        probings.append(replace(probing, tip_displacement=size * moved[place]))
     return replace(given, probings=tuple(probings))
 
 
