@@ -9,6 +9,7 @@ from palpate.geometry import triangle_areas
 from palpate.probe import find_contact_patch
 from palpate.records import Contact
 from palpate.records.contact import PRESSURES
+from palpate.solids import make_solid, pressure_load
 
 NOBODY = np.array([], dtype=np.int64)
 TOP = np.array([0.5, 0.5, 1.0])
@@ -88,6 +89,22 @@ def test_round_the_rim_of_a_thin_plate_the_patch_ends_before_the_other_side():
     assert (heights.max(axis=1) > 0).all()
 
 
+def test_beside_an_edge_a_patch_does_not_reach_round_it_nor_do_finite_elements():
+    """A circle of 3 mm, 1 mm from the edge of a cube of 40 mm: all of the force is on the top."""
+    mesh, point = box((0.04, 0.04, 0.04), 8), np.array([0.039, 0.0185, 0.04])
+    patch = find_contact_patch(mesh, Contact(point, 0.003, "uniform"), NOBODY, name="p1")
+    corner = mesh.vertices[mesh.triangles[patch.triangles]]
+    np.testing.assert_allclose(corner[:, :, 2], 0.04, atol=1e-12)
+    solid = make_solid(mesh, edge=0.008)
+    share = pressure_load(solid, point, 0.003, PRESSURES["uniform"])
+    # As the segment of a circle that lacks a cap, whose centroid is known.
+    angle = np.arccos(1 / 3)
+    area = np.pi - angle + np.sin(angle) * np.cos(angle)
+    centroid = 2 / 3 * np.sin(angle) ** 3 / area * 0.003
+    found = share @ solid.nodes
+    np.testing.assert_allclose(found, [0.039 - centroid, 0.0185, 0.04], atol=2e-5)
+
+
 def test_a_neighbouring_part_within_reach_is_not_pressed():
     two = joined(box(cells=4), box(cells=4, origin=(1.05, 0.0, 0.0)))
     at_edge = contact(point=[0.9, 0.5, 1.0], radius=0.25)
@@ -110,8 +127,12 @@ def test_a_contact_beside_the_surface_is_refused():
 
 def test_a_contact_that_reaches_the_support_is_refused():
     mesh = box(cells=8)
-    held = np.flatnonzero((mesh.vertices[mesh.triangles][:, :, 0] == 1).all(axis=1))
+    corner = mesh.vertices[mesh.triangles]
+    held = np.flatnonzero((corner[:, :, 2] == 1).all(axis=1) & (corner[:, :, 0] > 0.85).all(axis=1))
     with pytest.raises(
         InputError, match=r"probe 'poke': the contact patch reaches \d+ triangles of"
     ):
         patch_on_cube(held=held, point=[0.95, 0.5, 1.0])
+    # Round the edge it may be held.
+    beside = np.flatnonzero((corner[:, :, 0] == 1).all(axis=1))
+    assert len(patch_on_cube(held=beside, point=[0.95, 0.5, 1.0]).triangles)

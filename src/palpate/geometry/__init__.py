@@ -54,6 +54,7 @@ from palpate.geometry.surface_fit import (
     initial_pose as initial_pose,
 )
 from palpate.geometry.triangle_mesh import (
+    BESIDE as BESIDE,
     CREASE_ANGLE as CREASE_ANGLE,
     Sides as Sides,
     TriangleMesh as TriangleMesh,

@@ -25,6 +25,9 @@ from palpate.shapes import (
 )
 
 CREASE_ANGLE = np.radians(40.0)
+# Cosine between normals below which a face lies beside another one: what presses on that does not
+# press on it. Some degrees less than a right angle, so that rounding does not decide.
+BESIDE = 0.1
 _MORTON_BITS = 10
 # Largest difference in volume between a mesh and its convex hull, relative to the latter.
 _CONVEXITY_TOLERANCE = 1e-6

@@ -19,6 +19,7 @@ from scipy.special import ndtri
 from palpate.arrays import tangents_of
 from palpate.estimation import FALSE_ALARM
 from palpate.geometry import (
+    BESIDE,
     TriangleMesh,
     closest_points,
     triangle_areas,
@@ -228,9 +229,8 @@ def _most_likely(
     )
 
 
-# Longest side of the triangles of a patch over its reach, and cosine of the largest angle between
-# them and its centre's: beyond it lies another side of the body.
-_FINE, _TURNED = 0.4, -0.5
+# Longest side of the triangles of a patch over its reach.
+_FINE = 0.4
 # Points around a patch that are used: so many, or those within so many reaches, evenly thinned.
 _NEAREST, _MOST, _REACHES = 60, 150, 1.5
 # Of a regular pattern at least three points lie within a spacing of any place, and each has six
@@ -284,7 +284,7 @@ def make_patch(mesh: TriangleMesh, contact: Contact) -> Patch:
     normal = normals[distance.argmin()]
     step = _STEP * contact.reach
     near = distance < (1.0 + _GROWN) * contact.reach + step
-    near &= normals @ normal > _TURNED
+    near &= normals @ normal > BESIDE
     corner = mesh.vertices[mesh.triangles[near]]
     while _longest_side(corner) > _FINE * contact.reach:
         middle = 0.5 * (corner + np.roll(corner, -1, axis=1))

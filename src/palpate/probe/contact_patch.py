@@ -8,7 +8,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, closest_points, triangle_distances, unit_normals
+from palpate.geometry import (
+    BESIDE,
+    TriangleMesh,
+    closest_points,
+    triangle_distances,
+    unit_normals,
+)
 from palpate.records import Contact
 
 # Cosine above which a tangent is named by an axis.
@@ -118,11 +124,10 @@ def find_contact_patch(
 def _connected_triangles(
     mesh: TriangleMesh, point: Float[np.ndarray, "3"], radius: float, first: int
 ) -> Int[np.ndarray, " k"]:
-    """Triangles within a sphere that are connected with the first one and turned from it by less
-    than 120 degrees."""
+    """Triangles within a sphere that are connected with the first one and face as it does."""
     near = np.flatnonzero(triangle_distances(mesh, point) < radius)
     normals = unit_normals(mesh)
-    near = near[(normals[near] @ normals[first] > -0.5) | (near == first)]
+    near = near[(normals[near] @ normals[first] > BESIDE) | (near == first)]
     corner = mesh.triangles[near]
     row = np.repeat(np.arange(near.size), 3)
     incidence = coo_array(

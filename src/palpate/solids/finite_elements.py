@@ -15,7 +15,13 @@ from scipy.sparse import csr_array, kron
 from scipy.spatial.distance import cdist
 
 from palpate.errors import InputError, SingularSystemError
-from palpate.geometry import ELEMENT_NODES, closest_points, piece_middles, quadratic_shapes
+from palpate.geometry import (
+    BESIDE,
+    ELEMENT_NODES,
+    closest_points,
+    piece_middles,
+    quadratic_shapes,
+)
 from palpate.machine import check_memory_for
 from palpate.shapes import Points, Vector3
 from palpate.solids.sizes import body_memory
@@ -350,6 +356,17 @@ def pressure_load(
     return share / share.sum()
 
 
+def nodal_volumes(solid: Solid) -> Float[np.ndarray, " n"]:
+    """Share of a body's volume that each node carries of a constant body force [m^3]; with
+    quadratic elements that of corners may be negative.
+
+    Parameters
+    ----------
+    solid : Solid
+    """
+    return np.asarray(skfem.LinearForm(lambda v, _: 1.0 * v).assemble(quadratic_basis(solid)))
+
+
 def half_space_compliance(
     solid: Solid,
     point: Vector3,
@@ -404,8 +421,10 @@ def _pressed(
     size = np.linalg.norm(nodes[:, 1:3] - nodes[:, :1], axis=2).max(axis=1)
     side = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
     gap = np.linalg.norm(nodes - point, axis=2).min(axis=1)
-    # Exclude the far side of a thin body: it is close as well, but faces the other way.
-    near = (gap < radius + size) & (side @ side[int(gap.argmin())] > 0.0)
+    surface = boundary_surface(solid.nodes, solid.facets)
+    under = int(closest_points(surface, point[None]).triangle[0]) // len(QUARTERS)
+    normal = side / np.linalg.norm(side, axis=1)[:, None]
+    near = (gap < radius + size) & (normal @ normal[under] > BESIDE)
     shape = quadratic_shapes(barycentric).T
     position = np.einsum("sv,fva->fsa", shape, nodes[near])
     distance = np.linalg.norm(position - point, axis=2)
