@@ -102,7 +102,8 @@ def main() -> None:
             probings.append(replace(probing, displacement=field))
         for finite_strain in (False, True):
             start = time.perf_counter()
-            of = replace(session, probings=tuple(probings))
+            weight = np.array([0.0, 0.0, -GRAVITY]) if sags else None
+            of = replace(session, probings=tuple(probings), gravity_at_rest=weight)
             found = fit_session(of, finite_strain=finite_strain).estimate
             young = found.young_modulus
             print(

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import BODIES, Shape
@@ -85,6 +86,15 @@ class Measured:
         """The constants."""
         return constants(self.shape)
 
+    @property
+    def seen(self) -> Int[np.ndarray, " s"]:
+        """Places that are seen: those that the support does not hold."""
+        held = held_triangles(self.mesh, self.shape)
+        around = self.mesh.vertices[np.unique(self.mesh.triangles[held])]
+        on_support = held[closest_points(self.mesh, self.points).triangle]
+        on_support |= cKDTree(around).query(self.points)[0] < 1e-9
+        return np.flatnonzero(~on_support)
+
 
 def constants(shape: Shape) -> dict[str, float]:
     """The constants of a body."""
@@ -94,18 +104,24 @@ def constants(shape: Shape) -> dict[str, float]:
 
 
 def measured_body(
-    name: str, folder: Path, stiffness: float | None = None, *, oblique: bool = False
+    name: str,
+    folder: Path,
+    stiffness: float | None = None,
+    *,
+    oblique: bool = False,
+    seen: float = SEEN,
 ) -> Measured:
     """Truth of a body on a rigid support, or on springs [N/m^3], pressed inward at three places, or
     eight times, five of them obliquely; computed once. Contacts and places that are seen are
-    vertices of another mesh: they lie anywhere in the triangles of the one that estimates."""
+    vertices of another mesh, unless `seen` is 1: they lie anywhere in the triangles of the one that
+    estimates."""
     shape = EVERY[name]
-    mesh, seen = shape.make(shape.edge), shape.make(SEEN * shape.edge)
-    places = contacts(seen, shape)
+    mesh, other = shape.make(shape.edge), shape.make(seen * shape.edge)
+    places = contacts(other, shape)
     pushes = (*places, *oblique_pushes(places)) if oblique else tuple(places)
 
     def solved(edge: float, rim: float) -> Float[np.ndarray, "c p 3"]:
-        return _solved(name, seen.vertices, folder, edge, rim, stiffness, pushes)
+        return _solved(name, other.vertices, folder, edge, rim, stiffness, pushes)
 
     coarse, fine = (solved(*sizes) for sizes in MESHES)
     step, left = fine - coarse, USUAL
@@ -118,7 +134,7 @@ def measured_body(
         left = float(np.clip((first * step).sum() / (first**2).sum(), *LEFT))
     rest = step * left / (1.0 - left)
     own = np.linalg.norm(rest) / np.linalg.norm(fine)
-    return Measured(name, mesh, shape, seen.vertices, pushes, fine + rest, float(own), left)
+    return Measured(name, mesh, shape, other.vertices, pushes, fine + rest, float(own), left)
 
 
 def oblique_pushes(places: Sequence[Place]) -> list[Place]:
@@ -144,7 +160,7 @@ def _solved(
 ) -> Float[np.ndarray, "c p 3"]:
     on_springs = "" if stiffness is None else f"_{stiffness:g}"
     count = f"_{len(pushes)}" if len(pushes) > 3 else ""
-    file = folder / f"{name}_{edge}_{rim}{on_springs}{count}.npy"
+    file = folder / f"{name}_{edge}_{rim}{on_springs}{count}_at_{len(points)}.npy"
     if not file.exists():
         shape = EVERY[name]
         truth = make_truth(
@@ -179,7 +195,7 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
     # Other draws on every body.
     rng, mesh = np.random.default_rng([seed, list(EVERY).index(body.name)]), body.mesh
     held = np.flatnonzero(held_triangles(mesh, body.shape))
-    seen = np.flatnonzero(~np.isin(closest_points(mesh, body.points).triangle, held))
+    seen = body.seen
     gain, axes, turn, shift, scale = drawn_errors(errors, rng)
     centre = mesh.vertices.mean(axis=0)
     points = turn.apply(body.points[seen] - centre) + centre + shift

@@ -67,8 +67,8 @@ SESSION = (
         (RECORDS + "region.Region",),
     ),
     Table("plane of a region", RECORDS + "region", "_shape"),
-    Table("[gravity]", FILES + "session", "_single_key_table", 0, (), ("acceleration",)),
-    Table("[rig]", FILES + "session", "_single_key_table", 0, (), ("cameras",)),
+    Table("[gravity]", FILES + "session", "_gravity"),
+    Table("[rig]", FILES + "session", "_cameras"),
     Table(
         "[errors]", RECORDS + "error_priors", "read_error_priors", 0,
         (RECORDS + "error_priors.ErrorPriors",),

@@ -52,7 +52,9 @@ WORDS = {
     " camera's name",
     "rest": "pictures before the push, with `{camera}` in place of the camera's name",
     "loaded": "pictures under the push, in time; the last one is at the full force",
-    "acceleration": "its direction and size [m/s^2]",
+    "acceleration": "its direction and size [m/s^2]; acts under the push alone, unless `at_rest`",
+    "at_rest": "it acted before the push, too, and the mesh is the shape without weight; counts with"
+    " `--strain finite` alone",
     "cameras": "a rig.toml, or the calibration of another program",
     "pose": "of the mesh against the measured points",
     ("pose of [errors]", "translation"): "shift along each axis, 1 sigma",

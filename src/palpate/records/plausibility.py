@@ -112,13 +112,10 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {UNIT_HINT}.")
     notes += _support_notes(session)
-    if (
-        session.gravity is not None
-        and abs(np.linalg.norm(session.gravity) / _EARTH_GRAVITY - 1.0) > 0.01
-    ):
+    gravity = session.gravity if session.gravity is not None else session.gravity_at_rest
+    if gravity is not None and abs(np.linalg.norm(gravity) / _EARTH_GRAVITY - 1.0) > 0.01:
         notes.append(
-            f"Gravity is {np.linalg.norm(session.gravity):.3g} m/s^2; the earth's is"
-            f" {_EARTH_GRAVITY}."
+            f"Gravity is {np.linalg.norm(gravity):.3g} m/s^2; the earth's is {_EARTH_GRAVITY}."
         )
     if session.density is not None and session.density < _SMALLEST_DENSITY:
         notes.append(

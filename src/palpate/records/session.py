@@ -87,6 +87,9 @@ class Session:
                                     triangles meet at more than 40 degrees; False: the object has
                                     exactly the flat facets of the mesh
     regions : tuple of Region       parts with a modulus of their own; by default none
+    gravity_at_rest : (3,) float [m/s^2] or None    gravity that acts before the push, too, on an
+                                    object whose mesh is its shape without weight; it counts at
+                                    finite strain alone
 
     Raises
     ------
@@ -112,6 +115,7 @@ class Session:
     errors: ErrorPriors = field(default_factory=ErrorPriors)
     smooth: bool = True
     regions: tuple[Region, ...] = ()
+    gravity_at_rest: Vector3 | None = None
 
     def __post_init__(self) -> None:
         fix_fields(self, integer=True, held_triangles=(None,))
@@ -124,7 +128,7 @@ class Session:
         if not self.supports and len(held):
             object.__setattr__(self, "supports", (Support(held),))
         _check_supports(self.mesh, self.supports, self.probings)
-        fix_fields(self, none_allowed=True, gravity=(3,))
+        fix_fields(self, none_allowed=True, gravity=(3,), gravity_at_rest=(3,))
         _check_gravity(self)
 
     def __repr__(self) -> str:
@@ -216,6 +220,8 @@ def _check_contents(session: Session) -> None:
 def _check_gravity(session: Session) -> None:
     """Refuse a density or a gravity that nothing has, and gravity where its share is not known."""
     density, gravity = session.density, session.gravity
+    if gravity is None:
+        gravity = session.gravity_at_rest
     if density is not None and not 0.0 < density <= _LARGEST_DENSITY:
         raise InputError(
             f"density is {density}; must be positive and at most {_LARGEST_DENSITY:g} kg/m^3, the"
@@ -234,7 +240,7 @@ def _check_gravity(session: Session) -> None:
             f" {_LARGEST_GRAVITY:g} is taken: is it in mm/s^2?"
         )
     pulled = [probing.name for probing in session.probings if probing.contact.profile == RIGID]
-    if pulled:
+    if pulled and session.gravity is not None:
         raise InputError(
             f"probing '{pulled[0]}' has its force on a support, and there is gravity: its share of"
             " the weight is not known; measure the rest state under gravity too, and leave"

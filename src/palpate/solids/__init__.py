@@ -24,11 +24,13 @@ from palpate.solids.finite_elements import (
     inner_points as inner_points,
     linear_displacement as linear_displacement,
     make_body as make_body,
+    nodal_volumes as nodal_volumes,
     pressure_load as pressure_load,
     solve_load as solve_load,
     surface_values as surface_values,
 )
 from palpate.solids.finite_strain import (
+    Law as Law,
     LawOf as LawOf,
     NeoHookean as NeoHookean,
     SplitNeoHookean as SplitNeoHookean,

@@ -27,6 +27,7 @@ from palpate.records import (
     FlatFace,
     Probing,
     Session,
+    Sphere,
     Support,
     Tool,
 )
@@ -73,6 +74,60 @@ def test_it_is_of_second_order_in_the_load() -> None:
     small, large = (_correction(push) for push in (0.05, 0.1))
     # A third order of some tenths of the second is left at 0.1 N, 2 % strain.
     assert np.linalg.norm(large) / np.linalg.norm(small) == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def column() -> Session:
+    """A slender column that stands on the ground, pushed sideways at its top."""
+    height, side = 0.1, 0.012
+    mesh = box((side, side, height), (2, 2, 16))
+    held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
+    points = np.array([[side, 0.5 * side, height - 2e-3]])
+    field = DisplacementField(points, 0 * points, None, None, closest_points(mesh, points), "")
+    contact, force = Contact(points[0], 2e-3, "smooth"), np.array([-1e-6, 0.0, 0.0])
+    probing = Probing("n", contact, force, np.full(3, 1e-9), None, None, field, None)
+    return Session(
+        "column", Path("column"), mesh, held, (probing,), 50.0, None, None, (), errors=EXACT
+    )
+
+
+def test_weight_at_rest_makes_a_column_that_stands_softer_and_one_that_hangs_stiffer(
+    column: Session,
+) -> None:
+    """By 3/8 of the weight per length, as of a beam that bends as under a load at its tip
+    (Rayleigh): the work of the axial force, which falls from the weight to 0, in the tilt."""
+    changes = []
+    for gravity in (-9.81, 9.81):
+        weighed = replace(column, gravity_at_rest=np.array([0.0, 0.0, gravity]))
+        body = make_finite_body(weighed, coarser=1.2)
+        (found,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
+        elastic = make_body(body.solid, body.held, shear_modulus=SHEAR, poisson_ratio=NU)
+        linear = (body.observed[0] @ solve_load(elastic, body.loads[0]))[0, 0]
+        changes.append(found.value[0, 0] / linear)
+        # It is counted from where the column rests; by its weight it has sunk ten times as far.
+        assert abs(found.value[0, 2]) < 0.2 * abs(linear)
+    stands, hangs = changes
+    stiffness = 1e-6 / abs(linear)
+    expected = 3 / 8 * 50.0 * 9.81 * 0.012**2 / stiffness
+    assert stands > 0.1
+    assert hangs < 0.0
+    # The second order cancels; the column is eight times as high as wide, and bends in shear, too.
+    assert 0.5 * (stands - hangs) == pytest.approx(expected, rel=0.06)
+
+
+def test_weight_under_the_push_alone_is_a_load_of_it(column: Session) -> None:
+    weighed = make_finite_body(replace(column, gravity=np.array([0.0, 0.0, -9.81])), coarser=1.2)
+    force = np.array([-1e-6, 0.0, -50.0 * 9.81 * 0.012**2 * 0.1])
+    np.testing.assert_allclose(weighed.loads[0].sum(axis=0), force, rtol=1e-9)
+    assert not weighed.weight.any()
+
+
+def test_a_tool_on_an_object_with_weight_is_refused(column: Session) -> None:
+    (probing,) = column.probings
+    touched = replace(probing, contact=Contact.under(Sphere(0.005), probing.contact.point))
+    with_tool = replace(column, probings=(touched,), gravity_at_rest=np.array([0.0, 0.0, -9.81]))
+    with pytest.raises(InputError, match="names a tool, and there is "):
+        make_finite_body(with_tool)
 
 
 def test_what_presses_alike_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:

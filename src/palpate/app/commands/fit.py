@@ -439,7 +439,7 @@ def _mesh_table(session: Session) -> Table:
         for support in moves
     ]
     edges = (quality.edge_shortest, quality.edge_mean, quality.edge_longest)
-    gravity, density = session.gravity, session.density
+    density = session.density
     rows = (
         ("vertices, triangles", f"{quality.vertices}, {quality.triangles}"),
         ("size", " x ".join(f"{1e3 * side:.4g}" for side in quality.size) + " mm"),
@@ -453,7 +453,7 @@ def _mesh_table(session: Session) -> Table:
         *((f"support {n} holds", what) for n, what in _rollers(session)),
         *((f"support {n} gives", what) for n, what in _springs(session)),
         ("density", "-" if density is None else f"{density:g} kg/m^3"),
-        ("gravity", "not in the model" if gravity is None else _acceleration(gravity)),
+        ("gravity", _gravity(session)),
     )
     title = "Surface: closed, manifold, outward, without self-intersection"
     return terminal_table(title, ("figure", "value"), rows)
@@ -484,6 +484,14 @@ def _springs(session: Session) -> list[tuple[int, str]]:
             text = f"{support.stiffness:.3g} N/m^3: {1e3 * settlement:.3g} mm under {force:.3g} N"
             rows.append((number, text))
     return rows
+
+
+def _gravity(session: Session) -> str:
+    if session.gravity is not None:
+        return _acceleration(session.gravity)
+    if session.gravity_at_rest is None:
+        return "not in the model"
+    return f"{_acceleration(session.gravity_at_rest)}, at rest too (counts with --strain finite)"
 
 
 def _acceleration(vector: Vector3) -> str:

@@ -49,6 +49,7 @@ from palpate.shapes import Points
 from palpate.solids import (
     Body,
     FinitePress,
+    Law,
     LawOf,
     NeoHookean,
     SplitNeoHookean,
@@ -233,12 +234,13 @@ def strain_corrections(
         shear_modulus=constants.shear_modulus,
         poisson_ratio=constants.poisson_ratio,
     )
+    rest = _sagged(body, elastic, constants, law) if body.weight.any() else None
     pressed: list[tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]] = []
     for k, same in enumerate(body.same):
         progress("finite strain", k / len(body.same))
         start = starts[k].press if starts else None
         pressed.append(
-            pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start)
+            pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start, rest)
         )
     return tuple(
         Correction(constants, seen @ value, np.stack([seen @ each for each in slope]), press)
@@ -253,28 +255,51 @@ def _pressed(
     constants: MaterialConstants,
     plain: LawOf,
     start: FinitePress | None,
+    rest: tuple[Points, Float[np.ndarray, "f k"]] | None,
 ) -> tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]:
     """The solution of one probing at finite strain, and the correction of all nodes with its
-    slopes."""
+    slopes; `rest`: `_sagged`, where the object has weight at rest."""
     load, tip = body.loads[index], body.tips[index]
-    (mu, lame), law = elastic.lame, yeoh(constants.stiffening, plain)
-    others = [law(mu, lame + mu), yeoh(constants.stiffening + 1.0, plain)(mu, lame)]
+    law, here, others = _laws(elastic, constants, plain)
     linear = solve_load(elastic, load)
     if tip is None:
-        before = None if start is None else start.displacement
-        press = FinitePress(solve_finite(elastic, load, law=law, start=before), 0.0)
-        moved = load_slopes(elastic, load, press.displacement, law=law(mu, lame), others=others)
+        before = start.displacement if start is not None else None if rest is None else rest[0]
+        total = load + body.weight
+        press = FinitePress(solve_finite(elastic, total, law=law, start=before), 0.0)
+        moved = load_slopes(elastic, total, press.displacement, law=here, others=others)
     else:
         force = float(np.linalg.norm(load.sum(axis=0)))
         press = press_finite(elastic, tip, force, law=law, start=start)
-        moved = press_slopes(elastic, tip, force, press, law=law(mu, lame), others=others)
+        moved = press_slopes(elastic, tip, force, press, law=here, others=others)
+    change = press.displacement
+    if rest is not None:
+        change, moved = change - rest[0], moved - rest[1]
     by_load, by_lame, by_stiffening = moved.T.reshape(3, -1, 3)
     # Both depend on force over modulus alone; d lambda / d nu, in units of mu.
     per_ratio = 2.0 / (1.0 - 2.0 * constants.poisson_ratio) ** 2
     per_ratio *= constants.poisson_ratio < _LARGEST_RATIO
     by_ratio = per_ratio * (by_lame - dilation_slope(elastic, linear))
     slope = np.stack([linear - by_load, by_ratio, by_stiffening])
-    return press, press.displacement - linear, slope
+    return press, change - linear, slope
+
+
+def _sagged(
+    body: FiniteBody, elastic: Body, constants: MaterialConstants, plain: LawOf
+) -> tuple[Points, Float[np.ndarray, "f k"]]:
+    """Displacement of the nodes under the weight alone, and its slopes as `load_slopes`."""
+    law, here, others = _laws(elastic, constants, plain)
+    moved = solve_finite(elastic, body.weight, law=law)
+    return moved, load_slopes(elastic, body.weight, moved, law=here, others=others)
+
+
+def _laws(
+    elastic: Body, constants: MaterialConstants, plain: LawOf
+) -> tuple[LawOf, Law, list[Law]]:
+    """The law of a material, as a function of its constants and with them; and with those that it
+    is mixed with: a larger lambda, and more stiffening."""
+    (mu, lame), law = elastic.lame, yeoh(constants.stiffening, plain)
+    others = [law(mu, lame + mu), yeoh(constants.stiffening + 1.0, plain)(mu, lame)]
+    return law, law(mu, lame), others
 
 
 def _converged(

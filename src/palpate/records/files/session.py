@@ -117,9 +117,8 @@ def read_session(
         probing, probing_notes = _probing(table, held_object, observations=observations)
         probings.append(probing)
         notes += probing_notes
-    gravity = _single_key_table(root, "gravity", "acceleration")
-    rig = _single_key_table(root, "rig", "cameras")
-    cameras = rig.existing_file("cameras") if rig else None
+    gravity, at_rest = _gravity(root)
+    cameras = _cameras(root)
     with root.error_context():
         check_copies(tuple(probings))
         session = Session(
@@ -129,7 +128,8 @@ def read_session(
             held_triangles=held_object.held_triangles(),
             probings=tuple(probings),
             density=body.optional("density", body.number),
-            gravity=gravity.vector("acceleration") if gravity else None,
+            gravity=None if at_rest else gravity,
+            gravity_at_rest=gravity if at_rest else None,
             rig=cameras,
             notes=notes,
             steps=_steps(root),
@@ -220,12 +220,22 @@ def read_object_mesh(
     return mesh, tuple(f"{path.name}: {note}" for note in notes)
 
 
-def _single_key_table(root: TomlTable, name: str, key: str) -> TomlTable | None:
-    """An optional table with a single key."""
-    table = root.optional(name, root.table)
-    if table is not None:
-        table.check_keys((key,))
-    return table
+def _gravity(root: TomlTable) -> tuple[Vector3 | None, bool]:
+    """Gravity [m/s^2], and whether it acts at rest, too."""
+    table = root.optional("gravity", root.table)
+    if table is None:
+        return None, False
+    table.check_keys(("acceleration", "at_rest"))
+    return table.vector("acceleration"), bool(table.optional("at_rest", table.boolean))
+
+
+def _cameras(root: TomlTable) -> Path | None:
+    """The file of the cameras."""
+    table = root.optional("rig", root.table)
+    if table is None:
+        return None
+    table.check_keys(("cameras",))
+    return table.existing_file("cameras")
 
 
 def _requested_probes(root: TomlTable, probes: Sequence[str] | None) -> list[TomlTable]:
