@@ -48,7 +48,9 @@ OBJECT = "the first probing's side"
 _BODY, _SET = "#c9ccd2", "#e69f00"
 _GLASS = 0.25
 # Sizes as fractions of the object's: points, arrows, label distance.
-_POINT, _ARROW, _NEAR = 0.012, 0.2, 0.03
+_POINT, _ARROW, _NEAR = 0.009, 0.2, 0.03
+# Of a point as it is drawn, over its nominal size.
+_RADIUS = 1.25
 # Largest number of arrows; more would hide the points.
 _MAX_ARROWS = 250
 MEASURED, PREDICTED, RESIDUAL, SIGMA = FIELDS = (
@@ -236,9 +238,9 @@ class Stage:
             return
         colours = colours_of(field.values, field.top, field.cmap)
         mesh = self.subject.session.mesh
-        # Raised above the surface, or half of each would be hidden.
+        # Raised by their radius, or half of each would be hidden on slopes.
         lift = _POINT * self.size * unit_normals(mesh)[closest_points(mesh, field.points).triangle]
-        positions = 1e3 * (field.points + magnification * field.displacement) + 0.5 * lift
+        positions = 1e3 * (field.points + magnification * field.displacement) + _RADIUS * lift
         self._loose["points"] = self.scene.add_point_cloud(
             "/points/measured", positions, colours,
             point_size=_POINT * self.size, point_shape="circle", precision="float32",
