@@ -15,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from palpate.disk import write_bytes
+from palpate.errors import InputError
 from palpate.estimation import FitResult
 from palpate.figures import write_plots
 from palpate.files import read_bytes, read_errors
@@ -100,9 +101,12 @@ def write_report(folder: Path, target: Path) -> None:
 
     Raises
     ------
+    InputError                      a name that does not end in .html
     RecordError                     a file of the result is missing or cannot be read, or the page
                                     cannot be written
     """
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{target}: a report is an HTML file; its name must end in .html")
     estimate = read_estimate(folder / "estimate.json")
     surface = read_fitted_surface(folder)
     environment = Environment(

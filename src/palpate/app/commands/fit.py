@@ -320,8 +320,6 @@ def report(
         print_text(f"Methods, constants and probings in {target}")
         return 0
     target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{target}: a report is an HTML file; its name must end in .html")
     check_free(target, force=force)
     with disk_errors(target):
         write_report(result, target)
