@@ -246,12 +246,13 @@ def _with_greek(text: str) -> str:
 def _verdict(estimate: Estimate) -> dict[str, Any]:
     """The head of a report: a word, a sentence, what to do, and whether all is determined."""
     status = estimate.status
+    cure = _with_greek(status.cure)
     # No line break between a number and its unit.
     sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
     return {
         "word": _WORDS.get(status, "Partly determined"),
         "sentence": _with_greek(sentence),
-        "cure": status.cure[:1].upper() + status.cure[1:] + "." if status.cure else "",
+        "cure": cure[:1].upper() + cure[1:] + "." if cure else "",
         "good": status is Status.OK,
     }
 
