@@ -81,7 +81,7 @@ from palpate.report import write_for_paper, write_report, write_result_files
 from palpate.shapes import Vector3
 
 # Fractions of the work that are done when the fit and when the drawing begin.
-_FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.9
+_FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.8
 _REUSED = (
     "the motion in the pictures of {} of {} probings is the one that {} holds: their pictures, the"
     " cameras and the mesh are the same"
