@@ -46,14 +46,8 @@ PARTS = {
     "plans": ("plan_holds",),
     "simulation": ("realtime", "replay"),
     "campaign": ("campaign",),
-    "door": (
-        "calibration",
-        "known_object",
-        "scanning",
-        "scanned_constants",
-        "recording",
-        "first_hour",
-    ),
+    "door": ("calibration", "known_object", "scanning", "scanned_constants", "recording"),
+    "hour": ("first_hour",),
     "live": ("live",),
 }
 SUBJECTS = tuple(name for names in PARTS.values() for name in names)
