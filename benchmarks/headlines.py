@@ -162,6 +162,14 @@ HEADLINES: dict[str, tuple[Headline, ...]] = {
             (
                 ("later processes", f"{_BEAM} later processes"),
                 ("`palpate --help`", "`palpate --help`"),
+                (
+                    "from boards, a turntable, films and a force log, six commands",
+                    "from a robot's films and force log to constants, all commands",
+                ),
+                (
+                    "from tables of image correlation, three commands",
+                    "from tables of image correlation to constants, all commands",
+                ),
             ),
         ),
         Headline(

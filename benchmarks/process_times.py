@@ -25,11 +25,11 @@ def measure(options: Options) -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         bare, ready = Path(name) / "bare", Path(name) / "ready"
         first, *later = _fits(beam, bare, 1 + repeats)
-        compiling = _seconds(["compile"], _made(ready))
+        compiling = seconds(["compile"], ready)
         after, *_ = _fits(beam, ready, 1)
         first_seen, *later_seen = _fits(seen, ready, repeats)
         imported = min(_run([sys.executable, "-c", IMPORTS], bare) for _ in range(repeats))
-        help_times = [_seconds(["--help"], bare) for _ in range(repeats + 2)]
+        help_times = [seconds(["--help"], bare) for _ in range(repeats + 2)]
     return [
         Figure(
             ESTIMATION,
@@ -76,7 +76,7 @@ def _fits(session: str, caches: Path, count: int) -> list[float]:
     """Wall times of so many processes that fit a session, one after the other."""
     folder = _made(caches)
     outs = [str(folder / f"{Path(session).name} {k}") for k in range(count)]
-    return [_seconds(["fit", session, "--out", out], folder) for out in outs]
+    return [seconds(["fit", session, "--out", out], folder) for out in outs]
 
 
 def _made(folder: Path) -> Path:
@@ -84,14 +84,14 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _seconds(arguments: list[str], cache: Path) -> float:
-    """Wall time of one process of the command, its caches in a folder."""
+def seconds(arguments: list[str], cache: Path, place: Path | None = None) -> float:
+    """Wall time of one process of the command, its caches in a folder, run there or elsewhere."""
     script = Path(sys.executable).with_name("palpate")
     command = [str(script)] if script.exists() else [sys.executable, "-c", START]
-    return _run([*command, *arguments], cache)
+    return _run([*command, *arguments], _made(cache), place)
 
 
-def _run(command: list[str], cache: Path) -> float:
+def _run(command: list[str], cache: Path, place: Path | None = None) -> float:
     """Wall time of one process, its caches in a folder."""
     caches = {"NUMBA_CACHE_DIR": f"{cache}/numba", "MPLCONFIGDIR": f"{cache}/matplotlib"}
     # Python keeps what it has compiled of the modules, unless it is told not to.
@@ -100,7 +100,7 @@ def _run(command: list[str], cache: Path) -> float:
     done = subprocess.run(
         command,
         env=told | caches,
-        cwd=cache,
+        cwd=place or cache,
         capture_output=True,
         text=True,
         check=False,

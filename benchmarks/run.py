@@ -47,6 +47,7 @@ PARTS = {
     "simulation": ("realtime", "replay"),
     "campaign": ("campaign",),
     "door": ("calibration", "known_object", "scanning", "scanned_constants", "recording"),
+    "hour": ("first_hour",),
     "live": ("live",),
 }
 SUBJECTS = tuple(name for names in PARTS.values() for name in names)

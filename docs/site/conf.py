@@ -50,17 +50,26 @@ def _outside(app, page, source):
 
 
 def _readable(app, what, name, target, options, lines):
-    """Docstrings as Sphinx reads them: what follows a type on its line goes to the next, names in
-    backticks are code, shapes are no emphasis, the fields of a room are a list."""
+    """Docstrings as Sphinx reads them: what follows a type on its line goes to the next, as do the
+    lines that go on from there, names in backticks are code, shapes are no emphasis, the fields of
+    a room are a list."""
     found, in_section = [], False
     for line in lines:
         in_section = in_section or (bool(line) and set(line) == {"-"})
         entry = re.match(r"(\w[\w, ]*(?: : \S.*?)?)  +(\S.*)$", line) if in_section else None
-        parts = [entry[1], f"    {entry[2]}"] if entry else [line]
+        deep = in_section and line.startswith(" " * 5)
+        goes_on = f"    {line.lstrip()}" if deep else line
+        parts = [entry[1], f"    {entry[2]}"] if entry else [goes_on]
         found += [_escaped(part) for part in parts]
     if what == "module":
         found = [re.sub(r"^(\w[\w ]*?) +: ", r":\1: ", line) for line in found]
     lines[:] = found
+
+
+def _skipped(app, what, name, member, skip, options):
+    """Slots, which the list of attributes has already."""
+    # What Sphinx has in place of a slot.
+    return True if type(member).__name__ == "_Sentinel" else None
 
 
 def _escaped(line):
@@ -76,3 +85,4 @@ def setup(app):
     app.add_lexer("csv", TextLexer)
     app.connect("source-read", _outside)
     app.connect("autodoc-process-docstring", _readable, priority=400)
+    app.connect("autodoc-skip-member", _skipped)

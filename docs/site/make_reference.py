@@ -57,52 +57,81 @@ SESSION = (
     Table("the file itself", FILES + "session", "read_session", 0, (RECORDS + "session.Session",)),
     Table("[object]", FILES + "session", "read_session", 1, (RECORDS + "session.Session",)),
     Table(
-        "[support], or several [[support]]", RECORDS + "support", "read_supports", 0,
+        "[support], or several [[support]]",
+        RECORDS + "support",
+        "read_supports",
+        0,
         (RECORDS + "support.Support",),
     ),
     Table("plane of a support: one table, or a list", RECORDS + "support", "_plane_distance"),
     Table("box of a support: one table, or a list", RECORDS + "support", "read_box"),
     Table(
-        "[[region]], a part with a modulus of its own", RECORDS + "region", "read_regions", 0,
+        "[[region]], a part with a modulus of its own",
+        RECORDS + "region",
+        "read_regions",
+        0,
         (RECORDS + "region.Region",),
     ),
     Table("plane of a region", RECORDS + "region", "_shape"),
     Table("[gravity]", FILES + "session", "_gravity"),
     Table("[rig]", FILES + "session", "_cameras"),
     Table(
-        "[errors]", RECORDS + "error_priors", "read_error_priors", 0,
+        "[errors]",
+        RECORDS + "error_priors",
+        "read_error_priors",
+        0,
         (RECORDS + "error_priors.ErrorPriors",),
     ),
     Table("pose of [errors]", RECORDS + "error_priors", "_pose"),
     Table(
-        "[[probe]]", FILES + "session", "_named_tables", 0,
-        (RECORDS + "probing.Probing",), ("_PROBE_KEYS",),
+        "[[probe]]",
+        FILES + "session",
+        "_named_tables",
+        0,
+        (RECORDS + "probing.Probing",),
+        ("_PROBE_KEYS",),
     ),
     Table(
-        "contact of a probe: a round patch", FILES + "loads", "_contact", 1,
+        "contact of a probe: a round patch",
+        FILES + "loads",
+        "_contact",
+        1,
         (RECORDS + "contact.Contact",),
     ),
     Table(
-        "contact of a probe: a tool", FILES + "loads", "_tool", 0,
+        "contact of a probe: a tool",
+        FILES + "loads",
+        "_tool",
+        0,
         (RECORDS + "contact.Tool", RECORDS + "contact.Contact"),
     ),
     Table(
-        "contact of a probe: a tool given as a mesh", FILES + "loads", "_mesh_tool", 0,
+        "contact of a probe: a tool given as a mesh",
+        FILES + "loads",
+        "_mesh_tool",
+        0,
         (RECORDS + "contact.Tool", RECORDS + "contact.Contact"),
     ),
     Table("contact of a probe: a face", FILES + "loads", "_contact", 0),
     Table("contact of a probe: a grip", FILES + "loads", "read_push"),
     Table("[[probe.load]]", FILES + "loads", "read_loads", 0, (RECORDS + "probing.Load",)),
     Table(
-        "support_motion of a probe", FILES + "loads", "read_support_motion", 0,
+        "support_motion of a probe",
+        FILES + "loads",
+        "read_support_motion",
+        0,
         (RECORDS + "support.RigidMotion",),
     ),
     Table("images of a probe", FILES + "session", "_images", 0, (RECORDS + "probing.Images",)),
     Table(
-        "[[step]], of a rigid-motion sequence", FILES + "session", "_named_tables", 0,
-        (RECORDS + "session.Step",), ("_STEP_KEYS",),
+        "[[step]], of a rigid-motion sequence",
+        FILES + "session",
+        "_named_tables",
+        0,
+        (RECORDS + "session.Step",),
+        ("_STEP_KEYS",),
     ),
-)  # fmt: skip
+)
 RIG = (
     Table("the file itself", REGISTRY, "_read_toml_rig", 0, (RECORDS + "rig.Rig",)),
     Table("[[camera]]", REGISTRY, "_camera", 0, (RECORDS + "rig.Camera",)),
@@ -263,9 +292,11 @@ def unlisted() -> list[str]:
     listed = {(table.module, table.function) for table in tables} | REPEATED
     modules = {table.module for table in tables}
     return [
-        f"{module}.{name}" for module in sorted(modules)
-        for name, _ in checks(import_module(module)) if (module, name) not in listed
-    ]  # fmt: skip
+        f"{module}.{name}"
+        for module in sorted(modules)
+        for name, _ in checks(import_module(module))
+        if (module, name) not in listed
+    ]
 
 
 def prose(function: Any) -> str:
@@ -318,14 +349,22 @@ def session_page() -> str:
     """docs/reference/files.md."""
     columns = _columns("displacement", COLUMNS), _columns("series", SERIES)
     parts = [
-        HEAD, "# session.toml, rig.toml and what they name, key by key\n",
+        HEAD,
+        "# session.toml, rig.toml and what they name, key by key\n",
         "Every key that is read; any other is refused by name. Lengths are in the file's",
         '`length_unit`, or texts with a unit of their own ("0.5 mm") where the form says so. How',
         "to write a session: [first session](../howto/first_session.md).\n",
-        "## session.toml\n", *file_section(SESSION), "## rig.toml\n", *file_section(RIG),
-        "## pose.toml, for imported displacements\n", *file_section(POSE),
-        "## Displacement CSV\n", columns[0], "## Series CSV\n", columns[1],
-    ]  # fmt: skip
+        "## session.toml\n",
+        *file_section(SESSION),
+        "## rig.toml\n",
+        *file_section(RIG),
+        "## pose.toml, for imported displacements\n",
+        *file_section(POSE),
+        "## Displacement CSV\n",
+        columns[0],
+        "## Series CSV\n",
+        columns[1],
+    ]
     return "\n".join(parts)
 
 
@@ -341,18 +380,29 @@ def _columns(file: str, meaning: dict[str, str]) -> str:
 def programs_page() -> str:
     """docs/reference/programs.md."""
     parts = [
-        HEAD, "# Files of other programs\n",
+        HEAD,
+        "# Files of other programs\n",
         "What is read of each program's files, and where that is known from. How to import:",
-        "[displacements from another program](../howto/import.md).\n", *program_sections(),
-    ]  # fmt: skip
+        "[displacements from another program](../howto/import.md).\n",
+        *program_sections(),
+    ]
     return "\n".join(parts)
 
 
 # Subjects of the gallery, and the pages whose pictures belong to them.
 SUBJECTS = {
     "See it work": ("index", "tutorial"),
-    "Prepare": ("calibrate", "scan", "mesh", "init", "lab", "next", "bench"),
-    "Measure": ("measure", "record", "import", "flow", "pokes", "compression", "tension"),
+    "Prepare": ("calibrate", "moved_camera", "scan", "mesh", "init", "lab", "next", "bench"),
+    "Measure": (
+        "measure",
+        "record",
+        "import",
+        "flow",
+        "pokes",
+        "compression",
+        "sliding_supports",
+        "giving_supports",
+    ),
     "Believe": ("report", "results", "comparison", "paper"),
     "Uneven, creeping, stiffening": ("heterogeneous", "creep", "stiffening"),
     "Use": ("view", "poke", "simulate", "export", "campaign"),
@@ -404,8 +454,11 @@ def notebook(source: Path) -> str:
         )
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     content = {
-        "cells": cells, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5,
-    }  # fmt: skip
+        "cells": cells,
+        "metadata": {"kernelspec": kernel},
+        "nbformat": 4,
+        "nbformat_minor": 5,
+    }
     return json.dumps(content, indent=1)
 
 

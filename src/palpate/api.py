@@ -274,6 +274,7 @@ class Result:
 
         Raises
         ------
+        InputError                  a name that does not end in .html
         RecordError                 it cannot be written
         """
         with tempfile.TemporaryDirectory() as folder:

@@ -80,6 +80,14 @@ def test_a_report_is_one_file(result, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"cube", "cube.html"}
 
 
+def test_a_report_replaces_nothing_but_pages(result, cube_session):
+    file = cube_session / "session.toml"
+    before = file.read_text(encoding="utf-8")
+    with pytest.raises(InputError, match=r"session.toml: a report is an HTML file"):
+        result.report(file)
+    assert file.read_text(encoding="utf-8") == before
+
+
 def test_a_result_is_exported(result, tmp_path):
     folder = result.export(tmp_path / "obj", "obj")
     assert {"README.txt", "palpate.json"} <= {path.name for path in folder.iterdir()}
@@ -95,6 +103,10 @@ def test_pokes_take_units(result):
     assert in_metres.displacement[2] < 0.0
     with pytest.raises(InputError, match=r"at is '20 miles'; must be a finite number.*mm"):
         result.poke(("20 miles", 0, 0), (0, 0, -1))
+    with pytest.raises(InputError, match="force is 1; must be three numbers"):
+        result.poke((0.02, 0.02, 0.04), 1)
+    with pytest.raises(InputError, match="force is None; must be a finite number"):
+        result.poke((0.02, 0.02, 0.04), (0, 0, None))
 
 
 def test_the_pose_is_chosen_as_on_the_command_line(cube_session, monkeypatch):
@@ -191,3 +203,5 @@ def test_a_result_whose_session_has_changed_says_so(result, cube_session, tmp_pa
     assert "n01.csv changed" in palpate.read_result(folder).estimate.notes[0]
     with pytest.raises(RecordError, match="is no result of this version"):
         palpate.read_result(cube_session)
+    with pytest.raises(RecordError, match=r"keep: no such folder; .*did you mean 'kept'\?$"):
+        palpate.read_result(tmp_path / "keep")

@@ -96,10 +96,11 @@ def _calibrate(here):
             picture = draw_board(texture, (0.24, 0.18), lens, pose, (480, 384), rng=rng, parts=1)
             cv2.imwrite(str(folder / f"{v:02d}.png"), picture)
     yield
-    # An object that these cameras never saw, with the rig that did.
+
+
+def _moved_camera(here):
     mesh = toy(4e-3)
     rig = make_head(Head(distance=0.5, columns=320, rows=256), mesh)
-    shutil.rmtree(here / "rig")
     (here / "rig").mkdir()
     write_rig(here / "rig" / "rig.toml", rig)
     write_mesh(here / "mesh.ply", mesh)
@@ -380,6 +381,7 @@ GUIDES = {
     "import": _import,
     "init": _init,
     "measure": _measure,
+    "moved_camera": _moved_camera,
     "lab": _lab,
     "mesh": _mesh,
     "next": _next,

@@ -43,6 +43,7 @@ _LONG = {
     "flow",
     "lab",
     "measure",
+    "moved_camera",
     "next",
     "poke",
     "record",

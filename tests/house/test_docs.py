@@ -15,6 +15,8 @@ PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")),
     *sorted(ROOT.glob("docs/**/*.md")),
 ]
+# Of a guide, beside its tables and what is typed or printed.
+_MOST_WORDS = 600
 NAMES = [path.relative_to(ROOT).as_posix() for path in PAGES]
 
 
@@ -66,10 +68,27 @@ def test_the_configuration_of_the_facility_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "page", ["first_session", "flow", "import", "scan", "session_keys", "tension"]
+    "page",
+    [
+        "first_session",
+        "flow",
+        "giving_supports",
+        "import",
+        "scan",
+        "session_keys",
+        "sliding_supports",
+        "tension",
+    ],
 )
 def test_tables_in_the_guides_are_toml(page):
     text = (ROOT / "docs" / "howto" / f"{page}.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
     assert blocks
     assert all(tomllib.loads(block) for block in blocks)
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/howto/*.md")), ids=lambda page: page.stem)
+def test_guides_are_short(page):
+    text = re.sub("```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    words = [line.split() for line in text.splitlines() if not line.startswith("|")]
+    assert sum(map(len, words)) <= _MOST_WORDS, "what is no step belongs into docs/details"

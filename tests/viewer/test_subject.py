@@ -29,8 +29,8 @@ def test_a_session_shows_what_was_measured_and_no_more(cube_session):
     subject = read_subject(cube_session)
     (shown,) = shown_probings(subject)
     known = [coloured_field(shown, what) is not None for what in FIELDS]
-    # Measured, and its sigmas; nothing was fitted.
-    assert known == [True, False, False, True]
+    # Measured, its strain and its sigmas; nothing was fitted.
+    assert known == [True, False, False, True, True, False]
     field = coloured_field(shown, FIELDS[0])
     # Every measured point of the cube moves by 0.5 mm: 3, 4, 5.
     np.testing.assert_allclose(field.values, 0.5, rtol=1e-12)

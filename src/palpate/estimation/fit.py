@@ -460,7 +460,8 @@ def _noise_notes(posterior: Posterior) -> list[str]:
         parts = [f"{level[g]:.2f} in {GROUP_NAMES[g - FIRST_CLAIMED]}" for g in raised]
         notes.append(
             "Residuals exceed the given standard deviations, which were multiplied by"
-            f" {', '.join(parts)}."
+            f" {', '.join(parts)}: intervals are as wide as the residuals ask. The noise is larger"
+            " than it was said to be, or the model leaves something out."
         )
     return notes
 

@@ -3,6 +3,7 @@
 Diagnostics are cross-validated predictions, estimated systematic errors and the uncertainty budget.
 """
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -429,7 +430,7 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     farthest = sorted(every, key=lambda one: -abs(one.value) / one.prior_std)[:_MOST_ERRORS]
     value = np.array([one.value / one.prior_std for one in farthest])
     std = np.array([one.std / one.prior_std for one in farthest])
-    figure = Figure(figsize=(7.0, 0.85 + 0.2 * len(farthest)), layout="constrained")
+    figure = Figure(figsize=(4.8, 0.85 + 0.27 * len(farthest)), layout="constrained")
     axes = figure.add_subplot()
     rows = np.arange(len(farthest))
     axes.axvspan(
@@ -443,7 +444,9 @@ def errors_figure(estimate: Estimate) -> Figure | None:
                   label="found, 1 sigma", zorder=3)  # fmt: skip
     reach = max(SURPRISING + 0.4, float(np.abs(value).max() + std.max()) + 0.2)
     axes.set(xlim=(-reach, reach), ylim=(len(farthest) - 0.4, -0.6))
-    axes.set_yticks(rows, [_short(one.name) for one in farthest], parse_math=False)
+    # Narrow enough for a phone.
+    names = [textwrap.fill(_short(one.name), 28) for one in farthest]
+    axes.set_yticks(rows, names, parse_math=False, linespacing=1.0)
     axes.set_xlabel("in the assumed standard deviations (prior)")
     axes.tick_params(axis="y", length=0)
     axes.spines[["top", "right", "left"]].set_visible(False)

@@ -53,6 +53,7 @@ from palpate.geometry.surface_fit import (
     compact_groups as compact_groups,
     initial_pose as initial_pose,
 )
+from palpate.geometry.surface_strain import surface_strain as surface_strain
 from palpate.geometry.triangle_mesh import (
     BESIDE as BESIDE,
     CREASE_ANGLE as CREASE_ANGLE,

@@ -62,7 +62,7 @@ from palpate.threads import serial_algebra
 # Fractions of the work that are done when the estimation starts, which takes seconds, or minutes of
 # finite strain or of factorising anew; and of the work before it, when the graded mesh's model and
 # its factorisation start.
-_FIT_STARTS, _LONG_FIT_STARTS = 0.9, 0.03
+_FIT_STARTS, _LONG_FIT_STARTS = 0.75, 0.03
 _GRADED, _ASSEMBLED = 0.45, 0.72
 # Fraction of the work on the given mesh that its own model takes.
 _OWN = 0.4

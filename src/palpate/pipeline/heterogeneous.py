@@ -47,8 +47,9 @@ from palpate.records import (
     Status,
 )
 
-# Fraction of the work that finding the field takes, and where other causes are asked for.
-_FOUND, _ASKED = 0.7, 0.97
+# Fraction of the work that finding the field takes, and of that without a field where other causes
+# are asked for.
+_FOUND, _ASKED = 0.7, 0.15
 # Memory for three components of a point and 300 modes, each held eleven times: in the response, its
 # four columns twice over, and in the derivatives.
 _BYTES_A_POINT = 8.0 * 3 * 300 * 11
@@ -159,9 +160,9 @@ def fit_material(
     """
     if session.regions and material in (Material.REGIONS, Material.AUTO):
         return _fit_with_regions(session, observations, settings, progress)
-    result = fit(observations, settings=settings, progress=progress)
     if material is Material.HOMOGENEOUS:
-        return result, None
+        return fit(observations, settings=settings, progress=progress), None
+    result = fit(observations, settings=settings, progress=part_of(progress, 0.0, _ASKED))
     return fit_other_causes(
         material, session, observations, result, settings, progress, cache, tested
     )

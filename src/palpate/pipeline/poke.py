@@ -113,13 +113,13 @@ def poke_session(
     )
     # A point off the surface is refused before the integrals are computed.
     find_contact_patch(
-        session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
+        session.mesh, contact, session.held_triangles, name="the tool", point_name="the point (at)"
     )
     progress("integrals over the surface", 0.0)
     dense = bool(compliant_supports(session))
     session, system = held_object(session, [contact], cache=cache, dense=dense)
     patch = find_contact_patch(
-        session.mesh, contact, session.held_triangles, name="the tool", point_name="--at"
+        session.mesh, contact, session.held_triangles, name="the tool", point_name="the point (at)"
     )
     check_balance(sliding_motion(session), [(contact.point, force)], "the tool")
     progress("factorisation", 0.6)

@@ -4,7 +4,8 @@ with no more digits than are significant.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
+from numbers import Real
 
 import numpy as np
 
@@ -452,7 +453,7 @@ def quantity(value: Quantity, units: Mapping[str, float], name: str = "the numbe
         unit = _ALIASES.get(found[2], found[2]) or next(u for u in units if units[u] == 1.0)
         if unit in units and math.isfinite(number := float(found[1]) * units[unit]):
             return number
-    elif not isinstance(value, str) and math.isfinite(float(value)):
+    elif isinstance(value, Real) and math.isfinite(float(value)):
         return float(value)
     known = ", ".join(units)
     raise InputError(
@@ -491,6 +492,6 @@ def quantities(value: Sequence[Quantity], units: Mapping[str, float], name: str)
     ------
     InputError                      not three, or as in `quantity`
     """
-    if isinstance(value, str) or len(value) != 3:
+    if isinstance(value, str) or not isinstance(value, Sized) or len(value) != 3:
         raise InputError(f"{name} is {value!r}; must be three numbers: x, y, z")
     return np.array([quantity(component, units, name) for component in value])

@@ -15,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from palpate.disk import write_bytes
+from palpate.errors import InputError
 from palpate.estimation import FitResult
 from palpate.figures import write_plots
 from palpate.files import read_bytes, read_errors
@@ -100,9 +101,12 @@ def write_report(folder: Path, target: Path) -> None:
 
     Raises
     ------
+    InputError                      a name that does not end in .html
     RecordError                     a file of the result is missing or cannot be read, or the page
                                     cannot be written
     """
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{target}: a report is an HTML file; its name must end in .html")
     estimate = read_estimate(folder / "estimate.json")
     surface = read_fitted_surface(folder)
     environment = Environment(
@@ -242,12 +246,13 @@ def _with_greek(text: str) -> str:
 def _verdict(estimate: Estimate) -> dict[str, Any]:
     """The head of a report: a word, a sentence, what to do, and whether all is determined."""
     status = estimate.status
+    cure = _with_greek(status.cure)
     # No line break between a number and its unit.
     sentence = re.sub(r"(?<=\d) (?=[kMG]?Pa\b)", "\N{NO-BREAK SPACE}", verdict_text(estimate))
     return {
         "word": _WORDS.get(status, "Partly determined"),
         "sentence": _with_greek(sentence),
-        "cure": status.cure[:1].upper() + status.cure[1:] + "." if status.cure else "",
+        "cure": cure[:1].upper() + cure[1:] + "." if cure else "",
         "good": status is Status.OK,
     }
 

@@ -34,6 +34,7 @@ from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
     closest_points,
+    surface_strain,
     unit_normals,
 )
 from palpate.pipeline import FittedProbing
@@ -48,11 +49,14 @@ OBJECT = "the first probing's side"
 _BODY, _SET = "#c9ccd2", "#e69f00"
 _GLASS = 0.25
 # Sizes as fractions of the object's: points, arrows, label distance.
-_POINT, _ARROW, _NEAR = 0.012, 0.2, 0.03
+_POINT, _ARROW, _NEAR = 0.009, 0.2, 0.03
+# Of a point as it is drawn, over its nominal size.
+_RADIUS = 1.25
 # Largest number of arrows; more would hide the points.
 _MAX_ARROWS = 250
-MEASURED, PREDICTED, RESIDUAL, SIGMA = FIELDS = (
+MEASURED, PREDICTED, RESIDUAL, SIGMA, STRAIN, STRAIN_PREDICTED = FIELDS = (
     "displacement, measured", "displacement, predicted", "residual, in sigmas", "sigma",
+    "strain, measured", "strain, predicted",
 )  # fmt: skip
 # Quantile of the values at the end of the scale, so that false matches do not determine it.
 _TOP = 0.97
@@ -72,7 +76,7 @@ class ColouredField:
     displacement : (n, 3) float [m]     with which they are drawn
     values : (n,) float                 in `unit`
     top : float                         value at the end of the scale
-    unit : str                          "mm" or "sigmas"
+    unit : str                          "mm", "sigmas" or "%"
     cmap : str                          colour map of matplotlib
     """
 
@@ -236,9 +240,9 @@ class Stage:
             return
         colours = colours_of(field.values, field.top, field.cmap)
         mesh = self.subject.session.mesh
-        # Raised above the surface, or half of each would be hidden.
+        # Raised by their radius, or half of each would be hidden on slopes.
         lift = _POINT * self.size * unit_normals(mesh)[closest_points(mesh, field.points).triangle]
-        positions = 1e3 * (field.points + magnification * field.displacement) + 0.5 * lift
+        positions = 1e3 * (field.points + magnification * field.displacement) + _RADIUS * lift
         self._loose["points"] = self.scene.add_point_cloud(
             "/points/measured", positions, colours,
             point_size=_POINT * self.size, point_shape="circle", precision="float32",
@@ -397,18 +401,25 @@ def coloured_field(probing: FittedProbing, what: str) -> ColouredField | None:
     -------
     ColouredField or None               None if it is unknown at all points
     """
-    displacement, cmap, unit = probing.displacement, LENGTHS, "mm"
-    if what == PREDICTED:
+    cmap, unit, seen = LENGTHS, "mm", np.isfinite(probing.displacement)
+    # A component that nobody saw is drawn as none.
+    displacement = np.where(seen.any(axis=1)[:, None], np.nan_to_num(probing.displacement), np.nan)
+    if what in (PREDICTED, STRAIN_PREDICTED):
         displacement = probing.predicted
     values = 1e3 * np.linalg.norm(displacement, axis=1)
     if what == RESIDUAL:
-        scaled = (probing.displacement - probing.predicted) / probing.sigma
-        values, cmap, unit = np.sqrt(np.mean(scaled**2, axis=1)), RESIDUALS, "sigmas"
+        square = ((probing.displacement - probing.predicted) / probing.sigma) ** 2
+        values = np.sqrt(np.where(seen, square, 0.0).sum(axis=1) / seen.sum(axis=1).clip(1))
+        cmap, unit = RESIDUALS, "sigmas"
     elif what == SIGMA:
         values = 1e3 * np.sqrt(np.mean(probing.sigma**2, axis=1))
     known = np.isfinite(values) & np.isfinite(displacement).all(axis=1)
     if not known.any():
         return None
+    if what in (STRAIN, STRAIN_PREDICTED):
+        # The larger of the two principal strains.
+        strain = surface_strain(probing.points[known], displacement[known])
+        values[known], unit = 100.0 * np.abs(strain).max(axis=1), "%"
     top = MOST_SIGMAS if what == RESIDUAL else float(np.quantile(values[known], _TOP))
     return ColouredField(
         probing.points[known], displacement[known], values[known], max(top, 1e-6), unit, cmap

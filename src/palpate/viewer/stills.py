@@ -170,7 +170,9 @@ def _shown(subject: Subject, probe: str | None) -> _Shown:
         lengths = _face_lengths(subject.session.mesh, one.surface)
         field = replace(field, top=max(float(lengths.max()), 1e-6))
     size = bounding_diagonal(subject.session.mesh)
-    return _Shown(subject, one, field, _SHOWN * size / largest if largest else 1.0)
+    # Large deformation is drawn as it is.
+    magnification = max(_SHOWN * size / largest, 1.0) if largest else 1.0
+    return _Shown(subject, one, field, magnification)
 
 
 def _reach(shown: _Shown, directions: Sequence[Vector3]) -> Float[np.ndarray, "2"]:
@@ -271,9 +273,9 @@ def _texts(figure: Figure, shown: _Shown) -> None:
     beyond = "neither" if shown.surface is not None else "max"
     bar = figure.colorbar(scale, cax=axes, orientation="horizontal", extend=beyond)
     what = "as the fitted model says" if shown.surface is not None else "measured"
-    bar.set_label(
-        f"displacement in mm, {what}; magnified {shown.magnification:.2g} times", labelpad=2
-    )
+    times = shown.magnification
+    drawn = "true to scale" if times == 1.0 else f"magnified {times:.2g} times"
+    bar.set_label(f"displacement in mm, {what}; {drawn}", labelpad=2)
     bar.outline.set_linewidth(0.4)
 
 

@@ -164,7 +164,7 @@ def test_a_contact_beside_the_object_is_refused(palpate, cube_session):
     code, out, err = palpate("poke", cube_session, *options)
     assert (code, out) == (2, "")
     assert "the contact point is 40 mm from the surface" in err
-    assert "check the frame and the units of --at" in err
+    assert "check the frame and the units of the point (at)" in err
     assert err.count("\n") == 1
 
 

@@ -81,7 +81,7 @@ from palpate.report import write_for_paper, write_report, write_result_files
 from palpate.shapes import Vector3
 
 # Fractions of the work that are done when the fit and when the drawing begin.
-_FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.9
+_FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.8
 _REUSED = (
     "the motion in the pictures of {} of {} probings is the one that {} holds: their pictures, the"
     " cameras and the mesh are the same"
@@ -320,8 +320,6 @@ def report(
         print_text(f"Methods, constants and probings in {target}")
         return 0
     target = out or Path(f"{result.resolve().name}-{REPORT_FILE}")
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{target}: a report is an HTML file; its name must end in .html")
     check_free(target, force=force)
     with disk_errors(target):
         write_report(result, target)

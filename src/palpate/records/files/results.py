@@ -24,7 +24,7 @@ from palpate.records.files.series import frame_files
 from palpate.records.files.session import session_file
 from palpate.records.rig import covariance_file
 from palpate.records.text.text_file import read_text, write_text
-from palpate.records.text.toml_table import json_text, read_toml
+from palpate.records.text.toml_table import json_text, nearest_file, read_toml
 
 CONTENTS_FILE, INPUTS_FILE = "contents.txt", "inputs.txt"
 _RESULT_FORMAT = "palpate-result/1"
@@ -284,6 +284,10 @@ def check_fit_result(folder: Path) -> None:
     """
     roll_back_interrupted(folder)
     kind, changed, _ = folder_changes(folder)
+    if not folder.exists():
+        raise RecordError(
+            f"{folder}: no such folder; give one of `palpate fit`{nearest_file(folder)}"
+        )
     if kind != "fit":
         what = f"a result of `palpate {kind}`" if kind else "no result of this version of Palpate"
         raise RecordError(f"{folder}: is {what}; give one of `palpate fit`")
@@ -331,7 +335,9 @@ def _check_place(target: Path) -> None:
     if target.is_symlink() or (target.exists() and not target.is_dir()):
         raise InputError(f"{target}: is not a folder; choose another name with --out")
     if target.suffix.lower() in _FILE_ENDINGS and not target.exists():
-        raise InputError(f"{target}: names a file, but a result is a folder: --out {target.stem}")
+        raise InputError(
+            f"{target}: names a file, but a result is a folder: --out {target.with_suffix('')}"
+        )
     real, here = Path(os.path.realpath(target)), Path.cwd()
     if real in (here, *here.parents, Path(os.path.expanduser("~"))):
         raise InputError(
@@ -344,7 +350,7 @@ def _refuse(target: Path, objection: str, *, force: bool) -> None:
     if objection and not force:
         raise InputError(
             f"{target}: {objection}; nothing was touched: choose another place with --out, or give"
-            f" --force to keep that as {target.name}.old"
+            f" --force (in Python force=True) to keep that as {target.name}.old"
         )
 
 

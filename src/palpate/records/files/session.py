@@ -176,8 +176,8 @@ def session_file(path: Path) -> Path:
         return file
     if not is_file(path):
         raise RecordError(
-            f"{path}: no such file or folder{nearest_file(path)};"
-            " give a session's folder or its session.toml"
+            f"{path}: no such file or folder; give a session's folder or its session.toml"
+            f"{nearest_file(path)}"
         )
     if path.suffix.lower() not in _SESSION_SUFFIXES:
         raise RecordError(
