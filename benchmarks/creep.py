@@ -1,10 +1,11 @@
 """Does the modulus over time come out: terms, times, intervals, also under a ball; and how fast.
 
-`python -m benchmarks.creep` prints all of it in some five minutes. A body is solved once by
+`python -m benchmarks.creep [DRAWS]` prints all of it, with 200 draws in some five minutes. A body is solved once by
 the static model, and what it moves is multiplied by c(t) of a compliance that is known; noise is
 drawn anew in every repeat.
 """
 
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -319,6 +320,7 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Print every figure."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     for far in (1.0, 2.0, 3.0, 5.0):
         print(f"ball, points beyond {far:g} radii: G at 1, 10, 100 s off by %", 100 * ball(far))
         print("the same with a free radius", 100 * ball(far, free_radius=True))
@@ -329,7 +331,7 @@ def main() -> None:
         for noise, correlation, every in (
             (0.003, 0.0, 1), (0.01, 0.0, 1), (0.01, 0.6, 1), (0.03, 0.0, 1), (0.01, 0.0, 16)
         ):  # fmt: skip
-            found = draws(truth, noise=noise, count=200, correlation=correlation, every=every)
+            found = draws(truth, noise=noise, count=count, correlation=correlation, every=every)
             rms = _rms(found["error"])
             # What is known to one part in five thousand is not a matter of an interval.
             hold = np.where(rms > 0.02, np.mean(found["hold"], axis=0), np.nan)
