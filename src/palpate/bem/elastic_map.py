@@ -149,10 +149,13 @@ class ElasticMap:
         where = np.array([triangle]), barycentric[None]
         at_point = interpolation_matrix(self.system.surface.displacement, *where)
         total = np.zeros(3)
-        for load, force, state in zip(loads, forces, states, strict=True):
-            missed = missed_indentation(self.system.surface, load, *where)[:, 0]
-            dip = (missed[0] + self.poisson_ratio * missed[1]) @ force / self.shear_modulus
-            total += dip + (at_point @ state.displacement)[0]
+        corrections = indentation_corrections(self.system.surface, loads)
+        for correction, force, state in zip(corrections, forces, states, strict=True):
+            total += (at_point @ state.displacement)[0]
+            if correction is not None:
+                missed = missed_indentation(self.system.surface, correction.dip, *where)[:, 0]
+                dip = missed[0] + self.poisson_ratio * missed[1]
+                total += dip @ force / self.shear_modulus
         return total
 
 

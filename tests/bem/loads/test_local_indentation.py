@@ -1,5 +1,7 @@
 """The known indentation under a tool corrects coarse elements."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from elastic_bodies import held_part
@@ -15,7 +17,7 @@ from palpate.bem import (
     solve,
 )
 from palpate.bem.elastic_map import sorted_state
-from palpate.bem.loads.local_indentation import IndentationCorrection, correction_columns
+from palpate.bem.loads.local_indentation import correction_columns
 from palpate.bem.system.matrix import system_matrix
 from palpate.geometry import closest_points, interpolation_matrix
 
@@ -101,7 +103,8 @@ def test_between_vertices_a_coarse_mesh_has_the_dip_of_a_fine_one():
     load = top_load(coarse.surface.mesh, BETWEEN)
     at_points = interpolation_matrix(coarse.surface.displacement, *where)
     interpolated = at_points @ moved_by(coarse, load)
-    constant, slope = missed_indentation(coarse.surface, load, *where)
+    (local,) = indentation_corrections(coarse.surface, [load])
+    constant, slope = missed_indentation(coarse.surface, local.dip, *where)
     with_dip = interpolated + (constant + NU * slope) @ PUSH
     largest = np.linalg.norm(exact[about], axis=1).max()
     errors = []
@@ -118,12 +121,12 @@ def test_at_a_vertex_or_far_from_the_load_nothing_of_the_dip_is_missed(coarse):
     mesh = coarse.surface.mesh
     top = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 1.0).any(axis=1))
     at_top = np.isclose(mesh.vertices[mesh.triangles[top]][:, :, 2], 1.0).astype(float)
-    load = top_load(mesh, BETWEEN)
-    assert np.abs(missed_indentation(coarse.surface, load, top, at_top)).max() < 1e-12
+    (local,) = indentation_corrections(coarse.surface, [top_load(mesh, BETWEEN)])
+    assert np.abs(missed_indentation(coarse.surface, local.dip, top, at_top)).max() < 1e-12
     beside = np.argmin(np.abs(mesh.vertices[mesh.triangles].mean(axis=1)[:, 2]))
     middle = np.full((1, 3), 1 / 3)
-    assert not missed_indentation(coarse.surface, load, np.array([beside]), middle).any()
-    assert missed_indentation(coarse.surface, load, top[:1], middle).any()
+    assert not missed_indentation(coarse.surface, local.dip, np.array([beside]), middle).any()
+    assert missed_indentation(coarse.surface, local.dip, top[:1], middle).any()
 
 
 def test_without_a_disc_or_on_facets_nothing_is_added(coarse):
@@ -202,9 +205,9 @@ def test_the_correction_is_what_the_matrix_would_have_with_quadratic_elements(co
     change = coarse.surface.displacement.weights - linear.surface.displacement.weights
     correction = np.zeros((2, change.shape[0], 3, 3))
     correction[..., 1] = np.stack([change @ field for field in fields])
-    columns = correction_columns(
-        linear, [IndentationCorrection(np.arange(change.shape[0]), correction)]
-    ).at(nu)
+    (some,) = indentation_corrections(coarse.surface, [top_load(coarse.surface.mesh)])
+    every = replace(some, midside_nodes=np.arange(change.shape[0]), correction=correction)
+    columns = correction_columns(linear, [every]).at(nu)
     assert not columns[:, [0, 2]].any()
     count = 3 * coarse.unknowns.free_vertices.size
     field = (fields[0] + nu * fields[1])[coarse.unknowns.free_vertices].ravel()

@@ -33,7 +33,6 @@ from palpate.geometry import (
     QuadraticNodes,
     TriangleMesh,
     cut_distance,
-    interpolation_matrix,
     quadratic_shapes,
     unit_normals,
 )
@@ -49,6 +48,26 @@ _NEGLIGIBLE = 2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Dip:
+    """Indentation of a half space under a load, where that lies on a surface.
+
+    Attributes
+    ----------
+    disc : PressureDisc             about its place on the curved surface
+    potentials : DiscPotentials     of its profile
+    normal : (3,) float [-]         outward, there
+    """
+
+    disc: PressureDisc
+    potentials: DiscPotentials
+    normal: Float[np.ndarray, "3"]
+
+    def at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 n 3 3"]:
+        """Displacement of points times the shear modulus (`disc_displacement`)."""
+        return disc_displacement(self.disc, self.potentials, self.normal, points)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class IndentationCorrection:
     """Indentation near a load minus its fit, at midside nodes.
 
@@ -59,14 +78,16 @@ class IndentationCorrection:
     correction : (2, p, 3, c) float   displacement times shear modulus, constant and slope in nu;
                                       [.., i, j]: component i under force j: one newton along each
                                       of three axes [1/m], or one given force [N/m]
+    dip : Dip                         of the load
     """
 
     midside_nodes: Int[np.ndarray, " p"]
     correction: Float[np.ndarray, "2 p 3 c"]
+    dip: Dip
 
     def under(self, force: Float[np.ndarray, "3"]) -> "IndentationCorrection":
         """The correction under one given force, (3,) [N]."""
-        return IndentationCorrection(self.midside_nodes, (self.correction @ force)[..., None])
+        return replace(self, correction=(self.correction @ force)[..., None])
 
 
 def load_right_hand(
@@ -120,20 +141,14 @@ def indentation_corrections(
     edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
     potentials: dict[Profile, DiscPotentials] = {}
     for load in loads:
-        placed = _placed(surface, load)
-        if placed is None:
-            found.append(None)
-            continue
-        disc, normal = placed
-        if disc.profile not in potentials:
-            potentials[disc.profile] = disc_potentials(disc.profile)
-        found.append(_indentation_correction(surface, edge, disc, potentials[disc.profile], normal))
+        dip = _dip(surface, load, potentials)
+        found.append(None if dip is None else _indentation_correction(surface, edge, dip))
     return found
 
 
 def missed_indentation(
     surface: BoundarySurface,
-    load: SurfaceLoad,
+    dip: Dip,
     triangle: Int[np.ndarray, " n"],
     barycentric: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "2 n 3 3"]:
@@ -143,7 +158,7 @@ def missed_indentation(
     Parameters
     ----------
     surface : BoundarySurface
-    load : SurfaceLoad
+    dip : Dip                         of the load
     triangle : (n,) int
     barycentric : (n, 3) float [-]
 
@@ -151,38 +166,47 @@ def missed_indentation(
     -------
     (2, n, 3, 3) float [1/m]          displacement times shear modulus, constant and slope in nu;
                                       [.., i, j]: component i under a newton along j. Zero far from
-                                      the load, at vertices, and where `indentation_corrections`
-                                      has none
+                                      the load and at vertices
     """
-    missed = np.zeros((2, len(triangle), 3, 3))
-    placed = _placed(surface, load)
-    if placed is None:
-        return missed
-    disc, normal = placed
-    position = np.einsum(
-        "kn,nki->ni", quadratic_shapes(barycentric), surface.element_nodes[triangle]
-    )
-    reach = disc.radius + _REACH_EDGES * _edge_lengths(surface.mesh).max(axis=1)[triangle]
-    taper = np.where(surface.held[triangle], 0.0, _taper(surface.mesh, normal, triangle))
-    near = np.flatnonzero((lengths(position - disc.centre) < reach) & (taper > 0.0))
+    missed, mesh = np.zeros((2, len(triangle), 3, 3)), surface.mesh
+    corner = mesh.vertices[mesh.triangles]
+    reach = dip.disc.radius + _REACH_EDGES * _edge_lengths(mesh).max(axis=1)
+    within = (lengths(corner - dip.disc.centre).min(axis=1) < reach) & ~surface.held
+    taper = np.where(within, _taper(mesh, dip.normal, np.arange(len(within))), 0.0)[triangle]
+    near = np.flatnonzero(taper)
     if not near.size:
         return missed
-    weights = interpolation_matrix(surface.displacement, triangle[near], barycentric[near])
-    vertices = np.unique(weights.indices)
-    potentials = disc_potentials(disc.profile)
-    there, around = (
-        disc_displacement(disc, potentials, normal, points)
-        for points in (position[near], surface.mesh.vertices[vertices])
-    )
-    fitted = np.einsum("nv,svij->snij", weights[:, vertices].toarray(), around)
+    shapes, nodes = quadratic_shapes(barycentric[near]), surface.element_nodes[triangle[near]]
+    position = np.einsum("kn,nki->ni", shapes, nodes)
+    element = surface.displacement.element[triangle[near]]
+    used, local = np.unique(element, return_inverse=True)
+    at_nodes = _fitted(surface, dip, used)[:, local.reshape(element.shape)]
+    there, fitted = dip.at(position), np.einsum("kn,snkij->snij", shapes, at_nodes)
     missed[:, near] = taper[near, None, None] * (there - fitted)
     return missed
 
 
-def _placed(
-    surface: BoundarySurface, load: SurfaceLoad
-) -> tuple[PressureDisc, Float[np.ndarray, "3"]] | None:
-    """The disc of a load on the curved surface, and the normal there; None where it cannot be
+def _fitted(
+    surface: BoundarySurface, dip: Dip, nodes: Int[np.ndarray, " k"]
+) -> Float[np.ndarray, "2 k 3 3"]:
+    """A dip at vertices, and at midside nodes what is fitted to that at the vertices; nodes in the
+    order of `QuadraticNodes.element`."""
+    count = surface.displacement.n_nodes
+    weights = csr_array(surface.displacement.weights[nodes[nodes >= count] - count])
+    vertices = np.union1d(weights.indices, nodes[nodes < count])
+    at_vertices = dip.at(surface.mesh.vertices[vertices])
+    at_nodes = np.empty((2, len(nodes), 3, 3))
+    at_nodes[:, nodes < count] = at_vertices[:, np.searchsorted(vertices, nodes[nodes < count])]
+    at_nodes[:, nodes >= count] = np.einsum(
+        "pv,svij->spij", weights[:, vertices].toarray(), at_vertices
+    )
+    return at_nodes
+
+
+def _dip(
+    surface: BoundarySurface, load: SurfaceLoad, potentials: dict[Profile, DiscPotentials]
+) -> Dip | None:
+    """The dip of a load, with potentials that are known or added there; None where it cannot be
     corrected."""
     disc = load.disc
     if disc is None or not surface.corrects_indentation:
@@ -191,7 +215,9 @@ def _placed(
     # An edge of the object or the rim of its support may run through the patch.
     if cut_distance(surface.mesh, surface.sides, load.triangles, flat) < disc.radius:
         return None
-    return replace(disc, centre=curved), normal
+    if disc.profile not in potentials:
+        potentials[disc.profile] = disc_potentials(disc.profile)
+    return Dip(replace(disc, centre=curved), potentials[disc.profile], normal)
 
 
 def _taper(
@@ -209,20 +235,16 @@ def _edge_lengths(mesh: TriangleMesh) -> Float[np.ndarray, "m 3"]:
 
 
 def _indentation_correction(
-    surface: BoundarySurface,
-    edge: Float[np.ndarray, "m 3"],
-    disc: PressureDisc,
-    potentials: DiscPotentials,
-    normal: Float[np.ndarray, "3"],
+    surface: BoundarySurface, edge: Float[np.ndarray, "m 3"], dip: Dip
 ) -> IndentationCorrection | None:
-    """Indentation of a half space of this outward normal minus its fit, at the midside nodes around
-    the load, if that is much; `edge`: `_edge_lengths`."""
-    mesh, nodes = surface.mesh, surface.displacement
+    """A dip minus its fit, at the midside nodes around the load, if that is much; `edge`:
+    `_edge_lengths`."""
+    mesh, nodes, disc = surface.mesh, surface.displacement, dip.disc
     midside = surface.element_nodes[:, 3:]
     within = lengths(midside - disc.centre) < disc.radius + _REACH_EDGES * edge
     # A midside node is within reach of the load in both of its triangles, or in neither.
     near = np.flatnonzero(within.any(axis=1))
-    taper = np.where(surface.held[near], 0.0, _taper(mesh, normal, near))
+    taper = np.where(surface.held[near], 0.0, _taper(mesh, dip.normal, near))
     edge_taper = np.ones(nodes.weights.shape[0])
     row = nodes.element[near, 3:] - nodes.n_nodes
     np.minimum.at(edge_taper, row, taper[:, None])
@@ -231,17 +253,14 @@ def _indentation_correction(
     )
     midside_nodes, first = np.unique(row[corrected], return_index=True)
     position = midside[near][corrected][first]
-    weights = csr_array(nodes.weights[midside_nodes])
-    vertices = np.unique(weights.indices)
-    at_vertices = disc_displacement(disc, potentials, normal, mesh.vertices[vertices])
-    fitted = np.einsum("pv,svij->spij", weights[:, vertices].toarray(), at_vertices)
-    indentation = disc_displacement(disc, potentials, normal, position)
+    fitted = _fitted(surface, dip, nodes.n_nodes + midside_nodes)
+    indentation = dip.at(position)
     correction = edge_taper[midside_nodes, None, None] * (indentation - fitted)
     largest = np.abs(indentation).max(initial=0.0)
     significant = np.abs(correction).max(axis=(0, 2, 3)) > _NEGLIGIBLE * largest
     if not significant.any():
         return None
-    return IndentationCorrection(midside_nodes[significant], correction[:, significant])
+    return IndentationCorrection(midside_nodes[significant], correction[:, significant], dip)
 
 
 def correction_columns(

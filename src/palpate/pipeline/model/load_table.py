@@ -161,8 +161,8 @@ class LoadTable:
         missed = np.zeros((2, 3 * len(triangle), len(columns)))
         for traction in self.tractions:
             _, here, own = np.intersect1d(columns, traction.columns, return_indices=True)
-            if here.size:
-                dip = missed_indentation(surface, traction.load, triangle, barycentric)
+            if here.size and traction.dip is not None:
+                dip = missed_indentation(surface, traction.dip.dip, triangle, barycentric)
                 missed[:, :, here] += (dip @ traction.dip_force[:, own]).reshape(2, -1, own.size)
         return missed
 
