@@ -112,7 +112,7 @@ def _models_with_directions():
 
 
 @pytest.mark.slow
-def test_a_response_does_not_hold_the_directions(setting):
+def test_a_response_holds_neither_directions_nor_matrix(setting):
     system, right, _, rows, _ = setting
     # Other tests may hold models of their own.
     before = _models_with_directions()
@@ -121,6 +121,7 @@ def test_a_response_does_not_hold_the_directions(setting):
     assert _models_with_directions() == before + 1
     del model
     assert _models_with_directions() == before
+    assert rows.surface.nnz > response.rows.surface.nnz == 0
     assert np.isfinite(response.value(0.2)).all()
 
 

@@ -7,13 +7,14 @@ depend on the modulus, too (`spring_responses`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 from numpy.polynomial.polyutils import mapdomain
+from scipy.sparse import csr_array
 
 from palpate.bem import (
     CENTRE,
@@ -350,7 +351,8 @@ def _series_response(
         terms = chebvander(mapdomain([poisson_ratio], ends, (-1.0, 1.0)), degree)[0]
         return np.tensordot(terms, coefficients, axes=1)
 
-    return ProbeResponse(probe, observed)
+    # The series has taken the matrix up, which would be most of what a fit of many probings keeps.
+    return ProbeResponse(replace(probe, surface=csr_array(probe.surface.shape)), observed)
 
 
 def _known_traction(model: ObjectModel, springs: Springs) -> Float[np.ndarray, "e c"] | None:
