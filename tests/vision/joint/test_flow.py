@@ -24,6 +24,7 @@ from vision.scenes import (
 
 from palpate.errors import InputError
 from palpate.vision import JointFlow
+from palpate.vision.joint import flow as joint_flow
 from palpate.vision.joint.flow import composed_motion
 from palpate.vision.range_flow import Outcome, is_valid
 
@@ -368,6 +369,24 @@ def test_a_series_is_measured_against_the_first_instant():
         error = _error(flow, motion)[good]
         assert np.abs(error / _sigma(flow)[good]).max() < 6.0
         assert np.sqrt((error[:, :2] ** 2).mean()) < 0.009 * PITCH
+
+
+def test_what_hardly_moves_between_instants_is_not_searched_for(monkeypatch):
+    """Steps of 0.4 px end as they would; a bump of 6 px in a part of it is searched for."""
+    searches, search = [], joint_flow.dense_start
+    monkeypatch.setattr(joint_flow, "dense_start", lambda *a: searches.append(1) or search(*a))
+    slow = [lambda points, x=x: np.zeros_like(points) + np.array([x, 0.0, 0.0])
+            for x in (0.0, 1e-4, 2e-4)]  # fmt: skip
+    views = [*map(example().views, slow), example_views("bump")]
+    series = [noisy_views(each, NOISE, 20 + k) for k, each in enumerate(views)]
+    counts = []
+    for flow, motion in zip(followed(_still(), series), [*slow, MOTIONS["bump"]], strict=True):
+        counts.append(len(searches))
+        inside = _room(flow, motion, example().rig) > 14.0
+        good = is_valid(flow)
+        assert good[inside].mean() > 0.98
+        assert np.abs((_error(flow, motion) / _sigma(flow))[good]).max() < 6.0
+    assert counts == [3, 3, 3, 6]
 
 
 def test_pictures_that_show_something_else_are_rejected():

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -42,6 +43,9 @@ _DRIFT_SAMPLE = 8
 # than four times that, it is wrong.
 _START_ERROR_PX = 0.5
 _MAX_START_RESIDUAL_PX = 2.0
+# No dense search where all but a few windows moved by less since the last instant: a match finds
+# them within a few pixels, and those few have second attempts.
+_NEAR_PX, _FEW = 1.0, 0.01
 # Smoothing radius, in half windows, of the field that interpolates starts over gaps.
 _START_REACH = 3.0
 
@@ -267,8 +271,9 @@ def _flow_start(
 ) -> Float[np.ndarray, "n 6 3"]:
     """Initial motion of every point from the first instant to now, accurate to about a pixel.
 
-    It is composed of the motion to the last instant and a dense search from its pictures to the
-    present ones, smoothed; NaN where nothing is known near a point.
+    It is the motion to the last instant where the pictures have hardly moved since; else composed
+    of that and a dense search from its pictures to the present ones, smoothed. NaN where nothing is
+    known near a point.
     """
     scene = state.scene
     if len(scene.point) == 0:
@@ -277,6 +282,11 @@ def _flow_start(
     known = np.isfinite(was).all(axis=1)
     place = np.where(known[:, None], was, scene.point)
     old = np.stack([project(camera, place) for camera in scene.rig.cameras])
+    if state.flow is not None:
+        last = is_valid(state.flow)
+        marks = (old[c][scene.seen[:, c] & last] for c in range(len(old)))
+        if all(map_in_threads(_hardly_moved, state.grey, now, marks)):
+            return _smooth_start(scene, state.motion[:, 0], state.flow.covariance, last)
     target = np.full(old.shape, np.nan)
     searches = map_in_threads(dense_start, map(np.asarray, state.grey), map(np.asarray, now))
     for c, search in enumerate(searches):
@@ -286,6 +296,20 @@ def _flow_start(
     found = triangulate(scene.rig, target, _START_ERROR_PX)
     good = (found.cameras >= 2) & (found.residual < _MAX_START_RESIDUAL_PX)
     return _smooth_start(scene, found.point - scene.point, found.covariance, good)
+
+
+def _hardly_moved(
+    before: Float[np.ndarray, "_ _"], now: Float[np.ndarray, "_ _"], place: Float[np.ndarray, "k 2"]
+) -> bool:
+    """Whether a match that starts where some windows of a picture were would find them all."""
+    if len(place) == 0:
+        return False
+    scale = 255.0 / max(float(before.max()), float(now.max()), 1.0)
+    first, second = (cv2.convertScaleAbs(picture, alpha=scale) for picture in (before, now))
+    start = place.astype(np.float32)
+    after, found, _ = cv2.calcOpticalFlowPyrLK(first, second, start, start.copy(), maxLevel=2)
+    far = np.linalg.norm(after - start, axis=1) > _NEAR_PX
+    return bool((far | (found.ravel() == 0)).mean() < _FEW)
 
 
 def _smooth_start(
