@@ -120,6 +120,27 @@ def test_exposure_that_jumps(bench, factor, taken_so):
     assert ratio == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("depth", [0.6, 0.9])
+def test_a_shadow_is_said(bench, depth):
+    """On a third of what a camera sees under load; the tool's own dark rod is none."""
+    person = Hand(bench)
+    world, quiet = person.world, bench.cameras[1].grab
+
+    def shaded():
+        picture, when = quiet()
+        shade = np.where(np.arange(picture.shape[1]) < 0.45 * picture.shape[1], depth, 1.0)
+        late = world.time > person.begun + 0.6
+        return (shade * picture if late else picture).astype(np.uint8), when
+
+    bench.cameras[1].grab = shaded
+    script = Script(on_tell=person)
+    taken(bench, script)
+    said = [text for text in script.told if "shadow" in text]
+    assert len(said) == (depth < 0.75)
+    assert all(re.match(r"Camera 'c1' sees a shadow on [234]\d % of the object", x) for x in said)
+
+
 def test_an_arm_that_is_stopped_lifts_off():
     """On its way down, before the force is reached."""
 

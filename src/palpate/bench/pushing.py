@@ -53,6 +53,10 @@ _SLIP, _BLUR = 0.15, 0.5
 _BRIGHTER = 1.5
 # Percentile of the contrasts of neighbouring pixels that is the texture's, not the background's.
 _TEXTURED = 95.0
+# A shadow: windows of so many pixels with this contrast [grey levels] and correlation with those at
+# rest, darker than most by this factor; and the share of all such windows that is said. The shadow
+# of the tool itself is on 0.2 % at most of the virtual laboratory's pictures.
+_WINDOW, _CONTRAST, _ALIKE, _DARKER, _SHADED = 25, 5.0, 0.9, 0.75, 0.05
 # Steps of an arm's way down to the largest depth; angle of a step around the object [rad].
 _STEPS, _TURN = 100, 0.2
 # Share of the wanted force by which a gauge that feels the object rises in a quarter of the largest
@@ -283,6 +287,13 @@ def take_push(
             f"the pictures under load are blurred, {100 * sharp:.0f} % as sharp as those at rest:"
             " hold still, and have the cameras' focus fixed"
         )
+    for camera, views in zip(bench.cameras, zip(loaded, rest, strict=True), strict=True):
+        if (share := _shaded(*views)) > _SHADED:
+            questions.tell(
+                f"Camera '{camera.name}' sees a shadow on {100 * share:.0f} % of the object that"
+                " was not there at rest. The push counts, less precisely at its edge: keep hands"
+                " and head out of the light"
+            )
     if bench.direction is not None:
         # A tool that slides presses along the normal: the scale reads one component of that.
         force, std = (x / float(inward @ bench.direction) for x in (force, std))
@@ -468,6 +479,25 @@ def _brightness(picture: np.ndarray, rest: np.ndarray) -> float:
     if not lit.any():
         return 1.0
     return float(np.median(picture[::2, ::2][lit] / rest[::2, ::2][lit].astype(np.float32)))
+
+
+def _shaded(picture: np.ndarray, rest: np.ndarray) -> float:
+    """Share of what can be recognised of a picture at rest that lies in a new shadow."""
+    now, then = picture.astype(np.float32), rest.astype(np.float32)
+
+    def mean(grey: np.ndarray) -> np.ndarray:
+        return cv2.blur(grey, (_WINDOW, _WINDOW))
+
+    level, before = mean(now), mean(then)
+    contrast = mean(then**2) - before**2
+    alike = (mean(now * then) - level * before) / np.sqrt(
+        np.maximum(contrast * (mean(now**2) - level**2), 1e-6)
+    )
+    same = (before > DARK_LEVEL) & (contrast > _CONTRAST**2) & (alike > _ALIKE)
+    if not same.any():
+        return 0.0
+    ratio = level[same] / before[same]
+    return float((ratio < _DARKER * np.percentile(ratio, 90.0)).mean())
 
 
 def _sharpness(loaded: Pictures, rest: Pictures) -> float:
