@@ -39,7 +39,7 @@ def bench(tmp_path, monkeypatch):
 
 
 def test_the_whole_way_by_hand(browser, bench, tmp_path):
-    """Five decisions for two pushes; another tab takes over, and nothing is asked twice."""
+    """Six decisions for two pushes; another tab takes over, and nothing is asked twice."""
     page, session = HandPage(bench), tmp_path / "session"
     session.mkdir()
     decided = []
@@ -58,6 +58,7 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
             tab.get_by_text("focus good").first.wait_for(timeout=PATIENCE)
             decide(tab, "mm")
             decide(tab, "This is held")
+            decide(tab, "ball")
             decide(tab, "OK")
             decide(tab, "Ready")
             tab.get_by_text("Push 1 is taken").wait_for(timeout=PATIENCE)
@@ -73,7 +74,7 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
         finally:
             page._stopped.set()
             page.close()
-    assert decided == ["mm", "This is held", "OK", "Ready", "Ready"]
+    assert decided == ["mm", "This is held", "ball", "OK", "Ready", "Ready"]
     assert len(result.estimate.probes) == 2
     # The flat side that was marked is that of the half ball.
     found = read_session(session)

@@ -59,6 +59,7 @@ def test_from_a_board_to_constants(tmp_path):
     measure(moved, script, tmp_path, pushes=2)
     further = tmp_path.with_name(f"{tmp_path.name}-2")
     assert any(f"stay in {tmp_path}; {further} begins" in text for text in script.told)
+    assert script.told[-1] == f"Session in {further}; a report: palpate fit {further}"
     assert [len(read_session(each).probings) for each in (tmp_path, further)] == [1, 2]
     rig = read_rig(further / "rig.toml")
     assert off(moved_rig(rig, make_pose(np.eye(3), -shift)), moved.cameras[0]._world) < 0.15

@@ -134,7 +134,7 @@ def test_an_object_that_was_moved_is_noticed(tmp_path):
     measure(bench, script, tmp_path, pushes=2)
     said, _ = [text for text in script.told if "does not count" in text]
     assert "the object has moved by 1" in said
-    assert script.told[-1].startswith("Its rig is of the old place")
+    assert script.told[-2].startswith("Its rig is of the old place")
     assert len(read_session(tmp_path).probings) == 1
 
 
@@ -192,7 +192,8 @@ def test_an_arm_that_asks_goes_only_when_told(tmp_path):
 
 def test_what_is_not_in_the_bench_is_asked_for(tmp_path):
     """And a device that does not start is said, and started again."""
-    bench, script, session = hand_bench(tmp_path), Script(("Radius", "big")), tmp_path / "session"
+    bench, session = hand_bench(tmp_path), tmp_path / "session"
+    script = Script(("What presses", "flat round end"), ("Radius", "big"))
     session.mkdir()
     fails, camera = [1], bench.cameras[1]
 
@@ -204,9 +205,9 @@ def test_what_is_not_in_the_bench_is_asked_for(tmp_path):
     camera.start = start
     assert measure(bench, script, session, dry_run=True) is None
     assert script.told[0] == "camera 'c1': it does not open"
-    radius = "Radius of the ball that presses, in mm"
+    radius = "Radius of the flat round end, in mm"
     unit, side = "ball.stl is 80 x 79.8 x 40; in which unit?", "Which side is held?"
-    assert script.asked == ["Go on?", unit, side, radius, radius]
+    assert script.asked == ["Go on?", unit, side, "What presses?", radius, radius]
     assert any('"big" is no radius' in text for text in script.told)
     # The flat side of the half ball is a circle of 40 mm, of triangles with all corners at z = 0.
     mesh = small_config().specimen.mesh

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from palpate.bench.bench_file import Bench, put, read_board
 from palpate.bench.pushing import grabbed, write_picture
 from palpate.bench.questions import Pictures, Questions
+from palpate.bench.turning import SCANNED, TURNS
 from palpate.calibration import (
     TARGET_KINDS,
     Calibration,
@@ -238,12 +239,15 @@ def place_object(bench: Bench, questions: Questions, folder: Path, mesh: Triangl
     given = read_rig(folder / CALIBRATED / "rig.toml")
     covariance = folder / CALIBRATED / "rig_covariance.npz"
     known = read_rig_covariance(covariance)
-    # It stands with z up, about where the board lay.
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     start = np.eye(4)
-    start[:3, 3] = -np.array([*(0.5 * (low + high)[:2]), low[2]])
-    rig, search = moved_rig(given, start), True
-    questions.wait("Put the object there, as it will be pressed, and hands out of the pictures")
+    if not (folder / SCANNED).exists():
+        # It stands with z up, about where the board lay.
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        start[:3, 3] = -np.array([*(0.5 * (low + high)[:2]), low[2]])
+    # Scanned here, it stands as the last view shows it.
+    rig, search = moved_rig(given, start), not (folder / TURNS).exists()
+    if search:
+        questions.wait("Put the object there, as it will be pressed, and hands out of the pictures")
     while True:
         pictures = grabbed(bench)[1]
         if search:

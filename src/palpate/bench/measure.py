@@ -32,6 +32,7 @@ from palpate.bench.questions import (
     Questions,
     Stopped,
 )
+from palpate.bench.turning import SCANNED, scan_object
 from palpate.errors import InputError, PalpateError
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, checked_mesh
@@ -67,6 +68,8 @@ _RIG = "rig.toml"
 # The way of an arm to its first push; what a person can say to a push that failed.
 _DRAWING = "first_push.png"
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
+# Tools that need no more than a radius, in a person's words.
+_TOOLS = {"ball": "sphere", "flat round end": "flat"}
 # What a session of the object at another place does not take over, and what is asked before one.
 _OF_ONE_SESSION = ("format", "rig", "probe")
 _IS_BACK = "Is it back where it was? If not, another session begins, with the object where it is"
@@ -174,11 +177,11 @@ def measure(
         judge = partial(_judged, bench, session, questions, until=until)
         if session.count:
             result, places = judge(session.measured())
+        go = True
         if bench.arm is not None and bench.arm.asks:
             _rehearse(bench, questions, session, *places[0])
-            if questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "no":
-                return result
-        while not _enough(session, result, until, pushes, questions):
+            go = questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "yes"
+        while go and not _enough(session, result, until, pushes, questions):
             try:
                 measured = _push(bench, session, questions, places)
             except _MovedAway:
@@ -194,6 +197,8 @@ def measure(
     if further is not None:
         again, folder = further
         return measure(again, questions, folder, until=until, pushes=pushes, cache=cache)
+    if result is not None:
+        questions.tell(f"Session in {folder}; a report: palpate fit {folder}")
     return result
 
 
@@ -271,11 +276,11 @@ def _begun(bench: Bench, questions: Questions, folder: Path, cache: Path | None)
     if "object" in head and "support" in head:
         head["object"] = {**head["object"], "mesh": Path(head["object"]["mesh"]).name}
     else:
-        head |= before or _asked_object(questions, bench.folder, folder)
+        head |= before or _asked_object(bench, questions, folder)
     if contact is None:
         unit = head["object"]["length_unit"]
         usual = f"{default_radius(read_surface(survey_folder(folder), head['object']['mesh'])):g}"
-        contact = {"tool": "sphere", "tool_radius": _asked_radius(questions, unit, usual)}
+        contact = _asked_tool(questions, unit, usual)
     if not (folder / _RIG).exists():
         body = TomlTable(folder / "session.toml", "", head).table("object")
         units = FILE_LENGTH_UNITS
@@ -296,22 +301,28 @@ def _before(folder: Path) -> dict[str, Any]:
     }
 
 
-def _asked_object(questions: Questions, there: Path, folder: Path) -> dict[str, Any]:
+def _asked_object(bench: Bench, questions: Questions, folder: Path) -> dict[str, Any]:
     """Tables object and support, as `palpate init` asks for them; the mesh goes into the folder."""
+    there, rig = bench.folder, folder / CALIBRATED / _RIG
+    if not survey_folder(there).meshes:
+        if not rig.exists():
+            raise InputError(
+                f"{there}: holds no surface of the object (PLY, STL, OBJ, ...); put it there, or"
+                " calibrate here with a board, without [rig], and it is scanned"
+            )
+        there = folder
+        if not (folder / SCANNED).exists():
+            _insisting(bench, questions, lambda: scan_object(bench, questions, folder, rig))
     survey = survey_folder(there)
-    if not survey.meshes:
-        raise InputError(
-            f"{there}: holds no surface of the object (PLY, STL, OBJ, ...); put it there"
-        )
     name, *others = survey.meshes
     if others:
         name = questions.choose("Which file is the object?", list(survey.meshes))
     surface = read_surface(survey, name)
-    likely = likely_unit(surface)
+    likely = "m" if name == SCANNED else likely_unit(surface)
     questions.body(_in_metres(surface, likely), np.zeros(0, dtype=np.int64))
     units = [likely, *(unit for unit in FILE_LENGTH_UNITS if unit != likely)]
     size = " x ".join(f"{x:.3g}" for x in np.ptp(surface.vertices, axis=0))
-    unit = questions.choose(f"{name} is {size}; in which unit?", units)
+    unit = "m" if name == SCANNED else questions.choose(f"{name} is {size}; in which unit?", units)
     mesh = _in_metres(surface, unit)
     faces = {}
     for side in flat_sides(mesh):
@@ -330,12 +341,14 @@ def _in_metres(surface: TriangleMesh, unit: str) -> TriangleMesh:
     return checked_mesh(scaled)[0]
 
 
-def _asked_radius(questions: Questions, unit: str, usual: str) -> float:
+def _asked_tool(questions: Questions, unit: str, usual: str) -> dict[str, Any]:
+    """Keys of every probing's contact."""
+    name = questions.choose("What presses?", list(_TOOLS))
     while True:
-        text = questions.ask(f"Radius of the ball that presses, in {unit}", usual)
+        text = questions.ask(f"Radius of the {name}, in {unit}", usual)
         with suppress(ValueError):
             if (radius := float(text)) > 0.0:
-                return radius
+                return {"tool": _TOOLS[name], "tool_radius": radius}
         questions.tell(f'"{text}" is no radius; it is a number above zero, such as {usual}')
 
 

@@ -15,7 +15,9 @@ from palpate.scanning.mend import (
 from palpate.scanning.plane import (
     place_text as place_text,
     plane_from_text as plane_from_text,
+    plane_text as plane_text,
 )
+from palpate.scanning.poses import posed as posed
 from palpate.scanning.remesh import (
     distances as distances,
 )
@@ -25,6 +27,9 @@ from palpate.scanning.scan import (
     write_surface as write_surface,
 )
 from palpate.scanning.scan_file import (
+    SCAN_FILE as SCAN_FILE,
+    SCAN_FORMAT as SCAN_FORMAT,
+    View as View,
     read_points as read_points,
     read_scan as read_scan,
 )

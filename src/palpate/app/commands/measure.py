@@ -137,12 +137,7 @@ def measure(
         if isinstance(person, Page):
             print_text("Press Close on the page, or Ctrl-C")
             with suppress(KeyboardInterrupt):
-                person.finish(_ending(out, result is not None))
+                person.finish("Nothing was measured" if result is None else "That was all")
     if result is not None:
         print_tables(constants_table(result.estimate))
-        print_text(_ending(out, True), wrapped=False)
     return 0
-
-
-def _ending(out: Path, measured: bool) -> str:
-    return f"Session in {out}; a report: palpate fit {out}" if measured else "Nothing was measured"
