@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
@@ -17,10 +17,11 @@ import numpy as np
 
 from benchmarks.figure import LIVE, Figure
 from benchmarks.flow_time import FOLDER, NAMES
+from benchmarks.live_films import Counting, measure_films
+from benchmarks.machine import peak_memory
 from benchmarks.options import Options
 from palpate.bench import (
     Bench,
-    Questions,
     measure as measure_live,
     read_bench,
     wanted_precision,
@@ -33,52 +34,71 @@ from palpate.pipeline import (
     fit_session,
     with_pictures_measured,
 )
-from palpate.progress import Progress, silent
-from palpate.records import Rig, read_rig, read_session
+from palpate.records import Estimate, Rig, read_rig, read_session
 from palpate.shapes import Vector3
 from palpate.vision import JointFlow, read_pictures
 
+Pictures = tuple[np.ndarray, ...]
+
 # Spacing that gives some five hundred points in the reference camera [px].
 _COARSE = 9
+# Instants of one push.
+_SERIES = tuple(f"n05_{k}" for k in range(1, 6))
 _UNTIL, _MOST = "E 3 %", 8
+# Pushes of an hour.
+_HOUR = 180
 
 
 def measure(options: Options) -> list[Figure]:
     """Latency, instants per second, constants after a push; pushes and questions."""
     figures = [*_flow_figures(), _constants_figure()]
-    return figures if options.quick else [*figures, *_push_figures()]
+    if options.quick:
+        return figures
+    return [*figures, *_push_figures(), *_hour_figures(), *measure_films()]
 
 
 def _flow_figures() -> list[Figure]:
-    """An instant of two cameras with few points, and of three with all, over OpenCV's DIS flow."""
+    """An instant of two cameras with few points, and of three with all, over OpenCV's DIS flow:
+    pushes each from rest, and instants of one push, one after another."""
     session, rig = read_session(FOLDER), read_rig(FOLDER / "rig.toml")
-    patterns = ["images/rest_{camera}.png", *(f"images/{name}_{{camera}}.png" for name in NAMES)]
-    grey = [read_pictures(rig, pattern, folder=FOLDER, what=pattern).grey for pattern in patterns]
+
+    def grey(name: str) -> Pictures:
+        pattern = f"images/{name}_{{camera}}.png"
+        return read_pictures(rig, pattern, folder=FOLDER, what=pattern).grey
+
+    rest, pushes, series = grey("rest"), list(map(grey, NAMES)), list(map(grey, _SERIES))
     figures = []
     for cameras, step, name in ((2, _COARSE, "live displacement"), (3, 5, "full precision")):
         method, few = JointFlow(step=step), Rig(rig.cameras[:cameras], 0, rig.source)
-        state = method.start(few, grey[0][:cameras], session.mesh)
-        seconds, dis = [], []
-        for repeat in range(5):
-            for pictures in grey[1:]:
-                begun = time.perf_counter()
-                _, flow = method.follow(state, pictures[:cameras])
-                method.vertices(flow, few, session.mesh)
-                seconds.append(time.perf_counter() - begun)
-                dis.append(_dis_seconds(grey[0][:cameras], pictures[:cameras]))
-            if repeat == 0:
-                seconds, dis = [], []
-        late = float(np.percentile(seconds, 95))
-        times = float(np.median(seconds) / np.median(dis))
-        note = (
-            f"{len(flow.point)} points with covariances, vertices too, {len(seconds)} instants;"
-            f" median {np.median(seconds):.3f} s, {times:.1f} times OpenCV's DIS flow (medium) of"
-            f" the same pictures in the same run, {np.median(dis):.3f} s"
-        )
-        size = f"640 x 480 x {cameras}"
-        figures.append(Figure(LIVE, f"{name}, {size}, latency 95 %", late, "s", note=note))
-    rate = 1.0 / float(np.median(seconds))
-    return [*figures, Figure(LIVE, f"instants, {size}", rate, "1/s", note=note)]
+        begin = method.start(few, rest[:cameras], session.mesh)
+        for given, how in ((pushes, "each from rest"), (series, "one after another")):
+            seconds, dis = [], []
+            for _ in range(6):
+                state, before = begin, rest
+                for k, pictures in enumerate(given):
+                    begun = time.perf_counter()
+                    ahead, flow = method.follow(state, pictures[:cameras])
+                    method.vertices(flow, few, session.mesh)
+                    seconds.append(time.perf_counter() - begun)
+                    dis.append(_dis_seconds(before[:cameras], pictures[:cameras]))
+                    if given is series:
+                        state, before = ahead, pictures
+                    if k == 0 and given is series:
+                        # From rest.
+                        del seconds[-1], dis[-1]
+            # Without the first round.
+            late = seconds[len(seconds) // 6 :]
+            median, flows = float(np.median(late)), float(np.median(dis))
+            note = (
+                f"{len(flow.point)} points with covariances, vertices too, {len(late)} instants;"
+                f" median {median:.3f} s, {median / flows:.1f} times OpenCV's DIS flow (medium) of"
+                f" the same pictures in the same run, {flows:.3f} s"
+            )
+            size = f"640 x 480 x {cameras}, {how}"
+            latency = float(np.percentile(late, 95))
+            figures.append(Figure(LIVE, f"{name}, {size}, latency 95 %", latency, "s", note=note))
+        figures.append(Figure(LIVE, f"{name}, {size}", 1.0 / median, "1/s", note=note))
+    return figures
 
 
 def _dis_seconds(first: tuple[np.ndarray, ...], second: tuple[np.ndarray, ...]) -> float:
@@ -114,35 +134,6 @@ def _constants_figure() -> Figure:
     )  # fmt: skip
 
 
-@dataclass
-class _Counting(Questions):
-    """Takes the usual answer to everything, and counts."""
-
-    asked: int = 0
-    told: list[str] = field(default_factory=list)
-
-    def tell(self, text: str) -> None:
-        """Keep it."""
-        self.told.append(text)
-
-    def choose(self, text: str, options: list[str]) -> str:
-        """The usual one."""
-        return self.ask(text, options[0])
-
-    def ask(self, text: str, usual: str) -> str:
-        """The usual one."""
-        self.asked += 1
-        return usual
-
-    def wait(self, text: str) -> None:
-        """At once."""
-        self.asked += 1
-
-    def working(self) -> AbstractContextManager[Progress]:
-        """Without a bar."""
-        return nullcontext(silent)
-
-
 def _push_figures() -> list[Figure]:
     """Pushes until E is known, by information and at three sequences of random places."""
     best, script = _pushes(nullcontext())
@@ -172,8 +163,34 @@ def _push_figures() -> list[Figure]:
     ]  # fmt: skip
 
 
-def _pushes(places: AbstractContextManager[object]) -> tuple[int, _Counting]:
-    script = _Counting()
+def _hour_figures() -> list[Figure]:
+    """Disk and memory of a session of an hour, from the growth over the pushes of a short one."""
+    disk: list[int] = []
+    memory: list[int] = []
+
+    class Watching(Counting):
+        def judged(self, estimate: Estimate) -> None:
+            files = (file for file in Path(folder).rglob("*") if file.is_file())
+            disk.append(sum(file.stat().st_size for file in files))
+            memory.append(peak_memory())
+
+    with tempfile.TemporaryDirectory() as folder:
+        measure_live(read_bench("virtual"), Watching(), Path(folder), pushes=_MOST)
+    figures = []
+    for name, grown in (("disk", disk), ("largest resident memory", memory)):
+        # Not the first half, in which models are made and kept.
+        each = (grown[-1] - grown[_MOST // 2 - 1]) / (_MOST - _MOST // 2)
+        note = (
+            f"{_HOUR} pushes, one in {3600 // _HOUR} s; after {_MOST}: {grown[-1] / 1e9:.3f} GB,"
+            f" and {each / 1e6:.2f} MB more with each; virtual bench in the same process"
+        )
+        hour = (grown[-1] + (_HOUR - _MOST) * each) / 1e9
+        figures.append(Figure(LIVE, f"an hour's session, {name}", hour, "GB", note=note))
+    return figures
+
+
+def _pushes(places: AbstractContextManager[object]) -> tuple[int, Counting]:
+    script = Counting()
     with tempfile.TemporaryDirectory() as folder, places:
         measure_live(
             read_bench("virtual"), script, Path(folder), until=wanted_precision(_UNTIL),
