@@ -164,29 +164,27 @@ def _push_figures() -> list[Figure]:
 
 
 def _hour_figures() -> list[Figure]:
-    """Disk and memory of a session of an hour, from the growth over the pushes of a short one."""
+    """Disk of a session of an hour, from the growth over a short one; and the memory of that."""
     disk: list[int] = []
-    memory: list[int] = []
 
     class Watching(Counting):
         def judged(self, estimate: Estimate) -> None:
             files = (file for file in Path(folder).rglob("*") if file.is_file())
             disk.append(sum(file.stat().st_size for file in files))
-            memory.append(peak_memory())
 
     with tempfile.TemporaryDirectory() as folder:
         measure_live(read_bench("virtual"), Watching(), Path(folder), pushes=_MOST)
-    figures = []
-    for name, grown in (("disk", disk), ("largest resident memory", memory)):
-        # Not the first half, in which models are made and kept.
-        each = (grown[-1] - grown[_MOST // 2 - 1]) / (_MOST - _MOST // 2)
-        note = (
-            f"{_HOUR} pushes, one in {3600 // _HOUR} s; after {_MOST}: {grown[-1] / 1e9:.3f} GB,"
-            f" and {each / 1e6:.2f} MB more with each; virtual bench in the same process"
-        )
-        hour = (grown[-1] + (_HOUR - _MOST) * each) / 1e9
-        figures.append(Figure(LIVE, f"an hour's session, {name}", hour, "GB", note=note))
-    return figures
+    each = (disk[-1] - disk[0]) / (_MOST - 1)
+    return [
+        Figure(
+            LIVE, "an hour's session, disk", (disk[-1] + (_HOUR - _MOST) * each) / 1e9, "GB",
+            note=f"{_HOUR} pushes, one in {3600 // _HOUR} s, of {each / 1e6:.2f} MB each",
+        ),
+        Figure(
+            LIVE, f"live session of {_MOST} pushes, largest resident memory", peak_memory() / 1e9,
+            "GB", note="with the virtual bench in the same process",
+        ),
+    ]  # fmt: skip
 
 
 def _pushes(places: AbstractContextManager[object]) -> tuple[int, Counting]:
