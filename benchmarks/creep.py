@@ -1,8 +1,8 @@
 """Does the modulus over time come out: terms, times, intervals, also under a ball; and how fast.
 
 `python -m benchmarks.creep [DRAWS]` prints all of it, with 200 draws in some five minutes. A
-body is solved once by the static model, and what it moves is multiplied by c(t) of a compliance that
-is known; noise is drawn anew in every repeat.
+body is solved once by the static model, and what it moves is multiplied by c(t) of a compliance
+that is known; noise is drawn anew in every repeat.
 """
 
 import sys
