@@ -154,8 +154,8 @@ def _both(bench: Bench, folder: Path) -> tuple[Estimate, Estimate]:
     live = folder / "live"
     live.mkdir()
     filmed = replace(bench, cameras=cameras, force=gauge)
-    result = measure_live(filmed, person, live, pushes=_PUSHES)
-    if result is None:
+    estimate = measure_live(filmed, person, live, pushes=_PUSHES)
+    if estimate is None:
         raise RuntimeError("nothing was measured")
     files = folder / "films"
     for each in cameras:
@@ -182,4 +182,4 @@ def _both(bench: Bench, folder: Path) -> tuple[Estimate, Estimate]:
     out.mkdir()
     write_recorded(out, recording, find_presses(recording))
     session: Session = with_pictures_measured(read_session(out))
-    return result.estimate, fit_session(session, material=Material.AUTO).estimate
+    return estimate, fit_session(session, material=Material.AUTO).estimate

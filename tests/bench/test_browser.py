@@ -70,12 +70,12 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
             other.get_by_role("button", name="Ready", exact=True).wait_for(timeout=PATIENCE)
             assert other.locator("circle").count() == 4
             other.get_by_role("button", name="Stop measuring").click()
-            result = running.result(timeout=1e-3 * PATIENCE)
+            estimate = running.result(timeout=1e-3 * PATIENCE)
         finally:
             page._stopped.set()
             page.close()
     assert decided == ["mm", "This is held", "ball", "OK", "Ready", "Ready"]
-    assert len(result.estimate.probes) == 2
+    assert len(estimate.probes) == 2
     # The flat side that was marked is that of the half ball.
     found = read_session(session)
     held = found.mesh.vertices[found.mesh.triangles[found.held_triangles]]

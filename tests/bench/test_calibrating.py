@@ -33,7 +33,7 @@ def test_from_a_board_to_constants(tmp_path):
     """Three answers before the pushes, and as good constants as with the rig known."""
     virtual = bench()
     script = Script(("Does the outline", "no"), ("By how much", "0.2 0 0.3 0 0 0"))
-    result = measure(virtual, script, tmp_path, pushes=1)
+    estimate = measure(virtual, script, tmp_path, pushes=1)
     outline = f"Does the outline in {tmp_path / 'object.png'} lie on the object?"
     assert [text for text in script.asked if "By how much" not in text] == [
         "Lay the board where the object will stand, in view of all cameras",
@@ -47,7 +47,7 @@ def test_from_a_board_to_constants(tmp_path):
     assert {"c0.fx", "c1.tx", "c2.rz"} <= set(known.names)
     material = small_config().material
     # As in the test with a known rig; one push has 4 % (1 sigma).
-    assert result.estimate.young_modulus.value == pytest.approx(material.young_modulus, rel=0.15)
+    assert estimate.young_modulus.value == pytest.approx(material.young_modulus, rel=0.15)
     # Gone on with, nothing is asked again.
     again = Script()
     measure(bench(), again, tmp_path, dry_run=True)

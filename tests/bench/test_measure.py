@@ -22,15 +22,15 @@ def run(tmp_path_factory):
     """Two pushes, then one more by a bench that is started anew on the same folder."""
     folder = tmp_path_factory.mktemp("session")
     script = Script()
-    result = measure(drawn_bench(), script, folder, pushes=2)
-    return folder, script, result
+    estimate = measure(drawn_bench(), script, folder, pushes=2)
+    return folder, script, estimate
 
 
 @pytest.mark.slow
 def test_constants_are_those_of_the_body(run):
-    _, script, result = run
+    _, script, estimate = run
     material = small_config().material
-    estimate = result.estimate
+
     # The gain of the gauge alone has 1 % (1 sigma); elements of 12 mm make the body stiffer.
     assert estimate.young_modulus.value == pytest.approx(material.young_modulus, rel=0.1)
     assert estimate.poisson_ratio.value == pytest.approx(material.poisson_ratio, abs=0.04)
@@ -43,10 +43,10 @@ def test_constants_are_those_of_the_body(run):
 
 @pytest.mark.slow
 def test_the_fit_of_the_folder_has_the_same_numbers(run):
-    folder, _, result = run
+    folder, _, estimate = run
     again = palpate.fit(folder)
     for name in ("young_modulus", "shear_modulus", "poisson_ratio"):
-        assert getattr(again.estimate, name) == getattr(result.estimate, name)
+        assert getattr(again.estimate, name) == getattr(estimate, name)
 
 
 @pytest.mark.slow
@@ -56,11 +56,11 @@ def test_a_session_is_gone_on_with(run, tmp_path):
     # What a person adds stays.
     (folder / "session.toml").write_text(f"{before}\n[errors]\nforce_gain = 0.03\n")
     script = Script()
-    result = measure(drawn_bench(), script, folder, pushes=3)
+    estimate = measure(drawn_bench(), script, folder, pushes=3)
     session = read_session(folder)
     assert session.errors.force_gain == 0.03
     assert [probing.name for probing in session.probings] == ["n01", "n02", "n03"]
-    assert len(result.estimate.probes) == 3
+    assert len(estimate.probes) == 3
     points = np.array([probing.contact.point for probing in session.probings])
     # Never twice at one place: 5 mm is less than any two of the planned places are apart.
     gaps = np.linalg.norm(points[:, None] - points, axis=2)[np.triu_indices(3, 1)]
@@ -83,7 +83,7 @@ def test_a_kill_or_a_full_disk_loses_the_push_in_hand_only(run, tmp_path):
     assert set(counts) == {2, 3}
     # What was left just before it was done is gone on with.
     half = states[counts.index(3) - 1]
-    assert len(measure(drawn_bench(), Script(), half, pushes=3).estimate.probes) == 3
+    assert len(measure(drawn_bench(), Script(), half, pushes=3).probes) == 3
     assert not list(half.rglob(".*"))
     # A disk that is full while it looks, and when the session takes its place.
     for step in (3, counts.index(3)):
@@ -111,11 +111,11 @@ def test_a_camera_that_goes_is_said_and_started_again(tmp_path):
         return grab()
 
     camera.grab, camera.start = failing, lambda: starts.append(1)
-    result = measure(bench, script, tmp_path, pushes=1)
+    estimate = measure(bench, script, tmp_path, pushes=1)
     assert "camera 'c1': it has stopped sending" in script.told
     assert script.asked == ["Go on?"]
     assert len(starts) == 2
-    assert len(result.estimate.probes) == 1
+    assert len(estimate.probes) == 1
 
 
 @pytest.mark.slow
@@ -163,9 +163,9 @@ def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
 
     monkeypatch.setattr(LiveSession, "fit", failing)
     script = Script()
-    result = measure(drawn_bench(), script, tmp_path, pushes=1)
+    estimate = measure(drawn_bench(), script, tmp_path, pushes=1)
     assert "This push does not count: probing 'n01': the tool is buried" in script.told
-    assert len(result.estimate.probes) == len(read_session(tmp_path).probings) == 1
+    assert len(estimate.probes) == len(read_session(tmp_path).probings) == 1
     assert len(fits) == 2
     assert deep in script.told
     assert other not in script.told
@@ -269,11 +269,9 @@ def test_wanted_precision_that_is_none(text):
 
 @pytest.mark.slow
 def test_share_of_the_wanted_interval(run):
-    _, _, result = run
-    low, high = result.estimate.young_modulus.ci95
+    _, _, estimate = run
+    low, high = estimate.young_modulus.ci95
     half = 0.5 * (high - low)
-    assert Wanted("young_modulus", half, False).share(result.estimate) == pytest.approx(1.0)
-    relative = half / result.estimate.young_modulus.value
-    assert Wanted("young_modulus", 2.0 * relative, True).share(result.estimate) == pytest.approx(
-        0.5
-    )
+    assert Wanted("young_modulus", half, False).share(estimate) == pytest.approx(1.0)
+    relative = half / estimate.young_modulus.value
+    assert Wanted("young_modulus", 2.0 * relative, True).share(estimate) == pytest.approx(0.5)

@@ -34,7 +34,6 @@ from palpate.bench.questions import (
 )
 from palpate.bench.turning import SCANNED, scan_object
 from palpate.errors import InputError, PalpateError
-from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, checked_mesh
 from palpate.pipeline import NextProbings, first_place
 from palpate.recording import (
@@ -128,7 +127,7 @@ def measure(
     pushes: int | None = None,
     cache: Path | None = None,
     dry_run: bool = False,
-) -> FitResult | None:
+) -> Estimate | None:
     """Measure an object push by push; the folder is a session after each.
 
     Parameters
@@ -145,7 +144,7 @@ def measure(
 
     Returns
     -------
-    FitResult or None               of all pushes; None where there is none. Where the object was
+    Estimate or None                of all pushes; None where there is none. Where the object was
                                     moved for good: of those since, whose folder has "-2" added
 
     Raises
@@ -153,7 +152,7 @@ def measure(
     DeviceError                     a device that fails, where the person stops
     PalpateError                    as in `read_session`, `fit_session`
     """
-    result: FitResult | None = None
+    estimate: Estimate | None = None
     further: tuple[Bench, Path] | None = None
     with bench.closed_afterwards(), suppress(Stopped):
         questions.step(DEVICES)
@@ -176,12 +175,12 @@ def measure(
         questions.step(PUSHES)
         judge = partial(_judged, bench, session, questions, until=until)
         if session.count:
-            result, places = judge(session.measured())
+            estimate, places = judge(session.measured())
         go = True
         if bench.arm is not None and bench.arm.asks:
             _rehearse(bench, questions, session, *places[0])
             go = questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "yes"
-        while go and not _enough(session, result, until, pushes, questions):
+        while go and not _enough(session, estimate, until, pushes, questions):
             try:
                 measured = _push(bench, session, questions, places)
             except _MovedAway:
@@ -190,16 +189,16 @@ def measure(
             if measured is None:
                 break
             try:
-                result, places = judge(measured)
+                estimate, places = judge(measured)
             except InputError as error:
                 session.withdraw()
                 questions.tell(f"This push does not count: {error}")
     if further is not None:
         again, folder = further
         return measure(again, questions, folder, until=until, pushes=pushes, cache=cache)
-    if result is not None:
+    if estimate is not None:
         questions.tell(f"Session in {folder}; a report: palpate fit {folder}")
-    return result
+    return estimate
 
 
 class _MovedAway(Exception):
@@ -413,7 +412,7 @@ def _judged(
     measured: Session,
     *,
     until: Wanted | None,
-) -> tuple[FitResult, _Places]:
+) -> tuple[Estimate, _Places]:
     """The constants of all pushes, said; and the places for the next one, the best first."""
     with questions.working() as progress:
         result = session.fit(measured, progress=progress)
@@ -430,10 +429,10 @@ def _judged(
     except PalpateError as error:
         questions.tell(f"Where to push next is not clear yet: {error}")
         bare = replace(session.bare, probings=measured.probings, steps=())
-        return result, [first_place(bare, radius=session.contact_radius)]
+        return estimate, [first_place(bare, radius=session.contact_radius)]
     if until is not None:
         questions.tell(_still_needed(estimate, plan, until))
-    return result, _allowed(bench, plan)
+    return estimate, _allowed(bench, plan)
 
 
 def _still_needed(estimate: Estimate, plan: NextProbings, until: Wanted) -> str:
@@ -503,7 +502,7 @@ def _mm(position: Vector3) -> str:
 
 def _enough(
     session: LiveSession,
-    result: FitResult | None,
+    estimate: Estimate | None,
     until: Wanted | None,
     pushes: int | None,
     questions: Questions,
@@ -511,8 +510,8 @@ def _enough(
     """Whether the measurement ends here."""
     if pushes is not None and session.count >= pushes:
         return True
-    if result is None:
+    if estimate is None:
         return False
     if until is not None:
-        return until.share(result.estimate) <= 1.0
+        return until.share(estimate) <= 1.0
     return pushes is None and questions.choose("Another push?", ["yes", "no"]) == "no"

@@ -108,6 +108,10 @@ class SurfaceAverage:
             weights.check_format(full_check=True)
         except ValueError as error:
             raise InputError(f"weights are no matrix: {error}") from error
+        if max(weights.shape[1], weights.nnz) < np.iinfo(np.int32).max:
+            # Half of what a session keeps of pictures would be indices.
+            weights.indices = weights.indices.astype(np.int32)
+            weights.indptr = weights.indptr.astype(np.int32)
         object.__setattr__(self, "weights", weights)
         rows, columns = self.weights.shape
         if columns != 3 * len(self.points) or rows % 3:

@@ -131,13 +131,13 @@ def measure(
         raise InputError("--port is for the page in the browser; leave it or --terminal out")
     devices = read_bench(bench)
     with created_folder(out), _person(devices.name, terminal=terminal, port=port) as person:
-        result = measure_live(
+        estimate = measure_live(
             devices, person, out, until=wanted, pushes=pushes, cache=cache, dry_run=dry_run
         )
         if isinstance(person, Page):
             print_text("Press Close on the page, or Ctrl-C")
             with suppress(KeyboardInterrupt):
-                person.finish("Nothing was measured" if result is None else "That was all")
-    if result is not None:
-        print_tables(constants_table(result.estimate))
+                person.finish("Nothing was measured" if estimate is None else "That was all")
+    if estimate is not None:
+        print_tables(constants_table(estimate))
     return 0
