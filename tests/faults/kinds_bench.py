@@ -117,9 +117,9 @@ _TAGS = ("calibrate", "boards", "--target", "aprilgrid", "--gap", "3mm", "--squa
 KINDS = [
     Kind("a folder named like a file", lambda folder: None,
          ("mesh", "mesh.ply", "--out", "part.ply"),
-         ("part.ply: names a file", "--out part"), example="bench"),
+         ("part.ply: names a file", "a result is a folder: --out"), example="bench"),
     Kind("a result named like a report", lambda folder: None,
-         ("fit", "cube", "--out", "cube.html"), ("a result is a folder", "--out cube"), example="bench"),
+         ("fit", "cube", "--out", "cube.html"), ("a result is a folder", "a result is a folder: --out"), example="bench"),
     *(
         _kind(command, name, place, damage, _GOOD.get((name, place)) or word)
         for name, (commands, word) in _READERS.items()
