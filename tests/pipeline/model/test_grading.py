@@ -222,6 +222,18 @@ def test_a_mesh_follows_a_contact_that_an_edge_crosses() -> None:
     assert len(elsewhere.mesh.vertices) < len(fine.mesh.vertices) - 100
 
 
+def test_many_contacts_across_edges_do_not_make_a_mesh_huge() -> None:
+    given = _punched(16, profile="hertz")
+    contact = given.probings[0].contact
+    along = np.linspace(0.004, 0.036, 33)
+    points = [[x, y, 0.04] for y in (0.0395, 0.0005) for x in along]
+    every = [replace(contact, point=np.array(point), radius=1e-3) for point in points]
+    count = len(refined_session(given, every).mesh.vertices)
+    assert len(given.mesh.vertices) < count <= 2 * len(given.mesh.vertices)
+    few = refined_session(given, every[:4])
+    assert len(few.mesh.vertices) < len(given.mesh.vertices) + 4 * 250
+
+
 def test_hollow_edges_are_graded_and_others_are_not() -> None:
     mesh = _angle_mesh(2)
     held = np.isclose(mesh.vertices[mesh.triangles][:, :, 1], 0.0).all(axis=1)

@@ -42,7 +42,9 @@ REMAINING_FRACTION = ROW / (1.0 - ROW)
 # of its radius are split.
 _LONG_AT_CONTACT = 0.5
 # Most times that edges about contacts across a crease are halved: contacts 1/32 of an edge wide.
-_MOST_HALVINGS = 6
+# Each contact takes one or two hundred vertices; beyond so many in all, or twice those of the mesh,
+# a fit would take minutes, and the halvings end.
+_MOST_HALVINGS, _MOST_VERTICES = 6, 2500
 # Sine of the elevation of a neighbour's centre above a triangle's plane beyond which their common
 # edge is hollow: a few degrees, far less than at a crease.
 _HOLLOW = 0.1
@@ -64,11 +66,13 @@ def refined_session(session: Session, contacts: Sequence[Contact] | None = None)
     """
     if contacts is None:
         contacts = [probing.contact for probing in session.probings]
+    most = max(_MOST_VERTICES, 2 * len(session.mesh.vertices))
     for number in range(_MOST_HALVINGS):
         boundary = session_surface(session)
         across = [contact for contact in contacts if _is_crossed(boundary, contact)]
         mesh, parent = refined_mesh(boundary, contacts if number == 0 else across)
-        if len(mesh.vertices) == len(boundary.mesh.vertices):
+        unchanged = len(mesh.vertices) == len(boundary.mesh.vertices)
+        if unchanged or (number > 0 and len(mesh.vertices) > most):
             break
         session = _divided_session(session, mesh, parent)
     return session
