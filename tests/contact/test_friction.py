@@ -88,6 +88,17 @@ def test_a_node_that_slides_is_at_rest_under_all_of_its_friction_alone(friction:
         assert found == (pull == 1.0 or friction == 0.0)
 
 
+def test_a_node_that_is_off_the_tool_and_bears_nothing_is_at_rest() -> None:
+    frame, none = np.empty((1, 3, 3)), np.zeros((1, 3))
+    set_frame(np.array([0.0, 0.0, 1.0]), frame[0])
+    for gap in (1e-4, -1e-4):
+        residual = np.array([[0.0, 0.0, gap]])
+        found = at_rest(
+            frame, np.array([0.3]), residual, none.copy(), np.array([OPEN]), none.copy(), 1e-3
+        )
+        assert found == (gap > 0.0)
+
+
 @pytest.mark.parametrize(
     ("tool", "outline"),
     [
