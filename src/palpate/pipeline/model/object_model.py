@@ -266,11 +266,12 @@ class ObservationMatrix:
 
         Parameters
         ----------
-        indentation : (2, r, c) float         as the attribute, at r rows
+        indentation : (2, r, c) float         as the attribute, at r rows; perturbed contacts, which
+                                              come last, may be left out
         poisson_ratio : float
         """
         moved = indentation[0] + poisson_ratio * indentation[1]
-        return moved @ self._combination(poisson_ratio)
+        return moved @ self._combination(poisson_ratio)[: moved.shape[1]]
 
     def _combination(self, poisson_ratio: float) -> Float[np.ndarray, "c 4"]:
         """Shares of the columns in the displacement per newton along x, y and z, and in that under

@@ -306,7 +306,8 @@ def _pose_error(
     priors, rows, measured = model.session.errors, response.rows, probing.displacement
     if measured is None:
         return pose_error(priors.pose_translation, priors.pose_rotation, change, vertices)
-    shifted = pose_dips(model, measured.surface, rows.columns)
+    nominal = rows.columns[: len(rows.columns) - rows.changes]
+    shifted = pose_dips(model, measured.surface, nominal)
 
     def dips(poisson_ratio: float) -> Float[np.ndarray, "p r 4"]:
         return np.stack([rows.of_loads(each, poisson_ratio) for each in shifted])
