@@ -41,14 +41,11 @@ class ElasticState:
     support_traction : (s, 3) float [Pa]  at the held sides of the vertices,
                                           `system.unknowns.held_sides`
     reaction : (3,) float [N]             force of the support on the object
-    unknowns : (k,) float [m]             free displacements, scaled tractions, slack, then the
-                                          displacements of springs, if any
     """
 
     displacement: Float[np.ndarray, "v 3"]
     support_traction: Float[np.ndarray, "s 3"]
     reaction: Float[np.ndarray, "3"]
-    unknowns: Float[np.ndarray, " k"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +118,6 @@ class ElasticMap:
         return replace(
             state,
             displacement=state.displacement + displacement.reshape(-1, 3),
-            unknowns=unknowns,
         )
 
     def at_point(
@@ -238,4 +234,4 @@ def sorted_state(
     traction = unknowns[3 * n_free : -3].reshape(-1, 3) * scale
     weights = integral_weights(system.surface, np.flatnonzero(system.surface.held))
     reaction = weights[system.unknowns.held_sides] @ traction
-    return ElasticState(displacement, traction, reaction, unknowns)
+    return ElasticState(displacement, traction, reaction)

@@ -138,8 +138,7 @@ def _mean_traction(
 
 
 def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray, "2 r e"]:
-    """Contribution of a unit displacement of each spring to the equations of a system, or to those
-    at other points of the same object.
+    """Contribution of a unit displacement of each spring to the equations of a system.
 
     Parameters
     ----------
