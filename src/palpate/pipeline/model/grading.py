@@ -67,12 +67,12 @@ def refined_session(session: Session, contacts: Sequence[Contact] | None = None)
     if contacts is None:
         contacts = [probing.contact for probing in session.probings]
     most = max(_MOST_VERTICES, 2 * len(session.mesh.vertices))
-    for number in range(_MOST_HALVINGS):
-        boundary = session_surface(session)
-        across = [contact for contact in contacts if _is_crossed(boundary, contact)]
-        mesh, parent = refined_mesh(boundary, contacts if number == 0 else across)
-        unchanged = len(mesh.vertices) == len(boundary.mesh.vertices)
-        if unchanged or (number > 0 and len(mesh.vertices) > most):
+    boundary = session_surface(session)
+    across = [contact for contact in contacts if _is_crossed(boundary, contact)]
+    session = _divided_session(session, *refined_mesh(boundary, contacts))
+    for _ in range(_MOST_HALVINGS - 1 if across else 0):
+        mesh, parent = refined_mesh(session_surface(session), across)
+        if not len(session.mesh.vertices) < len(mesh.vertices) <= most:
             break
         session = _divided_session(session, mesh, parent)
     return session
