@@ -56,11 +56,14 @@ class Dip:
     disc : PressureDisc             about its place on the curved surface
     potentials : DiscPotentials     of its profile
     normal : (3,) float [-]         outward, there
+    share : (m,) float [-]          0 to 1, in which each triangle belongs to the half space; 0
+                                    where it is held or far from the load
     """
 
     disc: PressureDisc
     potentials: DiscPotentials
     normal: Float[np.ndarray, "3"]
+    share: Float[np.ndarray, " m"]
 
     def at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 n 3 3"]:
         """Displacement of points times the shear modulus (`disc_displacement`)."""
@@ -141,7 +144,7 @@ def indentation_corrections(
     edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
     potentials: dict[Profile, DiscPotentials] = {}
     for load in loads:
-        dip = _dip(surface, load, potentials)
+        dip = _dip(surface, load, edge, potentials)
         found.append(None if dip is None else _indentation_correction(surface, edge, dip))
     return found
 
@@ -168,12 +171,8 @@ def missed_indentation(
                                       [.., i, j]: component i under a newton along j. Zero far from
                                       the load and at vertices
     """
-    missed, mesh = np.zeros((2, len(triangle), 3, 3)), surface.mesh
-    corner = mesh.vertices[mesh.triangles]
-    reach = dip.disc.radius + _REACH_EDGES * _edge_lengths(mesh).max(axis=1)
-    within = (lengths(corner - dip.disc.centre).min(axis=1) < reach) & ~surface.held
-    taper = np.where(within, _taper(mesh, dip.normal, np.arange(len(within))), 0.0)[triangle]
-    near = np.flatnonzero(taper)
+    missed, share = np.zeros((2, len(triangle), 3, 3)), dip.share[triangle]
+    near = np.flatnonzero(share)
     if not near.size:
         return missed
     shapes, nodes = quadratic_shapes(barycentric[near]), surface.element_nodes[triangle[near]]
@@ -182,7 +181,7 @@ def missed_indentation(
     used, local = np.unique(element, return_inverse=True)
     at_nodes = _fitted(surface, dip, used)[:, local.reshape(element.shape)]
     there, fitted = dip.at(position), np.einsum("kn,snkij->snij", shapes, at_nodes)
-    missed[:, near] = taper[near, None, None] * (there - fitted)
+    missed[:, near] = share[near, None, None] * (there - fitted)
     return missed
 
 
@@ -204,10 +203,13 @@ def _fitted(
 
 
 def _dip(
-    surface: BoundarySurface, load: SurfaceLoad, potentials: dict[Profile, DiscPotentials]
+    surface: BoundarySurface,
+    load: SurfaceLoad,
+    edge: Float[np.ndarray, "m 3"],
+    potentials: dict[Profile, DiscPotentials],
 ) -> Dip | None:
     """The dip of a load, with potentials that are known or added there; None where it cannot be
-    corrected."""
+    corrected. `edge`: `_edge_lengths`."""
     disc = load.disc
     if disc is None or not surface.corrects_indentation:
         return None
@@ -217,7 +219,11 @@ def _dip(
         return None
     if disc.profile not in potentials:
         potentials[disc.profile] = disc_potentials(disc.profile)
-    return Dip(replace(disc, centre=curved), potentials[disc.profile], normal)
+    mesh = surface.mesh
+    away = lengths(mesh.vertices[mesh.triangles] - curved).min(axis=1)
+    near = (away < disc.radius + _REACH_EDGES * edge.max(axis=1)) & ~surface.held
+    share = np.where(near, _taper(mesh, normal, np.arange(len(near))), 0.0)
+    return Dip(replace(disc, centre=curved), potentials[disc.profile], normal, share)
 
 
 def _taper(

@@ -72,8 +72,11 @@ def shared_errors(
         nuisances.append(force_direction(priors.force_direction, measured, probing.force_sensor))
     if priors.length_scale > 0.0:
         nuisances.append(length_scale(priors.length_scale))
-    if change:
-        nuisances.append(_pose_error(model, probing, response, change, vertices))
+    if change and probing.displacement is not None:
+        dips = _pose_dips(model, response, probing.displacement.surface)
+        nuisances.append(
+            pose_error(priors.pose_translation, priors.pose_rotation, change, vertices, dips)
+        )
     nuisances += _contact_errors(model, index, response)
     nuisances += _tool_slip(model, index, response)
     if priors.tool_compliance > 0.0 and probing.tip_displacement is not None:
@@ -250,7 +253,7 @@ def pose_error(
     rotation: float,
     change: Sequence[csr_array],
     vertices: Callable[[float], Float[np.ndarray, "rows c"]],
-    dips: Callable[[float], Float[np.ndarray, "p r t"]] | None = None,
+    dips: Callable[[float], Float[np.ndarray, "p r t"]],
 ) -> Nuisance:
     """Pose of the mesh relative to the measured points, the same in all probings.
 
@@ -263,7 +266,7 @@ def pose_error(
                                                 standard deviation
     vertices : function                         Poisson's ratio -> (rows, c) float: response of all
                                                 vertices, three rows each (`ResponseModel`)
-    dips : function or None                     Poisson's ratio -> (p, 3 n, t) float: further change
+    dips : function                             Poisson's ratio -> (p, 3 n, t) float: further change
                                                 of the first t columns, per standard deviation
 
     Returns
@@ -276,9 +279,8 @@ def pose_error(
         # Rows of a measured contact point follow those of the vertices.
         field = vertices(at.poisson_ratio)[: change[0].shape[1]]
         moved = np.stack([each @ field for each in change], axis=2)
-        if dips is not None:
-            further = dips(at.poisson_ratio)
-            moved[:, : further.shape[2]] += np.moveaxis(further, 0, 2)
+        further = dips(at.poisson_ratio)
+        moved[:, : further.shape[2]] += np.moveaxis(further, 0, 2)
         # The contact point moves with the tool, not with the mesh.
         tip = np.zeros((3, *moved.shape[1:]))
         return np.concatenate([moved, tip])[at.rows][:, None]
@@ -295,24 +297,13 @@ def pose_error(
     return Nuisance(tuple(each for each in every if each.std > 0.0), effects)
 
 
-def _pose_error(
-    model: ObjectModel,
-    probing: Probing,
-    response: ProbeResponse,
-    change: Sequence[csr_array],
-    vertices: Response,
-) -> Nuisance:
-    """The pose in one probing, whose contact makes a dip of its own between the vertices."""
-    priors, rows, measured = model.session.errors, response.rows, probing.displacement
-    if measured is None:
-        return pose_error(priors.pose_translation, priors.pose_rotation, change, vertices)
-    nominal = rows.columns[: len(rows.columns) - rows.changes]
-    shifted = pose_dips(model, measured.surface, nominal)
-
-    def dips(poisson_ratio: float) -> Float[np.ndarray, "p r 4"]:
-        return np.stack([rows.of_loads(each, poisson_ratio) for each in shifted])
-
-    return pose_error(priors.pose_translation, priors.pose_rotation, change, vertices, dips)
+def _pose_dips(
+    model: ObjectModel, response: ProbeResponse, place: SurfacePoints
+) -> Callable[[float], Float[np.ndarray, "p r 4"]]:
+    """`pose_dips` at a probing's points under its loads, as a function of Poisson's ratio."""
+    rows = response.rows
+    shifted = pose_dips(model, place, rows.columns[: len(rows.columns) - rows.changes])
+    return lambda nu: np.stack([rows.of_loads(each, nu) for each in shifted])
 
 
 def contact_error(
