@@ -98,7 +98,8 @@ def test_weight_at_rest_makes_a_column_that_stands_softer_and_one_that_hangs_sti
     (Rayleigh): the work of the axial force, which falls from the weight to 0, in the tilt."""
     changes = []
     for gravity in (-9.81, 9.81):
-        weighed = replace(column, gravity_at_rest=np.array([0.0, 0.0, gravity]))
+        down = np.array([0.0, 0.0, gravity])
+        weighed = replace(column, gravity=down, gravity_at_rest=True)
         body = make_finite_body(weighed, coarser=1.2)
         (found,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
         elastic = make_body(body.solid, body.held, shear_modulus=SHEAR, poisson_ratio=NU)
@@ -125,7 +126,7 @@ def test_weight_under_the_push_alone_is_a_load_of_it(column: Session) -> None:
 def test_a_tool_on_an_object_with_weight_is_refused(column: Session) -> None:
     (probing,) = column.probings
     touched = replace(probing, contact=Contact.under(Sphere(0.005), probing.contact.point))
-    with_tool = replace(column, probings=(touched,), gravity_at_rest=np.array([0.0, 0.0, -9.81]))
+    with_tool = replace(column, probings=(touched,), gravity=np.array([0.0, 0.0, -9.81]))
     with pytest.raises(InputError, match="names a tool, and there is "):
         make_finite_body(with_tool)
 

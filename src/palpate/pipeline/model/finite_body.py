@@ -95,9 +95,8 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
         # A tool meets the surface as it is curved.
         session = halved_session(session)
     solid = make_solid(session.mesh, edge=edge, fine=fine)
-    only_loaded, at_rest = (
-        _weight(solid, session, each) for each in (session.gravity, session.gravity_at_rest)
-    )
+    weight = _weight(solid, session)
+    at_rest = weight if session.gravity_at_rest else np.zeros_like(weight)
     loads, keys, observed = [], [], []
     for probing in session.probings:
         share = pressure_load(
@@ -107,7 +106,7 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
             probing.contact.pressure,
         )
         outward = outward_load(solid, probing.contact, probing.force)
-        loads.append(share[:, None] * probing.force + outward + only_loaded)
+        loads.append(share[:, None] * probing.force + outward + weight - at_rest)
         keys.append((loads[-1].tobytes(), probing.contact.tool, probing.contact.start.tobytes()))
         observed.append(surface_values(solid, _places(probing)))
     held = held_nodes(solid, session.held_triangles)
@@ -115,11 +114,11 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
     return FiniteBody(solid, held, tuple(loads), at_rest, tips, same, tuple(observed))
 
 
-def _weight(solid: Solid, session: Session, gravity: Vector3 | None) -> Float[np.ndarray, "n 3"]:
+def _weight(solid: Solid, session: Session) -> Float[np.ndarray, "n 3"]:
     """Nodal forces of the weight [N]; zero without gravity."""
-    if gravity is None or session.density is None:
+    if session.gravity is None or session.density is None:
         return np.zeros_like(solid.nodes)
-    return np.outer(nodal_volumes(solid), session.density * gravity)
+    return np.outer(nodal_volumes(solid), session.density * session.gravity)
 
 
 def _fine_regions(
@@ -171,10 +170,9 @@ def require_finite_strain(session: Session) -> None:
                 f"finite strain: support {number} moves or slides; only supports that are fixed are"
                 " served: leave --strain finite out"
             )
-    weighs = session.gravity is not None or session.gravity_at_rest is not None
     for probing in session.probings:
         contact = probing.contact
-        if weighs and tip_of(probing) is not None:
+        if session.gravity is not None and tip_of(probing) is not None:
             raise InputError(
                 f"finite strain: probing '{probing.name}' names a tool, and there is [gravity]:"
                 " where a tool touches an object that sags is not computed; give the patch that it"
