@@ -16,6 +16,7 @@ from palpate.solids.finite_elements import (
 )
 from palpate.solids.finite_strain import (
     NeoHookean,
+    Solver,
     SplitNeoHookean,
     deformation_gradient,
     energy,
@@ -270,18 +271,56 @@ class Hollow:
     def forces(self, at: np.ndarray) -> np.ndarray:
         return -at / np.hypot(1.0, at)
 
-    def step(self, at: np.ndarray, forces: np.ndarray) -> np.ndarray | None:
-        return forces * np.hypot(1.0, at) ** 3 if abs(at[0]) < 50.0 else None
+    def solver(self, at: np.ndarray) -> Solver | None:
+        size = float(np.hypot(1.0, at[0]) ** 3)
+        return (lambda forces: forces * size) if abs(at[0]) < 50.0 else None
 
 
 def test_steps_are_shortened_until_it_rests() -> None:
     found = find_equilibrium(Hollow(), np.array([5.0]), tolerance=1e-9)
     assert found is not None
-    assert abs(found[0]) < 1e-9
+    assert abs(found[0][0]) < 1e-9
 
 
 def test_an_unstable_place_is_said() -> None:
     assert find_equilibrium(Hollow(), np.array([60.0]), tolerance=1e-9) is None
+
+
+class Stiffening:
+    """x^2 / 2 + (hard x)^4 / 4 - x; how often its tangent was made is counted."""
+
+    def __init__(self, hard: float) -> None:
+        self.hard, self.tangents = hard, 0
+
+    def value(self, at: np.ndarray) -> float:
+        return float(0.5 * at[0] ** 2 + 0.25 * (self.hard * at[0]) ** 4 - at[0])
+
+    def forces(self, at: np.ndarray) -> np.ndarray:
+        return 1.0 - at - self.hard**4 * at**3
+
+    def solver(self, at: np.ndarray) -> Solver | None:
+        self.tangents += 1
+        size = float(1.0 + 3.0 * self.hard**4 * at[0] ** 2)
+        return lambda forces: forces / size
+
+
+def test_a_tangent_is_kept_while_it_serves() -> None:
+    soft, hard = Stiffening(0.3), Stiffening(3.0)
+    for potential in (soft, hard):
+        found = find_equilibrium(potential, np.zeros(1), tolerance=1e-12)
+        assert found is not None
+        assert abs(potential.forces(found[0])[0]) <= 1e-12
+    assert soft.tangents == 1
+    assert hard.tangents > 1
+    # One that is given, too, and none that leads nowhere.
+    for stiff, tangents in ((1.5, 0), (1e9, 1), (-1.0, 1)):
+        potential = Stiffening(0.3)
+        found = find_equilibrium(
+            potential, np.zeros(1), tolerance=1e-12, solver=lambda x, k=stiff: x / k
+        )
+        assert found is not None
+        assert abs(potential.forces(found[0])[0]) <= 1e-12
+        assert potential.tangents == tangents
 
 
 @pytest.mark.parametrize(("bears", "done"), [(1.0, 1.0), (0.6, 0.6)])

@@ -23,6 +23,7 @@ from palpate.solids.finite_strain import (
     Law,
     LawOf,
     NeoHookean,
+    Solver,
     Steps,
     Unknowns,
     energy,
@@ -124,9 +125,9 @@ def press_finite(
         potential = potential.drawn_in(_joined(start))
         found = potential.equilibrium(_joined(start))
     if found is None:
-        found = potential.equilibrium_from_contact(sag)
-    found = potential.settled(found)
-    return FinitePress(found[:-1].reshape(-1, 3), float(found[-1]))
+        found = potential.equilibrium_from_contact(sag), None
+    at = potential.settled(*found)
+    return FinitePress(at[:-1].reshape(-1, 3), float(at[-1]))
 
 
 def press_slopes(
@@ -208,7 +209,7 @@ class _ContactPotential:
         missing[self.body.held] = 0.0
         return np.append(missing, self.force - push)
 
-    def step(self, at: Unknowns, forces: Steps) -> Steps | None:
+    def solver(self, at: Unknowns) -> Solver | None:
         """Newton's steps by block elimination; the tip's travel is eliminated last."""
         penetration, normal = self.penetration(at)
         touching = (penetration > 0.0) & (self.within > 0.0)
@@ -223,13 +224,17 @@ class _ContactPotential:
         if factor is None:
             return None
         coupling = across.T @ (weight * advance)
-        found = solve_free(self.body.held, factor, np.column_stack([forces[:-1], coupling]))
-        still, along = found[:, :-1], found[:, -1]
+        along = solve_free(self.body.held, factor, coupling[:, None])[:, 0]
         pivot = float(weight @ advance**2) - float(coupling @ along)
         if not pivot > 0.0:
             return None
-        travel = (forces[-1] + coupling @ still) / pivot
-        return np.vstack([still + np.outer(along, travel), travel])
+
+        def solve(forces: Steps) -> Steps:
+            still = solve_free(self.body.held, factor, forces[:-1])
+            travel = (forces[-1] + coupling @ still) / pivot
+            return np.vstack([still + np.outer(along, travel), travel])
+
+        return solve
 
     def springs(self, at: Unknowns) -> tuple[float, Float[np.ndarray, "n 3"], float]:
         """Energy of the penalty springs [J], their force on the nodes, (n, 3) [N], and that of the
@@ -260,26 +265,29 @@ class _ContactPotential:
         positions = self.points + self.at_points @ at[:-1].reshape(-1, 3)
         return replace(self, within=_within(self.tip, positions, self.area))
 
-    def settled(self, at: Unknowns) -> Unknowns:
+    def settled(self, at: Unknowns, solver: Solver | None) -> Unknowns:
         """Equilibrium with the skin that has moved under the rim by then, from one with that
-        which was there before."""
+        which was there before, and its solver."""
         before = self
         for _ in range(_MOST_DRAWS):
             now = before.drawn_in(at)
             moved = np.abs(now.stiffness - before.stiffness) @ self.penetration(at)[0]
             if moved < _RIM_TOLERANCE * self.force:
                 return at
-            found = now.equilibrium(at)
+            found = now.equilibrium(at, solver)
             if found is None:
                 break
-            before, at = now, found
+            before, (at, solver) = now, found
         raise NotConvergedError(
             "skin is drawn in under the rim of the tool and finds no place of rest: press less"
         )
 
-    def equilibrium(self, at: Unknowns) -> Unknowns | None:
-        """Equilibrium near an initial guess; None if it is not found."""
-        return find_equilibrium(self, at, tolerance=_FORCE_TOLERANCE * self.force)
+    def equilibrium(
+        self, at: Unknowns, solver: Solver | None = None
+    ) -> tuple[Unknowns, Solver | None] | None:
+        """Equilibrium near an initial guess, and its solver; None if it is not found."""
+        tolerance = _FORCE_TOLERANCE * self.force
+        return find_equilibrium(self, at, tolerance=tolerance, solver=solver)
 
     def equilibrium_from_contact(self, sag: Sag | None) -> Unknowns:
         """Equilibrium, in load steps from first contact with the body at rest."""
@@ -291,7 +299,8 @@ class _ContactPotential:
         def find(fraction: float, at: Unknowns) -> Unknowns | None:
             partial_load = replace(self, force=fraction * self.force)
             guess = partial_load.initial_guess(at) if at is touching else at
-            return None if guess is None else partial_load.equilibrium(guess)
+            found = None if guess is None else partial_load.equilibrium(guess)
+            return None if found is None else found[0]
 
         found, done = find_in_increments(find, touching)
         if done < 1.0:

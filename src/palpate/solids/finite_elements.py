@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import skfem
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array, kron
+from scipy.sparse import bsr_array, csr_array, kron
 from scipy.spatial.distance import cdist
 
 from palpate.errors import InputError, SingularSystemError
@@ -221,25 +221,24 @@ def stiffness_matrix(basis: Any, moduli: Float[np.ndarray, "3 3 3 3 *quadrature"
     -------
     (3 n, 3 n) sparse [N/m]         three unknowns per node, node by node
     """
-    total = csr_array((3 * basis.N, 3 * basis.N))
-    for a, b in zip(*np.triu_indices(3), strict=True):
-        block = _form(moduli[a, :, b]).assemble(basis)
-        place = np.zeros((3, 3))
-        place[a, b] = 1.0
-        total += kron(block, place)
-        if a != b:
-            total += kron(block.T, place.T)
-    return csr_array(total)
-
-
-def _form(moduli: Float[np.ndarray, "3 3 *quadrature"]) -> Any:
-    """Bilinear form: product of the gradients of two shape functions, weighted with moduli."""
-    terms = [(i, j) for i, j in np.ndindex(3, 3) if moduli[i, j].any()]
-
-    def density(u: Any, v: Any, _: Any) -> np.ndarray:
-        return sum(moduli[i, j] * v.grad[i] * u.grad[j] for i, j in terms)
-
-    return skfem.BilinearForm(density)
+    slope = np.stack([shape[0].grad for shape in basis.basis]).transpose(3, 2, 0, 1)
+    moduli = moduli.reshape(3, 3, 3, 3, *(moduli.shape[4:] or (1, 1)))
+    count, dofs = basis.N, basis.element_dofs.T
+    block: Any = 0.0
+    # Of every element, for two of its nodes and two components.
+    for k, (own, size) in enumerate(zip(slope, basis.dx.T, strict=True)):
+        here = moduli[..., k % moduli.shape[-1]].transpose(4, 1, 0, 2, 3).reshape(-1, 27, 3)
+        half = (here @ own.transpose(0, 2, 1)).reshape(len(own), 3, -1)
+        block = block + (size[:, None, None] * own) @ half
+    block = block.reshape(*dofs.shape, 3, 3, -1).transpose(0, 1, 4, 2, 3).reshape(-1, 9)
+    pair = (count * dofs[:, :, None] + dofs[:, None, :]).ravel()
+    order = np.argsort(pair, kind="stable")
+    first = np.flatnonzero(np.diff(pair[order], prepend=-1))
+    added = csr_array((np.ones(len(pair)), order, np.append(first, len(pair)))) @ block
+    row, column = np.divmod(pair[order[first]], count)
+    start = np.searchsorted(row, np.arange(count + 1))
+    shape = 3 * count, 3 * count
+    return csr_array(bsr_array((added.reshape(-1, 3, 3), column, start), shape=shape).tocsr())
 
 
 def free_part(stiffness: csr_array, held: Bool[np.ndarray, " n"]) -> csr_array:

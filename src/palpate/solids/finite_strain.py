@@ -10,6 +10,7 @@ increments where the full load does not converge at once.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -32,7 +33,9 @@ from palpate.solids.sparse_cholesky import Cholesky, factorise
 _FORCE_TOLERANCE = 1e-9
 Gradient = Float[np.ndarray, "3 3 m q"]
 Moduli = Float[np.ndarray, "3 3 3 3 m q"]
-_MAX_STEPS = 40
+_MAX_STEPS = 60
+# A tangent is kept while a step with it leaves less than this fraction of the forces.
+_KEPT = 0.5
 _MAX_HALVINGS = 10
 # Share of a potential that rounding may be, at a strain of 2e-6.
 _HIDDEN = 1e-3
@@ -40,6 +43,8 @@ _HIDDEN = 1e-3
 _MIN_INCREMENT = 1e-3
 Unknowns = Float[np.ndarray, " unknowns"]
 Steps = Float[np.ndarray, "unknowns k"]
+# Newton's step [m] for each column of forces [N].
+Solver = Callable[[Steps], Steps]
 
 
 @runtime_checkable
@@ -236,7 +241,8 @@ def solve_finite(
 
     def find(fraction: float, at: Unknowns) -> Unknowns | None:
         loaded = _Loaded(body, law(*body.lame), basis, fraction * load)
-        return find_equilibrium(loaded, at, tolerance=_FORCE_TOLERANCE * fraction * scale)
+        found = find_equilibrium(loaded, at, tolerance=_FORCE_TOLERANCE * fraction * scale)
+        return None if found is None else found[0]
 
     if start is not None and (found := find(1.0, start.ravel())) is not None:
         return found.reshape(-1, 3)
@@ -329,10 +335,10 @@ def slopes(potential: "Potential", at: Unknowns, forces: Steps) -> Steps:
     ------
     NotConvergedError               the equilibrium is not stable
     """
-    moved = potential.step(at, forces)
-    if moved is None:
+    solver = potential.solver(at)
+    if solver is None:
         raise NotConvergedError("the object is about to buckle under its load: press less")
-    return moved
+    return solver(forces)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -352,10 +358,9 @@ class _Loaded:
         missing[self.body.held] = 0.0
         return missing.ravel()
 
-    def step(self, at: Unknowns, forces: Steps) -> Steps | None:
-        matrix = tangent(self.law, self.basis, at.reshape(-1, 3))
-        factor = stable_factor(self.body, matrix)
-        return None if factor is None else solve_free(self.body.held, factor, forces)
+    def solver(self, at: Unknowns) -> Solver | None:
+        factor = stable_factor(self.body, tangent(self.law, self.basis, at.reshape(-1, 3)))
+        return None if factor is None else partial(solve_free, self.body.held, factor)
 
 
 def stable_factor(body: Body, matrix: csr_array) -> Cholesky | None:
@@ -509,12 +514,13 @@ class Potential(Protocol):
     def forces(self, at: Unknowns) -> Unknowns:
         """Residual forces, the negative gradient [N]; zero for fixed unknowns."""
 
-    def step(self, at: Unknowns, forces: Steps) -> Steps | None:
-        """Newton's step for each of k columns of forces [m]; None where the tangent is not positive
-        definite."""
+    def solver(self, at: Unknowns) -> Solver | None:
+        """By the tangent there: forces to steps; None where it is not positive definite."""
 
 
-def find_equilibrium(potential: Potential, at: Unknowns, *, tolerance: float) -> Unknowns | None:
+def find_equilibrium(
+    potential: Potential, at: Unknowns, *, tolerance: float, solver: Solver | None = None
+) -> tuple[Unknowns, Solver | None] | None:
     """Equilibrium near an initial guess.
 
     Parameters
@@ -522,26 +528,32 @@ def find_equilibrium(potential: Potential, at: Unknowns, *, tolerance: float) ->
     potential : Potential
     at : (u,) float [m]             initial guess
     tolerance : float [N]           on the norm of the residual forces, > 0
+    solver : function or None       of a similar potential nearby
 
     Returns
     -------
-    (u,) float [m] or None          None if Newton's method does not converge
+    (u,) float [m], function or None    and the last solver; None: does not converge
 
     Source
     ------
-    Nocedal and Wright, Numerical optimization (2nd ed. 2006), section 3.1: backtracking, here by
-    halving the step until the potential does not increase. Hager and Zhang, SIAM Journal on
-    Optimization 16 (2005) 170, section 2: slopes tell of it where rounding hides its change.
+    Kelley, Solving nonlinear equations with Newton's method (2003), section 2.3: tangents are kept.
+    Nocedal and Wright, Numerical optimization (2nd ed. 2006), section 3.1: steps are halved. Hager
+    and Zhang, SIAM Journal on Optimization 16 (2005) 170: slopes tell what rounding hides.
     """
+    wanted = np.inf
     for _ in range(_MAX_STEPS):
         forces = potential.forces(at)
-        if np.linalg.norm(forces) <= tolerance:
-            return at
-        step = potential.step(at, forces[:, None])
-        improved = None if step is None else _shortened(potential, at, forces, step[:, 0])
-        if improved is None:
+        size = float(np.linalg.norm(forces))
+        if size <= tolerance:
+            return at, solver
+        kept = solver is not None and size < wanted
+        solver = solver if kept else potential.solver(at)
+        if solver is None:
             return None
-        at = improved
+        improved = _shortened(potential, at, forces, solver(forces[:, None])[:, 0])
+        if improved is None and not kept:
+            return None
+        at, wanted = (at, 0.0) if improved is None else (improved, _KEPT * size)
     return None
 
 
