@@ -163,7 +163,8 @@ def test_drawn_block_without_sideways_strain_is_the_closed_form(block, basis):
     np.testing.assert_allclose(reaction, [0.0, 0.0, -force], atol=1e-9 * abs(force))
     stored = 0.5 * SHEAR * (stretch**2 - 1) - SHEAR * np.log(stretch)
     law = NeoHookean(*body.lame)
-    assert energy(law, basis, found) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=1e-9)
+    # Of the load 1e-9 may be left.
+    assert energy(law, basis, found) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=3e-9)
 
 
 def test_a_sheared_block_stiffens_as_it_says() -> None:

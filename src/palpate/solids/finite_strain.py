@@ -29,7 +29,7 @@ from palpate.solids.finite_elements import (
 )
 from palpate.solids.sparse_cholesky import Cholesky, factorise
 
-# Tolerance on the residual forces, relative to the load: Newton's last step leaves only rounding.
+# Tolerance on the residual forces, relative to the load.
 _FORCE_TOLERANCE = 1e-9
 Gradient = Float[np.ndarray, "3 3 m q"]
 Moduli = Float[np.ndarray, "3 3 3 3 m q"]
