@@ -114,7 +114,7 @@ class Parts:
                 # A file is replaced where a link leads; a part belongs into this folder.
                 if file.is_symlink():
                     file.unlink()
-                with atomic_replacement([file]) as (staged,):
+                with atomic_replacement(file) as staged:
                     _write_part(staged, part, known or {})
             if self.cache:
                 _trim(self.folder)

@@ -82,7 +82,7 @@ def test_a_part_that_another_process_is_storing_is_left_to_it(tmp_path):
     parts.load_or_make("one", lambda: PART)
     (file,) = tmp_path.iterdir()
     file.unlink()
-    with atomic_replacement([file]) as (other,):
+    with atomic_replacement(file) as other:
         other.write_bytes(b"the other's")
         assert parts.load_or_make("one", lambda: "own") == "own"
     assert file.read_bytes() == b"the other's"

@@ -151,7 +151,7 @@ def calibrate_live(bench: Bench, questions: Questions, folder: Path) -> None:
             places.forget_table()
             continue
         frame = board_frame(calibration, [board], _TABLE)
-        with atomic_replacement([folder / CALIBRATED], folder=True) as (staged,):
+        with atomic_replacement(folder / CALIBRATED, folder=True) as staged:
             write_calibration(staged, calibration, frame=frame)
         return
 
@@ -268,7 +268,7 @@ def place_object(bench: Bench, questions: Questions, folder: Path, mesh: Triangl
         rig = moved_rig(rig, motion)
         search = questions.choose("Fit it to the pictures from there?", ["yes", "no"]) == "yes"
     put(covariance.read_bytes(), folder / covariance.name)
-    with atomic_replacement([folder / "rig.toml"]) as (staged,):
+    with atomic_replacement(folder / "rig.toml") as staged:
         write_rig(staged, rig)
 
 

@@ -216,7 +216,7 @@ class LiveSession:
             "images": {"rest": _REST.format(name), "loaded": [_LOADED.format(name)]},
         }
         content = self.content | {"probe": [*self.content["probe"], probe]}
-        with atomic_replacement([self.file]) as (staged,):
+        with atomic_replacement(self.file) as staged:
             staged.write_text(tomlkit.dumps(content), encoding="utf-8")
             motions = self._measured(read_session(staged), name)
             if self.by_hand:

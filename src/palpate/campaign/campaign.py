@@ -85,7 +85,7 @@ def run_campaign(
     # The lock on the table file is the lock on the whole campaign.
     with (
         created_folder(folder),
-        atomic_replacement([folder / TABLE_TEXT]) as (staged,),
+        atomic_replacement(folder / TABLE_TEXT) as staged,
         ExitStack() as stack,
     ):
         stack.callback(store.clear)

@@ -172,7 +172,7 @@ def _write_surface(path: Path, suffix: str, mesh: TriangleMesh) -> None:
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra=None, purpose=f"writing {path.name}")
         content = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
-        with atomic_replacement([path]) as (staged,):
+        with atomic_replacement(path) as staged:
             content.write(staged, file_format=_MESHIO_SUFFIXES[suffix])
     else:
         writable = " ".join((*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES))

@@ -38,6 +38,7 @@ from palpate.records.estimate import (
     SupportEstimate as SupportEstimate,
 )
 from palpate.records.files.displacement import (
+    displacement_text as displacement_text,
     read_displacement as read_displacement,
     write_displacement as write_displacement,
 )

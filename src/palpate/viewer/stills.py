@@ -113,7 +113,7 @@ def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) 
     shown = _shown(subject, probe)
     direction = direction_of(subject)
     pixels = _pixels(shown, direction, _reach(shown, [direction]))
-    with atomic_replacement([path]) as (partial,), write_errors(path):
+    with atomic_replacement(path) as partial, write_errors(path):
         form = "PNG" if path.suffix.lower() == ".png" else "JPEG"
         Image.fromarray(pixels).save(partial, form)
 
@@ -143,7 +143,7 @@ def write_turntable(
     for number, direction in enumerate(directions):
         progress("turntable", number / _VIEWS)
         views.append(_pixels(shown, direction, reach))
-    with atomic_replacement([path]) as (partial,), write_errors(path):
+    with atomic_replacement(path) as partial, write_errors(path):
         write: Callable[[Path, list[np.ndarray]], None]
         write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
         write(partial, views)

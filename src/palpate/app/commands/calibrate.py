@@ -193,7 +193,7 @@ def board(
         metres_from_text(marker, name="--marker"), dictionary, first,
     )  # fmt: skip
     page = board_figure(drawn)
-    with atomic_replacement([file]) as (staged,):
+    with atomic_replacement(file) as staged:
         save_page(page, staged, kind=file.suffix[1:].lower())
     width, height = (25.4 * page.get_size_inches()).round(1)
     print_text(

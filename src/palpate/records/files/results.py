@@ -17,7 +17,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from palpate.disk import atomic_replacement, roll_back_interrupted
+from palpate.disk import atomic_replacement, put_back_interrupted
 from palpate.errors import InputError, RecordError, print_message
 from palpate.files import checked_file
 from palpate.records.files.series import frame_files
@@ -93,7 +93,7 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
     objection = partial(_folder_objection, kind=kind)
     _refuse(target, objection(target), force=force)
     with (
-        atomic_replacement([target], folder=True, keep_old=objection) as (new,),
+        atomic_replacement(target, folder=True, keep_old=objection) as new,
         _keep_long_work(parts_folder(new)),
         disk_errors(target),
     ):
@@ -173,7 +173,7 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
         raise InputError(f"{target}: is {kind}; name a file with --out")
     _refuse(target, _file_objection(target), force=force)
     with (
-        atomic_replacement([target], keep_old=lambda old: bool(_file_objection(old))) as (new,),
+        atomic_replacement(target, keep_old=lambda old: bool(_file_objection(old))) as new,
         disk_errors(target),
     ):
         yield new
@@ -282,7 +282,7 @@ def check_fit_result(folder: Path) -> None:
     RecordError                     it is something else, was changed, or was copied incompletely
     InUseError                      another process is writing it
     """
-    roll_back_interrupted(folder)
+    put_back_interrupted(folder)
     kind, changed, _ = folder_changes(folder)
     if not folder.exists():
         raise RecordError(
