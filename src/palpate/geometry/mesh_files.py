@@ -24,7 +24,9 @@ from palpate.shapes import Triangles, Vertices
 _TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
 # With the format's name in meshio: by the suffix .msh alone it tries a reader that may never end.
 _MESHIO_SUFFIXES = {".msh": "gmsh", ".vtu": "vtu"}
-MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
+# Of files that `write_mesh` writes, and of those that `read_mesh` reads.
+WRITTEN_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES)
+MESH_SUFFIXES = (*WRITTEN_SUFFIXES, ".vtp")
 STEP_SUFFIXES = (".step", ".stp")
 # CAD files hold no mesh, but are converted to triangles.
 _READ = (*MESH_SUFFIXES, *STEP_SUFFIXES)
@@ -175,8 +177,9 @@ def _write_surface(path: Path, suffix: str, mesh: TriangleMesh) -> None:
         with atomic_replacement(path) as staged:
             content.write(staged, file_format=_MESHIO_SUFFIXES[suffix])
     else:
-        writable = " ".join((*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES))
-        raise MeshError(f"{path}: cannot write '{suffix}'; choose one of {writable}")
+        raise MeshError(
+            f"{path}: cannot write '{suffix}'; choose one of {' '.join(WRITTEN_SUFFIXES)}"
+        )
 
 
 def welded(mesh: TriangleMesh) -> TriangleMesh:
