@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -29,10 +28,10 @@ from palpate.records import (
     check_free,
     constant_text,
     copied_rows,
+    file_sums,
     interval_text,
+    json_text,
     modulus_unit,
-    result_file,
-    sealed,
     write_text,
 )
 
@@ -88,44 +87,42 @@ def compression(
     out
         JSON file for the result.
     force
-        Replace a picture of that name, and overwrite even if the target is not an unchanged result;
-        the old content is kept as NAME.old.
+        Replace files of these names.
     """
     strain_range = _strain_range(strain)
     if out is not None and any(out.exists() and out.samefile(f) for f in files if f.exists()):
         raise InputError(f"{out}: --out names one of the records; give the result its own name")
     specimens = _specimens(files, group)
-    if plot is not None:
-        check_free(plot, force=force)
+    for target in filter(None, (plot, out)):
+        check_free(target, force=force)
     records: list[CompressionRecord] = []
     results: list[CompressionResult] = []
     earlier: list[tuple[Path, set[bytes]]] = []
     notes: list[tuple[str, str]] = []
-    # The target is tried first: no one should wait for a result that cannot be kept.
-    with nullcontext() if out is None else result_file(out, force=force) as staged:
-        for file in files:
-            record = read_compression(
-                file,
-                displacement_unit=displacement_unit,
-                force_unit=force_unit,
-                displacement_column=displacement_column,
-                force_column=force_column,
-            )
-            earlier.append((file, _checked_rows(record, earlier)))
-            result = compression_test(
-                record.displacement,
-                record.force,
-                diameter=_size(diameter, "diameter", record, record.diameter),
-                height=_size(height, "height", record, record.height),
-                strain_range=strain_range,
-                preload=preload,
-                source=str(file),
-            )
-            records.append(record)
-            results.append(result)
-            notes += [(file.name, note) for note in (*record.notes, *result.notes)]
-        if staged is not None:
-            write_text(staged, sealed(_content(results, specimens), files, folder=staged.parent))
+    for file in files:
+        record = read_compression(
+            file,
+            displacement_unit=displacement_unit,
+            force_unit=force_unit,
+            displacement_column=displacement_column,
+            force_column=force_column,
+        )
+        earlier.append((file, _checked_rows(record, earlier)))
+        result = compression_test(
+            record.displacement,
+            record.force,
+            diameter=_size(diameter, "diameter", record, record.diameter),
+            height=_size(height, "height", record, record.height),
+            strain_range=strain_range,
+            preload=preload,
+            source=str(file),
+        )
+        records.append(record)
+        results.append(result)
+        notes += [(file.name, note) for note in (*record.notes, *result.notes)]
+    if out is not None:
+        content = _content(results, specimens) | {"inputs": file_sums(files, start=out.parent)}
+        write_text(out, json_text(content))
     if plot is not None:
         save_figure(compression_figure(records, results), plot)
     print_tables(_table(results, specimens))

@@ -188,10 +188,6 @@ def _surface_folder(destination: Path, kind: str, force: bool) -> Iterator[Path 
             yield folder
         return
     check_free(destination, force=force)
-    if not destination.parent.is_dir():
-        raise InputError(
-            f"{destination}: cannot be written: {destination.parent} is not a folder; make it first"
-        )
     yield None
 
 

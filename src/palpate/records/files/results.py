@@ -1,11 +1,10 @@
-"""Result folders and files: Palpate recognises its own unchanged results and replaces only them.
+"""Result folders: Palpate recognises its own unchanged results and replaces only them.
 
 They are recognised by SHA-256 checksums of their files, in the format of `sha256sum`.
 """
 
 import errno
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -24,12 +23,11 @@ from palpate.records.files.series import frame_files
 from palpate.records.files.session import session_file
 from palpate.records.rig import covariance_file
 from palpate.records.text.text_file import read_text, write_text
-from palpate.records.text.toml_table import json_text, nearest_file, read_toml
+from palpate.records.text.toml_table import nearest_file, read_toml
 
 CONTENTS_FILE, INPUTS_FILE = "contents.txt", "inputs.txt"
 _RESULT_FORMAT = "palpate-result/1"
 _EARLIER_MARK = "palpate result folder; files:"
-_SEAL_NAME = "sha256"
 # The one file of a fit that may be made again.
 REPORT_FILE = "report.html"
 # Finished parts are kept after an interruption if the work took at least this long [s].
@@ -150,97 +148,28 @@ def record_inputs(folder: Path, files: Iterable[Path]) -> None:
     write_text(folder / INPUTS_FILE, sums_text(file_sums(files, start=folder)))
 
 
-@contextmanager
-def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """A temporary JSON file to write; an existing target is replaced only if `sealed` made it.
-
-    Parameters
-    ----------
-    target : Path                   final name; its folder must exist
-    force : bool                    write even if something else lies there, which is then kept as
-                                    NAME.old
-
-    Yields
-    ------
-    Path                            temporary file next to the target
-
-    Raises
-    ------
-    InputError                      as in `result_folder`
-    """
-    if target.exists() and not target.is_file():
-        kind = "a folder" if target.is_dir() else "no regular file"
-        raise InputError(f"{target}: is {kind}; name a file with --out")
-    _refuse(target, _file_objection(target), force=force)
-    with (
-        atomic_replacement(target, keep_old=lambda old: bool(_file_objection(old))) as new,
-        disk_errors(target),
-    ):
-        yield new
-
-
 def check_free(target: Path, *, force: bool = False) -> None:
-    """Refuse to replace a file whose origin cannot be recognised: a picture, a table, a page.
+    """Refuse to replace a file, or to write one into a folder that does not exist, before any work.
 
     Parameters
     ----------
-    target : Path                   file that is to be written
+    target : Path                   file that is to be written: a picture, a table, a page
     force : bool                    a regular file may be replaced
 
     Raises
     ------
-    InputError                      something already lies there
+    InputError                      something already lies there, or no file can
     """
+    if not target.parent.is_dir():
+        raise InputError(
+            f"{target}: cannot be written: {target.parent} is not a folder; make it first"
+        )
     if not os.path.lexists(target) or (force and target.is_file()):
         return
     raise InputError(
         f"{target}: is there already; nothing was touched: choose another name"
         + (", or give --force to replace it" if target.is_file() else "")
     )
-
-
-def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) -> str:
-    """JSON of a result with the checksums of its inputs and, as the last key, its own checksum.
-
-    Parameters
-    ----------
-    content : mapping               with a key `format`
-    inputs : iterable of Path       input files, or folders of such
-    folder : Path                   folder that the file will be in; names of inputs are relative
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    RecordError                     an input cannot be read
-    """
-    with_inputs = {**content, "inputs": file_sums(inputs, start=folder)}
-    return json_text(
-        {**with_inputs, _SEAL_NAME: hashlib.sha256(json_text(with_inputs).encode()).hexdigest()}
-    )
-
-
-def _is_sealed(text: str) -> bool:
-    """Whether a text is unchanged output of `sealed`.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
-    try:
-        content = json.loads(text)
-        value = content.pop(_SEAL_NAME)
-        unsealed = json_text(content)
-    except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
-        return False
-    same = hashlib.sha256(unsealed.encode()).hexdigest() == value
-    return same and text == json_text({**content, _SEAL_NAME: value})
 
 
 def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
@@ -372,20 +301,6 @@ def _folder_objection(target: Path, kind: str) -> str:
         descriptions = [f"{name} ({how})" for name, how in changed.items()]
         return f"is a result that was changed since: {_first_names(descriptions)}"
     return "" if found == kind else f"is a result of `palpate {found}`"
-
-
-def _file_objection(target: Path) -> str:
-    """Why a file may not be replaced; empty if it is an unchanged result, or missing."""
-    if not os.path.lexists(target):
-        return ""
-    try:
-        text = read_text(target)
-    except RecordError:
-        return "is no result of Palpate's"
-    if _is_sealed(text):
-        return ""
-    mark = '"format": "palpate-' in text[:200]
-    return "is a result that was changed since" if mark else "is no result of Palpate's"
 
 
 def _kind(folder: Path) -> str:
