@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
+from palpate.bem import DENSE_RESIDUAL
 from palpate.errors import InputError
 from palpate.estimation import FitMethod, FitResult, FitSettings, ProbeFit, ProbeObservations, fit
 from palpate.parts import Cache
@@ -459,10 +459,8 @@ def _rejection_notes(session: Session) -> list[str]:
 
 def _keep(model: ObjectModel, settings: FitSettings, residual: float, *, with_loads: bool) -> None:
     """Have a model's factors computed, and its reduced model with its loads."""
-    if isinstance(model.system, CompressedSystem):
-        return
     # On springs, a reduced model depends on the shear modulus.
     if with_loads and model.springs is None:
         reduced_model_of(model, settings=settings, residual=residual)
     else:
-        _ = (model.centred or CentredSystem(model.system, CENTRE)).factorised
+        model.solver.prepare()

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
 
 from palpate.bem.integrals.assembly import (
     Collocation,
@@ -20,7 +21,7 @@ from palpate.bem.integrals.assembly import (
     kernel_integrals,
     point_blocks,
 )
-from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION
+from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION, traction_parts
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature
 from palpate.geometry import QuadraticNodes, quadratic_shapes
 from palpate.parts import Cache, Parts, content_digest
@@ -135,6 +136,37 @@ class BoundarySystem:
     def order(self) -> Int[np.ndarray, " r"]:
         """Collocation point of each row of one component."""
         return self.rows.ravel()[: self.n_points]
+
+    def held_columns(
+        self, basis: Float[np.ndarray, "d c"] | csr_array
+    ) -> Float[np.ndarray, "2 r c"]:
+        """What displacements of the held vertices add to the right-hand side of the equations.
+
+        Parameters
+        ----------
+        basis : (3 h, c) float or sparse [m]    displacements of the held vertices, three rows each
+
+        Returns
+        -------
+        (2, r, c) float           constant and slope in nu, for a shear modulus of one pascal; rows
+                                  as in `system_matrix`
+        """
+        held, columns = self.unknowns.held_vertices, basis.shape[1]
+        terms = np.zeros((2, 3 * self.n_points + 3, columns))
+        equations = terms[:, :-3].reshape(2, 3, self.n_points, columns)
+
+        def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
+            scaled, constant = (
+                (part.transpose(0, 3, 2, 1).reshape(-1, 3 * held.size) @ basis).reshape(
+                    3, -1, columns
+                )
+                for part in traction_parts(np.moveaxis(traction[held], 1, 0))
+            )
+            equations[0, :, rows] = -(scaled + constant)
+            equations[1, :, rows] = 2 * scaled
+
+        for_each_block(self, add)
+        return terms
 
 
 def boundary_system(

@@ -11,12 +11,13 @@ from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
 from palpate.bem import (
     BodyForce,
     BoundarySystem,
-    CentredSystem,
     RightHand,
+    Solver,
     Springs,
     check_memory,
     dilation_factor,
     held_system,
+    make_solver,
 )
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.parts import Cache
@@ -50,7 +51,7 @@ class ObjectModel:
     right : RightHand                     the columns of `loads`
     springs : Springs or None             under compliant supports
     body : BodyForce or None
-    centred : CentredSystem or None       the system, factorised for several models of it to share
+    solver : Solver                       of the system; several models of it may share one
     """
 
     session: Session
@@ -60,8 +61,8 @@ class ObjectModel:
     slides: bool
     right: RightHand
     body: BodyForce | None
+    solver: Solver
     springs: Springs | None = None
-    centred: CentredSystem | None = None
 
     @property
     def gives_motions(self) -> bool:
@@ -134,7 +135,7 @@ def make_object_model(
     right, body = loads.integrate(system)
     return ObjectModel(
         session, system, loads, supports, sliding is not None, right, body,
-        session_springs(session, system), None if like is None else like.centred,
+        make_solver(system) if like is None else like.solver, session_springs(session, system),
     )  # fmt: skip
 
 
