@@ -131,7 +131,6 @@ def _campaign(here):
     yield
     yield
     yield
-    yield
 
 
 def _compression(here):
