@@ -225,8 +225,8 @@ class Page(Questions):
         try:
             question = "Does the outline lie on the object in the pictures? If not, drag it there."
             self._answer(question, ["It lies there"])
-            found = motion()
-            return None if np.allclose(found, np.eye(4), atol=1e-9) else found
+            live = motion()
+            return None if np.allclose(live, np.eye(4), atol=1e-9) else live
         finally:
             self._outline = None
             handle.remove()

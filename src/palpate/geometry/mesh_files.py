@@ -241,9 +241,9 @@ def _check_whole(content: bytes, suffix: str) -> None:
         _check_said(said, (len(content) - _STL_HEAD) / _STL_TRIANGLE, "triangles")
 
 
-def _check_said(said: int, found: int | float, what: str = "rows") -> None:
-    if said != found:
-        raise ValueError(f"it says that it has {said} {what}, and holds {found:g}")
+def _check_said(said: int, actual: int | float, what: str = "rows") -> None:
+    if said != actual:
+        raise ValueError(f"it says that it has {said} {what}, and holds {actual:g}")
 
 
 def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> None:
@@ -284,8 +284,8 @@ def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
         )
         vertices, triangles = loaded.vertices, loaded.faces
     else:
-        found = result_in_child(read_by_meshio, path, _MESHIO_SUFFIXES[suffix])
-        vertices, triangles = _surface_of_cells(found)
+        surface = result_in_child(read_by_meshio, path, _MESHIO_SUFFIXES[suffix])
+        vertices, triangles = _surface_of_cells(surface)
     return (
         np.array(vertices, dtype=np.float64).reshape(-1, 3),
         whole_numbers(np.asarray(triangles)).reshape(-1, 3),

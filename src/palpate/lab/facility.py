@@ -293,13 +293,13 @@ def _measure_probing(first: Solid, work: tuple[Sequence[_Bench], int]) -> list[_
     # Refined under this tip only: a mesh for each probing costs less than one for all of them.
     body = specimen_body(benches[0].config, first if k == 0 else _solid(benches[0], k))
     interpolation: dict[bytes, csr_array] = {}
-    found = []
+    measured = []
     for bench in benches:
         rest = bench.studio.mesh.vertices
         if rest.tobytes() not in interpolation:
             interpolation[rest.tobytes()] = surface_values(body.solid, rest)
-        found.append(_photographed(bench, k, body, interpolation[rest.tobytes()]))
-    return found
+        measured.append(_photographed(bench, k, body, interpolation[rest.tobytes()]))
+    return measured
 
 
 def _photographed(bench: _Bench, k: int, body: Body, interpolation: csr_array) -> _Measured:

@@ -140,11 +140,11 @@ def error_budget(
     exact = read_session(folders[sources[0].name])
     exact = with_pictures_measured(exact, pose="given", parts=parts)
     readings = [source for source in sources if source.change]
-    found: list[SourceErrors] = []
+    budget: list[SourceErrors] = []
     for source in sources:
-        progress(source.name, _MAKING + (1.0 - _MAKING) * len(found) / len(sources))
+        progress(source.name, _MAKING + (1.0 - _MAKING) * len(budget) / len(sources))
         if source.change is None:
-            sessions = [exact if not found else read_session(folders[source.name])]
+            sessions = [exact if not budget else read_session(folders[source.name])]
         else:
             seeds = ([config.seed, readings.index(source), draw] for draw in range(draws))
             sessions = [
@@ -162,8 +162,8 @@ def error_budget(
             for number, session in enumerate(sessions)
         ]
         single, joint = (np.concatenate(each) for each in zip(*errors, strict=True))
-        found.append(SourceErrors(source.name, source.size, single, joint))
-    return tuple(found)
+        budget.append(SourceErrors(source.name, source.size, single, joint))
+    return tuple(budget)
 
 
 def _exact(config: LabConfig) -> LabConfig:

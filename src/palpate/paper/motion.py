@@ -330,11 +330,11 @@ def flow_picture(measured: PaperSession, method: Method, name: str, title: str) 
     ------
     InputError                      no such motion, or one that could not be measured
     """
-    found, mesh = measured.found[method], measured.session.mesh
+    fields, mesh = measured.found[method], measured.session.mesh
     motion = measured.motion(method, name)
     if motion.flow is None:
         raise InputError(f"motion '{name}' cannot be drawn: {motion.failure}")
-    camera = found.rig.cameras[found.rig.reference]
+    camera = fields.rig.cameras[fields.rig.reference]
     rows, columns = motion.first.shape
     surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
     view = make_flow_view(motion.first, camera, surface, mesh)

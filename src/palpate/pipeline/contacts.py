@@ -189,10 +189,10 @@ def settled_contact(
         return contact
     local = local_surface(session.mesh, contact.point, tool.radius)
     pressed = -float(local.normal @ force)
-    found = tool_contact(
+    settled = tool_contact(
         tool, local, pressed, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
     )
-    return replace(contact, radius=found.radius, traction=found.traction)
+    return replace(contact, radius=settled.radius, traction=settled.traction)
 
 
 def largest_change(before: Session, after: Session) -> float:

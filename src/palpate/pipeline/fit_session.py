@@ -345,13 +345,13 @@ def _session_notes(
     if finite_strain:
         strained = biased = []
     others = [note for note in session.notes if BIASED not in note]
-    found = _contact_notes(refined, probes) + _rejection_notes(session)
+    notes = _contact_notes(refined, probes) + _rejection_notes(session)
     strained = [*_load_notes(result.estimate, finite_strain=finite_strain), *strained]
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
     # Pushes that contradict each other leave the model nothing to explain.
     broken = [tested.text] if tested is not None and not tested.holds else []
     rotated = _rotation_notes(probes)
-    return (*broken, *first, *biased, *rotated, *fitted[1:], *found, *others)
+    return (*broken, *first, *biased, *rotated, *fitted[1:], *notes, *others)
 
 
 def _agreement(tested: Reciprocity | None) -> list[str]:

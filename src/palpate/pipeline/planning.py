@@ -278,11 +278,11 @@ def plan_next(
 
     def expected(places: Sequence[int]) -> dict[str, float]:
         pushes = [*made, *(len(made) + k for k in places)]
-        found = information.bound(pushes)
+        bound = information.bound(pushes)
         if not is_uniform:
             others = range(len(made), len(made) + len(point))
-            found[PREDICTION] = information.prediction(pushes, others)
-        return found
+            bound[PREDICTION] = information.prediction(pushes, others)
+        return bound
 
     def gain(places: Sequence[int]) -> float:
         if is_uniform:
@@ -392,7 +392,7 @@ def expected_precision(session: Session) -> dict[str, float]:
         settled = with_contact_radii(session, shear_modulus=shear, poisson_ratio=_RATIOS[1])
         observed = session_observations(settled, make_object_model(settled), shear_modulus=shear)
         shear, ratio, rms = min(
-            (_explaining(observed, nu) for nu in _RATIOS), key=lambda found: found[2]
+            (_explaining(observed, nu) for nu in _RATIOS), key=lambda candidate: candidate[2]
         )
     known = [
         probe if probe.std is not None

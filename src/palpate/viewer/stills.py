@@ -307,9 +307,9 @@ def _write_mp4(path: Path, views: list[np.ndarray]) -> None:
                 for view in views:
                     film.write(np.ascontiguousarray(view[:rows, :columns, ::-1]))
                 film.release()
-                found = _frame_count(film_path)
-                if found != len(views):
-                    raise OSError(f"{found} of the film's {len(views)} pictures were written")
+                written = _frame_count(film_path)
+                if written != len(views):
+                    raise OSError(f"{written} of the film's {len(views)} pictures were written")
                 film_path.replace(path)
                 return
         raise OSError("this OpenCV writes no film; a name that ends in .gif makes an animation")

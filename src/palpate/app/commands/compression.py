@@ -134,15 +134,15 @@ def _specimens(files: Sequence[Path], groups: Sequence[str] | None) -> list[str]
     """The specimen that each file is a test of."""
     if groups is None:
         return [str(file) for file in files]
-    found = []
+    specimens = []
     for file in files:
         of = [name for name in groups if name in file.name]
         if len(of) != 1:
             raise InputError(
                 f"{file}: its name holds {len(of)} of --group {' '.join(groups)}; must hold one"
             )
-        found += of
-    return found
+        specimens += of
+    return specimens
 
 
 def _checked_rows(
@@ -161,19 +161,19 @@ def _checked_rows(
     return rows
 
 
-def _size(given: str | None, name: str, record: CompressionRecord, found: float | None) -> float:
+def _size(given: str | None, name: str, record: CompressionRecord, recorded: float | None) -> float:
     """A size of the cylinder from the command line, else from the file."""
     if given is None:
-        if found is None:
+        if recorded is None:
             raise InputError(
                 f"{record.source}: does not say the {name}; give it, e.g. --{name} 50mm"
             )
-        return found
+        return recorded
     requested = metres_from_text(given, name=f"--{name}")
-    if found is not None and abs(requested - found) > _SAME_SIZE * found:
+    if recorded is not None and abs(requested - recorded) > _SAME_SIZE * recorded:
         raise InputError(
-            f"{record.source}: says that the {name} is {1e3 * found:g} mm, and --{name} that it is"
-            f" {1e3 * requested:g} mm; leave the option out, or correct the file"
+            f"{record.source}: says that the {name} is {1e3 * recorded:g} mm, and --{name} that it"
+            f" is {1e3 * requested:g} mm; leave the option out, or correct the file"
         )
     return requested
 

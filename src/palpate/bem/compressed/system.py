@@ -75,9 +75,9 @@ class CompressedSystem(BoundarySystem):
         -------
         (k, c) float
         """
-        found, traction = self._applied(scaled_weights(self, poisson_ratio), unknowns)
-        found += SLACK * unknowns[-3:]
-        return np.concatenate([self.by_component(found), self._balance(traction)])
+        result, traction = self._applied(scaled_weights(self, poisson_ratio), unknowns)
+        result += SLACK * unknowns[-3:]
+        return np.concatenate([self.by_component(result), self._balance(traction)])
 
     def slope_product(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
         """The derivative of the matrix with respect to Poisson's ratio times vectors.
@@ -91,8 +91,8 @@ class CompressedSystem(BoundarySystem):
         (k, c) float
         """
         weights = KernelWeights(-2.0, 0.0, 0.0, -1.0 / self.traction_length)
-        found, _ = self._applied(weights, unknowns)
-        return np.concatenate([self.by_component(found), np.zeros((3, unknowns.shape[1]))])
+        result, _ = self._applied(weights, unknowns)
+        return np.concatenate([self.by_component(result), np.zeros((3, unknowns.shape[1]))])
 
     def held_columns(
         self, basis: Float[np.ndarray, "d c"] | csr_array

@@ -218,15 +218,15 @@ class CentredSystem:
     def _compute(self) -> tuple[FactorisedSystem, SystemSlope]:
         """Both, without the elimination, which holds sparse matrices and is made in no time."""
         if self.single and _SMALLEST_SINGLE < self.system.size <= _LARGEST_SINGLE:
-            found = self._compute_in(np.float32)
-            if found[0].reciprocal_condition > _SMALLEST_SINGLE_RCOND:
-                return found
-            del found
+            factors = self._compute_in(np.float32)
+            if factors[0].reciprocal_condition > _SMALLEST_SINGLE_RCOND:
+                return factors
+            del factors
         return self._compute_in(np.float64)
 
     def _compute_in(self, precision: Precision) -> tuple[FactorisedSystem, SystemSlope]:
-        found, slope = _factorise_with_slope(self.system, self.poisson_ratio, precision=precision)
-        return replace(found, elimination=None), slope
+        factors, slope = _factorise_with_slope(self.system, self.poisson_ratio, precision=precision)
+        return replace(factors, elimination=None), slope
 
 
 def unrestrained_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:

@@ -284,10 +284,10 @@ def _picture_sums(rig: Rig, pattern: str, folder: Path) -> list[dict[str, str]]:
     """Checksum of each camera's picture; empty where it cannot be read."""
     sums = []
     for camera in rig.cameras:
-        found: dict[str, str] = {}
+        sum_of: dict[str, str] = {}
         with suppress(RecordError):
-            found = file_sums([picture_path(camera, pattern, folder)], start=folder)
-        sums.append(found)
+            sum_of = file_sums([picture_path(camera, pattern, folder)], start=folder)
+        sums.append(sum_of)
     return sums
 
 

@@ -292,15 +292,15 @@ def _folder_objection(target: Path, kind: str) -> str:
         names = sorted(os.listdir(target))
     if not names:
         return ""
-    found, changed, _ = folder_changes(target)
-    if not found:
+    kind_found, changed, _ = folder_changes(target)
+    if not kind_found:
         if _EARLIER_MARK in _first_line(target):
             return "is a result of an earlier version, which cannot tell whether it was changed"
         return f"holds files that are no result of Palpate's, e.g. {_first_names(names)}"
     if changed:
         descriptions = [f"{name} ({how})" for name, how in changed.items()]
         return f"is a result that was changed since: {_first_names(descriptions)}"
-    return "" if found == kind else f"is a result of `palpate {found}`"
+    return "" if kind_found == kind else f"is a result of `palpate {kind_found}`"
 
 
 def _kind(folder: Path) -> str:
@@ -403,7 +403,7 @@ def sums_text(sums: Mapping[str, str]) -> str:
     """
     lines = []
     for name, value in sums.items():
-        plain = re.sub(r"[\\\n\r]", lambda found: _ESCAPES[found[0]], name)
+        plain = re.sub(r"[\\\n\r]", lambda match: _ESCAPES[match[0]], name)
         lines.append(f"{'' if plain == name else chr(92)}{value}  {plain}\n")
     return "".join(lines)
 
@@ -430,14 +430,14 @@ def parsed_sums(text: str) -> dict[str, str]:
 def _changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
     """Files that have changed since their checksums were taken, or are gone: name -> `CHANGED` or
     `MISSING`."""
-    found = {}
+    changes = {}
     for name, value in sums.items():
         path = folder / name
         if not path.is_file():
-            found[name] = MISSING
+            changes[name] = MISSING
         elif file_sum(path) != value:
-            found[name] = CHANGED
-    return found
+            changes[name] = CHANGED
+    return changes
 
 
 def session_files(path: Path | str) -> list[Path]:
@@ -456,23 +456,23 @@ def session_files(path: Path | str) -> list[Path]:
     RecordError                     no session, not readable
     """
     file = session_file(Path(path))
-    found, values = {file}, read_toml(file).values
+    named, values = {file}, read_toml(file).values
     for text in _texts(values):
         pattern = "*".join(re.sub(r"([*?[])", r"[\1]", part) for part in text.split("{camera}"))
         relative = Path(pattern)
         if "\0" in text or not relative.name or len(text) > 1000:
             continue
         start = Path(relative.anchor) if relative.is_absolute() else file.parent
-        found |= set(start.glob(str(relative.relative_to(relative.anchor))))
+        named |= set(start.glob(str(relative.relative_to(relative.anchor))))
     for series in _texts_of(values.get("probe"), "series"):
         # What is no series any more names no frames.
         with suppress(RecordError):
-            found |= set(frame_files(file.parent / series))
+            named |= set(frame_files(file.parent / series))
     rig = values.get("rig")
     if isinstance(rig, dict) and isinstance(rig.get("cameras"), str):
         covariance = covariance_file(file.parent / rig["cameras"])
-        found |= {covariance} if covariance else set()
-    files = set(chain.from_iterable(map(_files_in, found)))
+        named |= {covariance} if covariance else set()
+    files = set(chain.from_iterable(map(_files_in, named)))
     return sorted(path for path in files if path.is_file())
 
 
