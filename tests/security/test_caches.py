@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from palpate import parts
-from palpate.parts import Parts
+from palpate.checkpoints import Checkpoints
 from palpate.records import Constant
 
 
 @pytest.fixture
 def store(tmp_path):
     """A cache that holds a part of some arrays."""
-    store = Parts(tmp_path / "cache", "key")
+    store = Checkpoints(tmp_path / "cache", "key")
     store.stored("one", (np.arange(3.0), Constant(1.0, 0.1, (0.5, 1.5))))
     return store
 
@@ -77,8 +77,8 @@ RECORD = ["record", "palpate.records.estimate", "Constant"]
         _npz(json.dumps([*RECORD, {"value": 1.0}])),
         _npz(json.dumps([*RECORD, {"value": "text", "std": None, "interval": None, "x": 1}])),
         _npz(json.dumps(["record", "palpate.records", "read_session", {"path": "/"}])),
-        _npz(json.dumps(["record", "palpate.parts", "Path", {}])),
-        _npz(json.dumps(["record", "palpate.parts", ["os"], {}])),
+        _npz(json.dumps(["record", "palpate.checkpoints", "Path", {}])),
+        _npz(json.dumps(["record", "palpate.checkpoints", ["os"], {}])),
         _npz(json.dumps(["record", "builtins", "print", {}])),
         _npz(json.dumps(["enum", "palpate.records.estimate", "Constant", "OK"])),
         # An index far outside of the matrix: a product with it would end the process.

@@ -37,8 +37,8 @@ from palpate.bem.system.factors import CentredSystem, solve
 from palpate.bem.system.matrix import SystemSlope
 from palpate.bem.system.springs import SpringFactors, SpringSlope, make_spring_system
 from palpate.bem.system.system import BoundarySystem
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.errors import NotConvergedError
-from palpate.parts import Parts, content_digest
 
 # Poisson's ratio of the factorisation or of the first snapshot, typical of most materials.
 CENTRE = 0.3
@@ -174,12 +174,13 @@ def make_reduced_model(
     NotConvergedError                 the tolerance is not met with `MOST_DIRECTIONS`
     """
     if isinstance(system, CentredSystem):
-        parts, centred = system.system.parts, system
-    elif system.parts.in_memory:
-        parts, centred = system.parts, CentredSystem(system, CENTRE)
+        checkpoints, centred = system.system.checkpoints, system
+    elif system.checkpoints.in_memory:
+        checkpoints, centred = system.checkpoints, CentredSystem(system, CENTRE)
     else:
         # Factors that are not shared serve this model alone, which is kept itself.
-        parts, centred = system.parts, CentredSystem(replace(system, parts=Parts(None)), CENTRE)
+        unshared = replace(system, checkpoints=Checkpoints(None))
+        checkpoints, centred = system.checkpoints, CentredSystem(unshared, CENTRE)
     depends_on = centred.single, right.terms, poisson_range, tolerance
 
     def make() -> ReducedModel:
@@ -187,9 +188,9 @@ def make_reduced_model(
         return _krylov_model(solve_at_centre, centred.slope.apply, right, poisson_range, tolerance)
 
     # In memory are the factors, which other contacts need, too.
-    if parts.in_memory:
+    if checkpoints.in_memory:
         return make()
-    return parts.load_or_make(content_digest(("reduced model", depends_on)), make)
+    return checkpoints.load_or_make(content_digest(("reduced model", depends_on)), make)
 
 
 def make_spring_model(

@@ -35,7 +35,7 @@ class Solver(Protocol):
     """Solves one system for any right-hand sides and materials."""
 
     def prepare(self) -> None:
-        """Compute now, and keep in the system's `parts`, what serves all right-hand sides.
+        """Compute now, and keep in the system's `checkpoints`, what serves all right-hand sides.
 
         Raises
         ------
@@ -49,7 +49,7 @@ class Solver(Protocol):
         Parameters
         ----------
         poisson_ratio : float [-]         -1 < nu <= 0.5
-        keep : bool                       True: what it takes is kept in the system's `parts`
+        keep : bool                       True: what it takes is kept in the system's `checkpoints`
 
         Returns
         -------

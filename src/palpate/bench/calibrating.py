@@ -146,7 +146,7 @@ def calibrate_live(bench: Bench, questions: Questions, folder: Path) -> None:
         calibration = _judged(places, questions)
         if calibration is None:
             continue
-        if _TABLE not in calibration.found.views:
+        if _TABLE not in calibration.sightings.views:
             questions.tell("The board on the table does not agree with the others: once more")
             places.forget_table()
             continue

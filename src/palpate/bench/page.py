@@ -248,7 +248,7 @@ class Page(Questions):
         self._follow(pictures, time, state)
         if self._show(pictures, state, dots):
             self._question.content = question_html(state.capitalize())
-            moved = [] if self._motion is None else list(self._motion.found)
+            moved = [] if self._motion is None else list(self._motion.trace)
             self._trace.content = trace_svg(time, force, moved)
 
     def _follow(self, pictures: Pictures, time: list[float], state: str) -> None:

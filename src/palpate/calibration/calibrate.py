@@ -46,7 +46,7 @@ class Calibration:
     covariance : (p, p) float       of the parameters in `names`
     names : tuple of p str          lens terms of every camera, then rotation [rad] and shift [m] of
                                     every camera except the first, e.g. "c1.fx", "c1.tx"
-    found : Sightings               views that were used
+    sightings : Sightings           views that were used
     corners : Corners               with marks numbered consistently in all cameras
     adjusted : Adjusted             result of the bundle adjustment
     notes : tuple of str            what was left out, and why
@@ -55,7 +55,7 @@ class Calibration:
     cameras: tuple[Camera, ...]
     covariance: Float[np.ndarray, "p p"]
     names: tuple[str, ...]
-    found: Sightings
+    sightings: Sightings
     corners: Corners
     adjusted: Adjusted
     notes: tuple[str, ...]
@@ -162,7 +162,7 @@ def board_frame(
     ------
     CalibrationError                there is no such view, or it was left out
     """
-    sightings = calibration.found
+    sightings = calibration.sightings
     if view not in sightings.views:
         raise CalibrationError(
             f"there is no view '{view}' among those that were used: {', '.join(sightings.views)};"

@@ -95,7 +95,7 @@ def _quality(calibration: Calibration, c: int) -> CameraQuality:
     adjusted, corners = calibration.adjusted, calibration.corners
     mine = corners.camera == c
     good = mine & adjusted.good
-    size = np.array(calibration.found.sizes[c])
+    size = np.array(calibration.sightings.sizes[c])
     cell = np.clip(REGIONS * corners.pixel[good] / size, 0, REGIONS - 1e-9).astype(np.int64)
     number = REGIONS * cell[:, 1] + cell[:, 0]
     seen = np.bincount(number, minlength=REGIONS**2)
@@ -158,7 +158,7 @@ def picture_errors(calibration: Calibration) -> tuple[PictureError, ...]:
     square = (calibration.adjusted.residual**2).sum(axis=1)
     errors = []
     for c, camera in enumerate(calibration.cameras):
-        for v, view in enumerate(calibration.found.views):
+        for v, view in enumerate(calibration.sightings.views):
             mine = (corners.camera == c) & (corners.view == v)
             if not mine.any():
                 continue
@@ -186,7 +186,7 @@ def length_check(calibration: Calibration) -> tuple[int, float, float] | None:
                                     held-out ones that two cameras share; None, too, if the
                                     calibration of the others fails
     """
-    corners, views = calibration.corners, len(calibration.found.views)
+    corners, views = calibration.corners, len(calibration.sightings.views)
     held = np.arange(views) % _FOLD == 0
     if len(calibration.cameras) < 2 or views < 3 * _FOLD:
         return None
@@ -195,7 +195,7 @@ def length_check(calibration: Calibration) -> tuple[int, float, float] | None:
         adjusted = adjust(bundle, rest)
     except CalibrationError:
         return None
-    rig = Rig(cameras_of(calibration.found, adjusted.bundle), 0, "calibration")
+    rig = Rig(cameras_of(calibration.sightings, adjusted.bundle), 0, "calibration")
     good = calibration.adjusted.good
     scales = [_scale(rig, corners.chosen(good & (corners.view == v))) for v in np.flatnonzero(held)]
     known = np.array([scale for scale in scales if scale is not None])
@@ -300,7 +300,7 @@ def timing_note(calibration: Calibration) -> str:
     -------
     str                             cause and remedy; empty if they do not
     """
-    names, sizes = calibration.found.cameras, calibration.found.sizes
+    names, sizes = calibration.sightings.cameras, calibration.sightings.sizes
     corners = calibration.corners
     late = corners.pixel / np.array(sizes, dtype=np.float64)[corners.camera] - 0.5
     by_column, by_row = (explained_by_velocity(calibration, late[:, k]) for k in range(2))

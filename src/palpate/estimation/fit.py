@@ -395,8 +395,9 @@ def _contradiction_note(contradiction: Contradiction) -> str:
     if contradiction.kind == "reversed":
         return (
             f"Along {contradiction.source} the residuals are {contradiction.sigmas:.1f} times what"
-            " moved there: the model contradicts it. Check the signs and the order of the components"
-            " of force and displacement, the rows of the file, and whether the object moved with its support."
+            " moved there: the model contradicts it. Check the signs and the order of the"
+            " components of force and displacement, the rows of the file, and whether the object"
+            " moved with its support."
         )
     if contradiction.kind == "errors":
         return (

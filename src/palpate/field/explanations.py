@@ -32,12 +32,12 @@ from scipy.cluster.vq import kmeans2
 from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
+from palpate.checkpoints import Cache, Memory, content_digest
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
 from palpate.field.field_fit import information_about, log_bayes_factor, make_model, modes_in
 from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
-from palpate.parts import Cache, Memory, content_digest
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness, with_moduli
 

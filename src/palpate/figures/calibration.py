@@ -75,7 +75,7 @@ def residual_figure(calibration: Calibration) -> Figure:
     Figure                          for each camera a column of two panels
     """
     cameras = calibration.cameras
-    ratio = max(rows / columns for columns, rows in calibration.found.sizes)
+    ratio = max(rows / columns for columns, rows in calibration.sightings.sizes)
     heights = _WIDTH * ratio, _VIEWS_HEIGHT
     figure = Figure(figsize=(_WIDTH * len(cameras), sum(heights) + 0.85), layout="constrained")
     grid = figure.add_gridspec(2, len(cameras), height_ratios=heights)
@@ -96,7 +96,7 @@ def residual_figure(calibration: Calibration) -> Figure:
 def _draw_corners(axes: Axes, calibration: Calibration, c: int, quality: CameraQuality) -> None:
     """Draw a camera's residuals as arrows, and the rms of each of its nine regions."""
     corners = calibration.corners
-    columns, rows = calibration.found.sizes[c]
+    columns, rows = calibration.sightings.sizes[c]
     for good, colour in ((True, BLUE), (False, ORANGE)):
         mine = np.flatnonzero((corners.camera == c) & (calibration.adjusted.good == good))
         mine = mine[:: len(mine) // _MAX_ARROWS + 1]

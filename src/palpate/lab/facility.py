@@ -16,6 +16,7 @@ import tomlkit
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, closest_points, write_mesh
 from palpate.lab.arm import aim, probe_body, rod_at, solid_under, specimen_body
@@ -25,7 +26,6 @@ from palpate.lab.ideal_view import truth_map, write_truth_map
 from palpate.lab.scene import Variant
 from palpate.lab.studio import Studio, exposure, make_studio, photograph
 from palpate.machine import check_disk_for
-from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     SESSION_FORMAT,
@@ -69,7 +69,7 @@ class _Bench:
         """Prepare cameras and arm; refuses whatever can be refused before meshing and rendering."""
         mesh = config.specimen.mesh
         self.config, self.folder, self.rig = config, folder, _rig(config)
-        self.parts = Parts(
+        self.parts = Checkpoints(
             parts, "" if parts is None else content_digest((config, self.rig, variant.name))
         )
         instants = [

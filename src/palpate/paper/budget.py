@@ -16,6 +16,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.errors import InputError
 from palpate.figures import (
     BLUE,
@@ -42,7 +43,6 @@ from palpate.lab import (
 )
 from palpate.paper.constants import constant_errors
 from palpate.paper.result import Cell, ResultTable
-from palpate.parts import Parts, content_digest
 from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, read_rig, read_session, write_rig
@@ -135,7 +135,7 @@ def error_budget(
         parts=parts,
         distribute=distribute,
     )
-    finished = Parts(parts, "" if parts is None else content_digest((config, variant.name)))
+    finished = Checkpoints(parts, "" if parts is None else content_digest((config, variant.name)))
     # Its motion is reused by every source that changes neither pictures nor cameras.
     exact = read_session(folders[sources[0].name])
     exact = with_pictures_measured(exact, pose="given", parts=parts)

@@ -48,7 +48,7 @@ def estimated_constants(measured: PaperSession, method: Method) -> tuple[Session
     InputError                      a motion that could not be measured
     SingularSystemError, NotConvergedError    as in `fit_session`
     """
-    session = with_measured_displacement(measured.session, measured.found[method])
+    session = with_measured_displacement(measured.session, measured.flows[method])
     return session, fit_session(session)
 
 

@@ -41,11 +41,11 @@ class PaperSession:
     Attributes
     ----------
     session : Session               with `truth.toml` in its folder
-    found : mapping                 method -> SessionFlow
+    flows : mapping                 method -> SessionFlow
     """
 
     session: Session
-    found: Mapping[Method, SessionFlow]
+    flows: Mapping[Method, SessionFlow]
 
     def motion(self, method: Method, name: str) -> MeasuredMotion:
         """The motion of a step or probing, by one method.
@@ -59,7 +59,7 @@ class PaperSession:
         -------
         MeasuredMotion
         """
-        return next(each for each in self.found[method].motions if each.name == name)
+        return next(each for each in self.flows[method].motions if each.name == name)
 
 
 def reduced(config: LabConfig) -> LabConfig:

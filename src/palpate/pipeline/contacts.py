@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.bem import BoundarySurface, PressureDisc, disc_displacement, disc_potentials
+from palpate.checkpoints import Cache
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import FitSettings, ProbeObservations, joint_minimum
 from palpate.geometry import (
@@ -22,7 +23,6 @@ from palpate.geometry import (
     interpolation_matrix,
     unit_normals,
 )
-from palpate.parts import Cache
 from palpate.pipeline.observations import ungraded_observations
 from palpate.probe import LocalSurface, local_surface, tool_contact
 from palpate.progress import Progress, part_of

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from palpate.bem import DENSE_RESIDUAL
+from palpate.checkpoints import Cache
 from palpate.errors import InputError
 from palpate.estimation import FitMethod, FitResult, FitSettings, ProbeFit, ProbeObservations, fit
-from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.creep import with_relaxation
 from palpate.pipeline.heterogeneous import (

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 
 from palpate.bem import DENSE_RESIDUAL, LARGEST_DENSE, SolutionModel, make_solver
+from palpate.checkpoints import Cache
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
     FitMethod,
@@ -24,7 +25,6 @@ from palpate.estimation import (
     padded,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal, distinct_points
-from palpate.parts import Cache
 from palpate.pipeline.model.grading import REMAINING_FRACTION, edge_refined_session, graded_session
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model, probe_rows
 from palpate.pipeline.model.responses import (

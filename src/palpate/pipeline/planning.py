@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, UInt
 
+from palpate.checkpoints import Cache
 from palpate.errors import InputError
 from palpate.estimation import FitResult, Information, ProbeObservations, fisher_information
 from palpate.geometry import (
@@ -21,7 +22,6 @@ from palpate.geometry import (
     closest_points,
 )
 from palpate.lab import Material, Pictures, Variant, planned_pictures
-from palpate.parts import Cache
 from palpate.pipeline.contacts import with_contact_radii
 from palpate.pipeline.fit_session import fit_session
 from palpate.pipeline.heterogeneous import Material as Substance, Predictor

@@ -285,7 +285,7 @@ def _calibrate(
     sightings = find_boards(still, targets, progress=part_of(progress, 0.6, 0.9))
     progress("adjustment", 0.9)
     calibration = calibrate_cameras(without_repeats(sightings), targets)
-    used = {view.split(" ")[0] for view in calibration.found.views}
+    used = {view.split(" ")[0] for view in calibration.sightings.views}
     for by_instant in still.values():
         for instant, path in by_instant.items():
             if instant not in used:

@@ -21,9 +21,9 @@ from palpate.bem.system.system import (
     find_unknowns,
     place_collocation,
 )
+from palpate.checkpoints import Cache
 from palpate.errors import InputError
 from palpate.machine import check_memory_for, usable_memory
-from palpate.parts import Cache
 from palpate.progress import Progress, silent
 
 # Coefficient of the slack in every integral equation (`system_matrix`).

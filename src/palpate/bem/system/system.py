@@ -23,8 +23,8 @@ from palpate.bem.integrals.assembly import (
 )
 from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION, traction_parts
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature
+from palpate.checkpoints import Cache, Checkpoints, content_digest
 from palpate.geometry import QuadraticNodes, quadratic_shapes
-from palpate.parts import Cache, Parts, content_digest
 from palpate.threads import in_threads
 
 # To be increased with every change of what is kept of a system or how it is computed.
@@ -106,7 +106,7 @@ class BoundarySystem:
     rows : (b, LANES) int                 collocation points in the order of the equations, by
                                           blocks, the last one padded (`point_blocks`)
     quadrature : Quadrature
-    parts : Parts                         where what follows from the equations alone is kept
+    checkpoints : Checkpoints             where what follows from the equations alone is kept
     """
 
     surface: BoundarySurface
@@ -114,7 +114,7 @@ class BoundarySystem:
     collocation: Collocation
     rows: Int[np.ndarray, "b lanes"]
     quadrature: Quadrature
-    parts: Parts = field(default=Parts(None), kw_only=True)
+    checkpoints: Checkpoints = field(default=Checkpoints(None), kw_only=True)
 
     @property
     def traction_length(self) -> float:
@@ -189,9 +189,11 @@ def boundary_system(
     """
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
-    parts = Parts(None) if cache is None else Parts(cache, _digest(surface, quadrature), cache=True)
+    checkpoints = Checkpoints(None)
+    if cache is not None:
+        checkpoints = Checkpoints(cache, _digest(surface, quadrature), cache=True)
     rows = point_blocks(collocation.point)
-    return BoundarySystem(surface, unknowns, collocation, rows, quadrature, parts=parts)
+    return BoundarySystem(surface, unknowns, collocation, rows, quadrature, checkpoints=checkpoints)
 
 
 def for_each_block(system: BoundarySystem, use: BlockUse) -> None:

@@ -19,8 +19,8 @@ from palpate.bem import (
     held_system,
     make_solver,
 )
+from palpate.checkpoints import Cache
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
-from palpate.parts import Cache
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.pipeline.model.supports import (
     MovingSupport,

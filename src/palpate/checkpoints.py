@@ -41,7 +41,7 @@ Cache = Path | Memory
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class Checkpoints:
     """Store for the finished parts of one computation.
 
     Parameters
