@@ -103,7 +103,7 @@ def main() -> None:
         for finite_strain in (False, True):
             start = time.perf_counter()
             weight = np.array([0.0, 0.0, -GRAVITY]) if sags else None
-            of = replace(session, probings=tuple(probings), gravity_at_rest=weight)
+            of = replace(session, probings=tuple(probings), gravity=weight, gravity_at_rest=True)
             found = fit_session(of, finite_strain=finite_strain).estimate
             young = found.young_modulus
             print(

@@ -1,4 +1,4 @@
-"""Exports of a body that creeps: the numbers in the files of Abaqus and FEBio, replayed."""
+"""Exports of a body that creeps: the numbers in the files of Abaqus, FEBio and SOFA, replayed."""
 
 import importlib
 import json
@@ -8,9 +8,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from estimate_relaxation import TRUTH, sample_relaxation
+from estimate_relaxation import TRUTH, constant, sample_relaxation
 from exported_result import written_result
 
+from palpate.records import RelaxationTerm
 from palpate.simulation.export import export_fit, read_fit
 
 RISE, END, STEPS = 2.0, 100.0, 20000
@@ -77,6 +78,85 @@ def test_febio_gets_the_same_with_the_modulus_of_the_long_term(source, tmp_path)
     assert facts["long_term"] == pytest.approx(float(material.find("elastic/E").text), rel=1e-8)
     assert [time for _, time in facts["terms"]] == pytest.approx([read["t1"], read["t2"]])
     assert any(re.search("creeps: its modulus was written as at 12 s", note) for note in body.notes)
+
+
+def moved_by_sofa(scene, force, count):
+    """Strain (count, 3, 3) of one element under a given stress at every step of a scene, as the
+    solver and branches of SOFA move it at small strain: a branch takes an implicit step whenever
+    its force is asked for, once a step, and counts as its spring in the stiffness."""
+    spring = scene.find(".//TetrahedronFEMForceField").attrib
+    young, ratio = float(spring["youngModulus"]), float(spring["poissonRatio"])
+    mu, lame = young / (2 * (1 + ratio)), young * ratio / ((1 + ratio) * (1 - 2 * ratio))
+    branches = scene.findall(".//TetrahedronViscoelasticityFEMForceField")
+    rows = [[float(x) for x in each.attrib["ParameterSet"].split()] for each in branches]
+    assert all(each.attrib["materialName"] == "MaxwellFirstOrder" for each in branches)
+    assert scene.find(".//EulerImplicitSolver").attrib["firstOrder"] == "true"
+    step, one, strain, moved = float(scene.attrib["dt"]), np.eye(3), np.zeros((3, 3)), []
+    slid = [np.zeros((3, 3)) for _ in rows]
+    stiff, bulk = mu + sum(row[0] for row in rows), lame + sum(row[2] for row in rows)
+    for k in range(1, count + 1):
+        stress = 2 * mu * strain + lame * np.trace(strain) * one
+        for i, (shear, time, own) in enumerate(rows):
+            slid[i] = (time / step * slid[i] + strain) / (1 + time / step)
+            stress = stress + 2 * shear * (strain - slid[i]) + own * np.trace(strain) * one
+        rest = force(k * step) - stress
+        pressure = np.trace(rest) / (2 * stiff + 3 * bulk)
+        strain = strain + (rest - bulk * pressure * one) / (2 * stiff)
+        moved.append(strain)
+    return step * np.arange(1, count + 1), np.array(moved)
+
+
+@pytest.mark.parametrize("terms", [1, 2, 3])
+def test_sofa_creeps_as_measured(source, tmp_path, terms):
+    """Of one to three terms, under shear."""
+    shares, times = np.array([0.25, 0.2, 0.15])[:terms], np.array([2.0, 20.0, 60.0])[:terms]
+    relaxation = source.estimate.relaxation
+    own = tuple(RelaxationTerm(constant(t), g) for t, g in zip(times, shares, strict=True))
+    relaxation = replace(relaxation, terms=own)
+    export_fit(
+        tmp_path, replace(source, estimate=replace(source.estimate, relaxation=relaxation)), "sofa"
+    )
+    root = ElementTree.parse(tmp_path / "viscoelastic.scn").getroot()
+    shear = np.zeros((3, 3))
+    shear[0, 1] = shear[1, 0] = 2.0 * relaxation.unrelaxed
+    time, moved = moved_by_sofa(root, lambda t: min(t / RISE, 1.0) * shear, 3000)
+    exact = replayed(1.0, shares, times)
+    found = np.interp(np.linspace(0.0, END, STEPS + 1)[1:], time, moved[:, 0, 1])
+    seen = slice(STEPS // 50, round(time[-1] / END * STEPS))
+    # The plugin's step is of first order, and of a hundredth of the shortest time.
+    np.testing.assert_allclose(found[seen], exact[seen], rtol=0.02)
+
+
+def test_the_body_of_sofa_is_the_written_one_at_its_age(source, tmp_path):
+    """Poisson's ratio, once the shear modulus is the written one; its ends are in the notes."""
+    body = export_fit(tmp_path, source, "sofa")
+    root = ElementTree.parse(tmp_path / "viscoelastic.scn").getroot()
+    material, relaxation = body.material, source.estimate.relaxation
+    spring = root.find(".//TetrahedronFEMForceField").attrib
+    young, ratio = float(spring["youngModulus"]), float(spring["poissonRatio"])
+    lame = young * ratio / ((1 + ratio) * (1 - 2 * ratio))
+    written = material.poisson_ratio
+    assert 0.5 * lame / (lame + material.shear_modulus) == pytest.approx(written, rel=1e-7)
+    long_term = relaxation.unrelaxed * (1.0 - sum(each.share for each in relaxation.terms))
+    assert 0.5 * young / (1 + ratio) == pytest.approx(long_term, rel=1e-7)
+    at_once = 0.5 * lame / (lame + relaxation.unrelaxed)
+    said = f"Poisson's ratio is {at_once:.3f} at once and {ratio:.3f} in the long term"
+    assert any(said in note for note in body.notes)
+
+
+def test_few_nodes_of_sofa_make_all_of_it_softer(source, tmp_path):
+    body = export_fit(tmp_path, source, "sofa", nodes=300)
+    root = ElementTree.parse(tmp_path / "viscoelastic.scn").getroot()
+    rows = [
+        each.attrib["ParameterSet"].split()
+        for each in root.iter("TetrahedronViscoelasticityFEMForceField")
+    ]
+    relaxation = source.estimate.relaxation
+    softer = body.material.shear_modulus / source.estimate.shear_modulus.value
+    assert softer < 1.0
+    for (shear, time, bulk), each in zip(rows, relaxation.terms, strict=True):
+        assert float(shear) == pytest.approx(softer * each.share * relaxation.unrelaxed, rel=1e-7)
+        assert (float(time), float(bulk)) == (pytest.approx(each.time.value), 0.0)
 
 
 def test_an_elastic_body_has_no_such_files(source, tmp_path):

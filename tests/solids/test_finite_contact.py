@@ -1,4 +1,4 @@
-"""Tips at finite strain: a closed form, balance of forces, no entering."""
+"""Tips at finite strain: closed forms, balance of forces, no entering, bodies with weight."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,17 @@ from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import quadratic_shapes
 from palpate.records import FlatFace, Sphere
 from palpate.solids.contact import facet_samples
-from palpate.solids.finite_contact import press_finite, press_slopes
-from palpate.solids.finite_elements import Body, make_body, quadratic_basis
-from palpate.solids.finite_strain import NeoHookean, internal_forces, yeoh
+from palpate.solids.finite_contact import Sag, press_finite, press_slopes
+from palpate.solids.finite_elements import Body, make_body, nodal_volumes, quadratic_basis
+from palpate.solids.finite_strain import (
+    Law,
+    LawOf,
+    NeoHookean,
+    internal_forces,
+    load_slopes,
+    solve_finite,
+    yeoh,
+)
 from palpate.solids.tetrahedra import make_solid
 from palpate.solids.tips import Tip
 
@@ -136,3 +144,82 @@ def test_slopes_are_those_of_the_presses(tip: Tip) -> None:
         # under the rim of the face, 3 %.
         part = 0.1 if isinstance(tip.tool, Sphere) else 0.05
         assert np.linalg.norm(column - expected) < part * np.linalg.norm(expected), by
+
+
+def _sag(body: Body, pull: np.ndarray, law: LawOf = NeoHookean) -> Sag:
+    """Under a weight per volume, (3,) [N/m^3]; its slopes are those of a material that stiffens
+    by 2."""
+    weight = np.outer(nodal_volumes(body.solid), pull)
+    moved, (mu, lame) = solve_finite(body, weight, law=law), body.lame
+    others = [law(mu, lame + mu), yeoh(3.0)(mu, lame)]
+    return Sag(weight, moved, load_slopes(body, weight, moved, law=law(mu, lame), others=others))
+
+
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_a_plate_on_a_block_that_sags_is_the_closed_form(direction: float) -> None:
+    """Without Poisson's ratio the stretch at a height z is that of what presses there, the force
+    and the weight above: P = mu (stretch - 1 / stretch); on a block that stands or hangs."""
+    body, plate, pull = _block(0.0), Tip(FlatFace(2 * SIDE), TOP, DOWN), 0.1 * SHEAR / SIDE
+    force = 0.1 * SIDE**2 * SHEAR
+    found = press_finite(body, plate, force, sag=_sag(body, np.array([0.0, 0.0, direction * pull])))
+    height = body.solid.nodes[:, 2]
+    z = np.linspace(0.0, SIDE, 2001)
+    pressure = force / SIDE**2 - direction * pull * (SIDE - z)
+    stretch = np.sqrt(1.0 + (0.5 * pressure / SHEAR) ** 2) - 0.5 * pressure / SHEAR
+    moved = np.append(0.0, np.cumsum(0.5 * (stretch[1:] + stretch[:-1] - 2.0) * np.diff(z)))
+    # Quadratic elements of a third of the side: of what the weight adds, which is 5 % of the side
+    # and nearly a parabola, little is left.
+    expected = np.interp(height, z, moved)
+    np.testing.assert_allclose(found.displacement[:, 2], expected, atol=2e-5 * SIDE)
+    assert np.abs(found.displacement[:, :2]).max() < 2e-5 * SIDE
+
+
+@pytest.mark.parametrize("tool", [Sphere(6e-3), FlatFace(4e-3)])
+def test_no_weight_is_no_change(tool: Sphere | FlatFace) -> None:
+    body, tip = _block(0.3), Tip(tool, TOP, DOWN)
+    found, light = (
+        press_finite(body, tip, 0.3, sag=sag) for sag in (None, _sag(body, np.zeros(3)))
+    )
+    np.testing.assert_array_equal(found.displacement, light.displacement)
+    assert found.travel == light.travel
+
+
+def test_little_weight_is_superposed() -> None:
+    """Of weight and push at small strain what is left is of second order. A flat face would level a
+    skin that weight has turned, however lightly it is pressed."""
+    body, ball, force = _block(0.3), Tip(Sphere(6e-3), TOP, DOWN), 1e-3
+    alone, sag = press_finite(body, ball, force), _sag(body, np.array([50.0, 0.0, -100.0]))
+    found = press_finite(body, ball, force, sag=sag)
+    left = found.displacement - alone.displacement - sag.displacement
+    # The push's strain is about a thousandth, the ball's depth over the size of an element.
+    assert np.abs(left).max() < 2e-3 * np.abs(sag.displacement).max()
+
+
+# As heavy as what presses, towards a side: the skin under the tool moves by a tenth of its radius.
+WEIGHT = np.array([6e4, 0.0, -6e4])
+
+
+@pytest.mark.parametrize("tip", [Tip(Sphere(6e-3), TOP, DOWN), Tip(FlatFace(4e-3), TOP, DOWN)])
+def test_slopes_with_weight_are_those_of_the_presses(tip: Tip) -> None:
+    """By the logarithm of force and weight, Lame's lambda and the stiffening."""
+    body, law = _block(0.3), yeoh(2.0)
+    mu, lame = body.lame
+    sag = _sag(body, WEIGHT, law)
+    press = press_finite(body, tip, 0.8, law=law, sag=sag)
+    others = [law(mu, lame + mu), yeoh(3.0)(mu, lame)]
+    found = press_slopes(body, tip, 0.8, press, law=law(mu, lame), others=others, sag=sag)
+
+    def pressed(share: float, more: float, stiffer: float) -> np.ndarray:
+        def other(mu: float, lame: float) -> Law:
+            return yeoh(2.0 + stiffer)(mu, lame + more * mu)
+
+        scale = np.exp(share)
+        own = _sag(body, scale * WEIGHT, other)
+        return press_finite(body, tip, 0.8 * scale, law=other, start=press, sag=own).displacement
+
+    step = 2e-3
+    for column, change in zip(found.T, step * np.eye(3), strict=True):
+        expected = (pressed(*change) - pressed(*-change)).ravel() / (2 * step)
+        # The tangent leaves out how normals turn under the ball, how skin is drawn in under the rim
+        # of the face, and that its rim goes aside with the weight.
+        assert np.linalg.norm(column - expected) < 0.15 * np.linalg.norm(expected)

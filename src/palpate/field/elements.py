@@ -51,7 +51,7 @@ def no_field_reason(session: Session) -> str:
     still = len(supports) == 1 or all(support.motion == FIXED for support in supports)
     rigid = all(each.stiffness is None and each.directions is None for each in supports)
     pulled = any(probing.contact.profile == RIGID for probing in session.probings)
-    loaded = session.gravity is not None or any(each.loads for each in session.probings)
+    loaded = session.added_gravity is not None or any(each.loads for each in session.probings)
     if still and rigid and not pulled and not loaded:
         return ""
     return (

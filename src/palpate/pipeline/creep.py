@@ -129,7 +129,7 @@ def _unusable(session: Session, probing: Probing, series: Series) -> str:
             f"the force is held for {series.hold:.3g} s after it rose for {series.rise:.3g} s; hold"
             f" it {_LEAST_HOLD:g} times as long at least, better ten times"
         )
-    if probing.loads or session.gravity is not None or probing.support_motion is not None:
+    if probing.loads or session.added_gravity is not None or probing.support_motion is not None:
         return "other loads, or supports that move, do not follow its force"
     return ""
 

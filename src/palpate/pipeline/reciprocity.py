@@ -271,7 +271,7 @@ def _unknowns(
     count = len(works.probings)
     for k in range(count):
         row = np.eye(count)[k][:, None]
-        if session.gravity is not None:
+        if session.added_gravity is not None:
             yield row * np.ones((count, count))
         for support in moving:
             if support.motion == FREE:
@@ -425,7 +425,7 @@ def _own_work(
     rows = np.flatnonzero(np.diag(both) & (works.owner.sum(axis=1) == 1))
     while rows.size and not (whole := both[np.ix_(rows, rows)]).all():
         rows = np.delete(rows, whole.sum(axis=1).argmin())
-    if not rows.size or session.gravity is not None or moving_supports(session):
+    if not rows.size or session.added_gravity is not None or moving_supports(session):
         return np.nan, np.nan, ()
     whole = np.ix_(rows, rows)
     matrix = works.of(works.force, mean)[whole]

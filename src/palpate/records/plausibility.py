@@ -112,7 +112,7 @@ def plausibility_notes(session: Session) -> tuple[str, ...]:
     if not _SMALLEST_OBJECT <= size <= _LARGEST_OBJECT:
         notes.append(f"The object is {size:.3g} m across, an implausible size: {UNIT_HINT}.")
     notes += _support_notes(session)
-    gravity = session.gravity if session.gravity is not None else session.gravity_at_rest
+    gravity = session.gravity
     if gravity is not None and abs(np.linalg.norm(gravity) / _EARTH_GRAVITY - 1.0) > 0.01:
         notes.append(
             f"Gravity is {np.linalg.norm(gravity):.3g} m/s^2; the earth's is {_EARTH_GRAVITY}."

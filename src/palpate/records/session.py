@@ -74,7 +74,7 @@ class Session:
                                     it is ignored and may be empty
     probings : tuple of Probing     at least one, names distinct; empty if there are steps
     density : float [kg/m^3] or None
-    gravity : (3,) float [m/s^2] or None    only if it acts in the loaded state alone
+    gravity : (3,) float [m/s^2] or None
     rig : Path or None              the camera file, if there are pictures
     notes : tuple of str            what was repaired, converted or looks implausible, in sentences
     steps : tuple of Step           of a rigid-motion sequence, in order of time, at least two,
@@ -87,9 +87,8 @@ class Session:
                                     triangles meet at more than 40 degrees; False: the object has
                                     exactly the flat facets of the mesh
     regions : tuple of Region       parts with a modulus of their own; by default none
-    gravity_at_rest : (3,) float [m/s^2] or None    gravity that acts before the push, too, on an
-                                    object whose mesh is its shape without weight; it counts at
-                                    finite strain alone
+    gravity_at_rest : bool          True: gravity acts before the push, too, on an object whose mesh
+                                    is its shape without weight; it counts at finite strain alone
 
     Raises
     ------
@@ -115,7 +114,7 @@ class Session:
     errors: ErrorPriors = field(default_factory=ErrorPriors)
     smooth: bool = True
     regions: tuple[Region, ...] = ()
-    gravity_at_rest: Vector3 | None = None
+    gravity_at_rest: bool = False
 
     def __post_init__(self) -> None:
         fix_fields(self, integer=True, held_triangles=(None,))
@@ -128,8 +127,13 @@ class Session:
         if not self.supports and len(held):
             object.__setattr__(self, "supports", (Support(held),))
         _check_supports(self.mesh, self.supports, self.probings)
-        fix_fields(self, none_allowed=True, gravity=(3,), gravity_at_rest=(3,))
+        fix_fields(self, none_allowed=True, gravity=(3,))
         _check_gravity(self)
+
+    @property
+    def added_gravity(self) -> Vector3 | None:
+        """Gravity that begins to act with the push, a load of every model [m/s^2]."""
+        return None if self.gravity_at_rest else self.gravity
 
     def __repr__(self) -> str:
         names = [item.name for item in self.probings] or [item.name for item in self.steps]
@@ -220,8 +224,6 @@ def _check_contents(session: Session) -> None:
 def _check_gravity(session: Session) -> None:
     """Refuse a density or a gravity that nothing has, and gravity where its share is not known."""
     density, gravity = session.density, session.gravity
-    if gravity is None:
-        gravity = session.gravity_at_rest
     if density is not None and not 0.0 < density <= _LARGEST_DENSITY:
         raise InputError(
             f"density is {density}; must be positive and at most {_LARGEST_DENSITY:g} kg/m^3, the"
@@ -240,7 +242,7 @@ def _check_gravity(session: Session) -> None:
             f" {_LARGEST_GRAVITY:g} is taken: is it in mm/s^2?"
         )
     pulled = [probing.name for probing in session.probings if probing.contact.profile == RIGID]
-    if pulled and session.gravity is not None:
+    if pulled and session.added_gravity is not None:
         raise InputError(
             f"probing '{pulled[0]}' has its force on a support, and there is gravity: its share of"
             " the weight is not known; measure the rest state under gravity too, and leave"

@@ -44,7 +44,7 @@ from palpate.simulation.estimated_object import (
     make_solid_model,
     matched_to_push,
 )
-from palpate.simulation.laws import prony
+from palpate.simulation.laws import prony, sofa_branches
 from palpate.simulation.solid_formats import CALCULIX, FEBIO, MUJOCO, SOFA, VTU
 from palpate.simulation.surface_formats import GENESIS, ISAACLAB, NPZ, OBJ, OPENUSD
 
@@ -265,7 +265,7 @@ def export_fit(
             f"the object is not the same everywhere, but {form.title} takes one modulus: that of"
             " the table was written, so its push ends elsewhere"
         )
-    timed = _creep_advice(source.estimate)
+    timed = _creep_advice(form, body)
     law = _law_advice(form, source.estimate)
     advice = (_status_advice(source.estimate), law, timed, changed, uneven)
     notes = [note for note in advice if note]
@@ -323,15 +323,28 @@ def _status_advice(estimate: Estimate) -> str:
     return estimate.status.advice
 
 
-def _creep_advice(estimate: Estimate) -> str:
+def _creep_advice(form: Format, body: EstimatedObject) -> str:
     """What one modulus means of a body that creeps; empty of another one."""
-    found = estimate.relaxation
+    found = body.estimate.relaxation
     if found is None or not found.terms:
         return ""
-    return (
+    advice = (
         f"the object creeps: its modulus was written as at {found.age:.3g} s after contact;"
         " palpate.json has the Prony series (`relaxation`), viscoelastic.inp and viscoelastic.xml"
-        " have it as materials of Abaqus and FEBio, where these are written"
+        " have it as materials of Abaqus and FEBio, viscoelastic.scn as one of SOFA, where these"
+        " are written"
+    )
+    if form is not SOFA or (branches := sofa_branches(body)) is None:
+        return advice
+    if body.modulus is not None:
+        return f"{advice}; SOFA's takes one modulus for all tetrahedra, so there is none"
+    lame, shear, terms = branches
+    at_once = shear + sum(each for each, _ in terms)
+    ratios = (0.5 * lame / (lame + each) for each in (at_once, shear))
+    first, last = (f"{each:.3f}" for each in ratios)
+    return (
+        f"{advice}. The bulk of SOFA's branches does not relax as the object's does: Poisson's"
+        f" ratio is {first} at once and {last} in the long term"
     )
 
 

@@ -1,10 +1,12 @@
-"""Laws of the estimated material as CalculiX, Abaqus and FEBio have them: elastic, stiffening,
-creeping.
+"""Laws of the estimated material as CalculiX, Abaqus, FEBio and SOFA have them: elastic,
+stiffening, creeping.
 
 Source
 ------
 CalculiX and Abaqus: *HYPERELASTIC, YEOH takes C1, C2, C3 and the compliances D1, D2, D3 of
 (J - 1)^2, ^4, ^6. FEBio User Manual 4, "Yeoh": c1, c2 and the bulk modulus k of the logarithm of J.
+SofaViscoElastic for SOFA 25.12, MaxwellFirstOrder: a strain E gives a stress 2 G (E - V) + lambda
+tr E 1 with tau dV/dt = E - V; its tangent has 2 G.
 """
 
 from pathlib import Path
@@ -128,6 +130,35 @@ def write_febio_prony(folder: Path, model: SolidModel) -> None:
             "  </material>",
         ]
     write_text(folder / "viscoelastic.xml", "\n".join([*lines, "</Material>", ""]))
+
+
+def sofa_branches(
+    body: EstimatedObject,
+) -> tuple[float, float, list[tuple[float, float]]] | None:
+    """A spring and branches of Maxwell beside it, which relax as the body does; None of one that is
+    elastic.
+
+    Branches have no bulk of their own: Lame's first constant stays that of the written constants,
+    and Poisson's ratio rises as the shear modulus relaxes.
+
+    Parameters
+    ----------
+    body : EstimatedObject
+
+    Returns
+    -------
+    float, float                    Lame's first constant and the spring's shear modulus [Pa]
+    list of (float, float)          shear modulus [Pa] and relaxation time [s] of every branch
+    """
+    series, written = prony(body), body.material
+    if series is None:
+        return None
+    # Of few nodes the written constants are those of a softer body.
+    unit = written.shear_modulus / body.estimate.shear_modulus.value
+    unit *= 0.5 / (1.0 + written.poisson_ratio)
+    lame = 2.0 * written.shear_modulus * written.poisson_ratio / (1.0 - 2.0 * written.poisson_ratio)
+    branches = [(unit * series["at_once"] * share, time) for share, time in series["terms"]]
+    return lame, unit * series["long_term"], branches
 
 
 def febio_material(body: EstimatedObject, number: int, young_modulus: float) -> str:

@@ -2,14 +2,16 @@
 
 CalculiX, FEBio and VTU, the files of ParaView and meshio, take ten-node tetrahedra with the held
 nodes and the push as nodal forces; SOFA corotational linear tetrahedra with the push as a constant
-force; MuJoCo a flex of linear tetrahedra for every modulus, with a program that repeats the push.
+force, and for a body that creeps branches of Maxwell by its plugin SofaViscoElastic beside them;
+MuJoCo a flex of linear tetrahedra for every modulus, with a program that repeats the push.
 
 Source
 ------
 FEBio User Manual 4, "Free format input" (help.febio.org). VTK file formats, "XML File Formats",
 https://docs.vtk.org; a quadratic tetrahedron is cell type 24. SOFA's documentation of StaticSolver,
 TetrahedronFEMForceField, FixedProjectiveConstraint and ConstantForceField
-(sofa-framework.github.io).
+(sofa-framework.github.io). Sources and creep test of github.com/SofaDefrost/SofaViscoElastic: a
+branch takes a step whenever its force is asked for, so the solver must ask once a step.
 """
 
 from collections.abc import Iterable
@@ -24,6 +26,7 @@ from palpate.simulation.estimated_object import Format, SolidModel
 from palpate.simulation.laws import (
     abaqus_law,
     febio_material,
+    sofa_branches,
     write_abaqus_prony,
     write_febio_prony,
 )
@@ -50,28 +53,40 @@ _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 _QUADRATIC_TETRAHEDRON = 24
 _PLUGINS = (
     "Constraint.Projective", "LinearSolver.Direct", "Mass", "MechanicalLoad", "ODESolver.Backward",
-    "SolidMechanics.FEM.Elastic", "StateContainer", "Topology.Container.Constant", "Visual",
+    "SolidMechanics.FEM.Elastic", "StateContainer", "Topology.Container.Constant",
+    "Topology.Container.Dynamic", "Visual",
 )  # fmt: skip
 _SCENE = """<?xml version="1.0"?>
 <!-- SI units; made by Palpate, see README.txt -->
-<Node name="root" gravity="0 0 0" dt="0.01">
+<Node name="root" gravity="0 0 0" dt="{step:.6g}">
 {plugins}
   <VisualStyle displayFlags="showBehaviorModels showForceFields"/>
   <DefaultAnimationLoop/>
   <Node name="body">
-    <NewtonRaphsonSolver name="newton" maxNbIterationsNewton="100" maxNbIterationsLineSearch="1"
-                         warnWhenLineSearchFails="false"/>
-    <StaticSolver newtonSolver="@newton"/>
+{solver}
     <EigenSimplicialLDLT template="CompressedRowSparseMatrixMat3x3"/>
-    <MeshTopology name="mesh" position="{position}" tetrahedra="{tetrahedra}"/>
+    <{container} name="mesh" position="{position}" tetrahedra="{tetrahedra}"/>
     <MechanicalObject name="state" template="Vec3d" src="@mesh"/>
     <UniformMass totalMass="{mass:.9g}"/>
     <TetrahedronFEMForceField template="Vec3d" method="large" youngModulus="{young}"
                               poissonRatio="{poisson:.9g}"/>
-    <FixedProjectiveConstraint indices="{held}"/>
+{branches}    <FixedProjectiveConstraint indices="{held}"/>
 {push}  </Node>
 </Node>
 """
+_AT_REST = """\
+    <NewtonRaphsonSolver name="newton" maxNbIterationsNewton="100" maxNbIterationsLineSearch="1"
+                         warnWhenLineSearchFails="false"/>
+    <StaticSolver newtonSolver="@newton"/>"""
+_OVER_TIME = """\
+    <RequiredPlugin name="SofaViscoElastic"/>
+    <EulerImplicitSolver firstOrder="true" rayleighMass="0" rayleighStiffness="0"/>"""
+_BRANCH = """    <TetrahedronViscoelasticityFEMForceField name="branch{number}" template="Vec3d"
+      topology="@mesh" materialName="MaxwellFirstOrder" ParameterSet="{shear:.9g} {time:.9g} 0"/>
+"""
+# A step of the branches in shares of the shortest relaxation time, as SofaViscoElastic advises. To
+# a solver of first order mass is a resistance to motion: so small a share of it is none.
+_STEP, _LITTLE_MASS = 0.01, 1e-6
 _MODEL = """<mujoco model="{name}">
   <!-- SI units; made by Palpate, see README.txt -->
   <option timestep="0.01" gravity="0 0 0" integrator="discrete"/>
@@ -377,7 +392,7 @@ VTU = Format(
 
 
 def write_sofa(folder: Path, model: SolidModel) -> None:
-    """Write model.scn and replay.json.
+    """Write model.scn and replay.json; for a body that creeps viscoelastic.scn.
 
     Parameters
     ----------
@@ -395,18 +410,32 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
         forces = _number_text(model.linear_load[loaded])
         push = f'    <ConstantForceField indices="{_number_text(loaded)}" forces="{forces}"/>\n'
     plugins = "\n".join(f'  <RequiredPlugin name="Sofa.Component.{name}"/>' for name in _PLUGINS)
+    scene = {
+        "plugins": plugins,
+        "position": _number_text(model.nodes),
+        "tetrahedra": _number_text(model.linear),
+        "held": _number_text(np.flatnonzero(model.held)),
+        "push": push,
+    }
+    mass, found = enclosed_volume(body.session.mesh) * body.density, sofa_branches(body)
     text = _SCENE.format(
-        plugins=plugins,
-        position=_number_text(model.nodes),
-        tetrahedra=_number_text(model.linear),
-        mass=enclosed_volume(body.session.mesh) * body.density,
-        young=_number_text(young_moduli(model)),
-        poisson=body.material.poisson_ratio,
-        held=_number_text(np.flatnonzero(model.held)),
-        push=push,
-    )
+        **scene, step=0.01, solver=_AT_REST, container="MeshTopology", mass=mass,
+        young=_number_text(young_moduli(model)), poisson=body.material.poisson_ratio, branches="",
+    )  # fmt: skip
     write_text(folder / "model.scn", text)
     write_replay(folder, model, model.linear_load)
+    # A branch has one modulus for all tetrahedra.
+    if found is None or body.modulus is not None:
+        return
+    lame, shear, branches = found
+    rows = [_BRANCH.format(number=k, shear=g, time=t) for k, (g, t) in enumerate(branches, start=1)]
+    text = _SCENE.format(
+        **scene, step=_STEP * min(time for _, time in branches), solver=_OVER_TIME,
+        container="TetrahedronSetTopologyContainer", mass=_LITTLE_MASS * mass,
+        young=f"{shear * (3.0 * lame + 2.0 * shear) / (lame + shear):.9g}",
+        poisson=0.5 * lame / (lame + shear), branches="".join(rows),
+    )  # fmt: skip
+    write_text(folder / "viscoelastic.scn", text)
 
 
 def young_moduli(model: SolidModel) -> Float[np.ndarray, " _"]:
@@ -427,7 +456,9 @@ SOFA = Format(
     "SOFA",
     (0.0, 0.495),
     "runSofa model.scn: the object comes to rest under the push; replay.json has the nodes around"
-    " its point and their shares. Not tried in SOFA itself.",
+    " its point and their shares. runSofa viscoelastic.scn, of an object that creeps: how it moves"
+    " under the push as time passes; needs the plugin SofaViscoElastic of SOFA 25.12, earlier"
+    " versions of which read its numbers differently. Not tried in SOFA itself.",
     of_solid=write_sofa,
     is_linear=True,
     by_element=True,

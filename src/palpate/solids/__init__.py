@@ -14,6 +14,7 @@ from palpate.solids.contact import (
 )
 from palpate.solids.finite_contact import (
     FinitePress as FinitePress,
+    Sag as Sag,
     press_finite as press_finite,
     press_slopes as press_slopes,
 )

@@ -18,7 +18,7 @@ from palpate.errors import InputError, NotConvergedError
 from palpate.geometry import quadratic_shapes
 from palpate.shapes import Points, PointScalars
 from palpate.solids.contact import facet_samples, touch
-from palpate.solids.finite_elements import Body, quadratic_basis, solve_free
+from palpate.solids.finite_elements import Body, quadratic_basis, solve_free, surface_values
 from palpate.solids.finite_strain import (
     Law,
     LawOf,
@@ -49,13 +49,30 @@ _FORCE_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Sag:
+    """A body under its weight alone.
+
+    Attributes
+    ----------
+    weight : (n, 3) float [N]       on the nodes
+    displacement : (n, 3) float [m] at finite strain
+    slopes : (3 n, k) float [m]     of that, as `load_slopes`
+    """
+
+    weight: Float[np.ndarray, "n 3"]
+    displacement: Float[np.ndarray, "n 3"]
+    slopes: Steps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FinitePress:
     """Equilibrium of a body at finite strain with a tip pressed into it.
 
     Attributes
     ----------
     displacement : (n, 3) float [m] nodal displacements
-    travel : float [m]              of the tip along its axis, from `Tip.point`
+    travel : float [m]              of the tip along its axis, from `Tip.point`, or from where the
+                                    body's weight takes that point of its surface
     """
 
     displacement: Float[np.ndarray, "n 3"]
@@ -69,6 +86,7 @@ def press_finite(
     *,
     law: LawOf = NeoHookean,
     start: FinitePress | None = None,
+    sag: Sag | None = None,
 ) -> FinitePress:
     """Press a frictionless tip into a body at finite strain to a given force.
 
@@ -79,10 +97,12 @@ def press_finite(
     force : float [N]               along the tip's motion, > 0
     law : function                  Lame's constants mu and lambda [Pa] -> `Law`
     start : FinitePress or None     initial guess, from a similar body and force; None: from rest
+    sag : Sag or None               the body under its weight, which acts before the tip and under
+                                    it: the axis goes where `Tip.point` went; None: without weight
 
     Returns
     -------
-    FinitePress
+    FinitePress                     displacements of weight and tip together
 
     Raises
     ------
@@ -98,26 +118,33 @@ def press_finite(
     """
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
-    potential = _make_potential(body, law(*body.lame), tip, force)
+    potential = _make_potential(body, law(*body.lame), tip, force, sag)
     found = None
     if start is not None:
         potential = potential.drawn_in(_joined(start))
         found = potential.equilibrium(_joined(start))
     if found is None:
-        found = potential.equilibrium_from_contact()
+        found = potential.equilibrium_from_contact(sag)
     found = potential.settled(found)
     return FinitePress(found[:-1].reshape(-1, 3), float(found[-1]))
 
 
 def press_slopes(
-    body: Body, tip: Tip, force: float, press: FinitePress, *, law: Law, others: Sequence[Law]
+    body: Body,
+    tip: Tip,
+    force: float,
+    press: FinitePress,
+    *,
+    law: Law,
+    others: Sequence[Law],
+    sag: Sag | None = None,
 ) -> Steps:
     """Derivatives of the displacement of `press_finite`, as `load_slopes` has those of
-    `solve_finite`.
+    `solve_finite`; the load is force and weight together.
 
     Parameters
     ----------
-    body, tip, force, law           of the equilibrium
+    body, tip, force, law, sag      of the equilibrium
     press : FinitePress
     others : sequence of k - 1 Law
 
@@ -130,9 +157,14 @@ def press_slopes(
     NotConvergedError               the equilibrium is not stable
     """
     at, forces = _joined(press), np.zeros((press.displacement.size + 1, 1 + len(others)))
-    potential = _make_potential(body, law, tip, force).drawn_in(at)
+    potential = _make_potential(body, law, tip, force, sag).drawn_in(at)
     forces[-1, 0] = force
     forces[:-1, 1:] = law_changes(law, others, potential.basis, press.displacement)
+    if sag is not None:
+        forces[:-1, 0] = sag.weight.ravel()
+        carried = surface_values(body.solid, tip.point[None])
+        axis = np.stack([carried @ each for each in sag.slopes.T.reshape(-1, len(sag.weight), 3)])
+        forces += potential.forces_by_shift(at, axis[:, 0].T)
     return slopes(potential, at, forces)[:-1]
 
 
@@ -145,6 +177,8 @@ class _ContactPotential:
     law: Law
     basis: Any
     tip: Tip
+    # Of the nodes [N].
+    weight: Float[np.ndarray, "nodes 3"]
     # Points of the surface that may touch the tip, each with a spring: their interpolation from the
     # nodes, positions at rest [m], the area they stand for [m^2], and which share of it is within
     # the tip's rim.
@@ -160,15 +194,17 @@ class _ContactPotential:
         return _SPRINGS * self.body.shear_modulus / self.tip.radius * self.area * self.within
 
     def value(self, at: Unknowns) -> float:
-        """Stored energy of body and springs minus the work of the force on the tip [J]."""
+        """Stored energy of body and springs minus the work of weight and force on the tip [J]."""
         stored = energy(self.law, self.basis, at[:-1].reshape(-1, 3))
+        stored -= float(self.weight.ravel() @ at[:-1])
         return stored + self.springs(at)[0] - self.force * float(at[-1])
 
     def forces(self, at: Unknowns) -> Unknowns:
-        """Residual: spring forces minus internal forces at the nodes; then the tip's force minus
-        the push of the springs [N]."""
+        """Residual: weight and spring forces minus internal forces at the nodes; then the tip's
+        force minus the push of the springs [N]."""
         _, force, push = self.springs(at)
-        missing = force - internal_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
+        missing = self.weight + force
+        missing -= internal_forces(self.law, self.basis, at[:-1].reshape(-1, 3))
         missing[self.body.held] = 0.0
         return np.append(missing, self.force - push)
 
@@ -206,6 +242,13 @@ class _ContactPotential:
             float(force_size @ (normal @ self.tip.direction)),
         )
 
+    def forces_by_shift(self, at: Unknowns, shift: Float[np.ndarray, "3 k"]) -> Steps:
+        """Residual forces per shift of the tip [N]."""
+        penetration, normal = self.penetration(at)
+        pressed = (self.stiffness * (penetration > 0.0))[:, None] * (normal @ shift)
+        nodal = _along_normals(self.at_points, normal).T @ pressed
+        return np.vstack([nodal, -(normal @ self.tip.direction) @ pressed])
+
     def penetration(self, at: Unknowns) -> tuple[PointScalars, Points]:
         """Penetration of the contact points [m], zero outside, and the tip's normals there."""
         positions = self.points + self.at_points @ at[:-1].reshape(-1, 3)
@@ -238,18 +281,19 @@ class _ContactPotential:
         """Equilibrium near an initial guess; None if it is not found."""
         return find_equilibrium(self, at, tolerance=_FORCE_TOLERANCE * self.force)
 
-    def equilibrium_from_contact(self) -> Unknowns:
+    def equilibrium_from_contact(self, sag: Sag | None) -> Unknowns:
         """Equilibrium, in load steps from first contact with the body at rest."""
-        touching = FinitePress(
-            np.zeros_like(self.body.solid.nodes), touch(self.body.solid, self.tip)
-        )
+        solid = self.body.solid
+        moved = np.zeros_like(solid.nodes) if sag is None else sag.displacement
+        resting = replace(solid, nodes=solid.nodes + moved)
+        touching = _joined(FinitePress(moved, touch(resting, self.tip)))
 
         def find(fraction: float, at: Unknowns) -> Unknowns | None:
             partial_load = replace(self, force=fraction * self.force)
-            guess = at if at[:-1].any() else partial_load.initial_guess(at)
+            guess = partial_load.initial_guess(at) if at is touching else at
             return None if guess is None else partial_load.equilibrium(guess)
 
-        found, done = find_in_increments(find, _joined(touching))
+        found, done = find_in_increments(find, touching)
         if done < 1.0:
             raise NotConvergedError(
                 f"no equilibrium beyond {100 * done:.1f} % of the force under the tool: the body"
@@ -285,7 +329,9 @@ def _along_normals(shape: csr_array, normal: Points) -> csr_array:
     return csr_array((value.ravel(), (row, column.ravel())), shape=size)
 
 
-def _make_potential(body: Body, law: Law, tip: Tip, force: float) -> _ContactPotential:
+def _make_potential(
+    body: Body, law: Law, tip: Tip, force: float, sag: Sag | None
+) -> _ContactPotential:
     """Potential with contact points on the outer faces near the tip."""
     solid = body.solid
     first = tip.point + touch(solid, tip) * tip.direction
@@ -300,10 +346,14 @@ def _make_potential(body: Body, law: Law, tip: Tip, force: float) -> _ContactPot
     value = np.tile(shape, (int(near.sum()), 1)).ravel()
     matrix = csr_array((value, (row, facets.ravel())), shape=(len(facets), len(solid.nodes)))
     area = np.repeat(0.5 * np.linalg.norm(side[near], axis=1) / count, count)
-    points = matrix @ solid.nodes
-    within = _within(tip, points, area)
+    points, now, weight = matrix @ solid.nodes, matrix @ solid.nodes, np.zeros_like(solid.nodes)
+    if sag is not None:
+        weight, now = sag.weight, points + matrix @ sag.displacement
+        carried = surface_values(solid, tip.point[None]) @ sag.displacement
+        tip = replace(tip, point=tip.point + carried[0])
+    within = _within(tip, now, area)
     return _ContactPotential(
-        body, law, quadratic_basis(solid), tip, matrix, points, area, within, force
+        body, law, quadratic_basis(solid), tip, weight, matrix, points, area, within, force
     )
 
 

@@ -34,6 +34,8 @@ Gradient = Float[np.ndarray, "3 3 m q"]
 Moduli = Float[np.ndarray, "3 3 3 3 m q"]
 _MAX_STEPS = 40
 _MAX_HALVINGS = 10
+# Share of a potential that rounding may be, at a strain of 2e-6.
+_HIDDEN = 1e-3
 # Smallest load increment, as a fraction of the load; increments that fail are halved.
 _MIN_INCREMENT = 1e-3
 Unknowns = Float[np.ndarray, " unknowns"]
@@ -528,14 +530,15 @@ def find_equilibrium(potential: Potential, at: Unknowns, *, tolerance: float) ->
     Source
     ------
     Nocedal and Wright, Numerical optimization (2nd ed. 2006), section 3.1: backtracking, here by
-    halving the step until the potential does not increase.
+    halving the step until the potential does not increase. Hager and Zhang, SIAM Journal on
+    Optimization 16 (2005) 170, section 2: slopes tell of it where rounding hides its change.
     """
     for _ in range(_MAX_STEPS):
         forces = potential.forces(at)
         if np.linalg.norm(forces) <= tolerance:
             return at
         step = potential.step(at, forces[:, None])
-        improved = None if step is None else _shortened(potential, at, step[:, 0])
+        improved = None if step is None else _shortened(potential, at, forces, step[:, 0])
         if improved is None:
             return None
         at = improved
@@ -568,12 +571,18 @@ def find_in_increments(
     return now, done
 
 
-def _shortened(potential: Potential, at: Unknowns, step: Unknowns) -> Unknowns | None:
-    """End of a step, halved until the potential does not rise (within rounding); None: fails."""
+def _shortened(
+    potential: Potential, at: Unknowns, forces: Unknowns, step: Unknowns
+) -> Unknowns | None:
+    """End of a step, halved until the potential does not rise; None: fails. A change that rounding
+    hides, as at strains of 1e-5, is told by the forces along the step."""
     before = potential.value(at)
     for _ in range(_MAX_HALVINGS):
-        after = potential.value(at + step)
+        end, after = at + step, potential.value(at + step)
         if after <= before + 1e-12 * abs(before):
-            return at + step
+            return end
+        near = after <= before + _HIDDEN * abs(before)
+        if near and (forces + potential.forces(end)) @ step >= 0.0:
+            return end
         step = 0.5 * step
     return None

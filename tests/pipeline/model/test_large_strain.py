@@ -98,7 +98,8 @@ def test_weight_at_rest_makes_a_column_that_stands_softer_and_one_that_hangs_sti
     (Rayleigh): the work of the axial force, which falls from the weight to 0, in the tilt."""
     changes = []
     for gravity in (-9.81, 9.81):
-        weighed = replace(column, gravity_at_rest=np.array([0.0, 0.0, gravity]))
+        down = np.array([0.0, 0.0, gravity])
+        weighed = replace(column, gravity=down, gravity_at_rest=True)
         body = make_finite_body(weighed, coarser=1.2)
         (found,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
         elastic = make_body(body.solid, body.held, shear_modulus=SHEAR, poisson_ratio=NU)
@@ -115,19 +116,41 @@ def test_weight_at_rest_makes_a_column_that_stands_softer_and_one_that_hangs_sti
     assert 0.5 * (stands - hangs) == pytest.approx(expected, rel=0.06)
 
 
-def test_weight_under_the_push_alone_is_a_load_of_it(column: Session) -> None:
-    weighed = make_finite_body(replace(column, gravity=np.array([0.0, 0.0, -9.81])), coarser=1.2)
-    force = np.array([-1e-6, 0.0, -50.0 * 9.81 * 0.012**2 * 0.1])
-    np.testing.assert_allclose(weighed.loads[0].sum(axis=0), force, rtol=1e-9)
-    assert not weighed.weight.any()
+def test_weight_under_the_push_alone_moves_what_is_seen() -> None:
+    """The sag is part of what a push moves, and of what the linear model says of it."""
+    session = replace(_session(0.5), density=1000.0, gravity=np.array([0.0, 5.0, -9.81]))
+    rests, alone = (
+        make_finite_body(replace(session, gravity_at_rest=rests), coarser=2.0)
+        for rests in (True, False)
+    )
+    at = MaterialConstants(SHEAR, NU)
+    before, both = (strain_corrections(body, at)[0].value for body in (rests, alone))
+    elastic = make_body(alone.solid, alone.held, shear_modulus=SHEAR, poisson_ratio=NU)
+    sag, linear = solve_finite(elastic, alone.weight), solve_load(elastic, alone.weight)
+    weight = 1000.0 * 0.04**3 * session.gravity
+    np.testing.assert_allclose(alone.weight.sum(axis=0), weight, atol=1e-12)
+    expected = before + alone.observed[0] @ (sag - linear)
+    # Newton leaves 1e-9 of loads that move the top by a millimetre.
+    np.testing.assert_allclose(both, expected, rtol=0.0, atol=1e-10)
 
 
-def test_a_tool_on_an_object_with_weight_is_refused(column: Session) -> None:
-    (probing,) = column.probings
-    touched = replace(probing, contact=Contact.under(Sphere(0.005), probing.contact.point))
-    with_tool = replace(column, probings=(touched,), gravity_at_rest=np.array([0.0, 0.0, -9.81]))
-    with pytest.raises(InputError, match="names a tool, and there is "):
-        make_finite_body(with_tool)
+def test_a_tool_on_an_object_that_sags() -> None:
+    """Where it sags little the correction is that of the push without weight: the sag itself, which
+    is a tenth of it, is no part."""
+    session = _session(0.5)
+    (probing,) = session.probings
+    touched = replace(probing, contact=Contact.under(Sphere(RADIUS), PLACE))
+    light = replace(session, probings=(touched,))
+    heavy = replace(light, density=1000.0, gravity=np.array([0.0, 0.1, -0.1]), gravity_at_rest=True)
+    without, found = (
+        strain_corrections(make_finite_body(each, coarser=2.0), MaterialConstants(SHEAR, NU))[0]
+        for each in (light, heavy)
+    )
+    # The weight strains it by a ten thousandth, and turns the skin by twice as much.
+    change = np.abs(found.value - without.value).max()
+    assert 0.0 < change < 3e-3 * np.abs(without.value).max()
+    for own, other in zip(found.slope, without.slope, strict=True):
+        assert np.linalg.norm(own - other) < 5e-3 * np.linalg.norm(other)
 
 
 def test_what_presses_alike_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -257,8 +257,8 @@ def test_far_side_of_a_thin_object_is_no_contact(session_folder):
 def test_gravity_at_rest_is_not_a_load_of_the_push(edited):
     edited("[[probe]]", "[gravity]\nacceleration = [0, 0, -9.81]\nat_rest = true\n[[probe]]")
     session = read_session(edited("n01", "n01"))
-    assert session.gravity is None
-    assert session.gravity_at_rest.tolist() == [0.0, 0.0, -9.81]
+    assert session.added_gravity is None
+    assert session.gravity.tolist() == [0.0, 0.0, -9.81]
     with pytest.raises(RecordError, match="at_rest: is 1; must be true or false"):
         read_session(edited("at_rest = true", "at_rest = 1"))
 

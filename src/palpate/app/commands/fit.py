@@ -78,7 +78,6 @@ from palpate.records import (
     write_text,
 )
 from palpate.report import write_for_paper, write_report, write_result_files
-from palpate.shapes import Vector3
 
 # Fractions of the work that are done when the fit and when the drawing begin.
 _FIT_BEGINS, _DRAWING_BEGINS = 0.5, 0.8
@@ -485,15 +484,11 @@ def _springs(session: Session) -> list[tuple[int, str]]:
 
 
 def _gravity(session: Session) -> str:
-    if session.gravity is not None:
-        return _acceleration(session.gravity)
-    if session.gravity_at_rest is None:
+    if session.gravity is None:
         return "not in the model"
-    return f"{_acceleration(session.gravity_at_rest)}, at rest too (counts with --strain finite)"
-
-
-def _acceleration(vector: Vector3) -> str:
-    return ", ".join(f"{component:g}" for component in vector) + " m/s^2"
+    text = ", ".join(f"{component:g}" for component in session.gravity) + " m/s^2"
+    when = ", at rest too (counts with --strain finite)" if session.gravity_at_rest else ""
+    return text + when
 
 
 def _probings_table(surveys: list[ProbingSurvey]) -> Table:

@@ -48,8 +48,9 @@ class FiniteBody:
     ----------
     solid : Solid
     held : (n,) bool                     nodes that are fixed
-    loads : tuple of (n, 3) float [N]    nodal forces of each probing, as in the linear model
-    weight : (n, 3) float [N]            nodal forces that act before and under each push
+    loads : tuple of (n, 3) float [N]    nodal forces of each push, as in the linear model
+    weight : (n, 3) float [N]            nodal forces of the weight under each push
+    at_rest : bool                       whether that acts before each push, too
     tips : tuple of Tip or None          of each probing, where its contact is solved for at finite
                                          strain; None: the load stays as it is
     same : tuple of int                  of each probing: the first one that presses as it does
@@ -61,6 +62,7 @@ class FiniteBody:
     held: Bool[np.ndarray, " n"]
     loads: tuple[Float[np.ndarray, "n 3"], ...]
     weight: Float[np.ndarray, "n 3"]
+    at_rest: bool
     tips: tuple[Tip | None, ...]
     same: tuple[int, ...]
     observed: tuple[csr_array, ...]
@@ -95,9 +97,6 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
         # A tool meets the surface as it is curved.
         session = halved_session(session)
     solid = make_solid(session.mesh, edge=edge, fine=fine)
-    only_loaded, at_rest = (
-        _weight(solid, session, each) for each in (session.gravity, session.gravity_at_rest)
-    )
     loads, keys, observed = [], [], []
     for probing in session.probings:
         share = pressure_load(
@@ -107,19 +106,20 @@ def make_finite_body(session: Session, *, coarser: float = 1.0) -> FiniteBody:
             probing.contact.pressure,
         )
         outward = outward_load(solid, probing.contact, probing.force)
-        loads.append(share[:, None] * probing.force + outward + only_loaded)
+        loads.append(share[:, None] * probing.force + outward)
         keys.append((loads[-1].tobytes(), probing.contact.tool, probing.contact.start.tobytes()))
         observed.append(surface_values(solid, _places(probing)))
     held = held_nodes(solid, session.held_triangles)
     same = tuple(map(keys.index, keys))
-    return FiniteBody(solid, held, tuple(loads), at_rest, tips, same, tuple(observed))
+    weight, at_rest = _weight(solid, session), session.gravity_at_rest
+    return FiniteBody(solid, held, tuple(loads), weight, at_rest, tips, same, tuple(observed))
 
 
-def _weight(solid: Solid, session: Session, gravity: Vector3 | None) -> Float[np.ndarray, "n 3"]:
+def _weight(solid: Solid, session: Session) -> Float[np.ndarray, "n 3"]:
     """Nodal forces of the weight [N]; zero without gravity."""
-    if gravity is None or session.density is None:
+    if session.gravity is None or session.density is None:
         return np.zeros_like(solid.nodes)
-    return np.outer(nodal_volumes(solid), session.density * gravity)
+    return np.outer(nodal_volumes(solid), session.density * session.gravity)
 
 
 def _fine_regions(
@@ -163,7 +163,7 @@ def require_finite_strain(session: Session) -> None:
     Raises
     ------
     InputError                      a support that moves or slides, a load on no round patch, or
-                                    without bound; a tool on an object with weight
+                                    without bound
     """
     for number, support in enumerate(session.supports, start=1):
         if support.motion != FIXED or support.directions is not None:
@@ -171,15 +171,8 @@ def require_finite_strain(session: Session) -> None:
                 f"finite strain: support {number} moves or slides; only supports that are fixed are"
                 " served: leave --strain finite out"
             )
-    weighs = session.gravity is not None or session.gravity_at_rest is not None
     for probing in session.probings:
         contact = probing.contact
-        if weighs and tip_of(probing) is not None:
-            raise InputError(
-                f"finite strain: probing '{probing.name}' names a tool, and there is [gravity]:"
-                " where a tool touches an object that sags is not computed; give the patch that it"
-                " touched (radius and profile), or leave [gravity] out"
-            )
         if contact.has_sharp_rim and tip_of(probing) is None:
             raise InputError(
                 f"finite strain: probing '{probing.name}' has the pressure of a flat face, which"

@@ -52,6 +52,7 @@ from palpate.solids import (
     Law,
     LawOf,
     NeoHookean,
+    Sag,
     SplitNeoHookean,
     dilation_slope,
     load_slopes,
@@ -234,13 +235,13 @@ def strain_corrections(
         shear_modulus=constants.shear_modulus,
         poisson_ratio=constants.poisson_ratio,
     )
-    rest = _sagged(body, elastic, constants, law) if body.weight.any() else None
+    sag = _sagged(body, elastic, constants, law) if body.weight.any() else None
     pressed: list[tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]] = []
     for k, same in enumerate(body.same):
         progress("finite strain", k / len(body.same))
         start = starts[k].press if starts else None
         pressed.append(
-            pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start, rest)
+            pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start, sag)
         )
     return tuple(
         Correction(constants, seen @ value, np.stack([seen @ each for each in slope]), press)
@@ -255,25 +256,25 @@ def _pressed(
     constants: MaterialConstants,
     plain: LawOf,
     start: FinitePress | None,
-    rest: tuple[Points, Float[np.ndarray, "f k"]] | None,
+    sag: Sag | None,
 ) -> tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]:
     """The solution of one probing at finite strain, and the correction of all nodes with its
-    slopes; `rest`: `_sagged`, where the object has weight at rest."""
+    slopes; the object may have weight."""
     load, tip = body.loads[index], body.tips[index]
     law, here, others = _laws(elastic, constants, plain)
-    linear = solve_load(elastic, load)
+    total = load + body.weight
+    linear = solve_load(elastic, load if body.at_rest else total)
     if tip is None:
-        before = start.displacement if start is not None else None if rest is None else rest[0]
-        total = load + body.weight
+        before = start.displacement if start is not None else sag.displacement if sag else None
         press = FinitePress(solve_finite(elastic, total, law=law, start=before), 0.0)
         moved = load_slopes(elastic, total, press.displacement, law=here, others=others)
     else:
         force = float(np.linalg.norm(load.sum(axis=0)))
-        press = press_finite(elastic, tip, force, law=law, start=start)
-        moved = press_slopes(elastic, tip, force, press, law=here, others=others)
+        press = press_finite(elastic, tip, force, law=law, start=start, sag=sag)
+        moved = press_slopes(elastic, tip, force, press, law=here, others=others, sag=sag)
     change = press.displacement
-    if rest is not None:
-        change, moved = change - rest[0], moved - rest[1]
+    if sag is not None and body.at_rest:
+        change, moved = change - sag.displacement, moved - sag.slopes
     by_load, by_lame, by_stiffening = moved.T.reshape(3, -1, 3)
     # Both depend on force over modulus alone; d lambda / d nu, in units of mu.
     per_ratio = 2.0 / (1.0 - 2.0 * constants.poisson_ratio) ** 2
@@ -283,13 +284,12 @@ def _pressed(
     return press, change - linear, slope
 
 
-def _sagged(
-    body: FiniteBody, elastic: Body, constants: MaterialConstants, plain: LawOf
-) -> tuple[Points, Float[np.ndarray, "f k"]]:
-    """Displacement of the nodes under the weight alone, and its slopes as `load_slopes`."""
+def _sagged(body: FiniteBody, elastic: Body, constants: MaterialConstants, plain: LawOf) -> Sag:
+    """The object under its weight alone."""
     law, here, others = _laws(elastic, constants, plain)
     moved = solve_finite(elastic, body.weight, law=law)
-    return moved, load_slopes(elastic, body.weight, moved, law=here, others=others)
+    slopes = load_slopes(elastic, body.weight, moved, law=here, others=others)
+    return Sag(body.weight, moved, slopes)
 
 
 def _laws(

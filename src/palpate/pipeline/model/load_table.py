@@ -232,8 +232,8 @@ def make_load_table(
     keys = [contact_key(probing.contact) for probing in session.probings]
     patch_of = np.array([order.index(key) if key in patches else -1 for key in keys])
     weight = None
-    if session.gravity is not None and session.density is not None:
-        weight = session.density * session.gravity
+    if session.added_gravity is not None and session.density is not None:
+        weight = session.density * session.added_gravity
     loads = [surface_load(patch) for patch in patches.values()]
     corrections = indentation_corrections(surface, loads)
     perturbations: tuple[ContactPerturbation, ...] = ()

@@ -323,11 +323,11 @@ def require_balance(session: Session, sliding: MovingSupport | None) -> None:
         forces = [(probing.contact.point, probing.force)]
         forces += [(load.contact.point, _total_force(session.mesh, load)) for load in probing.loads]
         check_balance(sliding, forces, f"probing '{probing.name}'")
-    if session.gravity is not None and session.density is not None:
+    if session.added_gravity is not None and session.density is not None:
         corner = session.mesh.vertices[session.mesh.triangles]
         share = np.einsum("ea,ea->e", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
         middle = share @ corner.sum(axis=1) / 4.0 / share.sum()
-        weight = session.density * share.sum() * session.gravity
+        weight = session.density * share.sum() * session.added_gravity
         check_balance(sliding, [(middle, weight)], "[gravity]")
 
 
