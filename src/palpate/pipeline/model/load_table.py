@@ -163,12 +163,14 @@ class LoadTable:
         (2, 3 n, c) float [m Pa]      displacement times shear modulus, constant and slope in
                                       Poisson's ratio
         """
-        missed = np.zeros((2, 3 * len(triangle), len(columns)))
+        missed, wanted = np.zeros((2, 3 * len(triangle), len(columns))), set(columns.tolist())
         for traction in self.tractions:
+            # Of many pushes, few tractions are in any columns.
+            if traction.dip is None or wanted.isdisjoint(traction.columns.tolist()):
+                continue
             _, here, own = np.intersect1d(columns, traction.columns, return_indices=True)
-            if here.size and traction.dip is not None:
-                dip = missed_indentation(surface, traction.dip.dip, triangle, barycentric)
-                missed[:, :, here] += (dip @ traction.dip_force[:, own]).reshape(2, -1, own.size)
+            dip = missed_indentation(surface, traction.dip.dip, triangle, barycentric)
+            missed[:, :, here] += (dip @ traction.dip_force[:, own]).reshape(2, -1, own.size)
         return missed
 
     def integrate(self, system: BoundarySystem) -> tuple[RightHand, BodyForce | None]:
@@ -192,7 +194,8 @@ class LoadTable:
             units = load_right_hand(system, [each.load for each in part]).terms
             for each, unit in zip(part, np.split(units, len(part), axis=2), strict=True):
                 terms[:, :, each.columns] += unit @ each.force
-        for some in _slices([(each.columns, *dip) for each in self.tractions for dip in each.dips()]):
+        dips = [(each.columns, *dip) for each in self.tractions for dip in each.dips()]
+        for some in _slices(dips):
             corrections = correction_columns(system, [dip for _, dip, _ in some]).terms
             for k, (columns, _, factor) in enumerate(some):
                 terms[:, :, columns] += corrections[:, :, k, None] * factor
