@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from palpate import parts
+from palpate import checkpoints
 from palpate.checkpoints import Checkpoints, content_digest
 from palpate.disk import atomic_replacement
 from palpate.records import Constant, Status
@@ -143,7 +143,7 @@ def test_a_cache_loses_what_was_not_used_for_longest(tmp_path, monkeypatch):
     (tmp_path / f"{9:064x}").symlink_to(tmp_path / "nowhere")
     before = set(tmp_path.iterdir())
     size = part.stat().st_size
-    monkeypatch.setattr(parts, "_MOST_BYTES", 2 * size + 20)
+    monkeypatch.setattr(checkpoints, "_MOST_BYTES", 2 * size + 20)
     Checkpoints(tmp_path, "a").stored("another", 2)
     Checkpoints(tmp_path, "b", cache=True).stored("part", 3)
     # The newest are those two, `part`, which is one too many, and what is older.
@@ -157,12 +157,12 @@ def test_a_cache_takes_a_quarter_of_what_is_free_without_it(tmp_path, monkeypatc
     usage = shutil.disk_usage(tmp_path)
     # With the 50 bytes of the cache 120 would be free, of which a quarter are three parts.
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=70))
-    parts._trim(tmp_path)
+    checkpoints._trim(tmp_path)
     assert sorted(tmp_path.iterdir()) == files[:3]
 
 
 def test_finished_parts_of_long_work_are_all_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(parts, "_MOST_BYTES", 10)
+    monkeypatch.setattr(checkpoints, "_MOST_BYTES", 10)
     store = Checkpoints(tmp_path, "a")
     for number in range(3):
         store.stored(str(number), number)

@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from palpate import parts
+from palpate import checkpoints
 from palpate.checkpoints import Checkpoints
 from palpate.records import Constant
 

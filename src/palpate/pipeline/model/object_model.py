@@ -3,6 +3,7 @@ observations of each probing as functions of its solutions: displacements of its
 motions of supports."""
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,7 +20,7 @@ from palpate.bem import (
     held_system,
     make_solver,
 )
-from palpate.checkpoints import Cache
+from palpate.checkpoints import Cache, content_digest
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.pipeline.model.supports import (
@@ -363,7 +364,7 @@ def _seen(
     parts = [(place.triangle, place.barycentric)]
     matrix = csr_array(eye_array(3 * len(place.triangle)))
     if average is not None:
-        around = closest_points(model.session.mesh, average.points)
+        around = _samples(model, average)
         parts.append((around.triangle, around.barycentric))
         matrix = average.averaging_matrix()
     patch = int(model.loads.patch_of[index])
@@ -373,6 +374,16 @@ def _seen(
         matrix = csr_array(block_diag([matrix, eye_array(3)]))
     triangle, barycentric = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _Seen(triangle, barycentric, matrix)
+
+
+def _samples(model: ObjectModel, average: SurfaceAverage) -> SurfacePoints:
+    """Where the sampling points of an average are on the mesh; in memory it is kept for fits of
+    further pushes."""
+    checkpoints = model.system.checkpoints
+    find = partial(closest_points, model.session.mesh, average.points)
+    if not checkpoints.in_memory:
+        return find()
+    return checkpoints.load_or_make(content_digest(("samples", average.points)), find)
 
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
