@@ -136,4 +136,4 @@ def test_a_part_of_another_user_is_not_read(store, monkeypatch):
 
 def test_no_cache_is_read_with_pickle():
     """Code in a file runs as soon as somebody unpickles it, whatever is checked then."""
-    assert "pickle" not in vars(parts)
+    assert "pickle" not in vars(checkpoints)
